@@ -7,7 +7,7 @@ PIP_FLAGS =
 VENV := .venv
 RUN := $(VENV)/bin/python -m
 
-.PHONY: demo fuzz test test-all test-oldest test-versions pytest-test pytest-test-all lint format bench tables docs clean
+.PHONY: demo fuzz test test-all test-oldest test-versions pytest-test pytest-test-all lint format bench docs clean
 
 demo: $(VENV)/.installed
 	$(RUN) matcam demo --output demo --force
@@ -70,9 +70,6 @@ docs: $(VENV)/.installed-docs
 	rm -rf build/site docs/gallery docs/tutorials
 	$(RUN) sphinx -b html -n -W --keep-going docs build/site
 	@echo "Open build/site/index.html"
-
-tables: $(VENV)/.installed
-	$(RUN) matcam.forward.peaks.build_peak_tables
 
 clean:
 	rm -rf $(VENV) demo build docs/gallery docs/tutorials

@@ -12,7 +12,8 @@ from jax.typing import ArrayLike
 
 from matcam.core import checks
 from matcam.core.jax import jax, jnp
-from matcam.forward.peaks.peak import lobe_record, peak_response
+from matcam.forward.peaks.peak import peak_response
+from matcam.forward.peaks.tangent_plane import lobe_record
 from matcam.material.ndf.gaussian_lobe import GaussianNDF
 from matcam.rigs import Rig, merl
 

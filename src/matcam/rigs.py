@@ -2,23 +2,27 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal, get_args
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
-import equinox as eqx
 import numpy as np
-from jax.typing import ArrayLike
 
 from matcam.camera.camera import Camera
 from matcam.camera.optics.gaussian import GaussianOptics
+from matcam.camera.parameters import Provenance, Uncertainty
 from matcam.camera.pixel import BoxPixel
-from matcam.camera.profile import Provenance, Uncertainty
 from matcam.core import checks
+from matcam.core.arrays import is_concrete, xp
+from matcam.core.arrays.module import Module, static_field
 from matcam.core.errors import ArgumentError
 from matcam.core.grid import GRID_SHAPE
-from matcam.core.jax import is_concrete, jax, jnp
 from matcam.lamp.lamps import DistantLamp, Lamp, NearLamp, checked_azimuth, checked_azimuths, closeness
 from matcam.sample.curved import Sphere
 from matcam.sample.shape import Curved, Sample
+
+if TYPE_CHECKING:
+    from jax.typing import ArrayLike
+
+    from matcam.core.jax import jax
 
 CellValue = Literal["centre", "edge", "mean", "nearest", "bilinear", "unknown"]
 UNKNOWN: CellValue = "unknown"
@@ -35,7 +39,7 @@ PixelPhase = tuple[float, float] | tuple[tuple[float, float], ...]
 """Where real pixels lie, px: (x, y), or a pair for each slice of theta_d."""
 
 
-class Rig(eqx.Module):
+class Rig(Module):
     """Combine camera, sample and lamp to a rig.
 
     A rig measures a material by photographing it.
@@ -83,10 +87,10 @@ class Rig(eqx.Module):
     jitter: jax.Array
     aperture: jax.Array
     focus: jax.Array
-    crop: tuple[int, int] | None = eqx.field(static=True)
-    cell_value: CellValue = eqx.field(static=True)
-    pixel_phase: PixelPhase | None = eqx.field(static=True)
-    lamp_azimuth: float | None = eqx.field(static=True)
+    crop: tuple[int, int] | None = static_field()
+    cell_value: CellValue = static_field()
+    pixel_phase: PixelPhase | None = static_field()
+    lamp_azimuth: float | None = static_field()
 
     def __init__(
         self,
@@ -172,8 +176,8 @@ class Rig(eqx.Module):
         Returns:
             Standard deviations of the normal's angle in the plane of camera and lamp, and across it (docs/model.md 3).
         """
-        quarter = self.lamp_radius / 4 * closeness(self.lamp.nearness, jnp.cos(theta_d))
-        return quarter, quarter / jnp.cos(theta_d)
+        quarter = self.lamp_radius / 4 * closeness(self.lamp.nearness, xp.cos(theta_d))
+        return quarter, quarter / xp.cos(theta_d)
 
     def description(self) -> dict[str, Any]:
         """Return the rig as plain numbers, as a picture's sidecar holds it.

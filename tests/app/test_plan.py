@@ -47,8 +47,8 @@ def test_the_command_line_says_the_same(planned, tmp_path):
     said = said_by_the_command(planned, tmp_path)
     shown = predict(planned.rig(), planned.lobes())
     assert said["roughness"] == sorted([0.01, *OTHERS])
-    np.testing.assert_allclose(np.degrees(shown["loss_angle"]), said["loss_angle_deg"], rtol=1e-12)
-    np.testing.assert_allclose(shown["response"], said["response"], rtol=1e-12)
+    np.testing.assert_allclose(np.degrees(shown.loss_angle), said["loss_angle_deg"], rtol=1e-12)
+    np.testing.assert_allclose(shown.response, said["response"], rtol=1e-12)
 
 
 def test_the_python_says_the_same(tmp_path):

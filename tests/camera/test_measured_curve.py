@@ -39,7 +39,7 @@ import numpy as np
 from matcam import MeasuredOptics
 def used(count):
     x = np.linspace(0, 1, count)
-    MeasuredOptics(x, np.cos(np.pi / 2 * x) ** 2).mtf(0.3).block_until_ready()
+    MeasuredOptics(x, np.cos(np.pi / 2 * x) ** 2).mtf(0.3)
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 before = used(20)
 print(used(4000) - before)

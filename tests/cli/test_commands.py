@@ -8,9 +8,10 @@ import sys
 
 import numpy as np
 import pytest
+import tifffile
 import xarray as xr
 
-from matcam import BoxPixel, Camera, GaussianOptics, write_merl
+from matcam import BoxPixel, Camera, DiffractionOptics, GaussianOptics, write_merl
 from matcam.camera import Uncertainty
 from matcam.core.grid import brdf_table
 from tests.oracle import epd_peak, merl_lobe
@@ -39,6 +40,33 @@ def test_help_answers_without_loading_anything_heavy(environment):
         "print(sorted({m.split('.')[0] for m in sys.modules} & {'jax', 'xarray', 'scipy', 'matplotlib', 'pandas', 'equinox'}))"
     )
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment, check=True)
+    assert result.stdout.splitlines()[-1] == "[]"
+
+
+_LIGHT = [
+    ("predict", "0.01"),
+    ("predict", "0.01", "--ndf", "epd", "--power", "0.5", "--lamp", "0.2"),
+    ("predict", "0.01", "--camera", "c.json"),
+    ("edge", "edge.tif"),
+    ("inspect", "c.json"),
+    ("chart", "-o", "chart.pdf"),
+    ("capture", "init", "capture"),
+    ("data", "merl", "--list"),
+]
+
+
+@pytest.mark.parametrize("words", _LIGHT, ids=" ".join)
+def test_small_commands_load_neither_jax_nor_xarray(environment, tmp_path, words):
+    Camera(DiffractionOptics(8, 550e-9, 5e-6)).save(tmp_path / "c.json")
+    y, x = np.mgrid[-80:80, -40:40]
+    edge = 5000 + 40000 / (1 + np.exp(-2 * (x - 0.1 * y)))
+    tifffile.imwrite(tmp_path / "edge.tif", np.random.default_rng(1).poisson(edge).astype(np.uint16))
+    code = (
+        f"import sys\nfrom matcam.cli import _run\nassert _run({list(words)}) == 0\n"
+        "print(sorted({m.split('.')[0] for m in sys.modules} & {'jax', 'equinox', 'xarray', 'pandas', 'dask'}))"
+    )
+    command = [sys.executable, "-c", code]
+    result = subprocess.run(command, capture_output=True, text=True, env=environment, check=True, cwd=tmp_path)
     assert result.stdout.splitlines()[-1] == "[]"
 
 

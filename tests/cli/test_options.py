@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 
 from matcam import BoxPixel, DiffractionOptics
 from matcam.calibration.chart.chart_layout import KINDS, PAGES
-from matcam.cli import chart, simulate
+from matcam.cli import _run, chart, simulate
 from matcam.cli.app import app
 from matcam.cli.options import in_options
 from matcam.core.errors import ArgumentError
@@ -102,3 +102,27 @@ def test_the_halo_is_checked_by_its_own_options():
         (("--glare", "0.01", "--glare-radius", "0"), "--glare-radius must lie in (0, inf) px, got 0"),
     ):
         assert str(CliRunner().invoke(app, ["predict", *arguments]).exception) == message
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("render", "a.binary"), "rendering needs an extra: python -m pip install 'matcam[render]'"),
+        (
+            ("correct", "a.binary", "-o", "run", "--zarr"),
+            "a run's Zarr needs an extra: python -m pip install 'matcam[scale]'",
+        ),
+        (
+            ("correct", "a.binary", "-o", "run", "--cluster", "local:2"),
+            "a cluster needs an extra: python -m pip install",
+        ),
+        (("convert", "a.binary", "b.zarr"), "Zarr needs an extra: python -m pip install 'matcam[scale]'"),
+    ],
+)
+def test_an_extra_that_is_not_installed_is_named_before_any_work(words, message, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "a.binary").touch()
+    monkeypatch.setattr("matcam.core.checks.find_spec", lambda module: None)
+    assert _run(list(words)) == 2
+    assert message in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["a.binary"]

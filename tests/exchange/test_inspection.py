@@ -18,8 +18,9 @@ from matcam.camera import Uncertainty
 from matcam.cli import _run
 from matcam.core.errors import FileFormatError
 from matcam.core.grid import brdf_table
+from matcam.exchange.camera_report import inspect_camera
 from matcam.exchange.contents import read_contents
-from matcam.exchange.inspection import inspect_camera, inspect_contents, inspect_table
+from matcam.exchange.inspection import inspect_contents, inspect_table
 from matcam.files.formats import identify
 from matcam.io import write_exr, write_netcdf
 from matcam.material import albedo

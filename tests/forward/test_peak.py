@@ -34,7 +34,7 @@ from matcam.core.errors import ArgumentError
 from matcam.core.jax import jax, jnp
 from matcam.core.registry import ONE_WIDTH
 from matcam.forward import texture_contrast
-from matcam.forward.peaks.peak import lobe_record
+from matcam.forward.peaks.tangent_plane import lobe_record
 from matcam.forward.prediction import predict
 from tests.golden import rows
 
@@ -272,7 +272,7 @@ def test_loss_angle_is_where_five_percent_are_lost():
         assert 1 - response[1] / response[0] == pytest.approx(0.05, abs=1e-4)
     assert loss_angle(Rig(rig.camera, Flat()), GGX(0.1)) == np.pi / 2
     data = predict(rig, [GGX(a) for a in (0.001, 0.01, 0.1)])
-    assert np.all(np.diff(data["loss_angle"]) > 0)
+    assert np.all(np.diff(data.loss_angle) > 0)
 
 
 @pytest.mark.parametrize("theta", [np.pi / 2, 2.0, -0.1, np.nan, np.inf])

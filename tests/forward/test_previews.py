@@ -39,8 +39,8 @@ def test_response_is_that_of_peak_response(optics, error):
 def test_fast_prediction_finds_the_angle():
     rig = matcam.rigs.merl()
     fast, slow = (predict(rig, [matcam.GGX(0.02)], fast=fast) for fast in (True, False))
-    assert fast.sizes["theta"] < slow.sizes["theta"] / 3
-    np.testing.assert_allclose(np.degrees(fast["loss_angle"]), np.degrees(slow["loss_angle"]), atol=0.05)
+    assert fast.theta.size < slow.theta.size / 3
+    np.testing.assert_allclose(np.degrees(fast.loss_angle), np.degrees(slow.loss_angle), atol=0.05)
 
 
 def errors(alpha, degrees, optics=None):

@@ -5,7 +5,7 @@ import pytest
 
 from matcam import GGX, Conductor, GaussianNDF, Microfacet, Rig, Sphere, rigs
 from matcam.core.grid import below_horizon, brdf_table, merl_grid
-from matcam.forward.peaks.peak import lobe_record
+from matcam.forward.peaks.tangent_plane import lobe_record
 from tests.oracle import merl_lobe
 
 

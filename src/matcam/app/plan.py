@@ -234,15 +234,13 @@ class PlanView:
         self._show_pictures(found)
 
     def _show_curves(self, planned: Planned, data: Any) -> None:
-        count = data.sizes["roughness"]
-        theta = np.degrees(data["theta"].values).tolist()
-        rows = list(
-            zip(data["roughness"].values, data["response"].values[:, 0], data["loss_angle"].values, strict=True)
-        )
+        count = data.roughness.size
+        theta = np.degrees(data.theta).tolist()
+        rows = list(zip(data.roughness, data.response[:, 0], data.loss_angle, strict=True))
         chosen, others = [r == planned.roughness for r, _, _ in rows], iter(COLOURS[1:])
         self._curve.data = {  # lists: arrays would be two messages each
             "theta": [theta] * count,
-            "relative": [np.round(one, 5).tolist() for one in data["relative_response"].values],
+            "relative": [np.round(one, 5).tolist() for one in data.relative_response],
             "roughness": [f"{r:g}" for r, _, _ in rows],
             "words": [f"{r:g}: {kept:.1%} kept at 0°, 5 % gone at {_angle(angle)}" for r, kept, angle in rows],
             "chosen": [f"{planned.roughness:g}"] * count,

@@ -17,7 +17,7 @@ import numpy as np
 import xarray as xr
 
 from matcam.camera.camera import Camera
-from matcam.camera.profile import Provenance
+from matcam.camera.parameters import Provenance
 from matcam.core.errors import ArgumentError, FitError, MatcamError
 from matcam.core.grid import Sampling
 from matcam.core.io import plain

@@ -19,7 +19,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
-from matcam.core.errors import ArgumentError, FileFormatError, OutputError
+from matcam.core import checks
+from matcam.core.errors import FileFormatError, OutputError
 from matcam.core.grid import CHANNELS, DIMS, GRID_SHAPE, Sampling, merl_grid
 from matcam.core.readers.apart import read_apart
 from matcam.core.readers.texts import read_json
@@ -217,8 +218,7 @@ def _grow(group: Any, names: list[str]) -> None:
 
 
 def _zarr() -> Any:
-    try:
-        import zarr
-    except ImportError:
-        raise ArgumentError("a run's Zarr needs an extra: pip install 'matcam[scale]'") from None
+    checks.extra("a run's Zarr", "scale", "zarr")
+    import zarr
+
     return zarr

@@ -1,6 +1,6 @@
 from .bracketing import RadianceEstimate, expose_bracket, merge_bracket
 from .lens_field import Coefficient, LensField
-from .profile import Provenance, Uncertainty
+from .parameters import Provenance, Uncertainty
 from .sensor import PixelNoise
 
 __all__ = [

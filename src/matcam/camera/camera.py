@@ -4,25 +4,27 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
-
-import equinox as eqx
-from jax.typing import ArrayLike
+from typing import TYPE_CHECKING, Any
 
 from matcam.camera import kernel as effective
-from matcam.camera import profile
 from matcam.camera.lens_field import LensField
 from matcam.camera.optics.optics import Optics
+from matcam.camera.parameters import Provenance, Uncertainty, parameters_of, replace_parameters
 from matcam.camera.pixel import BoxPixel, PixelResponse
-from matcam.camera.profile import Provenance, Uncertainty
 from matcam.camera.sensor import Sensor
 from matcam.core import checks
+from matcam.core.arrays import is_concrete, xp
+from matcam.core.arrays.module import Module, replaced, static_field
 from matcam.core.errors import ArgumentError, FileFormatError
 from matcam.core.io import write_json
-from matcam.core.jax import is_concrete, jax, jnp
+
+if TYPE_CHECKING:
+    from jax.typing import ArrayLike
+
+    from matcam.core.jax import jax
 
 
-class Camera(eqx.Module):
+class Camera(Module):
     """Combine lens and pixel to the effective kernel of a camera's pictures.
 
     Three kernels are easily confused. `Optics.psf` is the light that the lens lays on the sensor. `PixelResponse.response` is
@@ -57,8 +59,8 @@ class Camera(eqx.Module):
     pixel: PixelResponse
     sensor: Sensor | None
     uncertainty: Uncertainty | None
-    provenance: Provenance = eqx.field(static=True)
-    field: LensField | None = eqx.field(static=True)
+    provenance: Provenance = static_field()
+    field: LensField | None = static_field()
 
     def __init__(
         self,
@@ -152,7 +154,7 @@ class Camera(eqx.Module):
         """
         f, angle = checks.number("f", f), checks.number("angle", angle)
         along = effective.transfer_along(self.optics, self.pixel, f, angle)
-        return along if self.optics.isotropic else jnp.abs(along)
+        return along if self.optics.isotropic else xp.abs(along)
 
     def transfer(self, fx: jax.Array, fy: jax.Array) -> jax.Array:
         """Return the total transfer function in the plane: optics times pixel, signed.
@@ -167,7 +169,7 @@ class Camera(eqx.Module):
 
     def _sum(self, kernel: Callable[[Optics], jax.Array]) -> jax.Array:
         """Sum a kernel over the lens's components, because it is linear in the lens."""
-        return sum((weight * kernel(part) for weight, part in self.optics.components()), jnp.zeros(()))
+        return sum((weight * kernel(part) for weight, part in self.optics.components()), xp.zeros(()))
 
     # ------------------------------------------------------------------ its parameters and its file
 
@@ -177,7 +179,7 @@ class Camera(eqx.Module):
         Returns:
             Scalars by names with their units, such as "optics.sigma_px" and "pixel.half_width_px".
         """
-        return {**profile.parameters_of("optics", self.optics), **profile.parameters_of("pixel", self.pixel)}
+        return {**parameters_of("optics", self.optics), **parameters_of("pixel", self.pixel)}
 
     def with_parameters(self, values: dict[str, Any]) -> Camera:
         """Return the camera with some of its `parameters()` replaced.
@@ -192,8 +194,10 @@ class Camera(eqx.Module):
         for name in values:
             if name not in known:
                 raise ArgumentError(f"this camera has no parameter {name!r}; it has {', '.join(sorted(known))}")
-        new = tuple(profile.replace_parameters(part, getattr(self, part), values) for part in ("optics", "pixel"))
-        return eqx.tree_at(lambda c: (c.optics, c.pixel), self, new)
+        camera = self
+        for part in ("optics", "pixel"):
+            camera = replaced(camera, part, replace_parameters(part, getattr(self, part), values))
+        return camera
 
     def with_field(self, field: LensField | None) -> Camera:
         """Return the camera with another distortion and blur over the field.
@@ -232,6 +236,8 @@ class Camera(eqx.Module):
         Raises:
             FileFormatError: this is no profile; the message names the file and the field.
         """
+        from matcam.camera import profile  # and pydantic, which few cameras need
+
         return cls._from_parts(profile.read_profile(path), path)
 
     def profile(self) -> dict[str, Any]:
@@ -240,6 +246,8 @@ class Camera(eqx.Module):
         Returns:
             Dicts, lists, numbers and texts.
         """
+        from matcam.camera import profile
+
         return profile.as_document(self.optics, self.pixel, self.sensor, self.field, self.uncertainty, self.provenance)
 
     @classmethod
@@ -253,6 +261,8 @@ class Camera(eqx.Module):
         Raises:
             FileFormatError: this is no profile; the message names its place and the field.
         """
+        from matcam.camera import profile
+
         return cls._from_parts(profile.from_document(document, where), where)
 
     @classmethod

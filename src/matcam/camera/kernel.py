@@ -14,13 +14,19 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
+from typing import TYPE_CHECKING
 
 from matcam.camera.optics import optics as fourier
 from matcam.camera.optics.gaussian import GaussianOptics
 from matcam.camera.optics.optics import Optics
 from matcam.camera.pixel import BoxPixel, PixelResponse, gaussian_over_interval, mean_over_interval
-from matcam.core.jax import jax, jnp
+from matcam.core.arrays import special, xp
+from matcam.numerics.normal import normal_density
 
+if TYPE_CHECKING:
+    from matcam.core.jax import jax
+
+_FAR = 40.0  # standard deviations, beyond which a normal distribution is 0
 _SLIVER = 0.05  # short half width / std
 _THINNEST = 1e-3  # px, short half width in `edge_and_slopes`: 2e-7 px^2 of blur too much, no digits lost
 
@@ -29,7 +35,7 @@ def point(optics: Optics, pixel: PixelResponse, x: jax.Array, y: jax.Array) -> j
     """Return a pixel's reading of a point of light (x, y) px from its centre, 1/px^2."""
     if isinstance(optics, GaussianOptics):
         return pixel.of_gaussian(x, optics.sigma) * pixel.of_gaussian(y, optics.sigma)
-    reach, band = fourier.reach_of(jnp.hypot(x, y)), optics.band()
+    reach, band = fourier.reach_of(xp.hypot(x, y)), optics.band()
     rule = optics.frequency_rule(fourier.panels_for(reach + 1, band))
     turns = fourier.turns_for(reach + 1, band)
     if not optics.isotropic:  # the pixel stands where the point is not
@@ -60,8 +66,8 @@ def transfer(optics: Optics, pixel: PixelResponse, fx: jax.Array, fy: jax.Array)
 
 def transfer_along(optics: Optics, pixel: PixelResponse, f: jax.Array, angle: jax.Array) -> jax.Array:
     """Return the total transfer function at f cycles/px along `angle`."""
-    lens = optics.mtf(f) if optics.isotropic else optics.otf(f * jnp.cos(angle), f * jnp.sin(angle))
-    return lens * pixel.mtf(f * jnp.cos(angle)) * pixel.mtf(f * jnp.sin(angle))
+    lens = optics.mtf(f) if optics.isotropic else optics.otf(f * xp.cos(angle), f * xp.sin(angle))
+    return lens * pixel.mtf(f * xp.cos(angle)) * pixel.mtf(f * xp.sin(angle))
 
 
 def rule_for(optics: Optics, x: jax.Array) -> fourier.Rule:
@@ -73,31 +79,33 @@ def rule_for(optics: Optics, x: jax.Array) -> fourier.Rule:
 def square_line(x: jax.Array, angle: jax.Array, half_width: jax.Array, std: jax.Array) -> jax.Array:
     """Return a square pixel's reading of a line with a Gaussian profile, x px away, normal at `angle`; 1/px."""
     long, sliver, short = _boxes(angle, half_width, std)
-    safe = jnp.where(sliver, std, short)  # the branch not taken must not divide by 0, nor its gradient
-    polynomial = _polynomial_difference(lambda u: jnp.where(u > 0, u, 0), x, long, safe, far=0.0)
+    safe = xp.where(sliver, std, short)  # the branch not taken must not divide by 0, nor its gradient
+    polynomial = _polynomial_difference(lambda u: xp.where(u > 0, u, 0), x, long, safe, far=0.0)
     remainder = _second_difference(lambda u: _first_remainder(u, std), x, long, safe)
     closed = (polynomial + remainder) / (4 * long * safe)
     by_sliver = mean_over_interval(lambda u: gaussian_over_interval(u, long[..., None], std), x, short)
-    return jnp.where(sliver, by_sliver, closed)
+    return xp.where(sliver, by_sliver, closed)
 
 
 def square_edge(x: jax.Array, angle: jax.Array, half_width: jax.Array, std: jax.Array) -> jax.Array:
     """Return a square pixel's reading x px inside the bright side of a 0-1 edge with a Gaussian blur."""
     long, sliver, short = _boxes(angle, half_width, std)
-    safe = jnp.where(sliver, std, short)
-    polynomial = _polynomial_difference(lambda u: jnp.where(u > 0, (u**2 + std**2) / 2, 0), x, long, safe, far=1.0)
+    safe = xp.where(sliver, std, short)
+    polynomial = _polynomial_difference(
+        lambda u: xp.where(u > 0, (xp.square(u) + std**2) / 2, 0), x, long, safe, far=1.0
+    )
     remainder = _second_difference(lambda u: _second_remainder(u, std), x, long, safe)
     closed = (polynomial + remainder) / (4 * long * safe)
 
     def box_edge(u: jax.Array) -> jax.Array:
         wide = long[..., None]
         upper, lower = u + wide, u - wide
-        ramp = jnp.where(upper > 0, upper, 0) - jnp.where(lower > 0, lower, 0)
+        ramp = xp.where(upper > 0, upper, 0) - xp.where(lower > 0, lower, 0)
         # to the right of the whole box the difference is its width, exactly
-        ramp = jnp.where(lower > 0, 2 * wide, ramp)
+        ramp = xp.where(lower > 0, 2 * wide, ramp)
         return (ramp + _first_remainder(upper, std) - _first_remainder(lower, std)) / (2 * wide)
 
-    return jnp.where(sliver, mean_over_interval(box_edge, x, short), closed)
+    return xp.where(sliver, mean_over_interval(box_edge, x, short), closed)
 
 
 def edge_and_slopes(
@@ -109,12 +117,12 @@ def edge_and_slopes(
     the heat equation, so all three are made of one normal distribution function and one density per corner of the square.
     """
     long, _, short = _boxes(angle, half_width, std)
-    short = jnp.where(short > _THINNEST, short, _THINNEST)
-    sums = [jnp.zeros(()), jnp.zeros(()), jnp.zeros(())]
+    short = xp.where(short > _THINNEST, short, _THINNEST)
+    sums = [xp.zeros(()), xp.zeros(()), xp.zeros(())]
     for corner, sign in ((long + short, 1), (long - short, -1), (short - long, -1), (-long - short, 1)):
         t = (x + corner) / std
-        phi = jnp.exp(-(t**2) / 2) / jnp.sqrt(2 * jnp.pi)
-        below = (1 + jax.scipy.special.erf(t / jnp.sqrt(2.0))) / 2
+        phi = xp.exp(-(t**2) / 2) / xp.sqrt(2 * xp.pi)
+        below = (1 + special.erf(t / xp.sqrt(2.0))) / 2
         parts = (std**2 / 2 * ((t**2 + 1) * below + t * phi), std * (t * below + phi), std * below)
         sums = [total + sign * part for total, part in zip(sums, parts, strict=True)]
     area = 4 * long * short
@@ -123,8 +131,8 @@ def edge_and_slopes(
 
 def _boxes(angle: jax.Array, half_width: jax.Array, std: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Return the long box, a mask of slivers among the short ones, and the short box: half widths, px."""
-    a, b = half_width * jnp.abs(jnp.cos(angle)), half_width * jnp.abs(jnp.sin(angle))
-    long, short = jnp.maximum(a, b), jnp.minimum(a, b)
+    a, b = half_width * xp.abs(xp.cos(angle)), half_width * xp.abs(xp.sin(angle))
+    long, short = xp.maximum(a, b), xp.minimum(a, b)
     return long, short < _SLIVER * std, short
 
 
@@ -147,19 +155,19 @@ def _polynomial_difference(
     Beyond the boxes it is 0 or far * 4 long short, exactly.
     """
     reach = long + short
-    inside = jnp.abs(x) < reach
-    near = _second_difference(function, jnp.where(inside, x, 0.0), long, short)
-    return jnp.where(inside, near, jnp.where(x > 0, far * 4 * long * short, 0.0))
+    inside = xp.abs(x) < reach
+    near = _second_difference(function, xp.where(inside, x, 0.0), long, short)
+    return xp.where(inside, near, xp.where(x > 0, far * 4 * long * short, 0.0))
 
 
 def _first_remainder(x: jax.Array, std: jax.Array) -> jax.Array:
     """Return H(x), the integral of the normal distribution function from -infinity to x, less max(x, 0)."""
-    t = jnp.where(x > 0, x, -x) / std
-    return std * (jax.scipy.stats.norm.pdf(t) - t * jax.scipy.special.ndtr(-t))
+    t = xp.where(x > 0, x, -x) / std
+    return std * (normal_density(t) - t * special.ndtr(-t))
 
 
 def _second_remainder(x: jax.Array, std: jax.Array) -> jax.Array:
     """Return the integral of H, less (x^2 + std^2) / 2 where x > 0."""
-    t = jnp.where(x > 0, x, -x) / std
-    tail = std**2 / 2 * ((t**2 + 1) * jax.scipy.special.ndtr(-t) - t * jax.scipy.stats.norm.pdf(t))
-    return jnp.where(x > 0, -tail, tail)
+    t = xp.minimum(xp.where(x > 0, x, -x) / std, _FAR)
+    tail = std**2 / 2 * ((t**2 + 1) * special.ndtr(-t) - t * normal_density(t))
+    return xp.where(x > 0, -tail, tail)

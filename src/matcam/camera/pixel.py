@@ -8,21 +8,29 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Callable, Mapping
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
-import equinox as eqx
 import numpy as np
-from jax.typing import ArrayLike
 
 from matcam.core import checks
-from matcam.core.jax import AnyArray, is_concrete, jax, jnp
+from matcam.core.arrays import is_concrete, special, xp
+from matcam.core.arrays.module import Module
+from matcam.numerics.normal import normal_density
 
+if TYPE_CHECKING:
+    from jax.typing import ArrayLike
+
+    from matcam.core.jax import AnyArray, jax
+
+PIXELS_SHARE = 0.3
+"""Share of the pixel's half width that counts as blur of a disc: its borders are steps before a sharp lens."""
 _NARROW = 0.02  # half width / std below which differences of erf lose more digits than a series
+_FADED = 1e4  # squared standard deviations, beyond which a Gaussian is 0
 _GAUSS4 = np.polynomial.legendre.leggauss(4)
 _GAUSS48 = np.polynomial.legendre.leggauss(48)
 
 
-class PixelResponse(eqx.Module):
+class PixelResponse(Module):
     """Describe the sensitivity of one pixel over its area, without the lens.
 
     In astronomy PRF means *point* response function, which contains the lens: not this.
@@ -31,7 +39,8 @@ class PixelResponse(eqx.Module):
         profile_fields: {name with its unit in a camera profile: attribute}, in the order of the constructor's arguments.
     """
 
-    half_width: eqx.AbstractVar[jax.Array]
+    if TYPE_CHECKING:
+        half_width: jax.Array
     profile_fields: ClassVar[Mapping[str, str]]
 
     @abstractmethod
@@ -107,29 +116,29 @@ class BoxPixel(PixelResponse):
 
     def response(self, x: ArrayLike) -> jax.Array:
         """Return 1 / (2 half_width) inside the square and 0 outside, 1/px."""
-        return jnp.where(jnp.abs(checks.number("x", x)) <= self.half_width, 0.5 / self.half_width, 0.0)
+        return xp.where(xp.abs(checks.number("x", x)) <= self.half_width, 0.5 / self.half_width, 0.0)
 
     def mtf(self, f: ArrayLike) -> jax.Array:
         """Return the box's transfer function, signed; the lens is not in it.
 
         sin(2 pi half_width f) / (2 pi half_width f), negative beyond 1 / (2 half_width).
         """
-        return jnp.sinc(2 * self.half_width * checks.number("f", f))
+        return xp.sinc(2 * self.half_width * checks.number("f", f))
 
     def of_gaussian(self, x: ArrayLike, std: ArrayLike) -> jax.Array:
         """Return the pixel's reading of a line with a Gaussian profile, 1/px.
 
         [erf((x + p) / (sqrt2 std)) - erf((x - p) / (sqrt2 std))] / (4 p), p = half_width (docs/model.md 2).
         """
-        return gaussian_over_interval(jnp.asarray(x), self.half_width, jnp.asarray(std))
+        return gaussian_over_interval(xp.asarray(x), self.half_width, xp.asarray(std))
 
     def until_gaussian(self, x: ArrayLike, std: ArrayLike) -> jax.Array:
         """Return the integral of `of_gaussian` up to x, no unit.
 
         [f(x + p) - f(x - p)] std / (2 p), where f is z ndtr(z) + pdf(z) at z = x / std and p = half_width.
         """
-        ends = ((jnp.asarray(x) + side * self.half_width) / std for side in (1, -1))
-        above, below = (z * _normal_until(z) + jnp.exp(-(z**2) / 2) / np.sqrt(2 * np.pi) for z in ends)
+        ends = ((xp.asarray(x) + side * self.half_width) / std for side in (1, -1))
+        above, below = (z * _normal_until(z) + xp.exp(-(z**2) / 2) / np.sqrt(2 * np.pi) for z in ends)
         return (above - below) * std / (2 * self.half_width)
 
     def __repr__(self) -> str:
@@ -174,49 +183,49 @@ class WindowedGaussianPixel(PixelResponse):
     def response(self, x: ArrayLike) -> jax.Array:
         """Return the cut Gaussian, of unit area, 1/px; 0 outside."""
         x = checks.number("x", x)
-        inside = jax.scipy.stats.norm.pdf(x, scale=self.sigma) / self._share_inside
-        return jnp.where(jnp.abs(x) <= self.half_width, inside, 0.0)
+        inside = normal_density(x, self.sigma) / self._share_inside
+        return xp.where(xp.abs(x) <= self.half_width, inside, 0.0)
 
     def mtf(self, f: ArrayLike) -> jax.Array:
         """Return the Fourier transform of the response, by 48 Gauss-Legendre nodes.
 
         It is exact to rounding up to |f| half_width = 12 cycles, and to 1e-9 up to 14.
         """
-        nodes, weights = (jnp.asarray(a) for a in _GAUSS48)
+        nodes, weights = (xp.asarray(a) for a in _GAUSS48)
         t = self.half_width * nodes
         weight = self.half_width * weights * self.response(t)
         f = checks.number("f", f)
         # a response too narrow for the nodes is not cut: at eight sigma there is 1e-15 of it
-        uncut = jnp.exp(-2 * (jnp.pi * self.sigma * f) ** 2)
-        return jnp.where(self.half_width > 8 * self.sigma, uncut, jnp.cos(2 * jnp.pi * f[..., None] * t) @ weight)
+        uncut = xp.exp(-2 * xp.square(xp.pi * self.sigma * f))
+        return xp.where(self.half_width > 8 * self.sigma, uncut, xp.cos(2 * xp.pi * f[..., None] * t) @ weight)
 
     def of_gaussian(self, x: ArrayLike, std: ArrayLike) -> jax.Array:
         """Integrate the product of two Gaussians, completed to one, over the window."""
-        x, std = jnp.abs(jnp.asarray(x)), jnp.asarray(std)  # even; on this side the difference keeps its digits
-        total = jnp.hypot(std, self.sigma)
+        x, std = xp.abs(xp.asarray(x)), xp.asarray(std)  # even; on this side the difference keeps its digits
+        total = xp.hypot(std, self.sigma)
         centre = x * (self.sigma / total) ** 2
         width = self.sigma * std / total
         inside = _normal_until((self.half_width - centre) / width)
         inside -= _normal_until((-self.half_width - centre) / width)
-        return jax.scipy.stats.norm.pdf(x, scale=total) * inside / self._share_inside
+        return normal_density(x, total) * inside / self._share_inside
 
     def until_gaussian(self, x: ArrayLike, std: ArrayLike) -> jax.Array:
         """Return the integral of `of_gaussian` up to x, no unit.
 
         It takes 48 Gauss-Legendre nodes over the window.
         """
-        nodes, weights = (jnp.asarray(a) for a in _GAUSS48)
+        nodes, weights = (xp.asarray(a) for a in _GAUSS48)
         at = self.half_width * nodes
         share = self.half_width * weights * self.response(at)
-        x, std = jnp.asarray(x), jnp.asarray(std)
-        cut = sum((w * _normal_until((x - a) / std) for a, w in zip(at, share, strict=True)), jnp.zeros(()))
-        uncut = _normal_until(x / jnp.hypot(std, self.sigma))  # too narrow for the nodes
-        return jnp.where(self.half_width > 8 * self.sigma, uncut, cut)
+        x, std = xp.asarray(x), xp.asarray(std)
+        cut = sum((w * _normal_until((x - a) / std) for a, w in zip(at, share, strict=True)), xp.zeros(()))
+        uncut = _normal_until(x / xp.hypot(std, self.sigma))  # too narrow for the nodes
+        return xp.where(self.half_width > 8 * self.sigma, uncut, cut)
 
     @property
     def _share_inside(self) -> jax.Array:
         """Share of the uncut Gaussian inside the window."""
-        return jax.scipy.special.erf(self.half_width / (jnp.sqrt(2) * self.sigma))
+        return special.erf(self.half_width / (xp.sqrt(2) * self.sigma))
 
     def __repr__(self) -> str:
         return f"WindowedGaussianPixel(sigma={self.sigma!s}, half_width={self.half_width!s})"
@@ -224,36 +233,38 @@ class WindowedGaussianPixel(PixelResponse):
 
 def _normal_until(z: jax.Array) -> jax.Array:
     """Return the standard normal distribution's integral up to z: a sixth of the time of `ndtr`, which asks for erf."""
-    return jax.scipy.special.erfc(-z / np.sqrt(2)) / 2
+    return special.erfc(-z / np.sqrt(2)) / 2
 
 
 def gaussian_over_interval(x: jax.Array, half_width: ArrayLike, std: jax.Array) -> jax.Array:
     """Return the mean of a unit-area Gaussian over [x - half_width, x + half_width], to 14 digits for any std."""
-    x = jnp.where(x < 0, -x, x)  # even; in the right tail the difference keeps its digits
+    x = xp.where(x < 0, -x, x)  # even; in the right tail the difference keeps its digits
     ratio = half_width / std
     wide = ratio > _NARROW
-    if jnp.ndim(ratio):
-        return jnp.where(wide, _by_difference(x, jnp.where(wide, half_width, std), std), _by_series(x, ratio, std))
+    if xp.ndim(ratio):
+        return xp.where(wide, _by_difference(x, xp.where(wide, half_width, std), std), _by_series(x, ratio, std))
     if is_concrete(ratio):
         return _by_difference(x, half_width, std) if wide else _by_series(x, ratio, std)
+    from matcam.core.jax import jax
+
     return jax.lax.cond(
         wide,
-        lambda: _by_difference(x, jnp.where(wide, half_width, std), std),
+        lambda: _by_difference(x, xp.where(wide, half_width, std), std),
         lambda: _by_series(x, ratio, std),
     )
 
 
 def _by_difference(x: jax.Array, half_width: ArrayLike, std: jax.Array) -> jax.Array:
-    unit = jnp.sqrt(2) * std
-    ends = (jax.scipy.special.erfc((x + side * half_width) / unit) for side in (-1, 1))
+    unit = xp.sqrt(2) * std
+    ends = (special.erfc((x + side * half_width) / unit) for side in (-1, 1))
     return (next(ends) - next(ends)) / (4 * half_width)
 
 
 def _by_series(x: jax.Array, ratio: AnyArray, std: jax.Array) -> jax.Array:
     # Taylor's series of the mean about x, in Hermite polynomials: the next term is ratio^8 / 9! He8
-    z2, r2 = (x / std) ** 2, ratio**2
+    z2, r2 = xp.minimum(xp.square(xp.divide(x, std)), _FADED), ratio**2
     series = 1 + r2 * ((z2 - 1) / 6 + r2 * (((z2 - 6) * z2 + 3) / 120 + r2 * (((z2 - 15) * z2 + 45) * z2 - 15) / 5040))
-    return jnp.exp(-z2 / 2) / (jnp.sqrt(2 * jnp.pi) * std) * series
+    return xp.exp(-z2 / 2) / (xp.sqrt(2 * xp.pi) * std) * series
 
 
 def mean_over_interval(function: Callable[[jax.Array], jax.Array], x: jax.Array, half_width: jax.Array) -> jax.Array:
@@ -261,7 +272,7 @@ def mean_over_interval(function: Callable[[jax.Array], jax.Array], x: jax.Array,
 
     The nodes are a trailing axis of the function's argument; it must hardly bend over the interval.
     """
-    nodes, weights = (jnp.asarray(a) for a in _GAUSS4)
+    nodes, weights = (xp.asarray(a) for a in _GAUSS4)
     return function(x[..., None] + half_width[..., None] * nodes) @ (weights / 2)
 
 

@@ -11,21 +11,28 @@ The well fills before it is read, so read noise sits on top of saturated pixels 
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-import equinox as eqx
 import numpy as np
-from jax.typing import ArrayLike
 
 from matcam.core import checks
+from matcam.core.arrays import is_concrete, xp
+from matcam.core.arrays.module import Module, static_field
 from matcam.core.errors import ArgumentError
-from matcam.core.jax import is_concrete, jax, jnp
 from matcam.core.registry import CFAS
+
+if TYPE_CHECKING:
+    from jax.typing import ArrayLike
+
+    from matcam.core.jax import jax
 
 _CHANNELS = "RGB"
 _DEEPEST = 32  # bits
 
-Seed = int | jax.Array
+if TYPE_CHECKING:
+    Seed = int | jax.Array
+else:
+    Seed = Any
 """A whole number, or a key of jax.random."""
 
 
@@ -65,7 +72,7 @@ class PixelNoise(NamedTuple):
         return self
 
 
-class Sensor(eqx.Module):
+class Sensor(Module):
     """Simulate the noise and the mosaic of a camera's sensor.
 
     Both fixed patterns are log-normal: their mean is 1 exactly, and no pixel is negative.
@@ -101,13 +108,13 @@ class Sensor(eqx.Module):
     full_well: jax.Array
     read_noise: jax.Array
     gain: jax.Array
-    bits: int | None = eqx.field(static=True)
-    cfa: str | None = eqx.field(static=True)
+    bits: int | None = static_field()
+    cfa: str | None = static_field()
     prnu: jax.Array
     dark_current: jax.Array
     dark_nonuniformity: jax.Array
     black_level: jax.Array
-    pattern_seed: int = eqx.field(static=True)
+    pattern_seed: int = static_field()
 
     def __init__(
         self,
@@ -141,7 +148,7 @@ class Sensor(eqx.Module):
         self.dark_current = number("dark_current", dark_current, 0, 1e8, "e-/s")
         self.dark_nonuniformity = number("dark_nonuniformity", dark_nonuniformity, 0, 10)
         if black_level is None:
-            black_level = jnp.ceil(6 * self.read_noise * self.gain)
+            black_level = xp.ceil(6 * self.read_noise * self.gain)
         self.black_level = number("black_level", black_level, 0, 2.0**_DEEPEST, "DN")
         self.pattern_seed = pattern_seed
         if bits is not None and is_concrete(self.black_level) and float(self.black_level) >= 2**bits - 1:
@@ -152,7 +159,7 @@ class Sensor(eqx.Module):
         """Electrons at which a pixel saturates: its well's, or the converter's."""
         if self.bits is None:
             return self.full_well
-        return jnp.minimum(self.full_well, (2**self.bits - 1 - self.black_level) / self.gain)
+        return xp.minimum(self.full_well, (2**self.bits - 1 - self.black_level) / self.gain)
 
     def channel_map(self, height: int, width: int) -> np.ndarray:
         """Return the channel that each pixel of a mosaic sees.
@@ -214,17 +221,19 @@ class Sensor(eqx.Module):
         Raises:
             ArgumentError: an argument is out of range or has the wrong shape.
         """
+        from matcam.core.jax import jax
+
         shot, read = jax.random.split(random_key(seed))
         expected = self.expected_electrons(radiance, exposure, time)
-        missing = jnp.isnan(expected)
+        missing = xp.isnan(expected)
         # counts far beyond the well are all alike, and the generator's integers end at 2^31
-        countable = jnp.where(missing, 0.0, jnp.minimum(expected, 2 * self.full_well + 100))
-        charge = jnp.minimum(jax.random.poisson(shot, countable).astype(jnp.float64), self.full_well)
-        charge += self.read_noise * jax.random.normal(read, charge.shape)
+        countable = xp.where(missing, 0.0, xp.minimum(expected, 2 * self.full_well + 100))
+        charge = xp.minimum(jax.random.poisson(shot, countable).astype(xp.float64), self.full_well)
+        charge = charge + self.read_noise * jax.random.normal(read, charge.shape)
         digital = self.gain * charge + self.black_level
         if self.bits is not None:
-            digital = jnp.clip(jnp.round(digital), 0, 2**self.bits - 1)
-        return jnp.where(missing, jnp.nan, digital)
+            digital = xp.clip(xp.round(digital), 0, 2**self.bits - 1)
+        return xp.where(missing, xp.nan, digital)
 
     def electrons(self, digital: ArrayLike) -> jax.Array:
         """Convert a picture to electrons; read noise can make them negative.
@@ -245,17 +254,19 @@ class Sensor(eqx.Module):
             electrons: that the pixel expects, dark ones included, e-, any shape.
         """
         rounding = 0.0 if self.bits is None else 1 / (12 * self.gain**2)
-        return jnp.maximum(checks.numbers("electrons", electrons), 0) + self.read_noise**2 + rounding
+        return xp.maximum(checks.numbers("electrons", electrons), 0) + self.read_noise**2 + rounding
 
     def _mosaic(self, radiance: jax.Array) -> jax.Array:
         if self.cfa is None:
             return radiance
         if radiance.shape[2:] != (3,):
             raise ArgumentError(f"radiance for a {self.cfa} sensor must have shape (H, W, 3), got {radiance.shape}")
-        channel = jnp.asarray(self.channel_map(*radiance.shape[:2]))
-        return jnp.take_along_axis(radiance, channel[..., None], axis=2)[..., 0]
+        channel = xp.asarray(self.channel_map(*radiance.shape[:2]))
+        return xp.take_along_axis(radiance, channel[..., None], axis=2)[..., 0]
 
     def _patterns(self, shape: tuple[int, ...]) -> tuple[jax.Array, jax.Array]:
+        from matcam.core.jax import jax
+
         gain, dark = jax.random.split(jax.random.key(self.pattern_seed))
         return _log_normal(gain, shape, self.prnu), _log_normal(dark, shape, self.dark_nonuniformity)
 
@@ -270,9 +281,11 @@ class Sensor(eqx.Module):
 
 def _log_normal(key: jax.Array, shape: tuple[int, ...], std: jax.Array) -> jax.Array:
     """Draw positive values of mean 1 and standard deviation `std`."""
-    log_variance = jnp.log1p(std**2)
-    log_std = jnp.where(std > 0, jnp.sqrt(jnp.where(std > 0, log_variance, 1.0)), 0.0)
-    return jnp.exp(log_std * jax.random.normal(key, shape) - log_variance / 2)
+    from matcam.core.jax import jax
+
+    log_variance = xp.log1p(std**2)
+    log_std = xp.where(std > 0, xp.sqrt(xp.where(std > 0, log_variance, 1.0)), 0.0)
+    return xp.exp(log_std * jax.random.normal(key, shape) - log_variance / 2)
 
 
 def _checked_radiance(radiance: ArrayLike) -> jax.Array:
@@ -281,10 +294,10 @@ def _checked_radiance(radiance: ArrayLike) -> jax.Array:
         raise ArgumentError(f"radiance must have shape (H, W) or (H, W, channels), got {array.shape}")
     if not is_concrete(array):
         return array
-    largest, smallest = (float(f(array, where=~jnp.isnan(array), initial=0.0)) for f in (jnp.max, jnp.min))
+    largest, smallest = (float(f(array, where=~xp.isnan(array), initial=0.0)) for f in (xp.max, xp.min))
     if not np.isfinite(largest) or smallest < -1e-9 * largest:
         raise ArgumentError(f"radiance must lie in [0, inf), got {largest if np.isinf(largest) else smallest:g}")
-    return jnp.maximum(array, 0)  # what a kernel with signed terms leaves below 0 is rounding
+    return xp.maximum(array, 0)  # what a kernel with signed terms leaves below 0 is rounding
 
 
 def _checked_exposure(exposure: ArrayLike, time: ArrayLike) -> tuple[jax.Array, jax.Array]:
@@ -294,7 +307,9 @@ def _checked_exposure(exposure: ArrayLike, time: ArrayLike) -> tuple[jax.Array, 
 
 def random_key(seed: Seed) -> jax.Array:
     """Return the key that a seed stands for."""
-    if isinstance(seed, jax.Array) and jnp.issubdtype(seed.dtype, jax.dtypes.prng_key):
+    from matcam.core.jax import jax
+
+    if isinstance(seed, jax.Array) and jax.numpy.issubdtype(seed.dtype, jax.dtypes.prng_key):
         return seed
     if not isinstance(seed, int | np.integer) or isinstance(seed, bool) or seed < 0:
         raise ArgumentError(f"seed must be a whole number >= 0 or a key of jax.random, got {seed!r:.60}")

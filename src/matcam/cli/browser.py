@@ -37,7 +37,7 @@ def command(
     try:
         import bokeh  # noqa: F401
     except ImportError:
-        raise ArgumentError("the app needs Bokeh: install matcam[app]") from None
+        raise ArgumentError("the app needs an extra: python -m pip install 'matcam[app]'") from None
     for path in files or ():
         if not path.exists():
             raise ArgumentError(f"{path} does not exist: give a file or a folder")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import inspect
 from collections.abc import Callable
@@ -10,7 +11,7 @@ from typing import Annotated, Any, get_type_hints
 
 import typer
 
-from matcam.cli import show, suggestions
+from matcam.cli import activity, show, suggestions
 from matcam.cli.rig_file import read_rig_file
 
 
@@ -54,7 +55,8 @@ def with_common(name: str, command: Callable[..., Any]) -> Callable[..., Any]:
 
     @functools.wraps(command)
     def run(*, quiet: bool, rig_file: Path | None = None, **values: Any) -> Any:
-        with show.speaking(quiet=quiet, schema=f"matcam-{name.replace(' ', '-')}-1"):
+        line = contextlib.nullcontext() if quiet else activity.shown(name)
+        with line, show.speaking(quiet=quiet, schema=f"matcam-{name.replace(' ', '-')}-1"):
             result = command(**values)
             if not result and not values.get("json") and (following := suggestions.after(name, values)):
                 show.say(f"next: {following}")

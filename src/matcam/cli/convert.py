@@ -43,8 +43,12 @@ def command(
 
     Example: `matcam convert chrome.binary chrome.bsdf`
     """
+    from matcam.core import checks
     from matcam.core.errors import OutputError
     from matcam.core.io import check_output, write_json
+
+    if ".zarr" in (*source.suffixes, *target.suffixes):
+        checks.extra("Zarr", "scale", "zarr")
     from matcam.core.jax import use_compilation_cache
     from matcam.exchange.conversion import convert
     from matcam.exchange.receiver import metadata as about

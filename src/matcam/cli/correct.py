@@ -13,6 +13,7 @@ from matcam.cli.options import (
     Anyway,
     AsJson,
     CameraProfile,
+    Device,
     Distance,
     FamilyOrAuto,
     Force,
@@ -26,6 +27,7 @@ from matcam.cli.options import (
     SampleMm,
     SampleShape,
     Sampling,
+    choose_device,
     rig_of,
 )
 
@@ -78,6 +80,7 @@ def command(
             min=1,
         ),
     ] = None,
+    device: Device = None,
     cluster: Annotated[
         str | None,
         typer.Option(
@@ -126,6 +129,7 @@ def command(
 
     Example: `matcam correct chrome.binary -o chrome-corrected.binary`, `matcam correct brdfs/ -o corrected/`
     """
+    from matcam.core import checks
     from matcam.core.errors import ArgumentError
 
     one_file = len(paths) == 1 and not paths[0].is_dir()
@@ -140,9 +144,19 @@ def command(
         raise ArgumentError(f"--layers is for one table, and its name must end in .exr, got {layers}")
     if not alone and (output is None or output.suffix.lower() == ".binary"):
         raise ArgumentError("several tables need an output folder: -o FOLDER")
+    for wanted, what, module in ((zarr, "a run's Zarr", "zarr"), (cluster, "a cluster", "distributed")):
+        if wanted:
+            checks.extra(what, "scale", module)
     from matcam.core.jax import use_compilation_cache
     from matcam.core.workspace import Workspace
 
+    chosen: Any = None
+    if alone:
+        choose_device(device)
+    elif cluster is None:
+        from matcam.batch.run import faster_device
+
+        chosen = choose_device(device or ("cpu" if workers else None), faster_device())
     use_compilation_cache()
     workspace = Workspace.user()
     near: dict[str, Any] = {
@@ -185,9 +199,9 @@ def command(
                 show.remark(progress.last.reason)
 
         run = correct_all(
-            paths, rig, output or "", sampling=sampling, workers=workers, cluster=cluster, pages=pages, compress=compress,
-            zarr=zarr, fit_camera=fit_camera, time_limit=time_limit, force=force, watch=show_progress, workspace=workspace,
-            **how,
+            paths, rig, output or "", sampling=sampling, workers=workers, device=chosen, cluster=cluster, pages=pages,
+            compress=compress, zarr=zarr, fit_camera=fit_camera, time_limit=time_limit, force=force,
+            watch=show_progress, workspace=workspace, **how,
         )  # fmt: skip
     _print_run(run, json)
     if not run.failures:

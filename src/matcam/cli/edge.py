@@ -66,7 +66,7 @@ def command(
             "--output",
             "-o",
             metavar="FILE",
-            help="Picture to write (.png, .pdf, .svg). Default: PICTURE-edge.png here.",
+            help="Picture to write (.png, .pdf, .svg); a .csv goes beside it.",
         ),
     ] = None,
     force: Force = False,
@@ -79,17 +79,14 @@ def command(
     from matcam.core import checks
     from matcam.core.io import check_output, check_picture
 
-    output = output or Path(f"{picture.stem}-edge.png")
-    check_picture(output, force=force, inputs=[picture])
-    check_output(output.with_suffix(".csv"), force=force, inputs=[picture])
+    if output:
+        check_picture(output, force=force, inputs=[picture])
+        check_output(output.with_suffix(".csv"), force=force, inputs=[picture])
     if pitch is not None:
         checks.positive("--pitch", pitch, "um")
     if sfr:
         check_output(sfr, force=force, inputs=[picture])
     with show.working(f"{picture}: measuring the edge"):
-        from matcam.core.jax import use_compilation_cache
-
-        use_compilation_cache()
         from matcam.calibration.edge.edge import edge_mtf
         from matcam.files.photographs import open_photograph
 
@@ -106,17 +103,21 @@ def command(
             tone=tone,
             accept_sharpened=accept_sharpened,
         )
-        _write(result, photograph.values, roi, picture.name, output, force)
-        if sfr:
-            _write_sfr(result, sfr, pitch, force)
-    files = [output, output.with_suffix(".csv"), *([sfr] if sfr else [])]
+    files = [*([output, output.with_suffix(".csv")] if output else []), *([sfr] if sfr else [])]
     if json:
         document = result.to_dict()
         if pitch:
             document["mtf50_lp_per_mm"] = _lp_per_mm(result.mtf50, pitch)
         show.as_json(document | {"files": [str(path) for path in files]})
     else:
-        _print(result, output, pitch)
+        _print(result, pitch)
+    if sfr:
+        _write_sfr(result, sfr, pitch, force)
+    if output:
+        with show.working(f"{output}: drawing"):
+            _write(result, photograph.values, roi, picture.name, output, force)
+        if not json:
+            show.say(f"picture: {output}")
 
 
 def _lp_per_mm(frequency: Any, pitch: float) -> Any:
@@ -147,7 +148,7 @@ def _write(result: Any, image: Any, roi: Any, name: str, output: Path, force: bo
     save(edge_figure(result, image, roi, name), output, force=force)
 
 
-def _print(result: Any, output: Path, pitch: float | None) -> None:
+def _print(result: Any, pitch: float | None) -> None:
     import numpy as np
 
     fit = result.parametric
@@ -177,4 +178,3 @@ def _print(result: Any, output: Path, pitch: float | None) -> None:
         )
     for remark in result.remarks:
         show.say(remark.text)
-    show.say(f"picture: {output}")

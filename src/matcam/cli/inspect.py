@@ -43,7 +43,7 @@ def command(
 
 def _report(file: Path, kind: str, sampling: Any, radius: float) -> dict[str, Any]:
     if kind == "camera profile":
-        from matcam.exchange.inspection import inspect_camera
+        from matcam.exchange.camera_report import inspect_camera
 
         return inspect_camera(file)
     if kind == "picture sidecar":

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-from matcam.cli import help_page
+from matcam.cli import help_page, show
 from matcam.core.errors import ArgumentError, MatcamError
 from matcam.core.io import Outputs, all_or_nothing
 from matcam.core.memory import check_address_space
@@ -133,6 +133,12 @@ else:  # Literal types, as typer wants them, of the registries' names
         typer.Option("--cfa", help="Colours of the first 2 x 2 px, if the picture is a mosaic."),
     ]
 
+Device = Annotated[
+    Literal["cpu", "gpu"] | None,
+    typer.Option(
+        "--device", help="Where to compute. Default: where it takes less time; of a GPU that is there, it says so."
+    ),
+]
 Sampling = Annotated[
     Literal["centre", "edge"],
     typer.Option("--sampling", help="Where in its cell a table's value was sampled; a MERL file does not say."),
@@ -177,6 +183,25 @@ Glare = Annotated[
 GlareRadius = Annotated[
     float, typer.Option("--glare-radius", metavar="PX", help="Standard deviation of the halo of --glare, px.")
 ]
+
+
+def choose_device(device: str | None, faster: str = "cpu") -> str:
+    """Let JAX compute on a device, and say which one it is where the machine has a GPU.
+
+    Args:
+        device: "cpu" or "gpu", as the user has chosen; None: `faster`.
+        faster: the device on which the command ends sooner. A single table does so on the processor: 5 s on two cores, where
+            a GPU takes 22 s to compile its first and 0.2 s for each of the next. Default: "cpu".
+    """
+    from matcam.core.jax import has_gpu, use_device
+
+    chosen: Any = device or faster
+    use_device(chosen)
+    if device is None and has_gpu():
+        names = {"cpu": "the processor", "gpu": "the GPU"}
+        other = "gpu" if chosen == "cpu" else "cpu"
+        show.remark(f"computing on {names[chosen]}, where this takes less time (--device {other}: on {names[other]})")
+    return chosen
 
 
 def rig_of(

@@ -93,13 +93,15 @@ def command(
     Example: `matcam predict 0.001 0.01 0.1 --radius 400 -o loss.png --map plane.png`
     """
     from matcam.core.io import check_picture
-    from matcam.core.jax import use_compilation_cache
 
     inputs = [camera] if camera else []
     for path in (output, map_):
         if path:
             check_picture(path, force=force, inputs=inputs)
-    use_compilation_cache()
+    if exact or glare:
+        from matcam.core.jax import use_compilation_cache
+
+        use_compilation_cache()
     from matcam.core.registry import family_ndf
     from matcam.forward.prediction import predict
 
@@ -109,58 +111,60 @@ def command(
         lobes = [family_ndf(ndf, value, power) for value in values]
         data = predict(rig, lobes, dims, exact)
     false = _false_light(rig, lobes) if glare else []
-    if output:
-        _write(data, rig, output, force)
-    if map_:
-        _map(rig, ndf, power, (dims, exact), map_, force)
+    title = f"{ndf}{f' {power:g}' if power else ''} lobe on a {sample}: peak kept at 0°, and loss relative to that"
     if json:
         show.as_json(
             {
                 "ndf": ndf,
                 "power": power,
-                "roughness": data["roughness"].values,
-                "loss_angle_deg": _degrees(data["loss_angle"]),
-                "theta_deg": _degrees(data["theta"]),
-                "response": data["response"].values,
+                "roughness": data.roughness,
+                "loss_angle_deg": _degrees(data.loss_angle),
+                "theta_deg": _degrees(data.theta),
+                "response": data.response,
                 "false_light": [{"diffuse": f["false_diffuse"].values, "haze_2deg": _haze(f)} for f in false],
             }
         )
-        return
-    at = data.sel(theta=[math.radians(a) for a in _ANGLES], method="nearest")
+    else:
+        _print(data, title)
+        if false:
+            _print_false_light(data, false, glare, glare_radius)
+    if output:
+        _write(data, rig, output, force)
+    if map_:
+        _map(rig, ndf, power, (dims, exact), map_, force)
+    for path in (output, map_):
+        if path and not json:
+            show.say(f"picture: {path}")
+
+
+def _print(data: Any, title: str) -> None:
+    """Print the share that is kept at some angles, and the loss angle."""
+    at = [int(abs(data.theta - math.radians(angle)).argmin()) for angle in _ANGLES]
     rows = [
         [f"{value:g}", f"{r0:.1%}", *(f"{1 - r:.1%}" for r in relative[1:]), f"{angle:.1f}°" if angle < 90 else "-"]
         for value, r0, relative, angle in zip(
-            values,
-            at["response"].values[:, 0],
-            at["relative_response"].values,
-            _degrees(data["loss_angle"]),
-            strict=True,
+            data.roughness, data.response[:, 0], data.relative_response[:, at], _degrees(data.loss_angle), strict=True
         )
     ]
-    head = ["roughness", "kept at 0°", *(f"{a}°" for a in _ANGLES[1:]), "5 % at"]
+    show.table(["roughness", "kept at 0°", *(f"{a}°" for a in _ANGLES[1:]), "5 % at"], rows, title)
+
+
+def _print_false_light(data: Any, false: list[Any], glare: float, radius: float) -> None:
+    """Print what the lens's glare adds."""
     show.table(
-        head,
-        rows,
-        f"{ndf}{f' {power:g}' if power else ''} lobe on a {sample}: peak kept at 0°, and loss relative to that",
+        ["roughness", "false diffuse", "haze at 2°", "at 5°", "at 10°"],
+        [
+            [f"{value:g}", f"{float(f['false_diffuse'][0]):.2g}", *(f"{_haze(f, a):.2g}" for a in (2, 5, 10))]
+            for value, f in zip(data.roughness, false, strict=True)
+        ],
+        f"{glare:g} of the light in a halo of {radius:g} px: albedo that is not there, and added / true BRDF "
+        "off the half vector, for a perfect mirror's Fresnel term",
     )
-    if false:
-        show.table(
-            ["roughness", "false diffuse", "haze at 2°", "at 5°", "at 10°"],
-            [
-                [f"{value:g}", f"{float(f['false_diffuse'][0]):.2g}", *(f"{_haze(f, a):.2g}" for a in (2, 5, 10))]
-                for value, f in zip(values, false, strict=True)
-            ],
-            f"{glare:g} of the light in a halo of {glare_radius:g} px: albedo that is not there, and added / true BRDF "
-            "off the half vector, for a perfect mirror's Fresnel term",
-        )
-    for path in (output, map_):
-        if path:
-            show.say(f"picture: {path}")
 
 
 def _false_light(rig: Any, lobes: list[Any]) -> list[Any]:
     """Compute what the lens's glare adds to each lobe."""
-    from matcam.forward.prediction import false_light
+    from matcam.forward.false_light import false_light
     from matcam.material.microfacet import Microfacet
 
     with show.working("following the glare"):
@@ -185,7 +189,7 @@ def _map(rig: Any, ndf: str, power: float | None, how: tuple[int, bool], path: P
 
     with show.working("drawing the plane"):
         data = predict(rig, [family_ndf(ndf, value, power) for value in np.geomspace(3e-4, 0.3, 49)], *how)
-        write_columns(path.with_suffix(".csv"), data, force=force)
+        write_columns(path.with_suffix(".csv"), data.columns(), force=force)
         save(
             plane_figure(data, f"Share of the peak that is kept, relative to 0°: {rig.sample.in_words()}"),
             path,
@@ -194,10 +198,10 @@ def _map(rig: Any, ndf: str, power: float | None, how: tuple[int, bool], path: P
 
 
 def _degrees(angles: Any) -> list[float]:
-    """Convert labelled angles to degrees."""
+    """Convert angles to degrees."""
     import numpy as np
 
-    return np.degrees(angles.values).tolist()
+    return np.degrees(angles).tolist()
 
 
 def _write(data: Any, rig: Any, output: Path, force: bool) -> None:
@@ -208,7 +212,7 @@ def _write(data: Any, rig: Any, output: Path, force: bool) -> None:
 
     numbers = [(name.split(".")[1], float(value)) for name, value in list(rig.camera.parameters().items())[:3]]
     parameters = ", ".join(_PARAMETERS.get(name, f"{name} {{:g}}").format(value) for name, value in numbers)
-    write_columns(output.with_suffix(".csv"), data, force=force)
+    write_columns(output.with_suffix(".csv"), data.columns(), force=force)
     save(
         prediction_figure(data, f"Share of the peak that is kept: {rig.sample.in_words()}, {parameters}"),
         output,

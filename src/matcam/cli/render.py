@@ -52,8 +52,11 @@ def command(
 
     Example: `matcam render chrome.binary chrome-corrected.binary -o chrome.png`
     """
+    from matcam.core import checks
     from matcam.core.errors import ArgumentError
     from matcam.core.io import check_output, check_picture
+
+    checks.extra("rendering", "render", "mitsuba")
     from matcam.core.jax import use_compilation_cache
     from matcam.exchange.contents import material_of, read_contents
     from matcam.exchange.renderers import rendered_sphere

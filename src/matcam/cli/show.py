@@ -16,6 +16,7 @@ import time
 from collections.abc import Iterator, Sequence
 from typing import Any
 
+from matcam.cli import activity
 from matcam.core.io import UNPRINTABLE, plain, printable
 
 _SECONDS = 30.0
@@ -98,12 +99,14 @@ def say(text: str, *, quiet: bool = False) -> None:
 
 def remark(text: str) -> None:
     """Print a line to standard error: what was left out, or failed without ending the work."""
+    activity.clear()
     with contextlib.suppress(OSError):
         print(f"matcam: {printable(text)}", file=sys.stderr)
 
 
 def _print(text: str, end: str = "\n") -> None:
     """Print to standard output; where that cannot be written, go on: the files are worth more."""
+    activity.clear()
     if not _broken:
         try:
             print(text, end=end, flush=True)
@@ -116,17 +119,8 @@ def broken_output() -> OSError | None:
     return _broken.pop() if _broken else None
 
 
-@contextlib.contextmanager
-def working(what: str) -> Iterator[None]:
-    """Show on standard error that work is in progress, if that is a terminal."""
-    if not sys.stderr.isatty():
-        yield
-        return
-    from rich.console import Console
-    from rich.text import Text
-
-    with Console(stderr=True).status(Text(printable(what))):
-        yield
+working = activity.doing
+"""Show what a command is doing, if standard error is a terminal."""
 
 
 @contextlib.contextmanager
@@ -142,7 +136,8 @@ def counting(what: str) -> Iterator[Any]:
         TransferSpeedColumn(),
         TimeRemainingColumn(),
     )
-    with Progress(*columns, console=Console(stderr=True), disable=not sys.stderr.isatty()) as progress:
+    bar = Progress(*columns, console=Console(stderr=True), disable=not sys.stderr.isatty())
+    with activity.hidden(), bar as progress:
         task = progress.add_task(printable(what), total=None)
         yield lambda done, total: progress.update(task, completed=done, total=total)
 
@@ -172,9 +167,8 @@ def tallying(what: str) -> Iterator[Any]:
         TimeRemainingColumn(),
     )
     terminal = sys.stderr.isatty()
-    with Progress(
-        *columns, console=Console(stderr=True), disable=not terminal, speed_estimate_period=3600.0
-    ) as progress:
+    bar = Progress(*columns, console=Console(stderr=True), disable=not terminal, speed_estimate_period=3600.0)
+    with activity.hidden(), bar as progress:
         task = progress.add_task(what, total=None)
         log = _Log(what)
         begun = False
@@ -198,16 +192,9 @@ def stepping() -> Iterator[Any]:
 
     If that is no terminal, a line appears there at most twice a minute.
     """
-    from rich.console import Console
-    from rich.text import Text
-
     if sys.stderr.isatty():
-        with Console(stderr=True).status(Text("starting")) as status:
-
-            def show(step: str, done: int, total: int) -> None:
-                status.update(Text(printable(f"{step}: {done} of {total}" if total else step)))
-
-            yield show
+        with activity.doing("starting"):
+            yield lambda step, done, total: activity.rename(f"{step}: {done} of {total}" if total else step)
         return
     last = -math.inf
 

@@ -12,6 +12,7 @@ from matcam.cli import show
 from matcam.cli.options import (
     AsJson,
     CameraProfile,
+    Device,
     Distance,
     Family,
     Force,
@@ -23,6 +24,7 @@ from matcam.cli.options import (
     SampleMm,
     SampleShape,
     Sampling,
+    choose_device,
     rig_of,
 )
 from matcam.files.formats import suffixes_for
@@ -145,6 +147,7 @@ def command(
     glare: Glare = 0.0,
     glare_radius: GlareRadius = 30.0,
     sampling: Sampling = "centre",
+    device: Device = None,
     force: Force = False,
     json: AsJson = False,
 ) -> None:
@@ -186,6 +189,7 @@ def command(
         check_picture(preview, force=force, inputs=inputs)
     from matcam.core.jax import use_compilation_cache
 
+    choose_device(device)
     use_compilation_cache()
     table_of_rig: dict[str, Any] = {"cell_value": cell, "pixel_phase": phase, "crop": crop}
     rig = rig_of(camera, radius, lamp, sample, distance, glare, glare_radius, **near, **table_of_rig)

@@ -5,31 +5,53 @@ Traced values (inside jit, grad, vmap) have no numbers yet and pass; the outermo
 
 from __future__ import annotations
 
-from typing import Any, TypeVar
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from importlib.util import find_spec
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
-from jax.typing import ArrayLike
 
+from matcam.core.arrays import constant, has_jax, is_concrete, xp
 from matcam.core.errors import ArgumentError
-from matcam.core.jax import is_concrete, jax, jnp, placed
+
+if TYPE_CHECKING:
+    from jax.typing import ArrayLike
+
+    from matcam.core.jax import jax
+
+
+_trusted: ContextVar[bool] = ContextVar("trusted", default=False)
+
+
+@contextmanager
+def trusted() -> Iterator[None]:
+    """Let values pass without a look, as traced ones do: a fit may leave a range on its way."""
+    token = _trusted.set(True)
+    try:
+        yield
+    finally:
+        _trusted.reset(token)
+
 
 T = TypeVar("T")
 
 
 def number(name: str, value: ArrayLike | npt.ArrayLike) -> jax.Array:
     """Return `value` as a float64 array; ArgumentError where it is not numeric or not finite."""
-    if not is_concrete(value):
-        return jnp.asarray(value, dtype=jnp.float64)
+    if _trusted.get() or not is_concrete(value):
+        return xp.asarray(value, dtype=xp.float64)
     array = _as_float64(name, value)
     if not np.all(np.isfinite(array)):
         raise ArgumentError(f"{name} must be finite, got {_first_bad(array, np.isfinite(array))}")
-    return placed(array)
+    return _kept(array, value)
 
 
 def numbers(name: str, value: ArrayLike) -> jax.Array:
     """Return `value` as a float64 array that may hold NaN where a value is missing; ArgumentError where it is not numeric."""
-    return placed(_as_float64(name, value)) if is_concrete(value) else jnp.asarray(value, dtype=jnp.float64)
+    return _kept(_as_float64(name, value), value) if is_concrete(value) else xp.asarray(value, dtype=xp.float64)
 
 
 def within(
@@ -46,8 +68,8 @@ def within(
 
     An end may be open, or infinite, when infinity itself is allowed.
     """
-    if not is_concrete(value):
-        return jnp.asarray(value, dtype=jnp.float64)
+    if _trusted.get() or not is_concrete(value):
+        return xp.asarray(value, dtype=xp.float64)
     array = _as_float64(name, value)
     above = array > low if open_low else array >= low
     below = array < high if open_high else array <= high
@@ -55,7 +77,7 @@ def within(
     if not np.all(fits):
         interval = f"{'(' if open_low else '['}{low:g}, {high:g}{')' if open_high else ']'}"
         raise ArgumentError(f"{name} must lie in {interval}{unit and ' ' + unit}, got {_first_bad(array, fits)}")
-    return placed(array)
+    return _kept(array, value)
 
 
 def positive(name: str, value: ArrayLike, unit: str = "") -> jax.Array:
@@ -80,7 +102,7 @@ def outside_jit(value: ArrayLike, what: str) -> float:
     Raises:
         ArgumentError: it has no value yet, because the call stands inside jax.jit or vmap.
     """
-    value = jax.lax.stop_gradient(value)
+    value = constant(value)
     if not is_concrete(value):
         raise ArgumentError(f"{what} set how a record is integrated: call this outside of jax.jit and vmap")
     return float(np.asarray(value))
@@ -111,12 +133,37 @@ def instance(name: str, value: Any, kind: type[T]) -> T:
     return value
 
 
+def extra(what: str, name: str, module: str) -> None:
+    """Refuse what needs a module that is not installed, before any work.
+
+    Args:
+        what: what needs it, for the message.
+        name: extra of this package that installs it, such as "render".
+        module: the module, which is looked for and not imported.
+
+    Raises:
+        ArgumentError: the module is not installed; the message says how to install it.
+    """
+    if find_spec(module) is None:
+        raise ArgumentError(f"{what} needs an extra: python -m pip install 'matcam[{name}]'")
+
+
 def not_masked(name: str, value: Any) -> None:
     """Refuse a masked array: NumPy would use the values behind its mask."""
     if np.ma.is_masked(value):
         raise ArgumentError(
             f"{name} must not be masked: use .filled(np.nan) where values are missing, or leave them out"
         )
+
+
+def _kept(array: np.ndarray, value: Any) -> Any:
+    """Return checked numbers as an array of JAX where they were given as one, otherwise as one of NumPy that cannot change."""
+    if has_jax(value):
+        from matcam.core.jax import placed
+
+        return placed(array)
+    array.setflags(write=False)
+    return array
 
 
 def _as_float64(name: str, value: ArrayLike | npt.ArrayLike) -> np.ndarray:

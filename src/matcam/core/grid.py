@@ -9,15 +9,19 @@ were sampled.
 
 from __future__ import annotations
 
-from typing import Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
-import xarray as xr
-from jax.typing import ArrayLike
 
 from matcam.core import checks
+from matcam.core.arrays import linalg, xp
 from matcam.core.errors import ArgumentError
-from matcam.core.jax import AnyArray, jax, jnp, placed
+
+if TYPE_CHECKING:
+    import xarray as xr
+    from jax.typing import ArrayLike
+
+    from matcam.core.jax import AnyArray, jax
 
 GRID_SHAPE = (90, 90, 180)
 """Cells of a MERL table along (theta_h, theta_d, phi_d)."""
@@ -110,16 +114,14 @@ def theta_h_edges() -> np.ndarray:
 
 def cosines(theta_h: ArrayLike, theta_d: ArrayLike, phi_d: ArrayLike) -> tuple[jax.Array, jax.Array]:
     """Return (cos theta_i, cos theta_o) of a pair of directions; negative below the horizon."""
-    theta_h, theta_d, phi_d = (jnp.asarray(a, dtype=jnp.float64) for a in (theta_h, theta_d, phi_d))
-    mean = jnp.cos(theta_h) * jnp.cos(theta_d)
-    half_difference = jnp.sin(theta_h) * jnp.sin(theta_d) * jnp.cos(phi_d)
+    theta_h, theta_d, phi_d = (xp.asarray(a, dtype=xp.float64) for a in (theta_h, theta_d, phi_d))
+    mean = xp.cos(theta_h) * xp.cos(theta_d)
+    half_difference = xp.sin(theta_h) * xp.sin(theta_d) * xp.cos(phi_d)
     return mean - half_difference, mean + half_difference
 
 
 def azimuth_difference(theta_h: AnyArray, theta_d: AnyArray, phi_d: AnyArray) -> jax.Array:
     """Return the azimuth between light and view about the surface normal, rad, in [0, pi]; pi is the mirror side."""
-    # of NumPy's arrays by NumPy: each shape would need a dozen compiled programs
-    xp: Any = np if all(isinstance(a, np.ndarray) for a in (theta_h, theta_d, phi_d)) else jnp
     # with the half vector in the x-z plane, the light is Ry(theta_h) (sin td cos pd, sin td sin pd, cos td) and the
     # view the same with pd + pi; their projections on the surface:
     along = xp.cos(theta_h) * xp.sin(theta_d) * xp.cos(phi_d)
@@ -128,8 +130,7 @@ def azimuth_difference(theta_h: AnyArray, theta_d: AnyArray, phi_d: AnyArray) ->
     x_i, x_o = offset + along, offset - along
     sine, cosine = x_i * -across - across * x_o, x_i * x_o - across * across
     # along the normal there is no azimuth: any will do, but its derivative must be a number
-    result = xp.abs(xp.arctan2(sine, xp.where((sine == 0) & (cosine == 0), -1.0, cosine)))
-    return placed(result) if xp is np else result
+    return xp.abs(xp.arctan2(sine, xp.where((sine == 0) & (cosine == 0), -1.0, cosine)))
 
 
 def half_and_difference(
@@ -139,23 +140,23 @@ def half_and_difference(
 
     phi_d lies in [0, 2 pi). It is that of the light where the half vector is the normal.
     """
-    theta_i, phi_i, theta_o, phi_o = (jnp.asarray(a, dtype=jnp.float64) for a in (theta_i, phi_i, theta_o, phi_o))
+    theta_i, phi_i, theta_o, phi_o = (xp.asarray(a, dtype=xp.float64) for a in (theta_i, phi_i, theta_o, phi_o))
 
-    def vector(theta: jax.Array, phi: jax.Array) -> jax.Array:
-        return jnp.stack([jnp.sin(theta) * jnp.cos(phi), jnp.sin(theta) * jnp.sin(phi), jnp.cos(theta)])
+    def vector(theta: Any, phi: Any) -> jax.Array:
+        return xp.stack([xp.sin(theta) * xp.cos(phi), xp.sin(theta) * xp.sin(phi), xp.cos(theta)])
 
     i, o = vector(theta_i, phi_i), vector(theta_o, phi_o)
     half = i + o
-    theta_d = jnp.arctan2(jnp.linalg.norm(i - o, axis=0), jnp.linalg.norm(half, axis=0))
-    across = jnp.hypot(half[0], half[1])
-    theta_h = jnp.arctan2(across, half[2])
+    theta_d = xp.arctan2(linalg.norm(i - o, axis=0), linalg.norm(half, axis=0))
+    across = xp.hypot(half[0], half[1])
+    theta_h = xp.arctan2(across, half[2])
     c, s = (
-        jnp.where(across > 0, a / jnp.where(across > 0, across, 1.0), at) for a, at in ((half[0], 1.0), (half[1], 0.0))
+        xp.where(across > 0, a / xp.where(across > 0, across, 1.0), at) for a, at in ((half[0], 1.0), (half[1], 0.0))
     )
     # the light, turned so that the half vector's azimuth is 0, then tilted so that it is the pole
     x, y = c * i[0] + s * i[1], c * i[1] - s * i[0]
-    phi_d = jnp.arctan2(y, x * jnp.cos(theta_h) - i[2] * jnp.sin(theta_h))
-    return theta_h, theta_d, jnp.mod(phi_d, 2 * jnp.pi)
+    phi_d = xp.arctan2(y, x * xp.cos(theta_h) - i[2] * xp.sin(theta_h))
+    return theta_h, theta_d, xp.mod(phi_d, 2 * xp.pi)
 
 
 def below_horizon(sampling: Sampling) -> np.ndarray:
@@ -171,6 +172,8 @@ def below_horizon(sampling: Sampling) -> np.ndarray:
 
 def brdf_table(values: np.ndarray, sampling: Sampling, **attrs: object) -> xr.DataArray:
     """Label BRDF values (90, 90, 180, channels), 1/sr, NaN where missing, sampled at each cell's `sampling` point."""
+    import xarray as xr
+
     grid = merl_grid(sampling)
     table = xr.DataArray(
         values,
@@ -192,6 +195,8 @@ def checked_table(table: xr.DataArray) -> xr.DataArray:
 
     ArgumentError names the wrong dims, shape, coordinate, label, unit or value.
     """
+    import xarray as xr
+
     if not isinstance(table, xr.DataArray):
         raise ArgumentError(f"a BRDF table must be an xarray.DataArray (see read_merl), got {type(table).__name__}")
     if table.dims != DIMS:

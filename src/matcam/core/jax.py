@@ -6,6 +6,7 @@ are 1e3 to 1e6 times brighter than what surrounds them.
 
 from __future__ import annotations
 
+import importlib.util
 from collections.abc import Callable
 from functools import cache, wraps
 from pathlib import Path
@@ -16,15 +17,20 @@ import jax.numpy as jnp
 import numpy as np
 import numpy.typing as npt
 
+from matcam.core.arrays.namespace import FloatArray, is_concrete, jax_is_there
+from matcam.core.errors import ArgumentError
 from matcam.core.io import user_cache_folder
 from matcam.core.sealed import CompiledFunctions, remove_sealed, sealed_files
 
 jax.config.update("jax_enable_x64", True)
+jax_is_there(jax)
 
 __all__ = [
     "AnyArray",
+    "Device",
     "FloatArray",
     "Runs",
+    "has_gpu",
     "is_concrete",
     "jax",
     "jit_plainly",
@@ -33,24 +39,46 @@ __all__ = [
     "plainly_compiled",
     "program_folder",
     "use_compilation_cache",
+    "use_device",
     "without_derivatives",
 ]
 
 AnyArray = jax.Array | np.ndarray
-FloatArray = npt.NDArray[np.float64]
 
 P = ParamSpec("P")
 T = TypeVar("T")
 Runs = Literal["once", "some", "many"]
+Device = Literal["cpu", "gpu"]
+_GPU_PLUGINS = ("jax_cuda12_plugin", "jax_cuda13_plugin", "jax_rocm60_plugin", "jax_rocm7_plugin")
+"""Modules by which JAX computes on GPUs."""
+_GPU_DEVICES = ("/dev/nvidia0", "/dev/kfd", "/dev/dxg")
+"""Files by which Linux shows a GPU of NVIDIA or AMD, and Windows one to a Linux inside it."""
 
 
 _LARGEST_CACHE = 1 << 30  # bytes of compiled functions
 _SEALED = "compiled"
 
 
-def is_concrete(value: object) -> bool:
-    """Tell whether `value` holds numbers now, rather than a tracer inside a JAX transformation."""
-    return not isinstance(value, jax.core.Tracer)
+def has_gpu() -> bool:
+    """Check whether JAX could compute on a GPU of this machine, without starting it: that takes seconds and memory."""
+    known = any(importlib.util.find_spec(plugin) for plugin in _GPU_PLUGINS)
+    return known and any(Path(device).exists() for device in _GPU_DEVICES)
+
+
+def use_device(device: Device) -> None:
+    """Let JAX compute on the processor or on a GPU; before it has computed anything.
+
+    Args:
+        device: "cpu" or "gpu".
+
+    Raises:
+        ArgumentError: there is no GPU that JAX can use.
+    """
+    if device == "gpu" and not has_gpu():
+        raise ArgumentError(
+            "device must be 'cpu': JAX finds no GPU here; for one of NVIDIA install python -m pip install 'matcam[gpu]'"
+        )
+    jax.config.update("jax_platforms", "cpu" if device == "cpu" else None)
 
 
 def without_derivatives(tree: T) -> T:

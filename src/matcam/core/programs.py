@@ -21,7 +21,7 @@ import equinox as eqx
 import jaxlib
 import numpy as np
 
-from matcam.core.jax import Runs, jax, plainly_compiled, program_folder
+from matcam.core.jax import AnyArray, Runs, jax, plainly_compiled, program_folder
 from matcam.core.packed_programs import pack_program, unpack_program
 from matcam.core.sealed import CompiledFunctions, read_sealed, write_sealed
 
@@ -218,7 +218,7 @@ def _places(kind: Any) -> Any:
     if get_origin(kind) is tuple:
         return tuple(map(_places, get_args(kind)))
     if isinstance(kind, type) and issubclass(kind, tuple):
-        return kind(*map(_places, get_type_hints(kind).values()))
+        return kind(*map(_places, get_type_hints(kind, localns={"jax": jax, "AnyArray": AnyArray}).values()))
     return 0
 
 

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
-from jax.typing import ArrayLike
+from matcam.core.arrays import xp
 
-from matcam.core.jax import jax, jnp
+if TYPE_CHECKING:
+    from jax.typing import ArrayLike
 
-Vector = tuple[jax.Array, jax.Array, jax.Array]
+    from matcam.core.jax import jax
+
+Vector = tuple["jax.Array", "jax.Array", "jax.Array"]
 """Cartesian components, each of any shape that broadcasts with the others."""
 
 
@@ -39,7 +42,7 @@ def shading(normal: Vector, tangent: Vector, light: Vector, view: Vector) -> Sha
     Slopes keep their digits close to the mirror direction, where a half vector's angle from its cosine would not.
     """
     total = _combined(light, view, 1)
-    length = jnp.sqrt(_dot(total, total))
+    length = xp.sqrt(_dot(total, total))
     half = total[0] / length, total[1] / length, total[2] / length
     difference = _combined(light, view, -1)
     cos_h = _dot(half, normal)
@@ -48,27 +51,27 @@ def shading(normal: Vector, tangent: Vector, light: Vector, view: Vector) -> Sha
     # the light's azimuth about the half vector, in the surface's frame carried there by the shortest rotation: well
     # determined where the half vector is the normal, as that of the half vector itself is not
     carried = (along * _dot(light, tangent) + across * _dot(light, second)) / (1 + cos_h) + _dot(light, normal)
-    azimuth = jnp.arctan2(_dot(light, second) - across * carried, _dot(light, tangent) - along * carried)
-    phi_d = azimuth - jnp.arctan2(across, along)
+    azimuth = xp.arctan2(_dot(light, second) - across * carried, _dot(light, tangent) - along * carried)
+    phi_d = azimuth - xp.arctan2(across, along)
     return Shading(
         cos_i=_dot(light, normal),
         cos_o=_dot(view, normal),
-        slope_along=along / cos_h,
-        slope_across=across / cos_h,
-        theta_d=jnp.arcsin(jnp.minimum(jnp.sqrt(_dot(difference, difference)) / 2, 1.0)),
-        phi_d=jnp.pi - jnp.mod(jnp.pi - phi_d, 2 * jnp.pi),
+        slope_along=xp.divide(along, cos_h),
+        slope_across=xp.divide(across, cos_h),
+        theta_d=xp.arcsin(xp.minimum(xp.sqrt(_dot(difference, difference)) / 2, 1.0)),
+        phi_d=xp.pi - xp.mod(xp.pi - phi_d, 2 * xp.pi),
     )
 
 
 def local_shading(light: Vector, view: Vector) -> Shading:
     """Return the `shading` of directions in the surface's own frame: the normal is z, the first tangent x."""
-    zero, one = jnp.zeros(()), jnp.ones(())
+    zero, one = xp.zeros(()), xp.ones(())
     return shading((zero, zero, one), (one, zero, zero), light, view)
 
 
 def vector(x: ArrayLike, y: ArrayLike, z: ArrayLike) -> Vector:
     """Return a vector made of its components."""
-    return jnp.asarray(x), jnp.asarray(y), jnp.asarray(z)
+    return xp.asarray(x), xp.asarray(y), xp.asarray(z)
 
 
 def _combined(a: Vector, b: Vector, sign: int) -> Vector:

@@ -1,23 +1,19 @@
 """The contents of a file, and of a table, that can be seen without any model of the material.
 
-Grids, gaps, reciprocity, albedo, a camera's parameters, and the trace of a camera in a table. A camera widens a lobe in the
+Grids, gaps, reciprocity, albedo, and the trace of a camera in a table. A camera widens a lobe in the
 plane of light and view as width^2 = lobe^2 + (kernel / cos theta_d)^2 (docs/model.md 3). A lamp's disc
 widens it across instead.
 """
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable
 from functools import partial
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
 
-from matcam.camera.camera import Camera
-from matcam.camera.optics.varying import VaryingOptics
 from matcam.core.errors import ArgumentError
 from matcam.core.grid import GRID_SHAPE, Sampling, below_horizon, checked_table, merl_grid, sampling_of
 from matcam.exchange.contents import Contents
@@ -307,30 +303,3 @@ def _picture_report(picture: np.ndarray) -> dict[str, Any]:
         "missing_share": float(missing.mean()),
         "range": [float(np.nanmin(picture)), float(np.nanmax(picture))],
     }
-
-
-def inspect_camera(path: str | Path) -> dict[str, Any]:
-    """Report on a camera profile, as plain values (JSON).
-
-    Reported are its parameters, their standard deviations, MTF50 (cycles/px, along a row) and provenance. Of a lens that has
-    colours, or changes over the picture, MTF50 is that of each lens that stands for it, by name.
-    """
-    camera = Camera.load(path)
-    mtf50: float | dict[str, float]
-    if isinstance(camera.optics, VaryingOptics):  # and so has no MTF of its own
-        mtf50 = {name: _mtf50(Camera(lens, camera.pixel)) for name, lens in camera.optics.named_lenses.items()}
-    else:
-        mtf50 = _mtf50(camera)
-    return {
-        "parameters": {name: float(value) for name, value in camera.parameters().items()},
-        "std": camera.uncertainty.std() if camera.uncertainty else {},
-        "mtf50_cycles_per_px": mtf50,
-        "provenance": dataclasses.asdict(camera.provenance),
-    }
-
-
-def _mtf50(camera: Camera) -> float:
-    """Return the frequency along a row at which a camera passes half, cycles/px; NaN where it passes more up to 2."""
-    frequency = np.linspace(0, 2, 4001)
-    below = np.flatnonzero(np.asarray(camera.mtf(frequency)) < 0.5)
-    return float(frequency[below[0]]) if below.size else float("nan")

@@ -252,9 +252,8 @@ def _scene(
 
 
 def _mitsuba() -> Any:
-    try:
-        import mitsuba
-    except ImportError:
-        raise ArgumentError("rendering needs an extra: pip install 'matcam[render]'") from None
+    checks.extra("rendering", "render", "mitsuba")
+    import mitsuba
+
     mitsuba.set_variant(_VARIANT)
     return mitsuba

@@ -9,9 +9,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from matcam.figures.style import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, VERMILION, degrees_axis, styled
+from matcam.forward.prediction import LOSS, Prediction
 
 _TABLE_COLOURS = (GREEN, ORANGE, PURPLE, BLACK)
 _MOST_TABLES = 4
+_LIMIT = f"{100 * LOSS:g} % loss"
+"""Name of the line at which the loss counts."""
 
 
 def fresnel_figure(
@@ -92,59 +95,49 @@ def _draw_loss(axes: Axes, result: xr.Dataset) -> None:
     axes.legend(loc="lower left", fontsize=8.2)
 
 
-def prediction_figure(data: xr.Dataset, title: str) -> Figure:
+def prediction_figure(data: Prediction, title: str) -> Figure:
     """Draw relative response over theta, one line per roughness, with loss angles marked; `data` is from `predict`."""
     with styled():
         figure = Figure(figsize=(7.4, 4.4), layout="constrained")
         axes = figure.subplots()
-        theta = np.degrees(data["theta"].values)
-        roughness = data["roughness"].values
-        colours = matplotlib.colormaps["cividis"](np.linspace(0.0, 0.88, roughness.size))
-        limit = 1 - data.attrs["loss"]
-        for value, colour in zip(roughness, colours, strict=True):
-            one = data.sel(roughness=value)
-            axes.plot(theta, one["relative_response"], color=colour, label=f"{value:g}")
-            angle = np.degrees(float(one["loss_angle"]))
+        theta = np.degrees(data.theta)
+        colours = matplotlib.colormaps["cividis"](np.linspace(0.0, 0.88, data.roughness.size))
+        limit = 1 - LOSS
+        rows = zip(data.roughness, data.relative_response, np.degrees(data.loss_angle), colours, strict=True)
+        for value, relative, angle, colour in rows:
+            axes.plot(theta, relative, color=colour, label=f"{value:g}")
             if angle < 90:
                 axes.plot([angle], [limit], "o", color=colour, ms=4.5, mec=BLACK, mew=0.5)
         axes.axhline(limit, color=GREY, lw=0.8)
-        axes.annotate(_limit_name(data), (1, limit), xytext=(0, 3), textcoords="offset points", fontsize=8, color=GREY)
+        axes.annotate(_LIMIT, (1, limit), xytext=(0, 3), textcoords="offset points", fontsize=8, color=GREY)
         axes.plot(theta, np.cos(np.radians(theta)), color=GREY, ls="--", lw=1.2, label=r"$\cos\,\theta_o$")
         degrees_axis(axes, r"viewing angle $\theta_o$")
         axes.set_ylim(0, 1.04)
         axes.set_ylabel(r"recorded / true peak, relative to $\theta_o$ = 0 [-]")
         axes.set_title(title, loc="left", fontsize=9.5)
-        axes.legend(
-            title=f"roughness\n({data.attrs['ndf']})", loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=8.5
-        )
+        axes.legend(title=f"roughness\n({data.family})", loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=8.5)
     return figure
 
 
-def plane_figure(data: xr.Dataset, title: str) -> Figure:
+def plane_figure(data: Prediction, title: str) -> Figure:
     """Draw relative response over the plane of angle and roughness, and its loss angle; `data` is from `predict`."""
     with styled():
         figure = Figure(figsize=(7.4, 4.6), layout="constrained")
         axes = figure.subplots()
         axes.grid(False)
-        theta, roughness = np.degrees(data["theta"].values), data["roughness"].values
-        relative = data["relative_response"].values
+        theta, roughness, relative = np.degrees(data.theta), data.roughness, data.relative_response
         steps = np.linspace(0, 1.0, 11)
         filled = axes.contourf(theta, roughness, np.clip(relative, 0, 1), levels=steps, cmap="cividis")
-        limit = 1 - data.attrs["loss"]
+        limit = 1 - LOSS
         if relative.min() < limit < relative.max():
             lines = axes.contour(theta, roughness, relative, levels=[limit], colors=[BLACK], linewidths=1.6)
-            axes.clabel(lines, fmt={limit: _limit_name(data)}, fontsize=8.5)
+            axes.clabel(lines, fmt={limit: _LIMIT}, fontsize=8.5)
         axes.set_yscale("log")
         degrees_axis(axes, r"viewing angle $\theta_o$")
-        axes.set_ylabel(f"roughness ({data.attrs['ndf']}) [{'rad' if data.attrs['ndf'] == 'gaussian' else 'slope'}]")
+        axes.set_ylabel(f"roughness ({data.family}) [{'rad' if data.family == 'gaussian' else 'slope'}]")
         axes.set_title(title, loc="left", fontsize=9.5)
         figure.colorbar(filled, ax=axes, label=r"recorded / true peak, relative to $\theta_o$ = 0 [-]")
     return figure
-
-
-def _limit_name(data: xr.Dataset) -> str:
-    """Return the name of the line at which the loss counts."""
-    return f"{100 * data.attrs['loss']:g} % loss"
 
 
 def highlight_figure(data: xr.Dataset) -> Figure:

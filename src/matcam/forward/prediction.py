@@ -1,37 +1,57 @@
-"""What to expect of a rig before anything is measured: the loss at the peak, and the false light of its glare."""
+"""The loss at the peak that is to be expected of a rig, before anything is measured."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
-import xarray as xr
 
-from matcam.camera.camera import Camera
-from matcam.camera.optics.halo import HaloOptics
-from matcam.core import checks
-from matcam.core.errors import ArgumentError
-from matcam.core.grid import cosines
-from matcam.core.jax import jnp
-from matcam.forward.integral.blur import imaging_of
-from matcam.forward.integral.plan import RecordPlaces, integration_plan
-from matcam.forward.integral.recording import record
 from matcam.forward.peaks.peak import peak_response
-from matcam.forward.previews import response_preview
-from matcam.lamp.lamps import closeness
-from matcam.material.material import Material
 from matcam.material.ndf.distribution import NDF
 from matcam.rigs import Rig
-from matcam.sample.curved import Sphere
 
 LOSS = 0.05
 """Relative loss beyond which an angle is no longer trusted (`loss_angle`)."""
 _ANGLES = np.radians(np.append(np.arange(0, 90, 0.25), 89.9))
-_FALSE_LIGHT_THETA_H = np.radians([0.5, 1, 2, 3, 5, 7, 10, 15, 20, 30, 40, 50, 60])
-_FAR_FROM_HIGHLIGHT = 29.9  # degrees of theta_h
 
 
-def predict(rig: Rig, ndfs: Sequence[NDF], dims: int = 2, exact: bool = False, fast: bool = False) -> xr.Dataset:
+class Prediction(NamedTuple):
+    """Predicted response at the peak, for several lobes of one family.
+
+    Attributes:
+        family: name of the family.
+        roughness: of the lobes, (lobes,).
+        theta: viewing angles, rad, (angles,).
+        response: recorded over true peak, (lobes, angles), no unit.
+        loss_angle: see `loss_angle`, rad, (lobes,).
+    """
+
+    family: str
+    roughness: np.ndarray
+    theta: np.ndarray
+    response: np.ndarray
+    loss_angle: np.ndarray
+
+    @property
+    def relative_response(self) -> np.ndarray:
+        """Response over that at theta = 0, no unit."""
+        return self.response / self.response[:, :1]
+
+    def columns(self) -> dict[str, Sequence[Any]]:
+        """Return the values by name and unit: a row for each lobe and angle."""
+        lobes, angles = self.response.shape
+        arrays = {
+            "roughness": np.repeat(self.roughness, angles),
+            "theta_rad": np.tile(self.theta, lobes),
+            "response": self.response.ravel(),
+            "relative_response": self.relative_response.ravel(),
+            "loss_angle_rad": np.repeat(self.loss_angle, angles),
+        }
+        return {name: array.tolist() for name, array in arrays.items()}
+
+
+def predict(rig: Rig, ndfs: Sequence[NDF], dims: int = 2, exact: bool = False, fast: bool = False) -> Prediction:
     """Predict the loss at the peak for several lobes of one family.
 
     Args:
@@ -41,26 +61,21 @@ def predict(rig: Rig, ndfs: Sequence[NDF], dims: int = 2, exact: bool = False, f
         exact: see `peak_response`; masking is Smith's. Default: False.
         fast: True for a quarter of the angles by `response_preview`, in two dimensions on a sphere, without the disc of a lens
             out of focus. Default: False.
-
-    Returns:
-        Dataset over (roughness, theta): `response`, and `relative_response` (to theta = 0); over roughness: `loss_angle`, rad,
-        see `loss_angle`.
     """
     if fast:
+        from matcam.forward.previews import response_preview
+
         angles = _ANGLES[::4]
         response = np.stack([np.asarray(response_preview(rig, ndf, angles)) for ndf in ndfs])
     else:
         angles = _ANGLES
         response = np.stack([np.asarray(peak_response(rig, ndf, angles, dims=dims, exact=exact)) for ndf in ndfs])
-    relative = response / response[:, :1]
-    return xr.Dataset(
-        {
-            "response": (("roughness", "theta"), response),
-            "relative_response": (("roughness", "theta"), relative),
-            "loss_angle": ("roughness", [_first_beyond(angles, row) for row in relative], {"units": "rad"}),
-        },
-        coords={"roughness": [float(ndf.roughness) for ndf in ndfs], "theta": ("theta", angles, {"units": "rad"})},
-        attrs={"ndf": ndfs[0].family, "loss": LOSS, "dims": dims, "exact": int(exact)},
+    return Prediction(
+        family=ndfs[0].family,
+        roughness=np.array([float(ndf.roughness) for ndf in ndfs]),
+        theta=angles,
+        response=response,
+        loss_angle=np.array([_first_beyond(angles, row / row[0]) for row in response]),
     )
 
 
@@ -89,7 +104,7 @@ def loss_angle(rig: Rig, ndf: NDF, dims: int = 2) -> float:
         >>> print(f"{np.degrees(angle):.1f} degrees")
         57.1 degrees
     """
-    return float(predict(rig, [ndf], dims)["loss_angle"][0])
+    return float(predict(rig, [ndf], dims).loss_angle[0])
 
 
 def _first_beyond(theta: np.ndarray, relative: np.ndarray) -> float:
@@ -99,58 +114,3 @@ def _first_beyond(theta: np.ndarray, relative: np.ndarray) -> float:
         return np.pi / 2
     i = beyond[0]
     return float(np.interp(0.0, loss[i - 1 : i + 1], theta[i - 1 : i + 1]))
-
-
-def false_light(material: Material, rig: Rig, theta_d: float = np.pi / 8) -> xr.Dataset:
-    """Predict the haze and the diffuse part that a halo adds.
-
-    Veiling glare makes them of the highlight (docs/model.md 2). The angles lie across the plane of camera and lamp
-    (phi_d = pi / 2), where light and view stay high.
-
-    Args:
-        material: the material.
-        rig: a rig with a `Sphere` and a `HaloOptics`.
-        theta_d: slice of the table, in [0, pi/4], rad. Default: pi / 8.
-
-    Returns:
-        Dataset over theta_h (rad) and channel, 1/sr: `true` BRDF, `recorded`, and `added`, which is recorded less the record
-        without the halo. `false_diffuse` over channel is the albedo of the Lambertian part that `added` is taken for far from
-        the highlight: pi times its mean from 30 degrees on.
-
-    Raises:
-        ArgumentError: the lens has no halo, or the sample is no sphere.
-    """
-    optics = rig.camera.optics
-    if not isinstance(optics, HaloOptics):
-        raise ArgumentError("the lens has no halo: HaloOptics(core, fraction, radius)")
-    if not isinstance(rig.sample, Sphere):
-        raise ArgumentError(f"false light can be predicted for a Sphere, not for a {type(rig.sample).__name__}")
-    theta_d = float(checks.within("theta_d", theta_d, 0, np.pi / 4, "rad"))
-    sphere = rig.sample
-    theta_h, phi_d = _FALSE_LIGHT_THETA_H, np.full(_FALSE_LIGHT_THETA_H.size, np.pi / 2)
-    near = rig.lamp.nearness
-    lamps = np.asarray(sphere.lamp_angle(jnp.asarray([theta_d]), near))
-    place = sphere.place(theta_h, np.full(theta_h.size, theta_d), phi_d, near)
-    x, y, lamp = (np.asarray(a) for a in place)
-    places = RecordPlaces(x, y, lamp, np.zeros(x.size, dtype=np.int32))
-    cos_i = cosines(theta_h, theta_d, phi_d)[0]
-    irradiance = np.asarray(cos_i * closeness(near, cos_i) ** 2)[:, None]
-    bare = Rig(Camera(optics.core, rig.camera.pixel), sphere, rig.lamp, jitter=rig.jitter)
-    with_halo, without = (
-        np.asarray(record(material, imaging, integration_plan(imaging, lamps, places))) / irradiance
-        for imaging in (imaging_of(rig, gaussian_disc=True), imaging_of(bare, gaussian_disc=True))
-    )
-    true = np.asarray(material.brdf(theta_h, theta_d, phi_d)).reshape(theta_h.size, -1)
-    dims = ("theta_h", "channel")
-    added = with_halo - without
-    far = np.degrees(theta_h) >= _FAR_FROM_HIGHLIGHT
-    return xr.Dataset(
-        {
-            "true": (dims, np.broadcast_to(true, added.shape), {"units": "1/sr"}),
-            "recorded": (dims, with_halo, {"units": "1/sr"}),
-            "added": (dims, added, {"units": "1/sr"}),
-            "false_diffuse": ("channel", np.pi * added[far].mean(axis=0)),
-        },
-        coords={"theta_h": ("theta_h", theta_h, {"units": "rad"})},
-        attrs={"theta_d": theta_d, "fraction": float(optics.fraction), "radius_px": float(optics.radius)},
-    )

@@ -141,7 +141,7 @@ def changed_rigs(rig: Rig) -> dict[str, Rig]:
     def with_(radius: float, sigma: float) -> Rig:
         lens = rig.camera.with_parameters({LENS: sigma})
         distance = {} if rig.sample.distant else {"distance": rig.sample.distance}  # type: ignore[attr-defined]
-        return eqx.tree_at(lambda r: (r.sample, r.camera), rig, (type(rig.sample)(radius, **distance), lens))
+        return eqx.tree_at(lambda r: (r.sample, r.camera), rig, (type(rig.sample)(radius, **distance), lens))  # type: ignore[call-arg]
 
     return {
         f"{rig.sample.kind} twice as large in the picture": with_(2 * radius, sigma),

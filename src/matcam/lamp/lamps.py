@@ -10,24 +10,30 @@ A disc is the mean over its points, each of which is a lamp of its own (`lamp_po
 from __future__ import annotations
 
 from abc import abstractmethod
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
-import equinox as eqx
 import numpy as np
-from jax.typing import ArrayLike
 
 from matcam.core import checks
+from matcam.core.arrays import is_concrete, xp
+from matcam.core.arrays.module import Module, replaced
 from matcam.core.errors import ArgumentError
-from matcam.core.jax import is_concrete, jax, jnp
+
+if TYPE_CHECKING:
+    from jax.typing import ArrayLike
+
+    from matcam.core.jax import jax
 
 _LARGEST_DISC = np.pi / 8
 """Largest angular radius of a lamp's disc, rad."""
+STEEPEST = 0.1
+"""Least cosine of theta_d by which a lamp's ellipse is stretched: there it is as long as the sample."""
 _TURNS = 2 * np.pi
 _AT_CAMERA = 1e-6
 """Distance from the camera, as a share of the camera's own, below which a lamp stands in it."""
 
 
-class Lamp(eqx.Module):
+class Lamp(Module):
     """Describe a lamp: a point, or a disc that faces the sample's centre."""
 
     @property
@@ -83,7 +89,7 @@ class DistantLamp(Lamp):
 
     def with_angular_radius(self, angular_radius: float) -> DistantLamp:
         """Return a distant lamp of another radius."""
-        return eqx.tree_at(lambda lamp: lamp.radius, self, jnp.asarray(angular_radius))
+        return replaced(self, "radius", xp.asarray(angular_radius))
 
     def __repr__(self) -> str:
         return f"DistantLamp(radius={self.radius!s})"
@@ -130,11 +136,11 @@ class NearLamp(Lamp):
     @property
     def angular_radius(self) -> jax.Array:
         """Return the angle under which the sample's centre sees the radius, rad."""
-        return jnp.arctan(self.radius / self.distance)
+        return xp.arctan(self.radius / self.distance)
 
     def with_angular_radius(self, angular_radius: float) -> NearLamp:
         """Return a lamp at the same distance with another radius."""
-        return eqx.tree_at(lambda lamp: lamp.radius, self, jnp.tan(angular_radius) * self.distance)
+        return replaced(self, "radius", xp.tan(angular_radius) * self.distance)
 
     def __repr__(self) -> str:
         return f"NearLamp(distance={self.distance!s}, radius={self.radius!s})"
@@ -150,9 +156,9 @@ def closeness(lamp_nearness: ArrayLike | None, cos_i: jax.Array) -> jax.Array:
         cos_i: cosine of the light's angle to the surface's normal, no unit.
     """
     if lamp_nearness is None:
-        return jnp.ones_like(cos_i)
-    w = jnp.asarray(lamp_nearness)
-    return 1 / (jnp.sqrt(1 - w**2 * (1 - cos_i**2)) - w * cos_i)
+        return xp.ones_like(cos_i)
+    w = xp.asarray(lamp_nearness)
+    return 1 / (xp.sqrt(1 - w**2 * (1 - cos_i**2)) - w * cos_i)
 
 
 class LampPoint(NamedTuple):
@@ -252,8 +258,8 @@ def checked_lamp_angles(lamp_angle: ArrayLike, lamp: Lamp, camera_distance: Arra
     behind = f"rad (beyond {'pi' if most == np.pi else 'that'} the lamp is behind the sample)"
     angle = checks.within("lamp_angle", lamp_angle, 0, most, behind, open_high=True)
     if nearness and np.isfinite(camera_distance):
-        apart = jnp.hypot(1 / nearness * jnp.sin(angle), 1 / nearness * jnp.cos(angle) - camera_distance)
-        if is_concrete(apart) and bool(jnp.any(apart < _AT_CAMERA * camera_distance)):
+        apart = xp.hypot(1 / nearness * xp.sin(angle), 1 / nearness * xp.cos(angle) - camera_distance)
+        if is_concrete(apart) and bool(xp.any(apart < _AT_CAMERA * camera_distance)):
             raise ArgumentError(
                 f"the lamp stands in the camera, {camera_distance:g} radii from the sample on its axis: "
                 "give another lamp_angle or lamp_distance"

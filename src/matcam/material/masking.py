@@ -7,12 +7,16 @@ its slopes, or from a table of that integral; `g2` joins the Lambdas of light an
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from matcam.core.jax import jax, jnp
+from matcam.core.arrays import constant, xp
 from matcam.core.registry import MASKING_MODELS
 from matcam.numerics.approximation import between_entries
+
+if TYPE_CHECKING:
+    from matcam.core.jax import jax
 
 Masking = str | None
 """Name of a masking model, one of `MASKING_MODELS`; None leaves masking out."""
@@ -20,10 +24,10 @@ Masking = str | None
 MASKINGS: tuple[Masking, ...] = (*MASKING_MODELS, None)
 """All that `masking` may be."""
 
-JointMasking = Callable[[jax.Array, jax.Array, jax.Array], jax.Array]
+JointMasking = Callable[["jax.Array", "jax.Array", "jax.Array"], "jax.Array"]
 """G2 from the Lambdas of light and view and the azimuth between them."""
 
-SlopeDensity = Callable[[jax.Array], jax.Array]
+SlopeDensity = Callable[["jax.Array"], "jax.Array"]
 """P22 of an isotropic surface as a function of the SQUARED slope."""
 
 _STEPS = np.linspace(-3.7, 3.7, 201)  # of the exp-sinh rule: rounding even for a P22 as steep as exp(-slope^8)
@@ -45,7 +49,7 @@ def smith_lambda(slope_density: SlopeDensity, scale: jax.Array, cot: jax.Array) 
         cot: cot theta of the directions.
     """
     slope2, weight = smith_rule(scale, cot)
-    return jnp.sum(slope_density(slope2) * weight, axis=-1)
+    return xp.sum(slope_density(slope2) * weight, axis=-1)
 
 
 def smith_rule(scale: jax.Array, cot: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -62,14 +66,14 @@ def smith_rule(scale: jax.Array, cot: jax.Array) -> tuple[jax.Array, jax.Array]:
     Source:
         docs/model.md 6.
     """
-    scale = jax.lax.stop_gradient(scale)  # where the integrand is looked at does not change the integral
-    mu = jnp.clip(cot, _NEAREST, _FARTHEST)[..., None]
-    y = jnp.sqrt(scale**2 + mu**2) * np.exp(np.pi / 2 * np.sinh(_STEPS))
+    scale = constant(scale)  # where the integrand is looked at does not change the integral
+    mu = xp.clip(cot, _NEAREST, _FARTHEST)[..., None]
+    y = xp.sqrt(scale**2 + mu**2) * np.exp(np.pi / 2 * np.sinh(_STEPS))
     step = (_STEPS[1] - _STEPS[0]) * np.pi / 2 * np.cosh(_STEPS)
     ratio = y / mu
     # y - mu atan(y / mu), without cancellation where y is much smaller
-    excess = jnp.where(
-        ratio < 1e-2, mu * ratio**3 * (1 / 3 - ratio**2 * (1 / 5 - ratio**2 / 7)), y - mu * jnp.arctan(ratio)
+    excess = xp.where(
+        ratio < 1e-2, mu * ratio**3 * (1 / 3 - ratio**2 * (1 / 5 - ratio**2 / 7)), y - mu * xp.arctan(ratio)
     )
     return mu**2 + y**2, 2 / mu * excess * y**2 * step
 
@@ -83,17 +87,17 @@ def tabulated_lambda(slope_density: SlopeDensity, scale: jax.Array, cos: jax.Arr
     cot = cot_of(cos)
     if cot.size <= _NODES:
         return smith_lambda(slope_density, scale, cot)
-    scale = jax.lax.stop_gradient(scale)  # the table's places do not change the function
-    nu = jnp.minimum(cot / scale, _REACH)
+    scale = constant(scale)  # the table's places do not change the function
+    nu = xp.minimum(cot / scale, _REACH)
     # nu (1 + Lambda) has a finite limit at the horizon; far off it is nu
-    table = jnp.log(_NUS * (1 + smith_lambda(slope_density, scale, scale * _NUS)))
-    return jnp.maximum(jnp.exp(between_entries(table, jnp.arcsinh(nu / _KNEE) / _SPACING)) / nu - 1, 0.0)
+    table = xp.log(_NUS * (1 + smith_lambda(slope_density, scale, scale * _NUS)))
+    return xp.maximum(xp.exp(between_entries(table, xp.arcsinh(nu / _KNEE) / _SPACING)) / nu - 1, 0.0)
 
 
 def cot_of(cos: jax.Array) -> jax.Array:
     """Return cot theta of directions with cos theta in (0, 1]: large but finite along the normal."""
-    cos = jnp.maximum(cos, _NEAREST)
-    return cos / jnp.sqrt(jnp.maximum((1 - cos) * (1 + cos), _FARTHEST**-2))
+    cos = xp.maximum(cos, _NEAREST)
+    return cos / xp.sqrt(xp.maximum((1 - cos) * (1 + cos), _FARTHEST**-2))
 
 
 def g2(masking: Masking, lambda_i: jax.Array, lambda_o: jax.Array, azimuth: jax.Array) -> jax.Array:
@@ -106,7 +110,7 @@ def g2(masking: Masking, lambda_i: jax.Array, lambda_o: jax.Array, azimuth: jax.
         azimuth: angle between them about the normal, rad, [0, pi].
     """
     if masking is None:
-        return jnp.ones_like(lambda_i + lambda_o)
+        return xp.ones_like(lambda_i + lambda_o)
     return MASKING_MODELS[masking](lambda_i, lambda_o, azimuth)
 
 
@@ -127,4 +131,4 @@ def azimuth_correlated(lambda_i: jax.Array, lambda_o: jax.Array, azimuth: jax.Ar
     side.
     """
     correlation = 4.41 * azimuth / (4.41 * azimuth + 1)
-    return 1 / (1 + jnp.maximum(lambda_i, lambda_o) + correlation * jnp.minimum(lambda_i, lambda_o))
+    return 1 / (1 + xp.maximum(lambda_i, lambda_o) + correlation * xp.minimum(lambda_i, lambda_o))

@@ -6,13 +6,16 @@ polynomials through a few points, and cubic B-splines that bend a function smoot
 
 from __future__ import annotations
 
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from matcam.core.jax import jax, jnp
+from matcam.core.arrays import constant, xp
 
-AnyValues = TypeVar("AnyValues", np.ndarray, jax.Array)
+if TYPE_CHECKING:
+    from matcam.core.jax import jax
+
+AnyValues = TypeVar("AnyValues", bound=Any)
 
 
 def nodes_between(low: AnyValues, high: AnyValues, order: int) -> tuple[AnyValues, AnyValues]:
@@ -40,8 +43,8 @@ def ascending(cuts: list[jax.Array], rows: int) -> jax.Array:
     for last in range(max(rows, 1), len(cuts)):
         for place in range(last, 0, -1):
             low, high = cuts[place - 1], cuts[place]
-            cuts = [*cuts[: place - 1], jnp.minimum(low, high), jnp.maximum(low, high), *cuts[place + 1 :]]
-    return jnp.stack(jnp.broadcast_arrays(*cuts), axis=-1)
+            cuts = [*cuts[: place - 1], xp.minimum(low, high), xp.maximum(low, high), *cuts[place + 1 :]]
+    return xp.stack(xp.broadcast_arrays(*cuts), axis=-1)
 
 
 def graded_nodes(borders: jax.Array, scale: jax.Array, graded: int, order: int) -> tuple[jax.Array, jax.Array]:
@@ -52,23 +55,23 @@ def graded_nodes(borders: jax.Array, scale: jax.Array, graded: int, order: int) 
     weights stand on a trailing axis.
     """
     start, length = borders[..., :1], borders[..., -1:] - borders[..., :1]
-    first = jax.lax.stop_gradient(scale)[..., None] / 2
-    size = jnp.abs(length)
-    growing = jnp.minimum(first * (jnp.maximum(size, first) / first) ** (np.arange(graded) / graded), size)
-    steps = jnp.sort(jnp.concatenate([growing, jnp.abs(borders - start)], axis=-1), axis=-1)
-    cuts = start + jnp.where(length < 0, -steps, steps)
+    first = constant(scale)[..., None] / 2
+    size = xp.abs(length)
+    growing = xp.minimum(first * (xp.maximum(size, first) / first) ** (np.arange(graded) / graded), size)
+    steps = xp.sort(xp.concatenate([growing, xp.abs(borders - start)], axis=-1), axis=-1)
+    cuts = start + xp.where(length < 0, -steps, steps)
     return nodes_in_panels(cuts, order)
 
 
 def between_entries(table: jax.Array, place: jax.Array) -> jax.Array:
     """Return values at places among a table's entries, counted from 0, by Lagrange's cubic through the four about each."""
     first, shares = four_about(place, table.size)
-    return sum((table.at[first + k].get(mode="clip") * share for k, share in enumerate(shares)), jnp.zeros(()))
+    return sum((xp.take(table, first + k, mode="clip") * share for k, share in enumerate(shares)), xp.zeros(()))
 
 
 def four_about(place: jax.Array, entries: int) -> tuple[jax.Array, list[jax.Array]]:
     """Return the first of the four entries about each place, and the shares of the four in the value there."""
-    left = jax.lax.stop_gradient(jnp.clip(jnp.floor(place), 1, entries - 3))
+    left = constant(xp.clip(xp.floor(place), 1, entries - 3))
     return left.astype(int) - 1, lagrange_basis(np.arange(-1.0, 3.0), place - left)
 
 
@@ -105,14 +108,14 @@ def interpolated(grids: jax.Array, which: jax.Array, row: jax.Array, column: jax
     patch = grids[
         which[:, None, None], (first_row[:, None] + steps)[:, :, None], (first_column[:, None] + steps)[:, None, :]
     ]
-    value, least = jnp.einsum("trkc,tr,tk->tc", patch, row_weight, column_weight), jnp.min(patch, axis=(1, 2))
-    return jnp.where((value < 0) & (least >= 0), least, value)
+    value, least = xp.einsum("trkc,tr,tk->tc", patch, row_weight, column_weight), xp.min(patch, axis=(1, 2))
+    return xp.where((value < 0) & (least >= 0), least, value)
 
 
 def on_steps(position: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Return (index of the first point, weights (..., POINTS)) of Lagrange's polynomial at `position`, in grid steps."""
-    first = jnp.floor(position).astype(int) - (POINTS // 2 - 1)
-    return first, jnp.stack(lagrange_basis(np.arange(float(POINTS)), position - first), axis=-1)
+    first = xp.floor(position).astype(int) - (POINTS // 2 - 1)
+    return first, xp.stack(lagrange_basis(np.arange(float(POINTS)), position - first), axis=-1)
 
 
 def cubic_basis(place: jax.Array, count: int) -> jax.Array:
@@ -127,7 +130,7 @@ def cubic_basis(place: jax.Array, count: int) -> jax.Array:
 
 def _mirrored(splines: jax.Array) -> jax.Array:
     """Return what splines from one before the first knot to one behind the last make, mirrored at 0 and constant at the end."""
-    return jnp.concatenate(
+    return xp.concatenate(
         [splines[1:2], splines[2:3] + splines[:1], splines[3:-2], splines[-2:-1] + splines[-1:]], axis=0
     )
 
@@ -135,24 +138,26 @@ def _mirrored(splines: jax.Array) -> jax.Array:
 def cubic_spline(coefficients: jax.Array, place: jax.Array) -> jax.Array:
     """Return sum_k coefficient_k B_k of the splines of `cubic_basis`, of which four count at each place."""
     ends = coefficients[-1:]
-    beyond = jnp.concatenate([coefficients[1:2], coefficients, ends, ends])
-    left = jax.lax.stop_gradient(jnp.clip(jnp.floor(place), 0, coefficients.size - 2))
+    beyond = xp.concatenate([coefficients[1:2], coefficients, ends, ends])
+    left = constant(xp.clip(xp.floor(place), 0, coefficients.size - 2))
     first, right = left.astype(int), place - left
-    return sum((beyond.at[first + k].get(mode="clip") * _cubic(right + 1 - k) for k in range(4)), jnp.zeros_like(place))
+    return sum(
+        (xp.take(beyond, first + k, mode="clip") * _cubic(right + 1 - k) for k in range(4)), xp.zeros_like(place)
+    )
 
 
 def cubic_sums(place: jax.Array, weights: jax.Array, count: int, axes: int = 1) -> jax.Array:
     """Return sum weights B_k(place) over the last `axes` axes, for each spline of `cubic_basis`, on a leading axis."""
     over = tuple(range(-axes, 0))
     # one sum after the other: all splines at all places would be written to memory and read again
-    return _mirrored(
-        jax.lax.map(lambda knot: jnp.sum(_cubic(place - knot) * weights, over), np.arange(-1.0, count + 1))
-    )
+    from matcam.core.jax import jax
+
+    return _mirrored(jax.lax.map(lambda knot: xp.sum(_cubic(place - knot) * weights, over), np.arange(-1.0, count + 1)))
 
 
 def combined(coefficients: jax.Array, basis: jax.Array) -> jax.Array:
     """Return sum_k coefficient_k basis_k."""
-    return jnp.tensordot(coefficients, basis, 1)
+    return xp.tensordot(coefficients, basis, 1)
 
 
 def smoothness(count: int) -> np.ndarray:
@@ -166,5 +171,5 @@ def smoothness(count: int) -> np.ndarray:
 
 def _cubic(x: jax.Array) -> jax.Array:
     """Return the cardinal cubic B-spline."""
-    x = jnp.abs(x)
-    return jnp.maximum(2 - x, 0.0) ** 3 / 6 - 4 * jnp.maximum(1 - x, 0.0) ** 3 / 6
+    x = xp.abs(x)
+    return xp.maximum(2 - x, 0.0) ** 3 / 6 - 4 * xp.maximum(1 - x, 0.0) ** 3 / 6

@@ -7,17 +7,17 @@ decides which directions the data determine.
 
 from __future__ import annotations
 
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
-from matcam.core.jax import jax, jnp
+from matcam.core.arrays import linalg, scipy_linalg, xp
 
 FLOOR = 1e-12
 """Least eigenvalue of a matrix scaled to a unit diagonal. Rounding in sums of 1e6 products stays below it. A direction at the
 floor has a standard deviation of 1e6 times that of its parameters alone: nothing that the data determine."""
 
-AnyMatrix = TypeVar("AnyMatrix", np.ndarray, jax.Array)
+AnyMatrix = TypeVar("AnyMatrix", bound=Any)
 
 
 def scaled_inverse(information: AnyMatrix, undetermined: float = 0.0) -> AnyMatrix:
@@ -42,11 +42,17 @@ def scaled_inverse(information: AnyMatrix, undetermined: float = 0.0) -> AnyMatr
         if undetermined:
             covariance += np.where(inverse_std > 0, 0.0, undetermined)[..., None] * np.eye(unit.shape[-1])
         return covariance
-    diagonal = jnp.diagonal(information)
-    scale = jnp.where(diagonal > 0, 1 / jnp.sqrt(jnp.where(diagonal > 0, diagonal, 1.0)), 0.0)
-    lifted = information * scale[:, None] * scale + jnp.diag(jnp.where(scale > 0, FLOOR, 1.0))
-    inverse = jax.scipy.linalg.cho_solve((jnp.linalg.cholesky(lifted), True), jnp.eye(len(scale)))
-    return inverse * scale[:, None] * scale + jnp.diag(jnp.where(scale > 0, 0.0, undetermined))
+    return lifted_inverse(information, undetermined)
+
+
+def lifted_inverse(information: AnyMatrix, undetermined: float = 0.0) -> AnyMatrix:
+    """Return the inverse as `scaled_inverse` returns it for arrays of JAX, for one matrix of either kind."""
+    diagonal = xp.diagonal(information)
+    scale = xp.where(diagonal > 0, 1 / xp.sqrt(xp.where(diagonal > 0, diagonal, 1.0)), 0.0)
+    lifted = information * scale[:, None] * scale + xp.diag(xp.where(scale > 0, FLOOR, 1.0))
+    root = linalg.cholesky(lifted)
+    inverse = scipy_linalg.cho_solve((root, True), np.eye(len(scale)), check_finite=False)
+    return inverse * scale[:, None] * scale + xp.diag(xp.where(scale > 0, 0.0, undetermined))
 
 
 def least_eigenvalue(information: np.ndarray) -> float:

@@ -5,7 +5,12 @@ XLA has those of doubles from a library, one by one: 15 to 30 ns each, a third o
 
 from __future__ import annotations
 
-from matcam.core.jax import jax, jnp
+from typing import TYPE_CHECKING
+
+from matcam.core.arrays import xp
+
+if TYPE_CHECKING:
+    from matcam.core.jax import jax
 
 # sin(x) / x as a polynomial in x^2: it agrees with it at 10 Chebyshev nodes of [0, (pi/2)^2]. From the constant upwards, which
 # is less than 1 by two roundings, since a sine above 1 has no cosine
@@ -29,16 +34,16 @@ def sine(angle: jax.Array) -> jax.Array:
 
 def arcsine(x: jax.Array) -> jax.Array:
     """Return the arcsine within [-1, 1] to the last digit but one; beyond 1/2 from that of sqrt((1 - |x|) / 2)."""
-    size = jnp.abs(x)
+    size = xp.abs(x)
     steep = size > 0.5
-    square = jnp.where(steep, (1 - size) / 2, size * size)
-    small = _odd(_ARCSINE, jnp.where(steep, jnp.sqrt(jnp.where(steep, square, 1.0)), size), square)
-    return jnp.sign(x) * jnp.where(steep, jnp.pi / 2 - 2 * small, small)
+    square = xp.where(steep, (1 - size) / 2, size * size)
+    small = _odd(_ARCSINE, xp.where(steep, xp.sqrt(xp.where(steep, square, 1.0)), size), square)
+    return xp.sign(x) * xp.where(steep, xp.pi / 2 - 2 * small, small)
 
 
 def _odd(coefficients: tuple[float, ...], x: jax.Array, square: jax.Array) -> jax.Array:
     """Return x times a polynomial in its square."""
-    total = jnp.full_like(square, coefficients[-1])
+    total = xp.full_like(square, coefficients[-1])
     for coefficient in coefficients[-2::-1]:
         total = total * square + coefficient
     return total * x
@@ -47,4 +52,4 @@ def _odd(coefficients: tuple[float, ...], x: jax.Array, square: jax.Array) -> ja
 def sine_and_cosine(angle: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Return both within [-pi, pi], from the half angle: to 1e-15, and to 2e-8 of sines next to the ends."""
     half = sine(angle / 2)
-    return 2 * half * jnp.sqrt((1 - half) * (1 + half)), 1 - 2 * half * half
+    return 2 * half * xp.sqrt((1 - half) * (1 + half)), 1 - 2 * half * half

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import equinox as eqx
+from typing import TYPE_CHECKING
+
 import numpy as np
-from jax.typing import ArrayLike
 
 from matcam.core import checks
-from matcam.core.jax import AnyArray, jax, jnp
+from matcam.core.arrays import xp
+from matcam.core.arrays.module import static_field
 from matcam.core.shading import Vector
 from matcam.numerics.lengths import plane_length
 from matcam.numerics.sine import sine
@@ -17,10 +18,14 @@ from matcam.sample.shape import (
     Place,
     angle_on_circle,
     checked_distance,
-    constructor_call,
     depth_of,
     is_infinite,
 )
+
+if TYPE_CHECKING:
+    from jax.typing import ArrayLike
+
+    from matcam.core.jax import AnyArray, jax
 
 
 class Sphere(Curved):
@@ -47,7 +52,7 @@ class Sphere(Curved):
 
     radius: jax.Array
     distance: jax.Array
-    distant: bool = eqx.field(static=True)
+    distant: bool = static_field()
 
     def __init__(self, radius: ArrayLike, distance: ArrayLike = np.inf):
         self.radius = checks.scalar("radius", checks.positive("radius", radius, "px"))
@@ -59,10 +64,10 @@ class Sphere(Curved):
 
         x = radius sqrt(d^2 - 1) n_x / (d - n_z), and y likewise (docs/model.md 3).
         """
-        cos_v, sin_u = jnp.cos(v), sine(u)
-        cos_u = jnp.sqrt((1 - sin_u) * (1 + sin_u))  # what is visible has |u| < pi / 2; a cosine costs far more
-        element = self.facing((cos_v * sin_u, jnp.sin(v), cos_v * cos_u))
-        return element._replace(tangent=(cos_u, jnp.zeros(()), -sin_u), area=element.area * cos_v)
+        cos_v, sin_u = xp.cos(v), sine(u)
+        cos_u = xp.sqrt((1 - sin_u) * (1 + sin_u))  # what is visible has |u| < pi / 2; a cosine costs far more
+        element = self.facing((cos_v * sin_u, xp.sin(v), cos_v * cos_u))
+        return element._replace(tangent=(cos_u, xp.zeros(()), -sin_u), area=element.area * cos_v)
 
     def facing(self, normal: Vector) -> Element:
         """Return the piece of surface that faces a direction.
@@ -98,19 +103,19 @@ class Sphere(Curved):
             view=view,
             x=x,
             y=y,
-            area=1 / jnp.where(visible, cos_o, 1.0),
+            area=1 / xp.where(visible, cos_o, 1.0),
         ), visible
 
     def _tangent(self, normal: Vector) -> Vector:
         """Return the first tangent, along the latitude's circle."""
-        section = jnp.sqrt(normal[0] ** 2 + normal[2] ** 2)
-        section = jnp.where(section > 0, section, 1.0)
-        return normal[2] / section, jnp.zeros(()), -normal[0] / section
+        section = xp.sqrt(normal[0] ** 2 + normal[2] ** 2)
+        section = xp.where(section > 0, section, 1.0)
+        return normal[2] / section, xp.zeros(()), -normal[0] / section
 
     def coordinates(self, element: Element) -> tuple[jax.Array, jax.Array]:
         """Return longitude and latitude about the y axis, rad."""
         n_x, n_y, n_z = element.normal
-        return jnp.arctan2(n_x, n_z), jnp.arcsin(jnp.clip(n_y, -1, 1))
+        return xp.arctan2(n_x, n_z), xp.arcsin(xp.clip(n_y, -1, 1))
 
     def place(
         self, theta_h: AnyArray, theta_d: AnyArray, phi_d: AnyArray, lamp_nearness: ArrayLike | None = None
@@ -120,42 +125,42 @@ class Sphere(Curved):
         The half vector lies at azimuth psi = pi - phi_d on the normal's sphere, as seen from it (docs/model.md 3); before a
         near camera, about the line of sight that sees them.
         """
-        theta_h, theta_d, phi_d = (jnp.asarray(a, dtype=jnp.float64) for a in (theta_h, theta_d, phi_d))
+        theta_h, theta_d, phi_d = (xp.asarray(a, dtype=xp.float64) for a in (theta_h, theta_d, phi_d))
         # light, view and normal about the half vector, which is the z axis; light at +x
-        normal = jnp.stack(
-            jnp.broadcast_arrays(
-                -jnp.sin(theta_h) * jnp.cos(phi_d), jnp.sin(theta_h) * jnp.sin(phi_d), jnp.cos(theta_h) + 0 * theta_d
+        normal = xp.stack(
+            xp.broadcast_arrays(
+                -xp.sin(theta_h) * xp.cos(phi_d), xp.sin(theta_h) * xp.sin(phi_d), xp.cos(theta_h) + 0 * theta_d
             )
         )
-        light = jnp.stack(jnp.broadcast_arrays(jnp.sin(theta_d), 0 * theta_d, jnp.cos(theta_d)))
-        view = light * jnp.array([-1.0, 1.0, 1.0]).reshape(3, *([1] * (light.ndim - 1)))
-        shape = jnp.broadcast_shapes(normal.shape, light.shape)
-        normal, light, view = (jnp.broadcast_to(a, shape) for a in (normal, light, view))
+        light = xp.stack(xp.broadcast_arrays(xp.sin(theta_d), 0 * theta_d, xp.cos(theta_d)))
+        view = light * xp.array([-1.0, 1.0, 1.0]).reshape(3, *([1] * (light.ndim - 1)))
+        shape = xp.broadcast_shapes(normal.shape, light.shape)
+        normal, light, view = (xp.broadcast_to(a, shape) for a in (normal, light, view))
         # optical axis = view + q (normal - along view): from the sample's centre to the camera
-        cos_o = jnp.sum(normal * view, axis=0)
+        cos_o = xp.sum(normal * view, axis=0)
         q = self.nearness
-        length = jnp.sqrt(jnp.maximum(1 - q**2 * (1 - cos_o**2), 0.0)) - q * cos_o
+        length = xp.sqrt(xp.maximum(1 - q**2 * (1 - cos_o**2), 0.0)) - q * cos_o
         axis = q * normal + length * view
         if lamp_nearness is not None:  # from the sample's centre to the lamp: the light's way on from this normal
-            w, cos_i = jnp.asarray(lamp_nearness), jnp.sum(normal * light, axis=0)
-            light = w * normal + (jnp.sqrt(jnp.maximum(1 - w**2 * (1 - cos_i**2), 0.0)) - w * cos_i) * light
+            w, cos_i = xp.asarray(lamp_nearness), xp.sum(normal * light, axis=0)
+            light = w * normal + (xp.sqrt(xp.maximum(1 - w**2 * (1 - cos_i**2), 0.0)) - w * cos_i) * light
         # x axis: the lamp's direction across the optical axis; if lamp and camera coincide, that of the frame
-        frame = jnp.stack([view[2], 0 * view[2], -view[0]])
-        x_axis = light - jnp.sum(light * axis, axis=0) * axis
-        size = jnp.sqrt(jnp.sum(x_axis**2, axis=0))
-        x_axis = jnp.where(size > 1e-12, x_axis / jnp.where(size > 1e-12, size, 1.0), frame)
-        y_axis = jnp.stack(
+        frame = xp.stack([view[2], 0 * view[2], -view[0]])
+        x_axis = light - xp.sum(light * axis, axis=0) * axis
+        size = xp.sqrt(xp.sum(x_axis**2, axis=0))
+        x_axis = xp.where(size > 1e-12, x_axis / xp.where(size > 1e-12, size, 1.0), frame)
+        y_axis = xp.stack(
             [
                 axis[1] * x_axis[2] - axis[2] * x_axis[1],
                 axis[2] * x_axis[0] - axis[0] * x_axis[2],
                 axis[0] * x_axis[1] - axis[1] * x_axis[0],
             ]
         )
-        scale = self.stretch / (1 - q * jnp.sum(normal * axis, axis=0))
+        scale = self.stretch / (1 - q * xp.sum(normal * axis, axis=0))
         return Place(
-            x=scale * jnp.sum(normal * x_axis, axis=0),
-            y=scale * jnp.sum(normal * y_axis, axis=0),
-            lamp_angle=jnp.arctan2(jnp.sum(light * x_axis, axis=0), jnp.sum(light * axis, axis=0)),
+            x=scale * xp.sum(normal * x_axis, axis=0),
+            y=scale * xp.sum(normal * y_axis, axis=0),
+            lamp_angle=xp.arctan2(xp.sum(light * x_axis, axis=0), xp.sum(light * axis, axis=0)),
         )
 
     def height(self, element: Element) -> jax.Array:
@@ -164,18 +169,18 @@ class Sphere(Curved):
 
     def section(self, v: jax.Array) -> jax.Array:
         """Return cos v."""
-        return jnp.cos(v)
+        return xp.cos(v)
 
     def window(self, low: jax.Array, high: jax.Array, u: jax.Array) -> tuple[jax.Array, jax.Array]:
         """Return the latitudes between two rows at longitude u, rad.
 
         A near camera's scale varies, for which a twentieth is added.
         """
-        middle, half = (low + high) / 2, (high - low) / 2 * jnp.where(self.nearness > 0, 1.05, 1.0)
-        end = jnp.arccos(self.nearness)
-        tilt = self.nearness * jnp.cos(u)
+        middle, half = (low + high) / 2, (high - low) / 2 * xp.where(self.nearness > 0, 1.05, 1.0)
+        end = xp.arccos(self.nearness)
+        tilt = self.nearness * xp.cos(u)
         first, last = (
-            jnp.clip(angle_on_circle(y / self.stretch, y / self.stretch * tilt), -end, end)
+            xp.clip(angle_on_circle(y / self.stretch, y / self.stretch * tilt), -end, end)
             for y in (middle - half, middle + half)
         )
         return first, last
@@ -186,28 +191,28 @@ class Sphere(Curved):
         There one of two circles ends, limb or terminator; or they meet: with both angles' cosines as q / cos v and w / cos v,
         those of angles that add up to the lamp's.
         """
-        q, w, cosine, sine = self.nearness, jnp.asarray(lamp_nearness), jnp.cos(lamp_angle), jnp.sin(lamp_angle)
-        sine = jnp.where(sine > 0, sine, 1.0)
+        q, w, cosine, sine = self.nearness, xp.asarray(lamp_nearness), xp.cos(lamp_angle), xp.sin(lamp_angle)
+        sine = xp.where(sine > 0, sine, 1.0)
         meet2 = (q**2 + w**2 - 2 * q * w * cosine) / sine**2
         meets = (q * w > cosine * meet2) & (meet2 < 1)
-        ends = jnp.maximum(q, w)
-        return jnp.arccos(jnp.where(meets, jnp.maximum(jnp.sqrt(jnp.where(meets, meet2, 1.0)), ends), ends))
+        ends = xp.maximum(q, w)
+        return xp.arccos(xp.where(meets, xp.maximum(xp.sqrt(xp.where(meets, meet2, 1.0)), ends), ends))
 
     def rows(self, x: jax.Array, y: jax.Array, reach: ArrayLike) -> tuple[jax.Array, jax.Array]:
         """Return the latitudes close to a place in the picture, rad.
 
         They end where the limb leaves these columns.
         """
-        low, high = self.window(y - reach, y + reach, self.across(x, jnp.zeros_like(x)))
-        share = jnp.clip((jnp.abs(x) - reach) / self.radius, 0, 1)
-        end = jnp.arcsin(jnp.sqrt((1 - self.nearness**2) * (1 - share) * (1 + share)))
-        return jnp.clip(low, -end, end), jnp.clip(high, -end, end)
+        low, high = self.window(y - reach, y + reach, self.across(x, xp.zeros_like(x)))
+        share = xp.clip((xp.abs(x) - reach) / self.radius, 0, 1)
+        end = xp.arcsin(xp.sqrt((1 - self.nearness**2) * (1 - share) * (1 + share)))
+        return xp.clip(low, -end, end), xp.clip(high, -end, end)
 
     def _turn_across(self, half_vector: jax.Array) -> jax.Array:
         return 1 + half_vector
 
     def __repr__(self) -> str:
-        return constructor_call(self)
+        return _constructor_call(self)
 
 
 class Cylinder(Curved):
@@ -234,7 +239,7 @@ class Cylinder(Curved):
 
     radius: jax.Array
     distance: jax.Array
-    distant: bool = eqx.field(static=True)
+    distant: bool = static_field()
 
     def __init__(self, radius: ArrayLike, distance: ArrayLike = np.inf):
         self.radius = checks.scalar("radius", checks.positive("radius", radius, "px"))
@@ -243,7 +248,7 @@ class Cylinder(Curved):
 
     def surface(self, u: jax.Array, v: jax.Array) -> Element:
         """Return the surface: the sphere's equator across the axis, constant along it."""
-        element, _ = self._element(jnp.sin(u), jnp.cos(u), v)
+        element, _ = self._element(xp.sin(u), xp.cos(u), v)
         return element
 
     def at(self, x: jax.Array, y: jax.Array) -> tuple[Element, jax.Array]:
@@ -252,11 +257,11 @@ class Cylinder(Curved):
         depth = 1 - self.nearness * n_z
         element, cos_o = self._element(x / self.stretch * depth, n_z, y / self.stretch * depth)
         visible = hits & (cos_o > 0)
-        return element._replace(x=x, y=y, area=1 / jnp.where(visible, cos_o, 1.0)), visible
+        return element._replace(x=x, y=y, area=1 / xp.where(visible, cos_o, 1.0)), visible
 
     def coordinates(self, element: Element) -> tuple[jax.Array, jax.Array]:
         """Return the normal's angle, rad, and the place along the axis, radii."""
-        return jnp.arctan2(element.normal[0], element.normal[2]), self.height(element)
+        return xp.arctan2(element.normal[0], element.normal[2]), self.height(element)
 
     def height(self, element: Element) -> jax.Array:
         """Return the place along the axis, in radii."""
@@ -270,39 +275,39 @@ class Cylinder(Curved):
         Only normals in the plane of camera and lamp are seen at v = 0: phi_d must be 0 or pi, and the position is NaN
         elsewhere.
         """
-        theta_h, theta_d, phi_d = (jnp.asarray(a, dtype=jnp.float64) for a in (theta_h, theta_d, phi_d))
-        side = -jnp.cos(phi_d)
-        in_plane = jnp.abs(jnp.sin(phi_d)) * jnp.sin(theta_h) < 1e-12
+        theta_h, theta_d, phi_d = (xp.asarray(a, dtype=xp.float64) for a in (theta_h, theta_d, phi_d))
+        side = -xp.cos(phi_d)
+        in_plane = xp.abs(xp.sin(phi_d)) * xp.sin(theta_h) < 1e-12
         theta_o = theta_d + side * theta_h
-        u = theta_o - jnp.arcsin(self.nearness * jnp.sin(theta_o))
-        x = jnp.where(in_plane, self.surface(u, jnp.zeros(())).x, jnp.nan)
+        u = theta_o - xp.arcsin(self.nearness * xp.sin(theta_o))
+        x = xp.where(in_plane, self.surface(u, xp.zeros(())).x, xp.nan)
         aside = theta_d - side * theta_h
-        seen = aside if lamp_nearness is None else aside - jnp.arcsin(lamp_nearness * jnp.sin(aside))
-        return Place(x=x, y=jnp.zeros_like(x), lamp_angle=u + seen)
+        seen = aside if lamp_nearness is None else aside - xp.arcsin(lamp_nearness * xp.sin(aside))
+        return Place(x=x, y=xp.zeros_like(x), lamp_angle=u + seen)
 
     def section(self, v: jax.Array) -> jax.Array:
         """Return 1: the section is the same all along."""
-        return jnp.ones_like(v)
+        return xp.ones_like(v)
 
     def window(self, low: jax.Array, high: jax.Array, u: jax.Array) -> tuple[jax.Array, jax.Array]:
         """Return the interval along the axis between two rows, in radii.
 
         A near camera's scale varies, for which a twentieth is added.
         """
-        scale = self.stretch / (1 - self.nearness * jnp.cos(u))
-        middle, half = (low + high) / 2, (high - low) / 2 * jnp.where(self.nearness > 0, 1.05, 1.0)
+        scale = self.stretch / (1 - self.nearness * xp.cos(u))
+        middle, half = (low + high) / 2, (high - low) / 2 * xp.where(self.nearness > 0, 1.05, 1.0)
         return (middle - half) / scale, (middle + half) / scale
 
     def lit_rows(self, lamp_angle: jax.Array, lamp_nearness: ArrayLike) -> jax.Array:
         """Return infinity: limb and terminator are straight."""
-        return jnp.full_like(lamp_angle, jnp.inf)
+        return xp.full_like(lamp_angle, xp.inf)
 
     def rows(self, x: jax.Array, y: jax.Array, reach: ArrayLike) -> tuple[jax.Array, jax.Array]:
         """Return the interval along the axis close to a place."""
-        return self.window(y - reach, y + reach, self.across(x, jnp.zeros_like(x)))
+        return self.window(y - reach, y + reach, self.across(x, xp.zeros_like(x)))
 
     def _element(self, n_x: jax.Array, n_z: jax.Array, v: jax.Array) -> tuple[Element, jax.Array]:
-        zero = jnp.zeros(())
+        zero = xp.zeros(())
         normal = n_x, zero, n_z
         view, length, depth = self.line_of_sight(normal, v)
         scale = self.stretch / depth
@@ -321,4 +326,10 @@ class Cylinder(Curved):
         return half_vector
 
     def __repr__(self) -> str:
-        return constructor_call(self)
+        return _constructor_call(self)
+
+
+def _constructor_call(shape: Curved) -> str:
+    """Return the constructor call that makes the shape."""
+    far = "" if shape.distant else f", distance={shape.distance!s}"
+    return f"{type(shape).__name__}(radius={shape.radius!s}{far})"

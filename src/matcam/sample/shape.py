@@ -10,16 +10,20 @@ A flat sample shows one normal; a curved one (`Sphere`, `Cylinder`) shows many i
 from __future__ import annotations
 
 from abc import abstractmethod
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
-import equinox as eqx
 import numpy as np
-from jax.typing import ArrayLike
 
 from matcam.core import checks
-from matcam.core.jax import AnyArray, is_concrete, jax, jnp
+from matcam.core.arrays import is_concrete, repeated, xp
+from matcam.core.arrays.module import Module
 from matcam.core.shading import Vector
 from matcam.numerics.sine import arcsine
+
+if TYPE_CHECKING:
+    from jax.typing import ArrayLike
+
+    from matcam.core.jax import AnyArray, jax
 
 
 class Element(NamedTuple):
@@ -57,7 +61,7 @@ class Place(NamedTuple):
     lamp_angle: jax.Array
 
 
-class Sample(eqx.Module):
+class Sample(Module):
     """Describe a shape that is photographed."""
 
     @property
@@ -97,7 +101,7 @@ class Flat(Sample):
 
     def px_per_rad(self, theta_o: jax.Array, lamp_nearness: ArrayLike | None = None) -> tuple[jax.Array, jax.Array]:
         """Return infinity in both directions: the normal does not turn."""
-        return jnp.full_like(theta_o, jnp.inf), jnp.full_like(theta_o, jnp.inf)
+        return xp.full_like(theta_o, xp.inf), xp.full_like(theta_o, xp.inf)
 
     def frequency_on_sensor(self, frequency: ArrayLike, theta_o: ArrayLike) -> jax.Array:
         """Return the frequency at which a texture arrives on the sensor, cycles/px.
@@ -111,7 +115,7 @@ class Flat(Sample):
         Raises:
             ArgumentError: an argument is out of range.
         """
-        return checks.number("frequency", frequency) / jnp.cos(checks.viewing_angle("theta_o", theta_o))
+        return checks.number("frequency", frequency) / xp.cos(checks.viewing_angle("theta_o", theta_o))
 
     def __repr__(self) -> str:
         return "Flat()"
@@ -130,9 +134,10 @@ class Curved(Sample):
         distant: True if the distance is infinite. Then every piece of surface is seen from one direction.
     """
 
-    radius: eqx.AbstractVar[jax.Array]
-    distance: eqx.AbstractVar[jax.Array]
-    distant: eqx.AbstractVar[bool]
+    if TYPE_CHECKING:
+        radius: jax.Array
+        distance: jax.Array
+        distant: bool
 
     def in_words(self) -> str:
         """Describe shape, radius and camera in words, for titles and pages."""
@@ -236,7 +241,7 @@ class Curved(Sample):
 
         It is radius sqrt(1 - 1 / d^2) (docs/model.md 3).
         """
-        return self.radius * jnp.sqrt(1 - self.nearness**2)
+        return self.radius * xp.sqrt(1 - self.nearness**2)
 
     def visible(self, v: jax.Array) -> jax.Array:
         """Return the largest visible |u|, rad; 0 where none is visible.
@@ -244,13 +249,13 @@ class Curved(Sample):
         Args:
             v: second coordinate of the surface.
         """
-        return jnp.full_like(v, jnp.pi / 2) if self.distant else self._seen_from(v, self.nearness)
+        return xp.full_like(v, xp.pi / 2) if self.distant else self._seen_from(v, self.nearness)
 
     def _seen_from(self, v: jax.Array, nearness: jax.Array) -> jax.Array:
         """Return the largest angle in u from a point in the plane of x and the axis that sees the surface at v."""
         section = self.section(v)
-        cosine = nearness / jnp.where(section > 0, section, 1.0)
-        return jnp.where(cosine < 1, jnp.arccos(jnp.where(cosine < 1, cosine, 0.0)), 0.0)
+        cosine = nearness / xp.where(section > 0, section, 1.0)
+        return xp.where(cosine < 1, xp.arccos(xp.where(cosine < 1, cosine, 0.0)), 0.0)
 
     def lit(
         self, v: jax.Array, lamp_angle: jax.Array, lamp_nearness: ArrayLike | None = None
@@ -265,10 +270,10 @@ class Curved(Sample):
             lamp_nearness: inverse of the lamp's distance, 1/radii. Default: None, a distant lamp.
         """
         high = self.visible(v)
-        half = jnp.pi / 2 if lamp_nearness is None else self._seen_from(v, jnp.asarray(lamp_nearness))
-        low = jnp.maximum(-high, lamp_angle - half)
-        high = jnp.minimum(high, lamp_angle + half)
-        return jnp.minimum(low, high), high
+        half = xp.pi / 2 if lamp_nearness is None else self._seen_from(v, xp.asarray(lamp_nearness))
+        low = xp.maximum(-high, lamp_angle - half)
+        high = xp.minimum(high, lamp_angle + half)
+        return xp.minimum(low, high), high
 
     def across(self, x: jax.Array, v: jax.Array) -> jax.Array:
         """Return the visible u at a column of the picture, rad.
@@ -280,13 +285,13 @@ class Curved(Sample):
             v: second coordinate of the surface.
         """
         section, q = self.section(v), self.nearness
-        slope = x / (self.stretch * jnp.where(section > 0, section, 1.0))
+        slope = x / (self.stretch * xp.where(section > 0, section, 1.0))
         if self.distant:
-            inside = jnp.abs(slope) < 1
-            return jnp.where(inside, arcsine(jnp.where(inside, slope, 0.0)), jnp.sign(slope) * jnp.pi / 2)
+            inside = xp.abs(slope) < 1
+            return xp.where(inside, arcsine(xp.where(inside, slope, 0.0)), xp.sign(slope) * xp.pi / 2)
         u = angle_on_circle(slope, slope * section * q)
         end = self.visible(v)
-        return jnp.clip(u, -end, end)
+        return xp.clip(u, -end, end)
 
     def highlight(self, lamp_angle: jax.Array, lamp_nearness: ArrayLike | None = None) -> jax.Array:
         """Return the highlight's u at v = 0, rad.
@@ -297,7 +302,7 @@ class Curved(Sample):
             lamp_angle: angle between lamp and optical axis, rad.
             lamp_nearness: inverse of the lamp's distance, 1/radii. Default: None, a distant lamp.
         """
-        lamp_angle = jnp.asarray(lamp_angle, dtype=jnp.float64)
+        lamp_angle = xp.asarray(lamp_angle, dtype=xp.float64)
         if self.distant and lamp_nearness is None:
             return lamp_angle / 2
         return highlight_between(lamp_angle, self.nearness, 0.0 if lamp_nearness is None else lamp_nearness)
@@ -309,8 +314,8 @@ class Curved(Sample):
             theta_d: half the angle between lamp and camera as the highlight sees it, rad.
             lamp_nearness: inverse of the lamp's distance, 1/radii. Default: None, a distant lamp.
         """
-        angle = 2 * theta_d - jnp.arcsin(self.nearness * jnp.sin(theta_d))
-        return angle if lamp_nearness is None else angle - jnp.arcsin(lamp_nearness * jnp.sin(theta_d))
+        angle = 2 * theta_d - xp.arcsin(self.nearness * xp.sin(theta_d))
+        return angle if lamp_nearness is None else angle - xp.arcsin(lamp_nearness * xp.sin(theta_d))
 
     def theta_d(self, lamp_angle: jax.Array, lamp_nearness: ArrayLike | None = None) -> jax.Array:
         """Return half the angle between lamp and camera, rad.
@@ -333,24 +338,24 @@ class Curved(Sample):
         q = self.nearness
         turn_along, turn_across = self._half_vector_turn(theta_o, lamp_nearness)
         if self.distant:
-            across = self.radius / self._turn_across(turn_across)
-            return self.radius * jnp.cos(theta_o) / (1 + turn_along), across + jnp.zeros_like(theta_o)
-        t = theta_o - jnp.arcsin(q * jnp.sin(theta_o))
-        depth, length = 1 - q * jnp.cos(t), jnp.sqrt(1 + q**2 - 2 * q * jnp.cos(t))
-        turn_along += q * (jnp.cos(t) - q) / length**2 / 2
-        turn_across += q / length / (2 * jnp.cos(theta_o))
-        along = self.stretch * (jnp.cos(t) - q) / depth**2 / (1 + turn_along)
-        return along, self.stretch / depth / self._turn_across(turn_across)
+            across = xp.divide(self.radius, self._turn_across(turn_across))
+            return self.radius * xp.cos(theta_o) / (1 + turn_along), across + xp.zeros_like(theta_o)
+        t = theta_o - xp.arcsin(q * xp.sin(theta_o))
+        depth, length = 1 - q * xp.cos(t), xp.sqrt(1 + q**2 - 2 * q * xp.cos(t))
+        turn_along = turn_along + q * (xp.cos(t) - q) / length**2 / 2
+        turn_across = turn_across + q / length / (2 * xp.cos(theta_o))
+        along = self.stretch * (xp.cos(t) - q) / depth**2 / (1 + turn_along)
+        return along, xp.divide(self.stretch / depth, self._turn_across(turn_across))
 
     @staticmethod
     def _half_vector_turn(theta_d: jax.Array, lamp_nearness: ArrayLike | None) -> tuple[jax.Array, jax.Array]:
         """Return how far a near lamp turns the half vector per turn of the normal, against it, along and across."""
         if lamp_nearness is None:
-            return jnp.zeros(()), jnp.zeros(())
-        w = jnp.asarray(lamp_nearness)
-        t = theta_d - jnp.arcsin(w * jnp.sin(theta_d))
-        length = jnp.sqrt(1 + w**2 - 2 * w * jnp.cos(t))
-        return w * (jnp.cos(t) - w) / length**2 / 2, w / length / (2 * jnp.cos(theta_d))
+            return xp.zeros(()), xp.zeros(())
+        w = xp.asarray(lamp_nearness)
+        t = theta_d - xp.arcsin(w * xp.sin(theta_d))
+        length = xp.sqrt(1 + w**2 - 2 * w * xp.cos(t))
+        return w * (xp.cos(t) - w) / length**2 / 2, w / length / (2 * xp.cos(theta_d))
 
     @abstractmethod
     def _turn_across(self, half_vector: jax.Array) -> jax.Array:
@@ -365,12 +370,12 @@ class Curved(Sample):
             normal: of the surface at the points.
             y: distance from the plane of x and the axis, in radii.
         """
-        zero, one = jnp.zeros(()), jnp.ones(())
+        zero, one = xp.zeros(()), xp.ones(())
         if self.distant:
             return (zero, zero, one), one, one
         q = self.nearness
         depth = 1 - q * normal[2]
-        length = jnp.sqrt((q * normal[0]) ** 2 + (q * y) ** 2 + depth**2)
+        length = xp.sqrt((q * normal[0]) ** 2 + (q * y) ** 2 + depth**2)
         return (-q * normal[0] / length, -q * y / length, depth / length), length, depth
 
 
@@ -388,16 +393,17 @@ def highlight_between(lamp_angle: jax.Array, camera: ArrayLike, lamp: ArrayLike)
         light, light_slope = _parallax(lamp_angle - u, lamp)
         return 2 * u + view - light - lamp_angle, 2 + view_slope + light_slope
 
-    def newton(_: int, state: tuple[jax.Array, jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array, jax.Array]:
+    def newton(state: tuple[jax.Array, jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array, jax.Array]:
         u, low, high = state  # a root lies between these: a step that leaves them is replaced by a bisection
         value, slope = miss(u)
-        low, high = jnp.where(value < 0, u, low), jnp.where(value < 0, high, u)
+        low, high = xp.where(value < 0, u, low), xp.where(value < 0, high, u)
         step = u - value / slope
         inside = (step >= low) & (step <= high)
-        return jnp.where(inside, step, (low + high) / 2), low, high
+        return xp.where(inside, step, (low + high) / 2), low, high
 
-    ends = jnp.minimum(0.0, lamp_angle), jnp.maximum(0.0, lamp_angle)
-    return jax.lax.fori_loop(0, 24, newton, (lamp_angle / 2, *ends))[0]
+    ends = xp.minimum(0.0, lamp_angle), xp.maximum(0.0, lamp_angle)
+    start = lamp_angle / 2 + 0 * (xp.asarray(camera) + lamp)  # an array of JAX where one of the three is
+    return repeated(24, newton, (start, *(end + 0 * start for end in ends)))[0]
 
 
 def _parallax(aside: jax.Array, nearness: ArrayLike) -> tuple[jax.Array, jax.Array]:
@@ -407,9 +413,9 @@ def _parallax(aside: jax.Array, nearness: ArrayLike) -> tuple[jax.Array, jax.Arr
         aside: angle of the point from the normal, as the sample's centre sees it, rad.
         nearness: inverse of the point's distance from the centre, 1/radii.
     """
-    q = jnp.asarray(nearness)
-    slope = q * (jnp.cos(aside) - q) / (1 + q**2 - 2 * q * jnp.cos(aside))
-    return jnp.arctan2(q * jnp.sin(aside), 1 - q * jnp.cos(aside)), slope
+    q = xp.asarray(nearness)
+    slope = q * (xp.cos(aside) - q) / (1 + q**2 - 2 * q * xp.cos(aside))
+    return xp.arctan2(q * xp.sin(aside), 1 - q * xp.cos(aside)), slope
 
 
 def angle_on_circle(slope: jax.Array, tilt: jax.Array) -> jax.Array:
@@ -417,10 +423,10 @@ def angle_on_circle(slope: jax.Array, tilt: jax.Array) -> jax.Array:
 
     There a line of sight meets a circle.
     """
-    lean = jnp.arctan(tilt)
-    sine = slope * jnp.cos(lean)
-    inside = jnp.abs(sine) < 1
-    return jnp.where(inside, jnp.arcsin(jnp.where(inside, sine, 0.0)) - lean, jnp.sign(slope) * jnp.pi / 2)
+    lean = xp.arctan(tilt)
+    sine = slope * xp.cos(lean)
+    inside = xp.abs(sine) < 1
+    return xp.where(inside, xp.arcsin(xp.where(inside, sine, 0.0)) - lean, xp.sign(slope) * xp.pi / 2)
 
 
 def depth_of(slope: jax.Array, q: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -428,7 +434,7 @@ def depth_of(slope: jax.Array, q: jax.Array) -> tuple[jax.Array, jax.Array]:
     square = slope**2
     root = 1 + square * (q**2 - 1)
     hits = root > 0
-    return (square * q + jnp.sqrt(jnp.where(hits, root, 1.0))) / (1 + square * q**2), hits
+    return (square * q + xp.sqrt(xp.where(hits, root, 1.0))) / (1 + square * q**2), hits
 
 
 def checked_distance(distance: ArrayLike) -> jax.Array:
@@ -440,9 +446,3 @@ def checked_distance(distance: ArrayLike) -> jax.Array:
 def is_infinite(distance: ArrayLike) -> bool:
     """Return True for a concrete infinite distance."""
     return is_concrete(distance) and bool(np.isinf(np.asarray(distance, dtype=np.float64)))
-
-
-def constructor_call(shape: Curved) -> str:
-    """Return the constructor call that makes the shape."""
-    far = "" if shape.distant else f", distance={shape.distance!s}"
-    return f"{type(shape).__name__}(radius={shape.radius!s}{far})"

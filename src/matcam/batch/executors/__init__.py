@@ -18,6 +18,7 @@ _KEPT_MEMORY = {
     "MALLOC_TRIM_THRESHOLD_": str(1 << 32),
 }
 """Read by the C library; what the user has set stays."""
+_PLATFORMS = "JAX_PLATFORMS"
 _PREALLOCATE = "XLA_PYTHON_CLIENT_PREALLOCATE"
 _XLA = "--xla_cpu_multi_thread_eigen=false"
 
@@ -38,11 +39,14 @@ def one_core_environment() -> dict[str, str]:
 
     Workers side by side must not each start a thread for every core.
     """
-    shared = os.environ.get(_PREALLOCATE, "false")  # a GPU that workers share must not be taken whole by the first
+    # workers compute on their cores; where the user has named a GPU, the first must not take it whole
+    platforms = os.environ.get(_PLATFORMS, "cpu")
+    shared = os.environ.get(_PREALLOCATE, "false")
     memory = {name: os.environ.get(name, value) for name, value in _KEPT_MEMORY.items()}
     return {
         **_ONE_CORE,
         **memory,
+        _PLATFORMS: platforms,
         _PREALLOCATE: shared,
         "XLA_FLAGS": f"{os.environ.get('XLA_FLAGS', '')} {_XLA}".strip(),
     }

@@ -25,6 +25,7 @@ from typing import Any
 from matcam.batch.executors import Executor, one_core_environment
 from matcam.batch.folder import SETTINGS
 from matcam.batch.job import Job, Outcome, attempt
+from matcam.core import checks
 from matcam.core.errors import ArgumentError, MatcamError
 from matcam.core.jax import use_compilation_cache
 from matcam.core.memory import free_for_the_next
@@ -59,10 +60,7 @@ class ClusterExecutor(Executor):
             raise ArgumentError(
                 f"cluster must be local:N or a scheduler's address such as tcp://host:8786, got {self.address!r:.60}"
             )
-        try:
-            import distributed  # noqa: F401
-        except ImportError:
-            raise ArgumentError("a cluster needs an extra: pip install 'matcam[scale]'") from None
+        checks.extra("a cluster", "scale", "distributed")
 
     @property
     def is_open(self) -> bool:

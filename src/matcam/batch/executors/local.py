@@ -27,7 +27,6 @@ from typing import Any
 from matcam.batch.executors import Executor, one_core_environment
 from matcam.batch.job import Job, Outcome, attempt
 from matcam.core.errors import MatcamError
-from matcam.core.jax import jax
 from matcam.core.memory import free_for_the_next
 from matcam.core.workspace import default_workspace
 from matcam.inverse.fit.lobe_slopes import RecordBatch
@@ -191,11 +190,6 @@ class _Worker:
             name = signal.Signals(-code).name
             return f"killed by {name}" + (": out of memory?" if name == "SIGKILL" else "")
         return f"exit code {code}"
-
-
-def has_gpu() -> bool:
-    """Tell whether JAX computes on a GPU."""
-    return jax.default_backend() == "gpu"
 
 
 @contextlib.contextmanager

@@ -22,7 +22,7 @@ from matcam.calibration.photograph.linear_image import CHANNELS, MOSAICS, Linear
 from matcam.calibration.photograph.tone import Tone
 from matcam.calibration.targets.mtf_samples import MTFSamples
 from matcam.camera.camera import Camera
-from matcam.camera.profile import Provenance
+from matcam.camera.parameters import Provenance
 from matcam.core import checks
 from matcam.core.errors import ArgumentError, FitError, MatcamError
 from matcam.core.io import plain

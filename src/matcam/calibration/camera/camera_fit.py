@@ -28,8 +28,8 @@ from matcam.camera.camera import Camera
 from matcam.camera.optics.gaussian import GaussianOptics
 from matcam.camera.optics.measured import MeasuredOptics
 from matcam.camera.optics.pupil import DiffractionOptics
+from matcam.camera.parameters import Provenance, Uncertainty
 from matcam.camera.pixel import BoxPixel
-from matcam.camera.profile import Provenance, Uncertainty
 from matcam.core.errors import ArgumentError, FitError
 from matcam.core.jax import jax, jnp
 from matcam.core.programs import kept_program

@@ -10,7 +10,7 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from matcam.calibration.photograph.linear_image import local_mean
-from matcam.core.jax import FloatArray
+from matcam.core.arrays import FloatArray
 
 _SMOOTH, _SMOOTH_GAPS = 0.7, 1.2  # px; of pictures without and with gaps
 _DARK = (0.6, 0.78, 0.45)  # of the paper around: where small discs run into their rings, another level parts them

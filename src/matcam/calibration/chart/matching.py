@@ -16,7 +16,7 @@ from scipy import ndimage
 
 from matcam.calibration.chart.chart import Chart, Patch, Square
 from matcam.calibration.chart.marks import Mark
-from matcam.core.jax import FloatArray
+from matcam.core.arrays import FloatArray
 
 _BARREL = (0.0, 0.06, 0.13, -0.03)  # of the undistorted radius: r (1 + d r^2), r in half diagonals
 _NEAR = 0.03  # of the chart's size in the picture: how far a mark may lie from where four others put it

@@ -14,7 +14,7 @@ from scipy.interpolate import PchipInterpolator
 
 from matcam.calibration.chart.chart import Chart, Dots, Element, Grating, Patch, Star
 from matcam.calibration.chart.registration import Projection
-from matcam.core.jax import FloatArray
+from matcam.core.arrays import FloatArray
 from matcam.core.remark import Remark
 
 _FEWEST = 4  # patches

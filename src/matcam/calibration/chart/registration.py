@@ -20,8 +20,8 @@ from matcam.calibration.chart.matching import match_marks
 from matcam.calibration.chart.sides import Sides, seen_sides, smoothed
 from matcam.calibration.photograph.linear_image import LinearImage
 from matcam.core import checks
+from matcam.core.arrays import FloatArray
 from matcam.core.errors import ArgumentError, FitError
-from matcam.core.jax import FloatArray
 
 Projection = Callable[[FloatArray], FloatArray]
 """A map from places on the page (n, 2), mm, to places in the picture (n, 2), px: a `Registration`, or anything like it."""

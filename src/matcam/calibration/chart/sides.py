@@ -10,7 +10,7 @@ from scipy import ndimage
 
 from matcam.calibration.chart.chart import Chart, Square
 from matcam.calibration.photograph.linear_image import local_mean
-from matcam.core.jax import FloatArray
+from matcam.core.arrays import FloatArray
 
 _SMOOTH, _SMOOTH_GAPS = 0.8, 1.2  # px; of pictures without and with gaps
 _ALONG = np.linspace(-0.32, 0.32, 9)  # of a side, from its middle: places where it is looked for

@@ -5,14 +5,17 @@ A ghost, a shadow's border or dirt leaves residuals in few of many cells; a roug
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from matcam.calibration.edge.free_curve import FreeCurve, SampledCurve, edge_basis
 from matcam.calibration.edge.free_fit import LinearFit
 from matcam.calibration.edge.maximum_likelihood import light_of
-from matcam.core.jax import jax, jnp
+from matcam.core.arrays import xp
+
+if TYPE_CHECKING:
+    from matcam.core.jax import jax
 
 _CORE = 7.0  # px
 _WINDOW, _FEWEST, _TOGETHER = 2.0, 6, 6.0  # px, cells, standard deviations
@@ -34,9 +37,9 @@ class Unexplained(NamedTuple):
 
     def of(self, curve: SampledCurve, f: jax.Array) -> SampledCurve:
         """Return a curve at f cycles/px whose standard deviation contains it."""
-        blurred = 2 * (jnp.pi * self.roughness * f) ** 2 * jnp.abs(curve.value)
-        unknown = _PER_MISFIT * self.misfit * jnp.minimum(f / _LOW, 1.0)
-        return SampledCurve(curve.value, jnp.sqrt(curve.std**2 + blurred**2 + unknown**2))
+        blurred = 2 * (xp.pi * self.roughness * f) ** 2 * xp.abs(curve.value)
+        unknown = _PER_MISFIT * self.misfit * xp.minimum(f / _LOW, 1.0)
+        return SampledCurve(curve.value, xp.sqrt(curve.std**2 + blurred**2 + unknown**2))
 
 
 def misfit_of(fit: LinearFit, curve: FreeCurve, excess: jax.Array) -> jax.Array:
@@ -45,8 +48,8 @@ def misfit_of(fit: LinearFit, curve: FreeCurve, excess: jax.Array) -> jax.Array:
     curve: with its glare, if there is any; fit: without. excess: factor by which all variances were raised; 1 where the cells
     as a whole scatter no more than their noise.
     """
-    everywhere = jnp.where(excess > 1, jnp.sqrt(1 - 1 / excess) * _residual(fit), 0.0)
-    return jnp.maximum(everywhere, _local_misfit(fit, _left(fit, curve), excess))
+    everywhere = xp.where(excess > 1, xp.sqrt(1 - 1 / excess) * _residual(fit), 0.0)
+    return xp.maximum(everywhere, _local_misfit(fit, _left(fit, curve), excess))
 
 
 def _left(fit: LinearFit, curve: FreeCurve) -> jax.Array:
@@ -60,8 +63,8 @@ def _left(fit: LinearFit, curve: FreeCurve) -> jax.Array:
 
 def _residual(fit: LinearFit) -> jax.Array:
     """Return the standard deviation of the cells near the edge about the free curve, in units of the step."""
-    near = (fit.cells.pixels > 0) & (jnp.abs(fit.cells.distance) < _CORE)
-    return jnp.sqrt((near * (fit.left / fit.step) ** 2).sum() / jnp.maximum(near.sum(), 1.0))
+    near = (fit.cells.pixels > 0) & (xp.abs(fit.cells.distance) < _CORE)
+    return xp.sqrt((near * (fit.left / fit.step) ** 2).sum() / xp.maximum(near.sum(), 1.0))
 
 
 def _local_misfit(fit: LinearFit, left: jax.Array, excess: jax.Array) -> jax.Array:
@@ -74,8 +77,8 @@ def _local_misfit(fit: LinearFit, left: jax.Array, excess: jax.Array) -> jax.Arr
     window = there & (distance >= _WINDOWS[:, None]) & (distance < _WINDOWS[:, None] + _WINDOW)
     count = window.sum(1)
     beyond = (window * left**2 / variance).sum(1) - count
-    off = (count >= _FEWEST) & (beyond > _TOGETHER * jnp.sqrt(2.0 * count))
+    off = (count >= _FEWEST) & (beyond > _TOGETHER * xp.sqrt(2.0 * count))
     spoilt = (window & off[:, None]).any(0)
-    more = (spoilt * (left**2 - variance) / fit.step**2).sum()
-    core = (there & (jnp.abs(distance) < _CORE)).sum()
-    return jnp.sqrt(jnp.maximum(more, 0.0) / jnp.maximum(core, 1.0))
+    more = xp.where(spoilt, (left**2 - variance) / fit.step**2, 0.0).sum()  # an empty cell's variance is infinite
+    core = (there & (xp.abs(distance) < _CORE)).sum()
+    return xp.sqrt(xp.maximum(more, 0.0) / xp.maximum(core, 1.0))

@@ -21,8 +21,8 @@ from matcam.calibration.photograph.linear_image import SMALLEST, LinearImage, fl
 from matcam.calibration.photograph.tone import Tone
 from matcam.calibration.photograph.unnamed_mosaic import refuse_unnamed_mosaic
 from matcam.core import checks
+from matcam.core.arrays import tuple_map
 from matcam.core.errors import ArgumentError, FitError
-from matcam.core.jax import jax
 from matcam.core.registry import PARAMETRIC_LENSES
 from matcam.core.remark import Remark
 from matcam.files.photographs import Photograph
@@ -121,7 +121,7 @@ def edge_mtf(
     fits = edge_fits(rows.value[0], rows.y, rows.start, settings.noise, half, step=rows.step, turns=rows.turns)
     if model != "gaussian":
         fits = fits._replace(parametric=lens_fit(fits, half, settings.lens))
-    fits = jax.tree.map(lambda a: np.asarray(a)[None], fits)
+    fits = tuple_map(lambda a: np.asarray(a)[None], fits)
     if problem := refusals(fits, rows, accept_sharpened=accept_sharpened)[0]:
         raise FitError(problem.text)
     frame = rows.frame._replace(x=rows.frame.x + region.corner[0], y=rows.frame.y + region.corner[1])
@@ -206,15 +206,17 @@ def edge_stack(regions: Sequence[tuple[EdgeRegions, list[Remark | None]]], setti
         )
         fits = edge_fits_of_stack(value, y, start, settings.noise, half, step=rows.step, turns=rows.turns, few=few)
         if settings.lens.name != "gaussian":
+            from matcam.core.jax import jax
+
             parametric = jax.vmap(lens_fit, in_axes=(0, None, None))(fits, half, settings.lens)
             fits = fits._replace(parametric=parametric)
         # one after the other: programs that are queued on a processor compete for its threads
-        fits = jax.tree.map(np.asarray, fits)
-        chunks.append(jax.tree.map(lambda a: a[:count], fits))  # noqa: B023
+        fits = tuple_map(np.asarray, fits)
+        chunks.append(tuple_map(lambda a: a[:count], fits))  # noqa: B023
         found = refusals(chunks[-1], rows, accept_sharpened=settings.accept_sharpened)
         problems += [flaw or refusal for flaw, refusal in zip(known, found, strict=True)]
         frames.append(RegionFrame(*(np.broadcast_to(column, count) for column in rows.frame)))
-    fits = jax.tree.map(lambda *a: np.concatenate(a), *chunks)
+    fits = tuple_map(lambda *a: np.concatenate(a), *chunks)
     frame = RegionFrame(*(np.concatenate(columns) for columns in zip(*frames, strict=True)))
     return stack_result(fits, frame, settings.lens, settings.half_width, tuple(problems))
 

@@ -24,10 +24,12 @@ from matcam.calibration.edge.parametric_result import (
 from matcam.calibration.edge.profiles import LensModel
 from matcam.calibration.edge.rows import RegionFrame
 from matcam.core import checks
+from matcam.core.arrays import tuple_map, xp
 from matcam.core.io import plain
-from matcam.core.jax import AnyArray, jax, jnp
-from matcam.core.programs import kept_program
 from matcam.core.remark import Remark, texts
+
+if TYPE_CHECKING:
+    from matcam.core.jax import AnyArray
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -160,7 +162,7 @@ class EdgeMTF(_EdgeNumbers[float]):
         Returns:
             Value and standard deviation, of the same shape.
         """
-        return self._curve(_EDGE, distance)
+        return self._curve(free_curve.edge_response, distance)
 
     def lsf(self, distance: ArrayLike) -> SampledCurve:
         """Return the line response, 1/px.
@@ -171,7 +173,7 @@ class EdgeMTF(_EdgeNumbers[float]):
         Returns:
             Value and standard deviation, of the same shape.
         """
-        return self._curve(_LINE, distance)
+        return self._curve(free_curve.line_response, distance)
 
     @property
     def glare_found(self) -> bool:
@@ -272,7 +274,7 @@ class EdgeMTF(_EdgeNumbers[float]):
         used = np.asarray(cells.pixels) > 0
         levels = np.asarray(self.fits.free.levels)
         dark, bright = levels[:2]
-        light, addend = (np.asarray(part) for part in light_of(jnp.asarray(levels), jnp.asarray(cells.terms)))
+        light, addend = (np.asarray(part) for part in light_of(xp.asarray(levels), xp.asarray(cells.terms)))
         unit = (bright - dark) * light
         variance = Noise(np.float64(self.gain), np.float64(self.read_noise)).variance(fit.expected, cells.dim)
         order = np.argsort(np.asarray(cells.distance)[used])
@@ -371,7 +373,7 @@ class EdgeStack(_EdgeNumbers[np.ndarray]):
         lens = {f.name: _of_one(getattr(self.parametric, f.name), index) for f in fields(ParametricEdge)}
         own = (f.name for f in fields(_EdgeNumbers) if f.name != "frequency")
         numbers = {"frequency": self.frequency} | {name: _of_one(getattr(self, name), index) for name in own}
-        fits, given = jax.tree.map(lambda a: a[index], self.fits), self.given[index] if self.given else ()
+        fits, given = tuple_map(lambda a: a[index], self.fits), self.given[index] if self.given else ()
         return EdgeMTF(**numbers, parametric=ParametricEdge(**lens), fits=fits, given=given)
 
     def __iter__(self) -> Iterator[EdgeMTF]:
@@ -379,10 +381,6 @@ class EdgeStack(_EdgeNumbers[np.ndarray]):
 
     def __len__(self) -> int:
         return len(self.problems)
-
-
-_kept = kept_program(returns=SampledCurve)
-_EDGE, _LINE = _kept(free_curve.edge_response), _kept(free_curve.line_response)
 
 
 def stack_result(

@@ -18,12 +18,16 @@ cell's distances is one more blur. There are no bins and no windows.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from matcam.camera.kernel import edge_and_slopes
-from matcam.core.jax import AnyArray, jax, jnp
+from matcam.core.arrays import changed, slope_along, special, xp
+from matcam.numerics.normal import normal_density
+
+if TYPE_CHECKING:
+    from matcam.core.jax import AnyArray, jax
 
 PAIRS = 7
 PLACES = 0.6 * (np.arange(PAIRS) + 0.5)
@@ -100,7 +104,7 @@ def line_width(shape: CoreShape) -> jax.Array:
 
     A square's variance along any direction is that along its side.
     """
-    return jnp.sqrt(shape.sigma**2 + shape.half_width**2 / 3)
+    return xp.sqrt(shape.sigma**2 + shape.half_width**2 / 3)
 
 
 def edge_basis(shape: CoreShape, distance: jax.Array, spread: jax.Array) -> Basis:
@@ -109,38 +113,37 @@ def edge_basis(shape: CoreShape, distance: jax.Array, spread: jax.Array) -> Basi
     spread: px^2, of the distances in each cell.
     """
     places, width = _bumps(shape)
-    blurred = jnp.sqrt(shape.sigma**2 + spread)
+    blurred = xp.sqrt(shape.sigma**2 + spread)
     pilot, line, _ = edge_and_slopes(distance, shape.angle, shape.half_width, blurred)
-    wide = jnp.sqrt(width[:, None] ** 2 + spread)
+    wide = xp.sqrt(width[:, None] ** 2 + spread)
     right, left = (_step((distance - sign * places[:, None]) / wide) for sign in (1, -1))
     reach = _TAIL * line_width(shape)
     # no Gaussian: for the spread its second derivative has to do
-    bend = -2 * distance * reach / (jnp.pi * (distance**2 + reach**2) ** 2)
-    tail = 0.5 + jnp.arctan(distance / reach) / jnp.pi + spread / 2 * bend
+    bend = -2 * distance * reach / (xp.pi * (distance**2 + reach**2) ** 2)
+    tail = 0.5 + xp.arctan(distance / reach) / xp.pi + spread / 2 * bend
     moved = line_width(shape) * line
-    even = jnp.concatenate([(right + left) / 2, tail[None], glare_edge(shape.radius, distance, spread)[None]])
-    return Basis(pilot, even, jnp.concatenate([(left - right) / 2, moved[None]]))
+    even = xp.concatenate([(right + left) / 2, tail[None], glare_edge(shape.radius, distance, spread)[None]])
+    return Basis(pilot, even, xp.concatenate([(left - right) / 2, moved[None]]))
 
 
 def glare_edge(radius: jax.Array, distance: jax.Array, spread: jax.Array) -> jax.Array:
     """Return the edge response of a Gaussian glare."""
-    return _step(distance / jnp.sqrt(radius**2 + spread))
+    return _step(distance / xp.sqrt(radius**2 + spread))
 
 
 def line_basis(shape: CoreShape, distance: jax.Array) -> Basis:
     """Return the basis as line spread functions at `distance` px, 1/px."""
     places, width = _bumps(shape)
-    normal = jax.scipy.stats.norm.pdf
 
     def line(x: jax.Array) -> jax.Array:
         return edge_and_slopes(x, shape.angle, shape.half_width, shape.sigma)[1]
 
-    pilot, moved = jax.jvp(line, (distance,), (jnp.broadcast_to(line_width(shape), distance.shape),))
-    right, left = (normal(distance, sign * places[:, None], width[:, None]) for sign in (1, -1))
+    pilot, moved = line(distance), slope_along(line, distance, line_width(shape))
+    right, left = (normal_density(distance - sign * places[:, None], width[:, None]) for sign in (1, -1))
     reach = _TAIL * line_width(shape)
-    tail = reach / (jnp.pi * (distance**2 + reach**2))
-    even = jnp.concatenate([(right + left) / 2, tail[None], normal(distance, 0.0, shape.radius)[None]])
-    return Basis(pilot, even, jnp.concatenate([(left - right) / 2, moved[None]]))
+    tail = reach / (xp.pi * (distance**2 + reach**2))
+    even = xp.concatenate([(right + left) / 2, tail[None], normal_density(distance, shape.radius)[None]])
+    return Basis(pilot, even, xp.concatenate([(left - right) / 2, moved[None]]))
 
 
 def transfer_basis(shape: CoreShape, f: jax.Array) -> Basis:
@@ -149,14 +152,14 @@ def transfer_basis(shape: CoreShape, f: jax.Array) -> Basis:
     They are the real part of P and B_k, and the imaginary part of O_k.
     """
     places, width = _bumps(shape)
-    gauss = lambda std: jnp.exp(-2 * (jnp.pi * std * f) ** 2)  # noqa: E731
+    gauss = lambda std: xp.exp(-2 * (xp.pi * std * f) ** 2)  # noqa: E731
     box = 2 * shape.half_width * f
-    pilot = gauss(shape.sigma) * jnp.sinc(box * jnp.cos(shape.angle)) * jnp.sinc(box * jnp.sin(shape.angle))
-    turn, bump = 2 * jnp.pi * f * places[:, None], gauss(width[:, None])
-    tail = jnp.exp(-2 * jnp.pi * _TAIL * line_width(shape) * jnp.abs(f))
-    moved = 2 * jnp.pi * f * line_width(shape) * pilot
-    even = jnp.concatenate([bump * jnp.cos(turn), tail[None], gauss(shape.radius)[None]])
-    return Basis(pilot, even, jnp.concatenate([bump * jnp.sin(turn), moved[None]]))
+    pilot = gauss(shape.sigma) * xp.sinc(box * xp.cos(shape.angle)) * xp.sinc(box * xp.sin(shape.angle))
+    turn, bump = 2 * xp.pi * f * places[:, None], gauss(width[:, None])
+    tail = xp.exp(-2 * xp.pi * _TAIL * line_width(shape) * xp.abs(f))
+    moved = 2 * xp.pi * f * line_width(shape) * pilot
+    even = xp.concatenate([bump * xp.cos(turn), tail[None], gauss(shape.radius)[None]])
+    return Basis(pilot, even, xp.concatenate([bump * xp.sin(turn), moved[None]]))
 
 
 def edge_response(curve: FreeCurve, distance: jax.Array) -> SampledCurve:
@@ -164,7 +167,7 @@ def edge_response(curve: FreeCurve, distance: jax.Array) -> SampledCurve:
 
     It goes from 0 on the dark side to 1 on the bright one.
     """
-    basis = edge_basis(curve.shape, distance, jnp.zeros(()))
+    basis = edge_basis(curve.shape, distance, xp.zeros(()))
     return _combined(curve, basis.pilot, basis.even - basis.pilot, basis.odd)
 
 
@@ -181,13 +184,13 @@ def transfer(curve: FreeCurve, f: jax.Array) -> tuple[SampledCurve, SampledCurve
     """
     basis = transfer_basis(curve.shape, f)
     towards = basis.even - basis.pilot
-    total = _combined(curve, basis.pilot, towards, jnp.zeros((ODD, f.size)))
+    total = _combined(curve, basis.pilot, towards, xp.zeros((ODD, f.size)))
     glare, share = basis.even[GLARE], curve.even[GLARE]
     # (M - g M_glare) / (1 - g)
     core_value = (total.value - share * glare) / (1 - share)
-    slopes = towards.at[GLARE].set(core_value - basis.pilot) / (1 - share)
-    core = SampledCurve(core_value, _std(curve, jnp.concatenate([slopes, jnp.zeros((ODD + 1, f.size))])))
-    odd = _combined(curve, jnp.zeros(f.shape), jnp.zeros((EVEN, f.size)), basis.odd)
+    slopes = changed(towards, GLARE, core_value - basis.pilot) / (1 - share)
+    core = SampledCurve(core_value, _std(curve, xp.concatenate([slopes, xp.zeros((ODD + 1, f.size))])))
+    odd = _combined(curve, xp.zeros(f.shape), xp.zeros((EVEN, f.size)), basis.odd)
     return _modulus(total, odd), _modulus(core, SampledCurve(odd.value / (1 - share), odd.std / (1 - share)))
 
 
@@ -224,45 +227,46 @@ def half_frequency(value: AnyArray, response: Callable[[jax.Array], SampledCurve
     at any frequencies. The interval in which the MTF falls through one half is divided once more, so finely that a straight
     line does for the rest.
     """
-    below = jnp.asarray(value < 0.5).at[0].set(False)
-    i, coarse = jnp.argmax(below), jnp.asarray(FREQUENCIES)
-    grid = coarse[i - 1] + (coarse[i] - coarse[i - 1]) * jnp.linspace(0, 1, _FINE)
+    below = changed(value < 0.5, 0, False)
+    i = xp.argmax(below)
+    first, last = xp.take(FREQUENCIES, i - 1, mode="wrap"), xp.take(FREQUENCIES, i)
+    grid = first + (last - first) * np.linspace(0, 1, _FINE)
     fine = response(grid)
-    k = jnp.argmax(jnp.asarray(fine.value <= 0.5).at[0].set(False))
+    k = xp.argmax(changed(fine.value <= 0.5, 0, False))
     before, after, width = fine.value[k - 1], fine.value[k], grid[1] - grid[0]
     f = grid[k - 1] + width * (before - 0.5) / (before - after)
     std = (fine.std[k - 1] + fine.std[k]) / 2 / (before - after) * width
-    return SampledCurve(jnp.where(below.any(), f, jnp.nan), jnp.where(below.any(), std, jnp.nan))
+    return SampledCurve(xp.where(below.any(), f, xp.nan), xp.where(below.any(), std, xp.nan))
 
 
 def _bumps(shape: CoreShape) -> tuple[jax.Array, jax.Array]:
     """Return the places of the right-hand bumps, and their widths, px."""
     s = line_width(shape)
-    ghosts = shape.apart + GHOST_STEP * s * jnp.arange(GHOSTS.size)
-    widths = jnp.concatenate([jnp.full(PAIRS, _WIDTH), jnp.full(GHOSTS.size, GHOST_WIDTH)])
-    return jnp.concatenate([jnp.asarray(PLACES) * s, ghosts]), widths * s
+    ghosts = shape.apart + GHOST_STEP * s * xp.arange(GHOSTS.size)
+    widths = xp.concatenate([xp.full(PAIRS, _WIDTH), xp.full(GHOSTS.size, GHOST_WIDTH)])
+    return xp.concatenate([xp.asarray(PLACES) * s, ghosts]), widths * s
 
 
 def _step(t: jax.Array) -> jax.Array:
     """Return the integral of a normal density."""
-    return (1 + jax.scipy.special.erf(t / jnp.sqrt(2.0))) / 2
+    return (1 + special.erf(t / xp.sqrt(2.0))) / 2
 
 
 def _combined(curve: FreeCurve, pilot: jax.Array, even: jax.Array, odd: jax.Array) -> SampledCurve:
     """Return a curve from its columns, with its standard deviation."""
-    columns = jnp.concatenate([even, odd, jnp.zeros((1, pilot.size))])
+    columns = xp.concatenate([even, odd, xp.zeros((1, pilot.size))])
     return SampledCurve(pilot + curve.even @ even + curve.odd @ odd, _std(curve, columns))
 
 
 def _std(curve: FreeCurve, columns: jax.Array) -> jax.Array:
     """Return the standard deviation of a sum of columns."""
-    return jnp.sqrt(jnp.maximum(jnp.sum(columns * (curve.covariance @ columns), 0), 0.0))
+    return xp.sqrt(xp.maximum(xp.sum(columns * (curve.covariance @ columns), 0), 0.0))
 
 
 def _modulus(even: SampledCurve, odd: SampledCurve) -> SampledCurve:
     """Return the modulus of a noisy complex number, without its noise."""
     power = even.value**2 - even.std**2 + odd.value**2 - odd.std**2
-    size = jnp.sqrt(jnp.maximum(power, 0.0))
-    safe = jnp.where(size > 0, size, 1.0)
-    std = jnp.hypot(even.value * even.std, odd.value * odd.std) / safe
-    return SampledCurve(size, jnp.where(size > even.std, std, jnp.hypot(even.std, odd.std)))
+    size = xp.sqrt(xp.maximum(power, 0.0))
+    safe = xp.where(size > 0, size, 1.0)
+    std = xp.hypot(even.value * even.std, odd.value * odd.std) / safe
+    return SampledCurve(size, xp.where(size > even.std, std, xp.hypot(even.std, odd.std)))

@@ -14,7 +14,7 @@ the radius is refined and joins the fit. Free glare that is not there would cost
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -34,8 +34,11 @@ from matcam.calibration.edge.free_curve import (
 )
 from matcam.calibration.edge.geometry import TERMS, EdgeCells
 from matcam.calibration.edge.maximum_likelihood import ADDED, SHIFT, EdgeModel, Noise, light_of
-from matcam.core.jax import jax, jnp
-from matcam.numerics.linalg import FLOOR, scaled_inverse
+from matcam.core.arrays import changed, each, last_of, linalg, repeated, scipy_linalg, slope_along, tuple_map, xp
+from matcam.numerics.linalg import FLOOR, lifted_inverse
+
+if TYPE_CHECKING:
+    from matcam.core.jax import jax
 
 FOUND = 25.0
 """Rise of 2 ln likelihood, 5 sigma, that glare must bring to be believed."""
@@ -103,7 +106,7 @@ class LinearFit(NamedTuple):
     @property
     def noisy(self) -> jax.Array:
         """Return weight^2 times the variance of a cell (n,)."""
-        return self.weight**2 * self.variance / jnp.maximum(self.cells.pixels, 1.0)
+        return self.weight**2 * self.variance / xp.maximum(self.cells.pixels, 1.0)
 
 
 class Structure(NamedTuple):
@@ -153,8 +156,8 @@ def linear_fit(
     state = at.state
     cells = cells._replace(distance=cells.distance + state.linear[SHIFT])
     basis = edge_basis(shape, cells.distance, cells.spread)
-    even = (basis.even - basis.pilot).at[GLARE].set(0.0).at[GHOSTS].multiply(ghost)
-    odd = basis.odd.at[GHOSTS].multiply(ghost)
+    even = changed(basis.even - basis.pilot, GLARE, 0.0)
+    even, odd = (changed(part, GHOSTS, part[GHOSTS] * ghost) for part in (even, basis.odd))
     variance = noise.variance(at.value, cells.dim)
     weight = cells.pixels / (variance + cells.pixels * (_MISFIT * (state.linear[1] - state.linear[0])) ** 2)
 
@@ -162,26 +165,33 @@ def linear_fit(
         light = light_of(linear, cells.terms)
         step = (linear[1] - linear[0]) * light.factor
         level = linear[0] + (linear[1] - linear[0]) * basis.pilot
-        levels = jnp.stack([(1 - basis.pilot) * light.factor, basis.pilot * light.factor])
-        columns = jnp.concatenate([levels, level * cells.terms, cells.terms[:ADDED], even * step, odd * step])
+        levels = xp.stack([(1 - basis.pilot) * light.factor, basis.pilot * light.factor])
+        columns = xp.concatenate([levels, level * cells.terms, cells.terms[:ADDED], even * step, odd * step])
         residual = cells.value - level * light.factor - light.addend
         return _Columns(columns, (columns * weight) @ columns.T, residual, step)
 
     used = _chosen_light(problem(state.linear), state.linear, cells, weight, basis.pilot, shape)
-    free = jnp.concatenate([used[:_LEVELS], jnp.ones(EVEN + ODD)])
+    free = xp.concatenate([used[:_LEVELS], xp.ones(EVEN + ODD)])
 
-    def solved(linear: jax.Array, _: None) -> tuple[jax.Array, tuple[jax.Array, ...]]:
+    def solved(linear: jax.Array, _: int) -> tuple[jax.Array, tuple[jax.Array, ...]]:
         columns, normal, residual, step = problem(linear)
         columns, normal = columns * free[:, None], normal * free * free[:, None]
-        inverse = scaled_inverse(normal + jnp.diag(_PRECISIONS))
+        inverse = lifted_inverse(normal + xp.diag(_PRECISIONS))
         strength = inverse @ (columns @ (weight * residual))
-        return linear.at[:_LEVELS].add(strength[:_LEVELS]), (linear, step, columns, normal, inverse, residual, strength)
+        return changed(linear, slice(_LEVELS), linear[:_LEVELS] + strength[:_LEVELS]), (
+            linear,
+            step,
+            columns,
+            normal,
+            inverse,
+            residual,
+            strength,
+        )
 
     # light is a factor: where the pilot has got it wrong, the second pass starts from the right one
-    _, passes = jax.lax.scan(solved, state.linear * used, None, length=2)
-    levels, step, columns, normal, inverse, residual, strength = (a[-1] for a in passes)
+    levels, step, columns, normal, inverse, residual, strength = last_of(solved, state.linear * used, np.arange(2))
     left = residual - strength @ columns
-    degrees = jnp.maximum((cells.pixels > 0).sum() - jnp.trace(inverse @ normal), 1.0)
+    degrees = xp.maximum((cells.pixels > 0).sum() - xp.trace(inverse @ normal), 1.0)
     return LinearFit(
         shape=shape,
         cells=cells,
@@ -209,30 +219,30 @@ def ghost_found(fit: LinearFit, known: jax.Array) -> tuple[jax.Array, jax.Array]
     """
     glare = glare_candidate(fit)
     beside = _with_glare(fit, _column(fit, glare.log_radius))
-    beside = jax.tree.map(lambda a, b: jnp.where(glare.rise > FOUND, a, b), beside, fit)
+    beside = tuple_map(lambda a, b: xp.where(glare.rise > FOUND, a, b), beside, fit)
     first = _FIRST_GHOST * line_width(fit.shape)
-    last = jnp.minimum(jnp.maximum(_LAST_GHOST * line_width(fit.shape), _FURTHEST), _GHOST_ROOM * _width(fit.cells))
-    places = jnp.linspace(first, last, _GHOST_PLACES)
+    last = xp.minimum(xp.maximum(_LAST_GHOST * line_width(fit.shape), _FURTHEST), _GHOST_ROOM * _width(fit.cells))
+    places = xp.linspace(first, last, _GHOST_PLACES)
 
     def rise(place: jax.Array) -> jax.Array:
         columns = _ghosts(beside, place)
         weighted = columns * beside.weight
         cross, score = weighted @ beside.columns.T, weighted @ beside.left
-        alone = weighted @ columns.T - cross @ beside.inverse @ cross.T + _PRIOR_GHOST**-2 * jnp.eye(len(columns))
-        return score @ jnp.linalg.solve(alone, score)
+        alone = weighted @ columns.T - cross @ beside.inverse @ cross.T + _PRIOR_GHOST**-2 * xp.eye(len(columns))
+        return score @ linalg.solve(alone, score)
 
-    rises = jax.vmap(rise)(places)
-    best = jnp.argmax(rises)
+    rises = each(rise, places)
+    best = xp.argmax(rises)
     left = (beside.chi2 - rises[best]) / beside.degrees
-    found = rises[best] > GHOST_FOUND * jnp.where(known, 1.0, jnp.maximum(left, 1.0))
+    found = rises[best] > GHOST_FOUND * xp.where(known, 1.0, xp.maximum(left, 1.0))
     return found & (first < last), places[best]
 
 
 def _with_glare(fit: LinearFit, column: jax.Array) -> LinearFit:
     """Return the fit with glare, what it is asked for by `ghost_found`."""
-    columns = fit.columns.at[_COLUMN].set(column)
+    columns = changed(fit.columns, _COLUMN, column)
     normal = (columns * fit.weight) @ columns.T
-    inverse = scaled_inverse(normal + jnp.diag(_PRECISIONS))
+    inverse = lifted_inverse(normal + xp.diag(_PRECISIONS))
     left = fit.residual - (inverse @ (columns @ (fit.weight * fit.residual))) @ columns
     return fit._replace(
         columns=columns, inverse=inverse, left=left, chi2=(fit.cells.pixels / fit.variance * left**2).sum()
@@ -242,14 +252,14 @@ def _with_glare(fit: LinearFit, column: jax.Array) -> LinearFit:
 def _ghosts(fit: LinearFit, place: jax.Array) -> jax.Array:
     """Return what ghosts of full strength would change (4, n): even pairs, odd pairs."""
     s = line_width(fit.shape)
-    at = place + GHOST_STEP * s * jnp.arange(GHOSTS.size)[:, None]
+    at = place + GHOST_STEP * s * xp.arange(GHOSTS.size)[:, None]
     right, left = (glare_edge(GHOST_WIDTH * s, fit.cells.distance - sign * at, fit.cells.spread) for sign in (1, -1))
-    return jnp.concatenate([(right + left) / 2 - fit.pilot, (left - right) / 2]) * fit.step
+    return xp.concatenate([(right + left) / 2 - fit.pilot, (left - right) / 2]) * fit.step
 
 
 def _width(cells: EdgeCells) -> jax.Array:
     """Return how far the region reaches across the edge, px."""
-    distance = jnp.where(cells.pixels > 0, cells.distance, 0.0)
+    distance = xp.where(cells.pixels > 0, cells.distance, 0.0)
     return distance.max() - distance.min()
 
 
@@ -267,83 +277,85 @@ def _chosen_light(
     that glares look alike, and neither may be taken for the other.
     """
     radii = _radii(shape)
-    unlikely = jnp.where(jnp.exp(radii) > VEIL * _width(cells), _VEIL_COST, 0.0)
-    glare = (jax.vmap(lambda r: glare_edge(jnp.exp(r), cells.distance, cells.spread))(radii) - pilot) * full.step
+    unlikely = xp.where(xp.exp(radii) > VEIL * _width(cells), _VEIL_COST, 0.0)
+    glare = (each(lambda r: glare_edge(xp.exp(r), cells.distance, cells.spread), radii) - pilot) * full.step
     score = full.columns @ (weight * full.residual)
     by_glare = (glare * weight) @ full.residual
     cross = (glare * weight) @ full.columns.T
     alone = (weight * glare**2).sum(1) + _PRIOR_GLARE**-2
-    each = jnp.log(jnp.maximum(cells.pixels.sum(), 2.0))
-    degrees = jnp.maximum((cells.pixels > 0).sum() - len(_PRECISIONS), 1.0)
+    per_parameter = xp.log(xp.maximum(cells.pixels.sum(), 2.0))
+    degrees = xp.maximum((cells.pixels > 0).sum() - len(_PRECISIONS), 1.0)
     before = (weight * full.residual**2).sum()
-    size = jnp.diagonal(full.normal) + _PRECISIONS
-    unit = jnp.where(size > 0, 1 / jnp.sqrt(jnp.where(size > 0, size, 1.0)), 0.0)
+    size = xp.diagonal(full.normal) + _PRECISIONS
+    unit = xp.where(size > 0, 1 / xp.sqrt(xp.where(size > 0, size, 1.0)), 0.0)
 
     def judged(used: jax.Array) -> tuple[jax.Array, jax.Array]:
         """Return chi2, and by how much glare lowers it."""
-        free = jnp.concatenate([used[:_LEVELS], jnp.ones(EVEN + ODD)])
+        free = xp.concatenate([used[:_LEVELS], xp.ones(EVEN + ODD)])
         # what is not free is 0: in everything linear this adds to the residual
-        given = jnp.concatenate([(linear * (1 - used))[:_LEVELS], jnp.zeros(EVEN + ODD)])
+        given = xp.concatenate([(linear * (1 - used))[:_LEVELS], xp.zeros(EVEN + ODD)])
         towards = full.normal @ given
         # in units in which the diagonal is 1; what is not free stands alone in it
-        precise = (full.normal + jnp.diag(_PRECISIONS)) * free * free[:, None] * unit * unit[:, None]
-        root = jnp.linalg.cholesky(precise + jnp.diag(jnp.where(free * unit > 0, FLOOR, 1.0)))
+        precise = (full.normal + xp.diag(_PRECISIONS)) * free * free[:, None] * unit * unit[:, None]
+        root = linalg.cholesky(precise + xp.diag(xp.where(free * unit > 0, FLOOR, 1.0)))
         mine, shared = (score + towards) * free * unit, cross * free * unit
-        solved = jax.scipy.linalg.solve_triangular(root, jnp.concatenate([mine[None], shared]).T, lower=True)
+        both = xp.concatenate([mine[None], shared]).T
+        solved = scipy_linalg.solve_triangular(root, both, lower=True, check_finite=False)
         mine, shared = solved[:, 0], solved[:, 1:]
         chi2 = before + 2 * score @ given + given @ towards - mine @ mine
         left = by_glare + cross @ given - mine @ shared
-        rise = jnp.max(jnp.maximum(left, 0.0) ** 2 / (alone - (shared**2).sum(0)) - unlikely)
-        return chi2, jnp.maximum(rise, 0.0)
+        rise = xp.max(xp.maximum(left, 0.0) ** 2 / (alone - (shared**2).sum(0)) - unlikely)
+        return chi2, xp.maximum(rise, 0.0)
 
-    lights = jnp.asarray(LIGHTS)
-    chi2, rise = jax.vmap(judged)(lights)
+    lights = xp.asarray(LIGHTS) + 0 * before  # an array of JAX where the cells are
+    chi2, rise = each(judged, lights)
     # what no light and no glare explains is as much noise as any
-    scatter = jnp.maximum(jnp.min(chi2 - rise) / degrees, 1.0)
+    scatter = xp.maximum(xp.min(chi2 - rise) / degrees, 1.0)
     chi2, rise = chi2 / scatter, rise / scatter
-    cost = chi2 + jnp.maximum(each, _LEAST_COST) * lights.sum(1) - jnp.where(rise > FOUND, rise - 2 * each, 0.0)
-    return lights[jnp.argmin(cost)]
+    cost = (
+        chi2
+        + xp.maximum(per_parameter, _LEAST_COST) * lights.sum(1)
+        - xp.where(rise > FOUND, rise - 2 * per_parameter, 0.0)
+    )
+    return lights[xp.argmin(cost)]
 
 
 def curve_without_glare(fit: LinearFit) -> FreeCurve:
     """Return the curve as it is."""
     covariance = fit.inverse @ ((fit.columns * fit.noisy) @ fit.columns.T) @ fit.inverse
-    return _per_step(fit, fit.strength, jnp.pad(covariance, ((0, 1), (0, 1))), jnp.ones(()))
+    return _per_step(fit, fit.strength, xp.pad(covariance, ((0, 1), (0, 1))), xp.ones(()))
 
 
 def glare_candidate(fit: LinearFit) -> GlareCandidate:
     """Return the likeliest glare of a row of radii."""
     radii = _radii(fit.shape)
     rises = _rises(fit, radii)
-    best = jnp.argmax(rises)
+    best = xp.argmax(rises)
     return GlareCandidate(radii[best], rises[best], radii[1] - radii[0])
 
 
 def curve_with_glare(fit: LinearFit, seen: GlareCandidate) -> FreeCurve:
-    """Return the curve with glare near a candidate.
+    """Return the curve with glare near a candidate, whose radius is one more parameter."""
 
-    The radius of the glare is one more parameter.
-    """
-
-    def refine(_: int, at: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+    def refine(at: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
         middle, width = at
-        nearby = middle + width / 2 * jnp.array([-1.0, 0.0, 1.0])
+        nearby = middle + width / 2 * xp.array([-1.0, 0.0, 1.0])
         three = _rises(fit, nearby)
         bend = three[0] - 2 * three[1] + three[2]
-        vertex = middle + width / 2 * jnp.clip((three[0] - three[2]) / jnp.where(bend < 0, 2 * bend, -1.0), -1, 1)
-        better = jnp.where(bend < 0, vertex, nearby[jnp.argmax(three)])
-        return jnp.clip(better, _narrowest(fit.shape), jnp.log(_WIDEST)), width / 2
+        vertex = middle + width / 2 * xp.clip((three[0] - three[2]) / xp.where(bend < 0, 2 * bend, -1.0), -1, 1)
+        better = xp.where(bend < 0, vertex, nearby[xp.argmax(three)])
+        return xp.clip(better, _narrowest(fit.shape), xp.log(_WIDEST)), width / 2
 
-    log_radius, _ = jax.lax.fori_loop(0, _REFINEMENTS, refine, (seen.log_radius, seen.spacing))
-    column, slope = jax.jvp(lambda r: _column(fit, r), (log_radius,), (jnp.ones(()),))
-    full = fit.columns.at[_COLUMN].set(column)
-    strength = scaled_inverse((full * fit.weight) @ full.T + jnp.diag(_PRECISIONS)) @ (
+    log_radius, _ = repeated(_REFINEMENTS, refine, (seen.log_radius, seen.spacing))
+    column, slope = _column(fit, log_radius), slope_along(lambda r: _column(fit, r), log_radius, 1.0)
+    full = changed(fit.columns, _COLUMN, column)
+    strength = lifted_inverse((full * fit.weight) @ full.T + xp.diag(_PRECISIONS)) @ (
         full @ (fit.weight * fit.residual)
     )
     # at its best already: it only takes its part of the covariance
-    full = jnp.concatenate([full, strength[_COLUMN] * slope[None]])
-    inverse = scaled_inverse((full * fit.weight) @ full.T + jnp.diag(jnp.append(_PRECISIONS, _PRIOR_RADIUS**-2)))
-    return _per_step(fit, strength, inverse @ ((full * fit.noisy) @ full.T) @ inverse, jnp.exp(log_radius))
+    full = xp.concatenate([full, strength[_COLUMN] * slope[None]])
+    inverse = lifted_inverse((full * fit.weight) @ full.T + xp.diag(xp.append(_PRECISIONS, _PRIOR_RADIUS**-2)))
+    return _per_step(fit, strength, inverse @ ((full * fit.noisy) @ full.T) @ inverse, xp.exp(log_radius))
 
 
 def _per_step(fit: LinearFit, strength: jax.Array, covariance: jax.Array, radius: jax.Array) -> FreeCurve:
@@ -354,10 +366,10 @@ def _per_step(fit: LinearFit, strength: jax.Array, covariance: jax.Array, radius
     before = fit.levels[1] - fit.levels[0]
     now = before + strength[1] - strength[0]
     relative = strength[_LEVELS:] * before / now
-    scaling = jnp.append(jnp.full(EVEN + ODD, before / now), 1.0)
-    by_step = jnp.append(relative, 0.0) / now
-    jacobian = jnp.concatenate(
-        [by_step[:, None], -by_step[:, None], jnp.zeros((EVEN + ODD + 1, _LEVELS - 2)), jnp.diag(scaling)], 1
+    scaling = xp.append(xp.full(EVEN + ODD, before / now), 1.0)
+    by_step = xp.append(relative, 0.0) / now
+    jacobian = xp.concatenate(
+        [by_step[:, None], -by_step[:, None], xp.zeros((EVEN + ODD + 1, _LEVELS - 2)), xp.diag(scaling)], 1
     )
     shape = fit.shape._replace(radius=radius)
     levels = fit.levels[:_LEVELS] + strength[:_LEVELS]
@@ -373,9 +385,9 @@ def _structure(
     """
     score = columns @ (weight * residual)
     shared = (columns * weight) @ design.T
-    absorbed = shared @ scaled_inverse((design * weight) @ design.T) @ shared.T
+    absorbed = shared @ lifted_inverse((design * weight) @ design.T) @ shared.T
     spread = inverse @ (normal - absorbed)
-    return Structure(score @ inverse @ score, jnp.trace(spread), 2 * jnp.sum(spread * spread.T))
+    return Structure(score @ inverse @ score, xp.trace(spread), 2 * xp.sum(spread * spread.T))
 
 
 def _rises(fit: LinearFit, log_radii: jax.Array) -> jax.Array:
@@ -383,26 +395,26 @@ def _rises(fit: LinearFit, log_radii: jax.Array) -> jax.Array:
 
     All else is refitted. There is no glare of negative strength.
     """
-    columns = jax.vmap(lambda r: _column(fit, r))(log_radii)
+    columns = each(lambda r: _column(fit, r), log_radii)
     weighted = columns * fit.weight
     cross = weighted @ fit.columns.T
     alone = (weighted * columns).sum(1) + _PRIOR_GLARE**-2 - ((cross @ fit.inverse) * cross).sum(1)
-    return jnp.maximum(weighted @ fit.left, 0.0) ** 2 / alone
+    return xp.maximum(weighted @ fit.left, 0.0) ** 2 / alone
 
 
 def _column(fit: LinearFit, log_radius: jax.Array) -> jax.Array:
     """Return what glare of full strength would change."""
-    return (glare_edge(jnp.exp(log_radius), fit.cells.distance, fit.cells.spread) - fit.pilot) * fit.step
+    return (glare_edge(xp.exp(log_radius), fit.cells.distance, fit.cells.spread) - fit.pilot) * fit.step
 
 
 def _narrowest(shape: CoreShape) -> jax.Array:
     """Return ln of the smallest radius that is tried, px."""
-    return jnp.log(jnp.maximum(_NARROWEST, _NARROWEST_OF_SCALE * line_width(shape)))
+    return xp.log(xp.maximum(_NARROWEST, _NARROWEST_OF_SCALE * line_width(shape)))
 
 
 def _radii(shape: CoreShape) -> jax.Array:
     """Return ln of the radii that are tried, px."""
-    return jnp.linspace(_narrowest(shape), jnp.log(_WIDEST), _CANDIDATES)
+    return xp.linspace(_narrowest(shape), xp.log(_WIDEST), _CANDIDATES)
 
 
 def _lights() -> np.ndarray:

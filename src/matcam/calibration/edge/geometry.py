@@ -11,9 +11,14 @@ nothing varies quickly, half a column is one cell.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
-from matcam.core.jax import AnyArray, jax, jnp
+import numpy as np
+
+from matcam.core.arrays import as_index, xp
+
+if TYPE_CHECKING:
+    from matcam.core.jax import AnyArray, jax
 
 CURVE = 6
 """Coefficients of an edge's curve: bow, S and more, of a lens's distortion over a long region."""
@@ -65,7 +70,7 @@ class AlignedRows(NamedTuple):
     @property
     def length(self) -> jax.Array:
         """Return the unit of the light's terms, px: the largest |y|, also of empty rows."""
-        return jnp.maximum(jnp.max(jnp.abs(self.y)), 1.0)
+        return xp.maximum(xp.max(xp.abs(self.y)), 1.0)
 
 
 class PhasedRows(NamedTuple):
@@ -110,12 +115,12 @@ class EdgeCells(NamedTuple):
 
 def edge_place(curve: jax.Array, y: AnyArray) -> jax.Array:
     """Return x0 at y, px. curve: (CURVE,) coefficients of 1, y, y^2, ..."""
-    return jnp.asarray(jnp.polyval(curve[::-1], y))
+    return xp.asarray(xp.polyval(curve[::-1], y))
 
 
 def edge_slope(curve: jax.Array, y: AnyArray) -> jax.Array:
     """Return dx0/dy at y."""
-    return edge_place(curve[1:] * jnp.arange(1, CURVE), y)
+    return edge_place(curve[1:] * xp.arange(1, CURVE), y)
 
 
 def edge_distance(curve: jax.Array, x: AnyArray, y: AnyArray) -> jax.Array:
@@ -126,15 +131,15 @@ def edge_distance(curve: jax.Array, x: AnyArray, y: AnyArray) -> jax.Array:
     normal, k e^2 t^2 c^5 / 2.
     """
     slope = edge_slope(curve, y)
-    bend = edge_place(curve[2:] * jnp.array([k * (k - 1) for k in range(2, CURVE)]), y)
-    c = 1 / jnp.sqrt(1 + slope**2)
+    bend = edge_place(curve[2:] * xp.array([k * (k - 1) for k in range(2, CURVE)]), y)
+    c = 1 / xp.sqrt(1 + slope**2)
     along = x - edge_place(curve, y)
-    return jnp.asarray(along * c - bend / 2 * (along * slope) ** 2 * c**5)
+    return xp.asarray(along * c - bend / 2 * (along * slope) ** 2 * c**5)
 
 
 def half_length(rows: Rows) -> jax.Array:
     """Return the largest |y| of a row that holds anything, px."""
-    return jnp.maximum(jnp.max(jnp.where(jnp.isfinite(rows.value).any(1), jnp.abs(rows.y), 0.0)), 1.0)
+    return xp.maximum(xp.max(xp.where(xp.isfinite(rows.value).any(1), xp.abs(rows.y), 0.0)), 1.0)
 
 
 def to_mean_slope(length: jax.Array) -> jax.Array:
@@ -142,30 +147,29 @@ def to_mean_slope(length: jax.Array) -> jax.Array:
 
     It is that of the straight line that fits the curve best over -length to length.
     """
-    return jnp.array([0.0, 1.0, 0.0, 3 / 5, 0.0, 3 / 7]) * length ** jnp.array([0.0, 0.0, 0.0, 2.0, 0.0, 4.0])
+    return xp.array([0.0, 1.0, 0.0, 3 / 5, 0.0, 3 / 7]) * length ** xp.array([0.0, 0.0, 0.0, 2.0, 0.0, 4.0])
 
 
 def legendre(t: AnyArray, terms: int) -> jax.Array:
     """Return Legendre's polynomials of t (terms, ...), which lies within -1 and 1."""
-    found = [jnp.ones_like(t), jnp.asarray(t)]
+    found = [xp.ones_like(t), xp.asarray(t)]
     for n in range(1, terms - 1):
-        found.append(jnp.asarray(((2 * n + 1) * t * found[n] - n * found[n - 1]) / (n + 1)))
-    return jnp.stack(found[:terms])
+        found.append(xp.asarray(((2 * n + 1) * t * found[n] - n * found[n - 1]) / (n + 1)))
+    return xp.stack(found[:terms])
 
 
 def aligned_rows(rows: Rows, curve: jax.Array) -> AlignedRows:
     """Shift rows so that the edge stands in the middle column."""
     width = rows.value.shape[1]
     half = width // 2
-    first = jnp.round((edge_place(curve, rows.y) - rows.start) / rows.step).astype(int) - half
-    first = jnp.clip(first, -width - half, 2 * width)
-    padded = jnp.pad(rows.value, ((0, 0), (width + half, width + 2 * half + 1)), constant_values=jnp.nan)
-    cut = jax.vmap(lambda row, start: jax.lax.dynamic_slice(row, (start,), (2 * half + 1,)))
-    value = cut(padded, first + width + half)
-    valid = jnp.isfinite(value)
-    x = rows.start[:, None] + rows.step * (first[:, None] + jnp.arange(2 * half + 1))
-    y = jnp.asarray(rows.y)
-    return AlignedRows(jnp.where(valid, value, 0.0), valid.astype(float), x, y, rows.step, jnp.ones(y.shape))
+    first = as_index(xp.round((edge_place(curve, rows.y) - rows.start) / rows.step)) - half
+    first = xp.clip(first, -width - half, 2 * width)
+    padded = xp.pad(rows.value, ((0, 0), (width + half, width + 2 * half + 1)), constant_values=xp.nan)
+    value = xp.take_along_axis(padded, (first + width + half)[:, None] + np.arange(2 * half + 1), axis=1)
+    valid = xp.isfinite(value)
+    x = rows.start[:, None] + rows.step * (first[:, None] + xp.arange(2 * half + 1))
+    y = xp.asarray(rows.y)
+    return AlignedRows(xp.where(valid, value, 0.0), valid.astype(float), x, y, rows.step, xp.ones(y.shape))
 
 
 def phased_rows(rows: AlignedRows, curve: jax.Array) -> PhasedRows:
@@ -173,8 +177,8 @@ def phased_rows(rows: AlignedRows, curve: jax.Array) -> PhasedRows:
     middle = rows.value.shape[1] // 2
     offset = (rows.x[:, middle] - edge_place(curve, rows.y)) / rows.step + 0.5
     count = _PHASES * rows.step
-    phase = jnp.clip(jnp.floor(offset * count), 0, count - 1).astype(int)
-    member = (phase == jnp.arange(count)[:, None]).astype(float)
+    phase = as_index(xp.clip(xp.floor(offset * count), 0, count - 1))
+    member = (phase == xp.arange(count)[:, None]).astype(float)
     return PhasedRows(rows, curve, edge_distance(curve, rows.x, rows.y[:, None]), member, phase)
 
 
@@ -192,17 +196,17 @@ def edge_cells(phased: PhasedRows) -> EdgeCells:
     # one product for all channels: many small ones cost three times as much
     width = near.stop - near.start
     inside = channels(near)
-    summed = (phased.member @ jnp.concatenate(inside, 1)).reshape(-1, len(inside), width).swapaxes(0, 1)
+    summed = (phased.member @ xp.concatenate(inside, 1)).reshape(-1, len(inside), width).swapaxes(0, 1)
     # two cells to a column far from the edge, upper and lower rows, for the sake of light that varies along the edge
     half = aligned.y.size // 2
     far = zip(channels(slice(None, near.start)), channels(slice(near.stop, None)), strict=True)
     outside = [[part.sum(0) for side in both for part in (side[:half], side[half:])] for both in far]
-    sums = (jnp.concatenate([i.ravel(), *o]) for i, o in zip(summed, outside, strict=True))
+    sums = (xp.concatenate([i.ravel(), *o]) for i, o in zip(summed, outside, strict=True))
     count = next(sums)
     # an empty cell stands at 0, where every model is finite; it has no weight
-    value, mean, square, dim, *terms = (total / jnp.where(count > 0, count, 1.0) for total in sums)
-    dim = jnp.where(count > 0, dim, 1.0)
-    return EdgeCells(count, value, mean, jnp.maximum(square - mean**2, 0.0), dim, jnp.stack(terms))
+    value, mean, square, dim, *terms = (total / xp.where(count > 0, count, 1.0) for total in sums)
+    dim = xp.where(count > 0, dim, 1.0)
+    return EdgeCells(count, value, mean, xp.maximum(square - mean**2, 0.0), dim, xp.stack(terms))
 
 
 def light_terms(x: AnyArray, y: AnyArray, distance: AnyArray, length: AnyArray) -> list[jax.Array]:
@@ -212,7 +216,7 @@ def light_terms(x: AnyArray, y: AnyArray, distance: AnyArray, length: AnyArray) 
     What depends on y alone has been divided out of the rows, or is too little to be seen.
     """
     d, v = distance / length, y / length
-    return [jnp.broadcast_to(t, distance.shape) for t in (x, y, d * d, d * v, d * d * d, d * d * v, d * v * v)]
+    return [xp.broadcast_to(t, distance.shape) for t in (x, y, d * d, d * v, d * d * d, d * d * v, d * v * v)]
 
 
 TERMS = 7

@@ -16,7 +16,7 @@ bow are orthogonal to everything else by symmetry, so that the two may take turn
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -30,8 +30,11 @@ from matcam.calibration.edge.geometry import (
     light_terms,
 )
 from matcam.calibration.edge.start import to_coefficients, to_strengths
-from matcam.core.jax import AnyArray, jax, jnp
-from matcam.numerics.linalg import scaled_inverse
+from matcam.core.arrays import changed, linalg, xp
+from matcam.numerics.linalg import lifted_inverse
+
+if TYPE_CHECKING:
+    from matcam.core.jax import AnyArray, jax
 
 ADDED = 4
 """Terms of the light that may be added to the scene: the first so many."""
@@ -40,7 +43,7 @@ SHIFT = 2 + TERMS + ADDED
 LINEAR = SHIFT + 1
 """Parameters that every profile has: dark, bright, light that multiplies, light that adds, shift."""
 
-Profile = Callable[[EdgeCells, jax.Array], tuple[jax.Array, jax.Array, jax.Array]]
+Profile = Callable[[EdgeCells, "jax.Array"], tuple["jax.Array", "jax.Array", "jax.Array"]]
 """(cells, parameters (k,)) -> means over the cells of E, of dE/dd, and of dE/dparameters (k, n)."""
 
 
@@ -60,7 +63,7 @@ class Noise(NamedTuple):
 
         dim: by which it was multiplied, to make the light even.
         """
-        return jnp.asarray(self.gain * jnp.maximum(value, 0.0) * dim + (self.read * dim) ** 2)
+        return xp.asarray(self.gain * xp.maximum(value, 0.0) * dim + (self.read * dim) ** 2)
 
 
 UNKNOWN_NOISE = Noise(np.float64(np.nan), np.float64(np.nan))
@@ -107,8 +110,8 @@ class Light(NamedTuple):
 
 def light_of(linear: jax.Array, terms: jax.Array) -> Light:
     """Return the light where its terms are `terms` (TERMS, ...). linear: as in `State`."""
-    factor = 1 + jnp.tensordot(linear[2 : 2 + TERMS], terms, 1)
-    return Light(factor, jnp.tensordot(linear[2 + TERMS : SHIFT], terms[:ADDED], 1))
+    factor = 1 + xp.tensordot(linear[2 : 2 + TERMS], terms, 1)
+    return Light(factor, xp.tensordot(linear[2 + TERMS : SHIFT], terms[:ADDED], 1))
 
 
 def edge_model(cells: EdgeCells, state: State, profile: Profile) -> EdgeModel:
@@ -118,9 +121,9 @@ def edge_model(cells: EdgeCells, state: State, profile: Profile) -> EdgeModel:
     light = light_of(state.linear, cells.terms)
     level = dark + (bright - dark) * edge
     step = (bright - dark) * light.factor
-    levels = jnp.stack([(1 - edge) * light.factor, edge * light.factor])
-    design = jnp.concatenate([levels, level * cells.terms, cells.terms[:ADDED], (step * line)[None]])
-    design = jnp.concatenate([design * jnp.asarray(state.used)[:, None], step * slopes])
+    levels = xp.stack([(1 - edge) * light.factor, edge * light.factor])
+    design = xp.concatenate([levels, level * cells.terms, cells.terms[:ADDED], (step * line)[None]])
+    design = xp.concatenate([design * xp.asarray(state.used)[:, None], step * slopes])
     return EdgeModel(state, level * light.factor + light.addend, edge, light.factor, design)
 
 
@@ -131,12 +134,12 @@ def scoring_step(cells: EdgeCells, state: State, profile: Profile, noise: Noise,
     """
     at = edge_model(cells, state, profile)
     weight = cells.pixels / noise.variance(at.value, cells.dim)
-    inverse = scaled_inverse((at.design * weight) @ at.design.T)
+    inverse = lifted_inverse((at.design * weight) @ at.design.T)
     change = inverse @ (at.design @ (weight * (cells.value - at.value)))
-    shift = jnp.clip(change[SHIFT], -1.0, 1.0)
+    shift = xp.clip(change[SHIFT], -1.0, 1.0)
     return state._replace(
-        linear=state.linear + change[:LINEAR].at[SHIFT].set(shift),
-        profile=state.profile + jnp.clip(change[LINEAR:], -longest, longest),
+        linear=state.linear + changed(change[:LINEAR], SHIFT, shift),
+        profile=state.profile + xp.clip(change[LINEAR:], -longest, longest),
     )
 
 
@@ -175,7 +178,7 @@ def curve_step(phased: PhasedRows, cells: EdgeCells, at: EdgeModel, noise: Noise
     size = shape[0] * shape[1]
     of_row = lambda a: a[:size].reshape(shape)[phased.phase]  # noqa: E731
     y, distance = aligned.y[:, None], phased.distance[:, near]
-    terms = jnp.stack(light_terms(aligned.x[:, near], y, distance, aligned.length))
+    terms = xp.stack(light_terms(aligned.x[:, near], y, distance, aligned.length))
     light = light_of(state.linear, terms)
     of_cell = light_of(state.linear, cells.terms)
     slope = of_row(at.design[SHIFT] / at.light) * light.factor
@@ -183,26 +186,26 @@ def curve_step(phased: PhasedRows, cells: EdgeCells, at: EdgeModel, noise: Noise
     expected = scene * light.factor + light.addend + slope * (distance - of_row(cells.distance))
     weight = aligned.valid[:, near] / noise.variance(expected, 1 / aligned.light[:, None])
     # moving the curve by +1 px along x brings the bright side c px nearer
-    tilt = 1 / jnp.sqrt(1 + edge_slope(curve, aligned.y) ** 2)
+    tilt = 1 / xp.sqrt(1 + edge_slope(curve, aligned.y) ** 2)
     by_row = -slope * tilt[:, None]
     information = (weight * by_row**2).sum(1)
     residual = aligned.valid[:, near] * (aligned.value[:, near] - expected)
     score = (weight * by_row * residual).sum(1)
     powers = legendre(aligned.y / length, CURVE)
     normal = (powers * information) @ powers.T
-    stiff = jnp.where(jnp.arange(CURVE) < _BOWS, 0.0, _STIFF**-2)
-    normal = normal + jnp.diag(stiff + 1e-9 * jnp.trace(normal) + 1e-300)
+    stiff = xp.where(xp.arange(CURVE) < _BOWS, 0.0, _STIFF**-2)
+    normal = normal + xp.diag(stiff + 1e-9 * xp.trace(normal) + 1e-300)
     covariance, change, orders = _of_seen_orders(normal, powers @ score, to_strengths(curve, length))
-    change = jnp.clip(change, -1.0, 1.0)
-    rms = jnp.sqrt((residual**2).sum() / jnp.maximum(aligned.valid[:, near].sum(), 1.0))
-    by = jax.vmap(to_coefficients, in_axes=(0, None))(jnp.eye(CURVE), length)
+    change = xp.clip(change, -1.0, 1.0)
+    rms = xp.sqrt((residual**2).sum() / xp.maximum(aligned.valid[:, near].sum(), 1.0))
+    by = xp.stack([to_coefficients(unit, length) for unit in xp.eye(CURVE)])
     # each row's own place, about the new curve
-    shift = score / jnp.where(information > 0, information, 1.0) - powers.T @ change
-    count = jnp.maximum((information > 0).sum() - orders, 1.0)
-    weight = information / jnp.maximum(information.sum(), 1e-300) * ((information > 0).sum() / count)
-    expected = (information > 0).sum() / jnp.maximum(information.sum(), 1e-300)
+    shift = score / xp.where(information > 0, information, 1.0) - powers.T @ change
+    count = xp.maximum((information > 0).sum() - orders, 1.0)
+    weight = information / xp.maximum(information.sum(), 1e-300) * ((information > 0).sum() / count)
+    expected = (information > 0).sum() / xp.maximum(information.sum(), 1e-300)
     extra = (weight * shift**2).sum() - expected
-    rough = jnp.where(extra > _CLEAR * expected * jnp.sqrt(2 / count), jnp.sqrt(jnp.maximum(extra, 0.0)), 0.0)
+    rough = xp.where(extra > _CLEAR * expected * xp.sqrt(2 / count), xp.sqrt(xp.maximum(extra, 0.0)), 0.0)
     return CurveStep(curve + to_coefficients(change, length), by.T @ covariance @ by, rms, rough)
 
 
@@ -215,12 +218,12 @@ def _of_seen_orders(
 
     normal: (CURVE, CURVE) information. score: (CURVE,) of the present `strengths`.
     """
-    free = jnp.linalg.inv(normal)
+    free = linalg.inv(normal)
     change = free @ score
     beyond = (strengths + change)[_BOWS:]
-    seen = beyond @ jnp.linalg.solve(free[_BOWS:, _BOWS:], beyond) > _BENT
+    seen = beyond @ linalg.solve(free[_BOWS:, _BOWS:], beyond) > _BENT
     # towards a course that has none of them
-    without = jnp.where(jnp.arange(CURVE) < _BOWS, 0.0, -strengths)
-    bow = jnp.zeros_like(normal).at[:_BOWS, :_BOWS].set(jnp.linalg.inv(normal[:_BOWS, :_BOWS]))
+    without = xp.where(xp.arange(CURVE) < _BOWS, 0.0, -strengths)
+    bow = xp.pad(linalg.inv(normal[:_BOWS, :_BOWS]), (0, CURVE - _BOWS))
     bowed = without + bow @ (score - normal @ without)
-    return jnp.where(seen, free, bow), jnp.where(seen, change, bowed), jnp.where(seen, CURVE, _BOWS)
+    return xp.where(seen, free, bow), xp.where(seen, change, bowed), xp.where(seen, CURVE, _BOWS)

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cache, partial
-from typing import Any, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeVar
 
 import numpy as np
 
 from matcam.calibration.edge import free_curve, free_fit, geometry, start
 from matcam.calibration.edge.doubt import Unexplained, misfit_of
 from matcam.calibration.edge.free_curve import FREQUENCIES, GHOSTS, CoreShape, FreeCurve, SampledCurve
-from matcam.calibration.edge.geometry import AlignedRows, EdgeCells, Rows
+from matcam.calibration.edge.geometry import EdgeCells, Rows
 from matcam.calibration.edge.maximum_likelihood import (
     LINEAR,
     SHIFT,
@@ -23,18 +23,18 @@ from matcam.calibration.edge.maximum_likelihood import (
     edge_model,
     scoring_step,
 )
-from matcam.calibration.edge.outliers import without_outliers
+from matcam.calibration.edge.outliers import estimated_noise, without_outliers
 from matcam.calibration.edge.profiles import Gaussian, LensAtEdge, LensModel
-from matcam.core.jax import AnyArray, Runs, jax, jit_plainly, jnp, program_folder
-from matcam.core.programs import kept_program
-from matcam.numerics.linalg import scaled_inverse
+from matcam.core import checks
+from matcam.core.arrays import changed, compiled_by_jax, either, jacobian, last_of, repeated, tuple_map, xp
+from matcam.numerics.linalg import lifted_inverse
+
+if TYPE_CHECKING:
+    from matcam.core.jax import AnyArray, jax
 
 _START = -0.5  # ln px: sigma 0.6
 _STEPS, _MODEL_STEPS = 3, 12
 _LAST_LIGHT = 3  # of `LIGHTS`, with which the edge's profile and place take their last turn
-_LEVEL_REACH = 6.0  # px from the edge: only levels and noise beyond
-_LEAST_NOISE = 1e-4  # of the step: rounding, and what no model describes
-_ROBUST, _LARGE = 4, 20.0  # rounds; of the mean square, above which a difference counts as so much
 _EXPECTED = 1.4  # chi2 per degree of freedom of some 200 cells: 4 sigma
 
 
@@ -176,7 +176,8 @@ def edge_fits(
     value, y, start, step: as in `geometry.Rows`. The parametric estimate is Gaussian. noise: NaN where it is to be
     estimated. turns: of profile and curve, each fitted while the other stays.
     """
-    return _program(_fits_of_one, "once")(value, y, start, noise, half_width, step, turns)
+    with np.errstate(all="ignore"), checks.trusted():
+        return _fits_of_one(value, y, start, noise, half_width, step, turns)
 
 
 def edge_fits_of_stack(
@@ -197,10 +198,15 @@ def edge_fits_of_stack(
     return _program(_fits_of_stack, "once" if few else "some")(values, y, start, noise, half_width, step, turns)
 
 
-@jax.jit
 def lens_fit(found: EdgeFits, half_width: AnyArray | np.float64, lens: LensModel) -> LensFit:
     """Return the parametric estimate by another family of lenses."""
-    seen = LensAtEdge(lens, found.angle, jnp.asarray(half_width))
+    with checks.trusted():
+        return _lens_fit_of(found, half_width, lens)
+
+
+@compiled_by_jax
+def _lens_fit_of(found: EdgeFits, half_width: AnyArray | np.float64, lens: LensModel) -> LensFit:
+    seen = LensAtEdge(lens, found.angle, xp.asarray(half_width))
     first = found.state._replace(profile=lens.start(found.state.profile[0]))
     fitted = _climb(found.cells, first, seen, found.noise, _MODEL_STEPS)
     tested = edge_model(found.cells, fitted, seen.profile)
@@ -212,26 +218,37 @@ def lens_fit(found: EdgeFits, half_width: AnyArray | np.float64, lens: LensModel
 
 
 @cache
-def _program(function: Callable[..., EdgeFits], runs: Runs) -> Callable[..., EdgeFits]:
+def _program(function: Callable[..., EdgeFits], runs: Literal["once", "some"]) -> Callable[..., EdgeFits]:
     """Return a compiled function, of which little or much is asked. A command keeps it: to trace it takes seconds."""
+    from matcam.core.jax import jit_plainly, program_folder
+    from matcam.core.programs import kept_program
+
     plain = jit_plainly(function, runs=runs, static=("step", "turns"))
     kept = kept_program(runs=runs, returns=EdgeFits)(function)
     return lambda *given: (plain if program_folder() is None else kept)(*given)
 
 
 def _fits_of_one(
-    value: jax.Array, y: jax.Array, start: jax.Array, noise: Noise, half_width: jax.Array, step: int, turns: int
+    value: AnyArray,
+    y: AnyArray,
+    start: AnyArray,
+    noise: Noise,
+    half_width: AnyArray | np.float64,
+    step: int,
+    turns: int,
 ) -> EdgeFits:
-    pilot = _pilot(Rows(value, y, start, step), noise, jnp.asarray(half_width), turns)
-    stage = _stage(pilot, jax.lax.cond(pilot.ghost, _with_ghost, lambda pilot: pilot.free, pilot))
+    pilot = _pilot(Rows(value, y, start, step), noise, xp.asarray(half_width), turns)
+    stage = _stage(pilot, either(pilot.ghost, _with_ghost, lambda pilot: pilot.free, pilot))
     plain = lambda fit, _: free_fit.curve_without_glare(fit)  # noqa: E731
-    curve = jax.lax.cond(stage.glares, free_fit.curve_with_glare, plain, stage.free, stage.glare)
-    return _edge_fits(stage, curve, jnp.asarray(half_width))
+    curve = either(stage.glares, free_fit.curve_with_glare, plain, stage.free, stage.glare)
+    return _edge_fits(stage, curve, xp.asarray(half_width))
 
 
 def _fits_of_stack(
     values: jax.Array, y: jax.Array, start: jax.Array, noise: Noise, half_width: jax.Array, step: int, turns: int
 ) -> EdgeFits:
+    from matcam.core.jax import jax
+
     def of_one(value: jax.Array, y: jax.Array, start: jax.Array) -> _Pilot:
         return _pilot(Rows(value, y, start, step), noise, half_width, turns)
 
@@ -240,7 +257,7 @@ def _fits_of_stack(
 
     pilots = jax.vmap(of_one)(values, y, start)
     # under vmap both sides of a condition are computed: ask once for all of them
-    frees = jax.lax.cond(jnp.any(pilots.ghost), with_ghosts, lambda pilots: pilots.free, pilots)
+    frees = jax.lax.cond(xp.any(pilots.ghost), with_ghosts, lambda pilots: pilots.free, pilots)
     stages = jax.vmap(_stage)(pilots, frees)
     found = stages.glares
 
@@ -251,13 +268,13 @@ def _fits_of_stack(
         plain, glaring = without(stages), jax.vmap(free_fit.curve_with_glare)(stages.free, stages.glare)
         return _where(found, glaring, plain)
 
-    curves = jax.lax.cond(jnp.any(found), some, without, stages)
+    curves = jax.lax.cond(xp.any(found), some, without, stages)
     return jax.vmap(lambda stage, curve: _edge_fits(stage, curve, half_width))(stages, curves)
 
 
 def _where(which: jax.Array, some: _Fits, others: _Fits) -> _Fits:
     """Return some of n fits, and others."""
-    return jax.tree.map(lambda a, b: jnp.where(which.reshape(-1, *[1] * (a.ndim - 1)), a, b), some, others)
+    return tuple_map(lambda a, b: xp.where(which.reshape(-1, *[1] * (a.ndim - 1)), a, b), some, others)
 
 
 def _pilot(rows: Rows, noise: Noise, half_width: jax.Array, rounds: int) -> _Pilot:
@@ -266,15 +283,15 @@ def _pilot(rows: Rows, noise: Noise, half_width: jax.Array, rounds: int) -> _Pil
     to_slope = geometry.to_mean_slope(length)
     first_curve, crossing = start.first_curve(rows)
     bare = geometry.aligned_rows(rows, first_curve)
-    known = ~(jnp.isnan(noise.gain) | jnp.isnan(noise.read))
-    noise = _or_estimated(noise, bare, geometry.edge_distance(first_curve, bare.x, bare.y[:, None]))
+    known = ~(xp.isnan(noise.gain) | xp.isnan(noise.read))
+    noise = estimated_noise(noise, bare, geometry.edge_distance(first_curve, bare.x, bare.y[:, None]))
     even_rows = start.in_even_rows(bare, length)
     aligned = without_outliers(even_rows, first_curve, noise)
     outliers = (even_rows.valid - aligned.valid).sum()
     dark, bright = start.side_levels(aligned)
 
     def seen_along(curve: jax.Array) -> LensAtEdge:
-        return LensAtEdge(Gaussian(), jnp.arctan(to_slope @ curve), half_width)
+        return LensAtEdge(Gaussian(), xp.arctan(to_slope @ curve), half_width)
 
     def turn(at: tuple[jax.Array, State], used: jax.Array) -> tuple[tuple[jax.Array, State], _Turn]:
         """Fit profile and levels to cells, then the curve to pixels."""
@@ -285,19 +302,18 @@ def _pilot(rows: Rows, noise: Noise, half_width: jax.Array, rounds: int) -> _Pil
         state = _climb(cells, state._replace(used=used), seen, noise, _STEPS)
         now = edge_model(cells, state, seen.profile)
         moved = curve_step(phased, cells, now, noise, length)
-        centred = state._replace(linear=state.linear.at[SHIFT].set(0.0))
+        centred = state._replace(linear=changed(state.linear, SHIFT, 0.0))
         return (moved.curve, centred), _Turn(curve, cells, now, moved)
 
-    even = jnp.asarray(free_fit.LIGHTS[0])
-    levels = jnp.zeros(even.size).at[:2].set(jnp.stack([dark.mean(), bright.mean()]))
-    first = State(levels, jnp.array([_START]), even)
+    even = free_fit.LIGHTS[0]
+    levels = xp.append(xp.stack([dark.mean(), bright.mean()]), np.zeros(even.size - 2))
+    first = State(levels, xp.array([_START]), even)
     # the last turn sees light of most orders: what it takes from the levels, the curve must not
-    uses = jnp.asarray(free_fit.LIGHTS)[jnp.where(jnp.arange(rounds) < rounds - 1, 0, _LAST_LIGHT)]
-    _, turns = jax.lax.scan(turn, (first_curve, first), uses)
-    curve, cells, at, moved = jax.tree.map(lambda a: a[-1], turns)
+    uses = free_fit.LIGHTS[np.where(np.arange(rounds) < rounds - 1, 0, _LAST_LIGHT)]
+    curve, cells, at, moved = last_of(turn, (first_curve, first), uses)
     seen = seen_along(curve)
-    one = jnp.ones(())
-    shape = CoreShape(jnp.exp(at.state.profile[0]), seen.angle, half_width, radius=one, apart=one)
+    one = xp.ones(())
+    shape = CoreShape(xp.exp(at.state.profile[0]), seen.angle, half_width, radius=one, apart=one)
     free = free_fit.linear_fit(cells, at, noise, shape)
     ghost, place = free_fit.ghost_found(free, known)
     return _Pilot(crossing, known, noise, curve, to_slope, moved, cells, at, free, ghost, place, outliers)
@@ -319,7 +335,7 @@ def _stage(pilot: _Pilot, free: free_fit.LinearFit) -> _Stage:
     candidate = free_fit.glare_candidate(free)
     # glare is judged by what is left with it
     left = (free.weight * free.left**2).sum() - candidate.rise
-    scatter = jnp.where(pilot.known, 1.0, jnp.maximum(left / free.degrees, 1.0))
+    scatter = xp.where(pilot.known, 1.0, xp.maximum(left / free.degrees, 1.0))
     return _Stage(pilot, at, free, structure, candidate, scatter)
 
 
@@ -327,12 +343,12 @@ def _edge_fits(stage: _Stage, free: FreeCurve, half_width: jax.Array) -> EdgeFit
     """Read everything off the fits."""
     pilot = stage.pilot
     # noise that was estimated from neighbours may not be all: then the cells' scatter about the free curve speaks
-    by_glare = jnp.where(stage.glares, stage.glare.rise, 0.0)
+    by_glare = xp.where(stage.glares, stage.glare.rise, 0.0)
     scatter = (stage.free.chi2 - by_glare) / stage.free.degrees
-    excess = jnp.where(scatter < _EXPECTED, 1.0, scatter)
+    excess = xp.where(scatter < _EXPECTED, 1.0, scatter)
     free = free._replace(covariance=free.covariance * excess)
     slope = pilot.to_slope @ pilot.curve
-    seen = LensAtEdge(Gaussian(), jnp.arctan(slope), half_width)
+    seen = LensAtEdge(Gaussian(), xp.arctan(slope), half_width)
     misfit = misfit_of(stage.free, free, excess)
     doubt = Unexplained(pilot.moved.roughness, misfit)
 
@@ -340,11 +356,11 @@ def _edge_fits(stage: _Stage, free: FreeCurve, half_width: jax.Array) -> EdgeFit
         total, core = free_curve.transfer(free, f)
         return doubt.of(total, f), doubt.of(core, f)
 
-    mtf, core = transfer(jnp.asarray(FREQUENCIES))
+    mtf, core = transfer(xp.asarray(FREQUENCIES))
     return EdgeFits(
         curve=pilot.curve,
         slope=slope,
-        slope_std=jnp.sqrt(excess * (pilot.to_slope @ pilot.moved.covariance @ pilot.to_slope)),
+        slope_std=xp.sqrt(excess * (pilot.to_slope @ pilot.moved.covariance @ pilot.to_slope)),
         angle=seen.angle,
         crossing=pilot.crossing,
         noise=pilot.noise,
@@ -367,45 +383,17 @@ def _edge_fits(stage: _Stage, free: FreeCurve, half_width: jax.Array) -> EdgeFit
 
 def _climb(cells: EdgeCells, state: State, seen: LensAtEdge, noise: Noise, steps: int) -> State:
     """Return the parameters after some steps of Fisher scoring."""
-    longest = jnp.array(seen.lens.longest)
+    longest = xp.array(seen.lens.longest)
     step = partial(scoring_step, cells, profile=seen.profile, noise=noise, longest=longest)
-    return jax.lax.fori_loop(0, steps, lambda _, s: step(s), state)
-
-
-def _or_estimated(known: Noise, aligned: AlignedRows, distance: jax.Array) -> Noise:
-    """Return the noise; estimate what is not known of it.
-
-    The differences of neighbours but one, on both sides of the edge, tell it: those of one colour in a picture of three.
-    """
-    # second differences: light that changes across the edge is no noise
-    difference = aligned.value[:, 4:] - 2 * aligned.value[:, 2:-2] + aligned.value[:, :-4]
-    all_three = aligned.valid[:, 4:] * aligned.valid[:, 2:-2] * aligned.valid[:, :-4]
-    away = distance[:, 2:-2]
-    far = all_three * (jnp.abs(away) > jnp.minimum(_LEVEL_REACH, 0.3 * aligned.step * aligned.value.shape[1]))
-
-    def side(part: jax.Array) -> tuple[jax.Array, jax.Array]:
-        weight = far * part
-        count = jnp.maximum(weight.sum(), 1.0)
-        power = jnp.asarray(jnp.inf)
-        for _ in range(_ROBUST):  # one hot pixel is no noise
-            power = (weight * jnp.minimum(difference**2, _LARGE * power)).sum() / count
-        return (weight * aligned.value[:, 2:-2]).sum() / count, power / 6
-
-    (low, v_low), (high, v_high) = side(away < 0), side(away > 0)
-    gain = jnp.clip((v_high - v_low) / (high - low), 0.0, v_high / jnp.maximum(high, 1e-300))
-    read2 = jnp.maximum((v_low + v_high) / 2 - gain * (low + high) / 2, 0.0) + (_LEAST_NOISE * (high - low)) ** 2
-    return Noise(
-        jnp.where(jnp.isnan(known.gain), gain, known.gain),
-        jnp.where(jnp.isnan(known.read), jnp.sqrt(read2), known.read),
-    )
+    return repeated(steps, step, state)
 
 
 def _overshoot(free: FreeCurve) -> SampledCurve:
     """Return the largest excess of the ESF over its levels."""
-    reach = jnp.linspace(1.0, 6.0, 11) * free_curve.line_width(free.shape)
-    response = free_curve.edge_response(free, jnp.concatenate([-reach[::-1], reach]))
-    excess = jnp.concatenate([-response.value[: reach.size], response.value[reach.size :] - 1])
-    most = jnp.argmax(excess)
+    reach = xp.linspace(1.0, 6.0, 11) * free_curve.line_width(free.shape)
+    response = free_curve.edge_response(free, xp.concatenate([-reach[::-1], reach]))
+    excess = xp.concatenate([-response.value[: reach.size], response.value[reach.size :] - 1])
+    most = xp.argmax(excess)
     return SampledCurve(excess[most], response.std[most])
 
 
@@ -421,16 +409,16 @@ def _lens_fit(
     """Read everything off a fitted family of lenses."""
     parameters = at.state.profile
     weight = cells.pixels / noise.variance(at.value, cells.dim)
-    covariance = excess * scaled_inverse((at.design * weight) @ at.design.T)
+    covariance = excess * lifted_inverse((at.design * weight) @ at.design.T)
     lens_covariance = covariance[LINEAR:, LINEAR:]
 
     def response(f: jax.Array) -> SampledCurve:
         value, slopes = _with_slopes(lambda p: seen.mtf(p, f), parameters)
-        std = jnp.sqrt(jnp.maximum((slopes @ lens_covariance * slopes).sum(-1), 0.0))
+        std = xp.sqrt(xp.maximum((slopes @ lens_covariance * slopes).sum(-1), 0.0))
         return doubt.of(SampledCurve(value, std), f)
 
     numbers, by = _with_slopes(seen.lens.numbers, parameters)
-    mtf = response(jnp.asarray(FREQUENCIES))
+    mtf = response(xp.asarray(FREQUENCIES))
     return LensFit(
         state=at.state,
         covariance=covariance,
@@ -447,4 +435,4 @@ def _lens_fit(
 
 def _with_slopes(function, at: jax.Array):  # type: ignore[no-untyped-def]
     """Return a function's value and its derivatives."""
-    return function(at), jax.jacfwd(function)(at)
+    return function(at), jacobian(function, at)

@@ -1,4 +1,4 @@
-"""Pixels that do not belong to an edge: hot and dead ones, dust, dirt.
+"""Noise of an edge's pixels, and pixels that do not belong to it: hot and dead ones, dust, dirt.
 
 Pixels that see the edge in one phase, in one aligned column, should read alike. One that lies far from the others of its
 group, by their own scatter and by the noise, is left out. That needs no model of the edge.
@@ -6,13 +6,21 @@ group, by their own scatter and by the noise, is left out. That needs no model o
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from matcam.calibration.edge.geometry import AlignedRows, phased_rows
 from matcam.calibration.edge.maximum_likelihood import Noise
 from matcam.calibration.edge.start import side_levels
-from matcam.core.jax import jax, jnp
+from matcam.core.arrays import repeated, xp
+
+if TYPE_CHECKING:
+    from matcam.core.jax import jax
 
 _FAR = 6.0  # standard deviations: once in 5e8 pixels
 _ROUNDS = 2
+_LEVEL_REACH = 6.0  # px from the edge: only levels and noise beyond
+_LEAST_NOISE = 1e-4  # of the step: rounding, and what no model describes
+_ROBUST, _LARGE = 4, 20.0  # rounds; of the mean square, above which a difference counts as so much
 _OTHERS = 3  # least number of pixels that one is compared with
 
 
@@ -22,29 +30,57 @@ def without_outliers(aligned: AlignedRows, curve: jax.Array, noise: Noise) -> Al
     member, columns = phased.member, aligned.value.shape[1]
     dark, bright = side_levels(aligned)
     level = (dark + bright) / 2
-    level = jnp.where(level > 0, level / jnp.maximum(level.mean(), 1e-300), 1.0)[:, None]
+    level = xp.where(level > 0, level / xp.maximum(level.mean(), 1e-300), 1.0)[:, None]
     value = aligned.value / level
     variance = noise.variance(aligned.value, 1 / aligned.light[:, None]) / level**2
 
-    def again(_: int, valid: jax.Array) -> jax.Array:
+    def again(valid: jax.Array) -> jax.Array:
         def summed(*quantities: jax.Array) -> tuple[jax.Array, ...]:
-            sums = member @ jnp.concatenate([valid * q for q in quantities], 1)
+            sums = member @ xp.concatenate([valid * q for q in quantities], 1)
             return tuple(sums[:, i * columns : (i + 1) * columns] for i in range(len(quantities)))
 
-        count, total, apart = summed(jnp.ones_like(value), value, phased.distance)
-        some = jnp.maximum(count, 1.0)
+        count, total, apart = summed(xp.ones_like(value), value, phased.distance)
+        some = xp.maximum(count, 1.0)
         mean = total / some
         # within a group the distances differ by an eighth of a px
         ends = (count[:, 2:] > 0) & (count[:, :-2] > 0)
-        slope = jnp.pad(jnp.where(ends, (mean[:, 2:] - mean[:, :-2]) / (2 * aligned.step), 0.0), ((0, 0), (1, 1)))
+        slope = xp.pad(xp.where(ends, (mean[:, 2:] - mean[:, :-2]) / (2 * aligned.step), 0.0), ((0, 0), (1, 1)))
         of = lambda a: a[phased.phase]  # noqa: E731
         off = value - of(mean) - of(slope) * (phased.distance - of(apart / some))
         first, second = summed(off, off**2)
-        others = jnp.maximum(of(count) - 1, 1.0)
+        others = xp.maximum(of(count) - 1, 1.0)
         middle = (of(first) - off) / others
-        scatter = jnp.maximum((of(second) - off**2) / others - middle**2, variance)
+        scatter = xp.maximum((of(second) - off**2) / others - middle**2, variance)
         far = (off - middle) ** 2 > _FAR**2 * scatter * (1 + 1 / others)
         return valid * ~(far & (of(count) > _OTHERS))
 
-    valid = jax.lax.fori_loop(0, _ROUNDS, again, aligned.valid)
+    valid = repeated(_ROUNDS, again, aligned.valid)
     return aligned._replace(valid=valid, value=aligned.value * valid)
+
+
+def estimated_noise(known: Noise, aligned: AlignedRows, distance: jax.Array) -> Noise:
+    """Return the noise; estimate what is not known of it.
+
+    The differences of neighbours but one, on both sides of the edge, tell it: those of one colour in a picture of three.
+    """
+    # second differences: light that changes across the edge is no noise
+    difference = aligned.value[:, 4:] - 2 * aligned.value[:, 2:-2] + aligned.value[:, :-4]
+    all_three = aligned.valid[:, 4:] * aligned.valid[:, 2:-2] * aligned.valid[:, :-4]
+    away = distance[:, 2:-2]
+    far = all_three * (xp.abs(away) > xp.minimum(_LEVEL_REACH, 0.3 * aligned.step * aligned.value.shape[1]))
+
+    def side(part: jax.Array) -> tuple[jax.Array, jax.Array]:
+        weight = far * part
+        count = xp.maximum(weight.sum(), 1.0)
+        power = xp.asarray(xp.inf)
+        for _ in range(_ROBUST):  # one hot pixel is no noise
+            power = (weight * xp.minimum(difference**2, _LARGE * power)).sum() / count
+        return (weight * aligned.value[:, 2:-2]).sum() / count, power / 6
+
+    (low, v_low), (high, v_high) = side(away < 0), side(away > 0)
+    gain = xp.clip((v_high - v_low) / (high - low), 0.0, v_high / xp.maximum(high, 1e-300))
+    read2 = xp.maximum((v_low + v_high) / 2 - gain * (low + high) / 2, 0.0) + (_LEAST_NOISE * (high - low)) ** 2
+    return Noise(
+        xp.where(xp.isnan(known.gain), gain, known.gain),
+        xp.where(xp.isnan(known.read), xp.sqrt(read2), known.read),
+    )

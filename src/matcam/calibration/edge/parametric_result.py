@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 import numpy as np
 
@@ -11,10 +11,13 @@ from matcam.calibration.edge.free_curve import SampledCurve
 from matcam.calibration.edge.measurement import LensFit
 from matcam.calibration.edge.profiles import LensModel
 from matcam.camera.camera import Camera
+from matcam.camera.parameters import Provenance, Uncertainty
 from matcam.camera.pixel import BoxPixel
-from matcam.camera.profile import Provenance, Uncertainty
+from matcam.core.arrays import xp
 from matcam.core.io import plain
-from matcam.core.jax import AnyArray, jnp
+
+if TYPE_CHECKING:
+    from matcam.core.jax import AnyArray
 
 _WRONG = 1e-3  # probability below which a model is called wrong
 
@@ -79,7 +82,7 @@ class ParametricEdge(_LensNumbers[float]):
     def camera(self) -> Camera:
         """Return the fitted camera, with its covariance."""
         return Camera(
-            self.lens.optics(jnp.asarray(self.fitted)),
+            self.lens.optics(xp.asarray(self.fitted)),
             BoxPixel(self.half_width),
             uncertainty=Uncertainty(self.names, self.covariance),
             provenance=Provenance(source=f"slanted edge, {self.model} model"),

@@ -32,7 +32,7 @@ from matcam.calibration.photograph.slight_sharpening import (
     noise_gain,
     noise_score,
 )
-from matcam.core.jax import FloatArray, jax
+from matcam.core.arrays import FloatArray, tuple_map
 from matcam.core.remark import Remark
 
 _REACH, _MORE = 3.0, 2.0  # of the blur, px: beyond both a side is flat
@@ -75,7 +75,7 @@ def with_traces(stack: EdgeStack, regions: Iterable[EdgeRegions]) -> EdgeStack:
     first = 0
     for rows in regions:
         part = slice(first, first + len(rows.value))
-        clear = clearance(jax.tree.map(lambda a: a[part], stack.fits), rows)  # noqa: B023
+        clear = clearance(tuple_map(lambda a: a[part], stack.fits), rows)  # noqa: B023
         for k in range(len(rows.value)):
             i = first + k
             if stack.problems[i] is None:
@@ -155,7 +155,7 @@ def _veiled(stack: EdgeStack, i: int, width: float) -> tuple[Remark | None, floa
 
 def _ghost(stack: EdgeStack, i: int) -> Remark | None:
     """Return that there is a second, weaker edge, which is part of what was measured."""
-    ghost = ghost_of(jax.tree.map(lambda a: a[i], stack.fits.free))
+    ghost = ghost_of(tuple_map(lambda a: a[i], stack.fits.free))
     if ghost.share < max(_GHOST, _SURE_GHOST * ghost.std):
         return None
     side = "bright" if ghost.bright else "dark"
@@ -219,7 +219,7 @@ def _slightly_sharpened(
     if apart < APART:  # 1 in 50 of slightly sharpened pictures; it spares half of all others the fits
         return []
     gain = noise_gain(apart, int(sides[0].sum() + sides[1].sum()))
-    edge = _bare(jax.tree.map(lambda a: np.asarray(a)[i], stack.fits))
+    edge = _bare(tuple_map(lambda a: np.asarray(a)[i], stack.fits))
     gain += edge_gain(edge)
     if gain < needed_gain(edge.blur):
         return []

@@ -13,9 +13,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from functools import lru_cache
-from typing import NamedTuple
-
-import equinox as eqx
+from typing import TYPE_CHECKING, NamedTuple
 
 from matcam.calibration.edge.geometry import EdgeCells
 from matcam.calibration.edge.maximum_likelihood import Profile
@@ -26,7 +24,11 @@ from matcam.camera.optics.halo import HaloOptics
 from matcam.camera.optics.optics import Optics
 from matcam.camera.optics.pupil import DefocusOptics, DiffractionOptics
 from matcam.camera.pixel import BoxPixel
-from matcam.core.jax import jax, jnp
+from matcam.core.arrays import changed, fft, jacobian, xp
+from matcam.core.arrays.module import Module
+
+if TYPE_CHECKING:
+    from matcam.core.jax import jax
 
 _PERIOD = 512  # px: the table repeats after it; a 1/d^2 tail then adds 1e-6 of the step
 _PER_PX = 16
@@ -35,7 +37,7 @@ KURTOSIS = 0.02
 """Standard deviation of the core's excess kurtosis about 0: what is believed of a lens that is called Gaussian."""
 
 
-class LensModel(eqx.Module):
+class LensModel(Module):
     """Stand for a family of lenses.
 
     Its fitted parameters have forms that need no bounds.
@@ -124,11 +126,11 @@ class Gaussian(LensModel):
 
     def numbers(self, parameters: jax.Array) -> jax.Array:
         """Return sigma, px."""
-        return jnp.exp(parameters)
+        return xp.exp(parameters)
 
     def optics(self, parameters: jax.Array) -> Optics:
         """Return `GaussianOptics`."""
-        return GaussianOptics(jnp.exp(parameters[0]))
+        return GaussianOptics(xp.exp(parameters[0]))
 
     def profile(self, angle: jax.Array, half_width: jax.Array) -> Profile:
         """Return a closed form.
@@ -166,11 +168,11 @@ class GaussianWithHalo(LensModel):
 
     def start(self, log_sigma: jax.Array) -> jax.Array:
         """Return a little glare, well beyond the core."""
-        return jnp.stack([log_sigma - 0.03, jnp.asarray(0.03), jnp.maximum(log_sigma + 1.5, jnp.log(12.0))])
+        return xp.stack([log_sigma - 0.03, xp.asarray(0.03), xp.maximum(log_sigma + 1.5, xp.log(12.0))])
 
     def numbers(self, parameters: jax.Array) -> jax.Array:
         """Return sigma px, fraction, radius px."""
-        return jnp.stack([jnp.exp(parameters[0]), parameters[1], jnp.exp(parameters[2])])
+        return xp.stack([xp.exp(parameters[0]), parameters[1], xp.exp(parameters[2])])
 
     def optics(self, parameters: jax.Array) -> Optics:
         """Return `HaloOptics` round `GaussianOptics`."""
@@ -185,7 +187,7 @@ class GaussianWithHalo(LensModel):
             halo = _gaussian_edge(cells, angle, half_width, parameters[2])
             fraction = parameters[1]
             edge, line = ((1 - fraction) * c + fraction * h for c, h in zip(core[:2], halo[:2], strict=True))
-            return edge, line, jnp.stack([(1 - fraction) * core[2], halo[0] - core[0], fraction * halo[2]])
+            return edge, line, xp.stack([(1 - fraction) * core[2], halo[0] - core[0], fraction * halo[2]])
 
         return profile
 
@@ -216,15 +218,15 @@ class Diffraction(LensModel):
 
         Its sigma is 0.45 wavelength f_number.
         """
-        return (log_sigma - jnp.log(0.45 * self.wavelength / self.pixel_pitch))[None]
+        return (log_sigma - xp.log(0.45 * self.wavelength / self.pixel_pitch))[None]
 
     def numbers(self, parameters: jax.Array) -> jax.Array:
         """Return the f-number."""
-        return jnp.exp(parameters)
+        return xp.exp(parameters)
 
     def optics(self, parameters: jax.Array) -> Optics:
         """Return `DiffractionOptics`."""
-        return DiffractionOptics(jnp.exp(parameters[0]), self.wavelength, self.pixel_pitch)
+        return DiffractionOptics(xp.exp(parameters[0]), self.wavelength, self.pixel_pitch)
 
 
 class Defocus(LensModel):
@@ -253,12 +255,12 @@ class Defocus(LensModel):
 
         A disc of diameter c has that of a Gaussian of c / 4.
         """
-        sigma = jnp.exp(log_sigma) / jnp.sqrt(2.0)
-        return jnp.stack([jnp.log(sigma) - jnp.log(0.45 * self.wavelength / self.pixel_pitch), 4 * sigma])
+        sigma = xp.exp(log_sigma) / xp.sqrt(2.0)
+        return xp.stack([xp.log(sigma) - xp.log(0.45 * self.wavelength / self.pixel_pitch), 4 * sigma])
 
     def numbers(self, parameters: jax.Array) -> jax.Array:
         """Return f-number and blur_diameter px (its sign means nothing)."""
-        return jnp.stack([jnp.exp(parameters[0]), jnp.abs(parameters[1])])
+        return xp.stack([xp.exp(parameters[0]), xp.abs(parameters[1])])
 
     def optics(self, parameters: jax.Array) -> Optics:
         """Return `DefocusOptics`."""
@@ -299,30 +301,30 @@ class Separable(LensModel):
 
     def start(self, log_sigma: jax.Array) -> jax.Array:
         """Return a pixel that is nearly full, and a Gaussian core."""
-        half = jnp.full_like(log_sigma, 0.42)
-        return jnp.stack([jnp.log(jnp.exp(2 * log_sigma) + half**2 / 3) / 2, half, jnp.zeros_like(half)])
+        half = xp.full_like(log_sigma, 0.42)
+        return xp.stack([xp.log(xp.exp(2 * log_sigma) + half**2 / 3) / 2, half, xp.zeros_like(half)])
 
     def numbers(self, parameters: jax.Array) -> jax.Array:
         """Return sigma px, half width px, kurtosis."""
-        return parameters.at[0].set(jnp.sqrt(_variance(parameters)))
+        return changed(parameters, 0, xp.sqrt(_variance(parameters)))
 
     def optics(self, parameters: jax.Array) -> Optics:
         """Return the core alone, as a Gaussian."""
-        return GaussianOptics(jnp.sqrt(_variance(parameters)))
+        return GaussianOptics(xp.sqrt(_variance(parameters)))
 
     def mtf(self, parameters: jax.Array, f: jax.Array, angle: jax.Array, half_width: jax.Array) -> jax.Array:
         """Return the total MTF at f cycles/px, signed.
 
         The half width is the fitted one, not the argument.
         """
-        s2 = (2 * jnp.pi * f) ** 2 * _variance(parameters)
+        s2 = (2 * xp.pi * f) ** 2 * _variance(parameters)
         # Gram and Charlier's first term; a fourth cumulant in the exponent would grow without bound
-        core = jnp.exp(-s2 / 2) * (1 + parameters[2] * s2**2 / 24)
+        core = xp.exp(-s2 / 2) * (1 + parameters[2] * s2**2 / 24)
         there = self.f_number > 0
-        lens = DiffractionOptics(jnp.where(there, self.f_number, 1.0), self.wavelength, self.pixel_pitch)
+        lens = DiffractionOptics(xp.where(there, self.f_number, 1.0), self.wavelength, self.pixel_pitch)
         pixel = BoxPixel(parameters[1])
-        box = pixel.mtf(f * jnp.cos(angle)) * pixel.mtf(f * jnp.sin(angle))
-        return core * jnp.where(there, lens.mtf(f), 1.0) * box
+        box = pixel.mtf(f * xp.cos(angle)) * pixel.mtf(f * xp.sin(angle))
+        return core * xp.where(there, lens.mtf(f), 1.0) * box
 
 
 @lru_cache
@@ -333,15 +335,15 @@ def lens_model(name: str, wavelength: float | None, pixel_pitch: float | None) -
     if name == "halo":
         return GaussianWithHalo()
     family = {"diffraction": Diffraction, "defocus": Defocus}[name]
-    return family(jnp.asarray(wavelength, float), jnp.asarray(pixel_pitch, float))
+    return family(xp.asarray(wavelength, float), xp.asarray(pixel_pitch, float))
 
 
 def _gaussian_edge(
     cells: EdgeCells, angle: jax.Array, half_width: jax.Array, log_sigma: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Return E, dE/dd and dE/dln(sigma) of a Gaussian lens."""
-    sigma = jnp.exp(log_sigma)
-    wide = jnp.sqrt(sigma**2 + cells.spread)
+    sigma = xp.exp(log_sigma)
+    wide = xp.sqrt(sigma**2 + cells.spread)
     edge, line, by_wide = edge_and_slopes(cells.distance, angle, half_width, wide)
     return edge, line, by_wide * sigma**2 / wide
 
@@ -354,18 +356,18 @@ def _tabulated(
     They come from one table over a period.
     """
     count = _PERIOD * _PER_PX
-    f = jnp.arange(count // 2 + 1) / _PERIOD
+    f = xp.arange(count // 2 + 1) / _PERIOD
 
     def table(parameters: jax.Array) -> tuple[jax.Array, jax.Array]:
         """Return E less its ramp, and dE/dd, every sixteenth px."""
         total = lens.mtf(parameters, f, angle, half_width)
-        line = jnp.fft.irfft(total, count) * _PER_PX
-        wave = jnp.where(f > 0, total / (2j * jnp.pi * jnp.where(f > 0, f, 1.0)), 0.0)
-        return jnp.fft.irfft(wave, count) * _PER_PX, line
+        line = fft.irfft(total, count) * _PER_PX
+        wave = xp.where(f > 0, total / (2j * xp.pi * xp.where(f > 0, f, 1.0)), 0.0)
+        return fft.irfft(wave, count) * _PER_PX, line
 
-    half = jnp.sqrt(cells.spread)
-    position = jnp.stack([cells.distance - half, cells.distance + half]) * _PER_PX
-    left = jnp.floor(position).astype(int)
+    half = xp.sqrt(cells.spread)
+    position = xp.stack([cells.distance - half, cells.distance + half]) * _PER_PX
+    left = xp.floor(position).astype(int)
     t = position - left
     left, right = left % count, (left + 1) % count
 
@@ -376,11 +378,11 @@ def _tabulated(
         cubic = a + (b - a) * t**2 * (3 - 2 * t) + t * (1 - t) * (slopes[left] * (1 - t) - slopes[right] * t)
         return cubic.mean(0)
 
-    (edge, line), (edge_by, line_by) = table(parameters), jax.jacfwd(table)(parameters)
+    (edge, line), (edge_by, line_by) = table(parameters), jacobian(table, parameters)
     ramp = 0.5 + cells.distance / _PERIOD
     level = line - 1 / _PERIOD
     slope = (line[left] * (1 - t) + line[right] * t).mean(0)
-    by = jax.vmap(over_cells, in_axes=-1)(edge_by, line_by)
+    by = xp.stack([over_cells(edge_by[..., k], line_by[..., k]) for k in range(parameters.size)])
     return ramp + over_cells(edge, level), slope, by
 
 
@@ -389,4 +391,4 @@ def _variance(parameters: jax.Array) -> jax.Array:
 
     A square's along any direction is a third of its half width's square.
     """
-    return jnp.maximum(jnp.exp(2 * parameters[0]) - parameters[1] ** 2 / 3, _NARROWEST**2)
+    return xp.maximum(xp.exp(2 * parameters[0]) - parameters[1] ** 2 / 3, _NARROWEST**2)

@@ -6,6 +6,8 @@ that falls by half along the edge, or a shadow across it, moves nothing.
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from matcam.calibration.edge.geometry import (
@@ -17,7 +19,10 @@ from matcam.calibration.edge.geometry import (
     half_length,
     legendre,
 )
-from matcam.core.jax import AnyArray, jax, jnp
+from matcam.core.arrays import linalg, repeated, scipy_linalg, xp
+
+if TYPE_CHECKING:
+    from matcam.core.jax import AnyArray, jax
 
 _REACH = 8  # px to both sides of the edge in which its position in a row is read
 _MARGIN = 3  # px to the border within which an edge does not count as crossing a row
@@ -41,12 +46,12 @@ def first_curve(rows: Rows) -> tuple[jax.Array, jax.Array]:
     found, weight = _largest_steps(rows)
     crossing = weight
 
-    def closer(_: int, at: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+    def closer(at: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
         line = _polynomial(rows.y, found, at[1], 2, length)
-        off = jnp.abs(found - edge_place(line, rows.y))
-        return line, crossing * (off < _OUTLIER + (at[1] * off).sum() / jnp.maximum(at[1].sum(), 1))
+        off = xp.abs(found - edge_place(line, rows.y))
+        return line, crossing * (off < _OUTLIER + (at[1] * off).sum() / xp.maximum(at[1].sum(), 1))
 
-    curve, _ = jax.lax.fori_loop(0, _ROUNDS, closer, (jnp.zeros(CURVE), crossing))
+    curve, _ = repeated(_ROUNDS, closer, (xp.zeros(CURVE), crossing))
     aligned = in_even_rows(aligned_rows(rows, curve), length)
     middle, reach = aligned.value.shape[1] // 2, _REACH // rows.step
     near = slice(max(middle - reach, 0), middle + reach + 1)
@@ -55,14 +60,14 @@ def first_curve(rows: Rows) -> tuple[jax.Array, jax.Array]:
     span, there = aligned.value[:, near], aligned.valid[:, near]
     x = aligned.x[:, near]
     bright = (there * (span - low[:, None])).sum(1) / (high - low) * rows.step
-    last = jnp.max(jnp.where(there > 0, x, -jnp.inf), axis=1)
-    found = jnp.where(there.sum(1) > 0, last, 0.0) + rows.step / 2 - bright
+    last = xp.max(xp.where(there > 0, x, -xp.inf), axis=1)
+    found = xp.where(there.sum(1) > 0, last, 0.0) + rows.step / 2 - bright
     margin = _MARGIN * rows.step
     place = edge_place(curve, rows.y)
-    first = jnp.min(jnp.where(there > 0, x, jnp.inf), axis=1)
+    first = xp.min(xp.where(there > 0, x, xp.inf), axis=1)
     gaps = (there.sum(1) - 1) * rows.step < last - first
     whole = (first <= place - margin) & (last >= place + margin) & ~gaps
-    off = jnp.abs(found - place)
+    off = xp.abs(found - place)
     weight = (whole & (off < _REACH / 2)).astype(float)
     return _polynomial(rows.y, found, weight, CURVE, length), whole.sum()
 
@@ -72,7 +77,7 @@ def side_levels(aligned: AlignedRows) -> tuple[jax.Array, jax.Array]:
 
     They are lines in y. Light changes little at this distance, and the blur is over.
     """
-    length = jnp.max(jnp.abs(aligned.y))
+    length = xp.max(xp.abs(aligned.y))
 
     def line(mean: jax.Array, count: jax.Array) -> jax.Array:
         return edge_place(_polynomial(aligned.y, mean, count, 2, length), aligned.y)
@@ -89,24 +94,22 @@ def in_even_rows(aligned: AlignedRows, length: jax.Array) -> AlignedRows:
     """
     (low, dark), (high, bright) = _sides(aligned)
     weight = ((dark > 0) & (bright > 0)).astype(float)
-    level = jnp.where(weight > 0, (low + high) / 2, 0.0)
+    level = xp.where(weight > 0, (low + high) / 2, 0.0)
     powers = legendre(aligned.y / length, _LIGHT + 1)
-    normal = (powers * weight) @ powers.T + 1e-9 * jnp.eye(_LIGHT + 1)
-    root = jnp.linalg.cholesky(normal)
+    normal = (powers * weight) @ powers.T + 1e-9 * xp.eye(_LIGHT + 1)
+    root = linalg.cholesky(normal)
     # the part of each order that lower ones do not have: a row of `own` is orthogonal to those above it
-    own = jax.scipy.linalg.solve_triangular(root, powers, lower=True)
+    own = scipy_linalg.solve_triangular(root, powers, lower=True, check_finite=False)
     share = own @ (weight * level)
-    count = jnp.maximum(weight.sum(), 2.0)
-    left = jnp.maximum((weight * level**2).sum() - jnp.cumsum(share**2), 1e-12 * (weight * level**2).sum() + 1e-300)
-    order = jnp.arange(_LIGHT + 1)
-    cost = jnp.where(
-        (order >= 1) & (order <= count / 6), count * jnp.log(left / count) + order * jnp.log(count), jnp.inf
-    )
-    best = jnp.maximum(jnp.argmin(cost), 1)
+    count = xp.maximum(weight.sum(), 2.0)
+    left = xp.maximum((weight * level**2).sum() - xp.cumsum(share**2), 1e-12 * (weight * level**2).sum() + 1e-300)
+    order = xp.arange(_LIGHT + 1)
+    cost = xp.where((order >= 1) & (order <= count / 6), count * xp.log(left / count) + order * xp.log(count), xp.inf)
+    best = xp.maximum(xp.argmin(cost), 1)
     line = share[:2] @ own[:2]
     full = (share * (order <= best)) @ own
-    light = jnp.where((best > 1) & (line > 0), full / jnp.where(line > 0, line, 1.0), 1.0)
-    light = jnp.clip(light, _FAINTEST, 1 / _FAINTEST)
+    light = xp.where((best > 1) & (line > 0), full / xp.where(line > 0, line, 1.0), 1.0)
+    light = xp.clip(light, _FAINTEST, 1 / _FAINTEST)
     return aligned._replace(value=aligned.value / light[:, None], light=light)
 
 
@@ -117,7 +120,7 @@ def _sides(aligned: AlignedRows) -> tuple[tuple[jax.Array, jax.Array], tuple[jax
 
     def mean(part: slice) -> tuple[jax.Array, jax.Array]:
         count = aligned.valid[:, part].sum(1)
-        return (aligned.valid[:, part] * aligned.value[:, part]).sum(1) / jnp.maximum(count, 1.0), count
+        return (aligned.valid[:, part] * aligned.value[:, part]).sum(1) / xp.maximum(count, 1.0), count
 
     return mean(slice(max(middle - outer, 0), middle - reach // 2)), mean(
         slice(middle + reach // 2 + 1, middle + outer + 1)
@@ -128,48 +131,49 @@ def _largest_steps(rows: Rows) -> tuple[jax.Array, jax.Array]:
     """Return where each row steps up most (rows,), px, and a weight: 1 where it does, 0 where it shows no edge."""
     width = rows.value.shape[1]
     reach = max(min(_REACH // rows.step, width // 4), _NARROW)
-    there = jnp.isfinite(rows.value)
+    there = xp.isfinite(rows.value)
     # between columns k - 1 and k: the window to its right less that to its left, cut at the borders
 
     def windows(a: jax.Array) -> tuple[jax.Array, jax.Array]:
-        ends = ((0, 0), (reach, reach))
-        total = jax.lax.reduce_window(a, 0.0, jax.lax.add, (1, reach), (1, 1), ends)
+        padded = xp.pad(a, ((0, 0), (reach, reach)))
+        total = sum(padded[:, k : k + width + reach + 1] for k in range(reach))
         return total[:, 1:width], total[:, reach + 1 : reach + width]
 
     before, after = windows(there.astype(float))
     dark, bright = (
-        total / jnp.maximum(count, 1.0)
-        for total, count in zip(windows(jnp.where(there, rows.value, 0.0)), (before, after), strict=True)
+        total / xp.maximum(count, 1.0)
+        for total, count in zip(windows(xp.where(there, rows.value, 0.0)), (before, after), strict=True)
     )
     # means of fewer samples scatter more
-    sure = 2 / (1 / jnp.maximum(before, 1e-9) + 1 / jnp.maximum(after, 1e-9))
+    sure = 2 / (1 / xp.maximum(before, 1e-9) + 1 / xp.maximum(after, 1e-9))
     enough = (before >= _MARGIN) & (after >= _MARGIN)
-    step = jnp.where(enough, (bright - dark) * jnp.sqrt(sure), -jnp.inf)
-    best = jnp.argmax(step, axis=1)
-    at = lambda a: jnp.take_along_axis(a, best[:, None], axis=1)[:, 0]  # noqa: E731
-    size = (at(bright) - at(dark)) / jnp.maximum(jnp.abs(at(bright)) + jnp.abs(at(dark)), 1e-300)
-    shown = jnp.isfinite(at(step)) & (size > 0)
-    usual = jnp.nanmedian(jnp.where(shown, size, jnp.nan))
+    step = xp.where(enough, (bright - dark) * xp.sqrt(sure), -xp.inf)
+    best = xp.argmax(step, axis=1)
+    at = lambda a: xp.take_along_axis(a, best[:, None], axis=1)[:, 0]  # noqa: E731
+    size = (at(bright) - at(dark)) / xp.maximum(xp.abs(at(bright)) + xp.abs(at(dark)), 1e-300)
+    shown = xp.isfinite(at(step)) & (size > 0)
+    some = shown.any()
+    usual = xp.where(some, xp.nanmedian(xp.where(shown | ~some, size, xp.nan)), xp.nan)
     place = rows.start + (best + 0.5) * rows.step
-    return jnp.asarray(place), (shown & (size > _WEAK * usual)).astype(float)
+    return xp.asarray(place), (shown & (size > _WEAK * usual)).astype(float)
 
 
 def _polynomial(y: AnyArray, x: AnyArray, weight: jax.Array, terms: int, length: jax.Array) -> jax.Array:
     """Return coefficients (CURVE,) of a weighted polynomial fit x(y), the last ones 0."""
     powers = legendre(y / length, terms)
-    stiff = jnp.where(jnp.arange(terms) < 3, 1e-9, _STIFF)
-    found = jnp.linalg.solve((powers * weight) @ powers.T + jnp.diag(stiff), (powers * weight) @ x)
+    stiff = xp.where(xp.arange(terms) < 3, 1e-9, _STIFF)
+    found = linalg.solve((powers * weight) @ powers.T + xp.diag(stiff), (powers * weight) @ x)
     return to_coefficients(found, length)
 
 
 def to_coefficients(strengths: jax.Array, length: jax.Array) -> jax.Array:
     """Return the coefficients (CURVE,) of powers of y from those of Legendre's polynomials of y / length."""
-    return jnp.pad(strengths, (0, CURVE - strengths.size)) @ _TO_POWERS / length ** jnp.arange(CURVE)
+    return xp.pad(strengths, (0, CURVE - strengths.size)) @ _TO_POWERS / length ** xp.arange(CURVE)
 
 
 def to_strengths(curve: jax.Array, length: jax.Array) -> jax.Array:
     """Return the strengths (CURVE,) of Legendre's polynomials: what `to_coefficients` takes."""
-    return (curve * length ** jnp.arange(CURVE)) @ _FROM_POWERS
+    return (curve * length ** xp.arange(CURVE)) @ _FROM_POWERS
 
 
 _TO_POWERS = np.array(

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from matcam.core.jax import FloatArray
+from matcam.core.arrays import FloatArray
 
 BLOCK = 8  # px: what JPEG compresses at a time
 # of the mean square, above which a difference counts as so much: an edge of dirt is no noise

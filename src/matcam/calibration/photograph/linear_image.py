@@ -16,8 +16,8 @@ from scipy import ndimage
 
 from matcam.calibration.photograph.tone import Tone, assumed_tone, is_linear, linear_values
 from matcam.core import checks
+from matcam.core.arrays import FloatArray
 from matcam.core.errors import ArgumentError, FitError
-from matcam.core.jax import FloatArray
 from matcam.core.remark import Remark
 from matcam.files.photographs import Photograph
 from matcam.files.picture_header import Exif

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.optimize import nnls
 from scipy.special import ndtr
 
-from matcam.core.jax import FloatArray
+from matcam.core.arrays import FloatArray
 
 AMOUNT, RADIUS = 0.1, 1.0
 """The mask that is tried: share of the difference from its surroundings by which a pixel is raised; their radius, px."""

@@ -9,8 +9,8 @@ from __future__ import annotations
 import numpy as np
 
 from matcam.calibration.photograph.linear_image import LinearImage
+from matcam.core.arrays import FloatArray
 from matcam.core.errors import FitError
-from matcam.core.jax import FloatArray
 
 _LARGEST = 1024  # px: so much of a picture is enough
 _DARK = 0.2  # of a picture's bright light, below which light that alternates is noise

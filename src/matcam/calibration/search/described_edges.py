@@ -12,7 +12,7 @@ from matcam.calibration.chart.chart import Chart
 from matcam.calibration.chart.registration import Projection
 from matcam.calibration.chart.sides import seen_sides, smoothed
 from matcam.calibration.search.edge_search import EdgePlaces, clear_distance
-from matcam.core.jax import FloatArray
+from matcam.core.arrays import FloatArray
 
 _CORNER = 3.5  # px, which both ends of a side lose
 _FEWEST = 5  # places along a side at which it must be seen

@@ -17,8 +17,8 @@ from scipy.special import ndtr
 
 from matcam.calibration.photograph.linear_image import local_mean
 from matcam.calibration.targets.wave_fit import noise_from_residuals
+from matcam.core.arrays import FloatArray
 from matcam.core.errors import FitError
-from matcam.core.jax import FloatArray
 from matcam.numerics.linalg import scaled_inverse
 
 FEWEST = 9

@@ -21,9 +21,9 @@ from matcam.calibration.targets.mtf_samples import MTFSamples
 from matcam.calibration.targets.wave_fit import Modulation, WaveFit, WavePixels, fit_wave, local_wave
 from matcam.calibration.targets.wave_search import MARGIN, FoundGrating, find_grating
 from matcam.core import checks
+from matcam.core.arrays import FloatArray
 from matcam.core.errors import ArgumentError, FitError
 from matcam.core.io import plain
-from matcam.core.jax import FloatArray
 from matcam.files.photographs import Photograph
 
 _HIGHEST = 1.1  # cycles/px: harmonics beyond are taken for gone

@@ -21,9 +21,9 @@ from matcam.calibration.photograph.tone import Tone
 from matcam.calibration.targets.dot_fit import FEWEST, SHARED, DotFit, DotLattice, find_dots, fit_dots, square_lattice
 from matcam.calibration.targets.mtf_samples import MTFSamples
 from matcam.core import checks
+from matcam.core.arrays import FloatArray
 from matcam.core.errors import ArgumentError, FitError
 from matcam.core.io import plain
-from matcam.core.jax import FloatArray
 from matcam.files.photographs import Photograph
 
 _REACH = 8  # px around a dot

@@ -23,9 +23,9 @@ from matcam.calibration.targets.mtf_samples import MTFSamples
 from matcam.calibration.targets.wave_fit import Modulation, WaveFit, WavePixels, fit_wave, local_wave
 from matcam.calibration.targets.wave_search import FoundStar, StarPhase, find_star
 from matcam.core import checks
+from matcam.core.arrays import FloatArray
 from matcam.core.errors import FitError
 from matcam.core.io import plain
-from matcam.core.jax import FloatArray
 from matcam.files.photographs import Photograph
 
 _HIGHEST = 0.75  # cycles/px: beyond, cameras leave nothing to fit

@@ -18,7 +18,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from matcam.core.jax import FloatArray
+from matcam.core.arrays import FloatArray
 from matcam.numerics.linalg import scaled_inverse
 
 _ROUNDING = 1e-13  # of the mean square: no picture is without any

@@ -17,8 +17,8 @@ from scipy import ndimage
 from scipy.optimize import least_squares
 
 from matcam.calibration.photograph.linear_image import local_mean
+from matcam.core.arrays import FloatArray
 from matcam.core.errors import FitError
-from matcam.core.jax import FloatArray
 
 MARGIN = 4.0  # px: pixels nearer than this to a grating's border see what is outside
 _ROUNDS = 12

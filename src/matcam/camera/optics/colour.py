@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from matcam.camera.optics.optics import Optics
 from matcam.camera.optics.varying import VaryingOptics
 from matcam.core import checks
+from matcam.core.arrays import is_concrete
 from matcam.core.errors import ArgumentError
-from matcam.core.jax import is_concrete, jax
+
+if TYPE_CHECKING:
+    from matcam.core.jax import jax
 
 _FARTHEST = 100.0  # px
 

@@ -10,16 +10,21 @@ squares here, 24 terms, reach 8e-4 / 1.9e-3 / 5.2e-3. Where that is not enough, 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
-import equinox as eqx
 import numpy as np
-from jax.typing import ArrayLike
 
 from matcam.camera.optics.optics import Optics, Rule, checked_isotropic, piecewise_rule
 from matcam.core import checks
+from matcam.core.arrays import constant, is_concrete, linalg, xp
+from matcam.core.arrays.module import Module
 from matcam.core.errors import ArgumentError
-from matcam.core.jax import is_concrete, jax, jnp
+from matcam.numerics.normal import normal_density
+
+if TYPE_CHECKING:
+    from jax.typing import ArrayLike
+
+    from matcam.core.jax import jax
 
 _BAND_TIMES_SIGMA = 1.4  # exp(-2 pi^2 1.4^2) = 2e-17
 _TRACED_BAND = 16.0
@@ -72,11 +77,11 @@ class GaussianOptics(Optics):
 
     def lsf(self, x: ArrayLike) -> jax.Array:
         """Return exp(-x^2 / (2 sigma^2)) / (sqrt(2 pi) sigma), 1/px; optics only."""
-        return jax.scipy.stats.norm.pdf(checks.number("x", x), scale=self.sigma)
+        return normal_density(checks.number("x", x), self.sigma)
 
     def mtf(self, f: ArrayLike) -> jax.Array:
         """Return exp(-2 pi^2 sigma^2 f^2) at f cycles/px; optics only."""
-        return jnp.exp(-2 * (jnp.pi * self.sigma * checks.number("f", f)) ** 2)
+        return xp.exp(-2 * xp.square(xp.pi * self.sigma * checks.number("f", f)))
 
     def band(self) -> float:
         """Return the frequency at which the MTF falls to 2e-17, cycles/px."""
@@ -90,13 +95,13 @@ class GaussianOptics(Optics):
 
     def components(self) -> tuple[tuple[jax.Array, Optics], ...]:
         """Return this lens, with weight 1."""
-        return ((jnp.ones(()), self),)
+        return ((xp.ones(()), self),)
 
     def __repr__(self) -> str:
         return f"GaussianOptics(sigma={self.sigma!s})"
 
 
-class GaussianSum(eqx.Module):
+class GaussianSum(Module):
     """Hold a lens as a sum of Gaussians.
 
     Attributes:
@@ -142,6 +147,15 @@ def round_gaussians(optics: Optics, terms: int = 24) -> GaussianSum:
     return _of_all_pieces(optics, lambda band: (_NARROWEST / band, terms, np.ones(_GRID.size)))
 
 
+def finest_width(optics: Optics) -> float:
+    """Return the standard deviation of the narrowest Gaussian that a lens is made of, px."""
+    widths = [
+        constant(part.sigma) if isinstance(part, GaussianOptics) else _NARROWEST / part.band()
+        for _, part in optics.components()
+    ]
+    return min(float(width) if is_concrete(width) else _NARROWEST / _TRACED_BAND for width in widths)
+
+
 def few_gaussians(optics: Optics) -> GaussianSum:
     """Approximate a lens's mean over all directions by few Gaussians, right far from its centre only.
 
@@ -150,43 +164,43 @@ def few_gaussians(optics: Optics) -> GaussianSum:
     return _of_all_pieces(optics, lambda band: (_FEW_NARROWEST / band, _FEW, _TAIL))
 
 
-_Widths = Callable[[jax.Array], tuple[jax.Array, int, np.ndarray]]
+_Widths = Callable[["jax.Array"], tuple["jax.Array", int, np.ndarray]]
 """Of a band, cycles/px: the narrowest width, px, the count of Gaussians, and how much each frequency of the grid counts."""
 
 
 def _of_all_pieces(optics: Optics, widths: _Widths) -> GaussianSum:
     parts = [(weight, _of_one_piece(part, widths)) for weight, part in optics.components()]
     return GaussianSum(
-        jnp.concatenate([weight * part.weights for weight, part in parts]),
-        jnp.concatenate([part.sigmas for _, part in parts]),
-        sum((jnp.abs(weight) * part.error for weight, part in parts), jnp.zeros(())),
-        sum((jnp.abs(weight) * part.total_error for weight, part in parts), jnp.zeros(())),
+        xp.concatenate([weight * part.weights for weight, part in parts]),
+        xp.concatenate([part.sigmas for _, part in parts]),
+        sum((xp.abs(weight) * part.error for weight, part in parts), xp.zeros(())),
+        sum((xp.abs(weight) * part.total_error for weight, part in parts), xp.zeros(())),
     )
 
 
 def _of_one_piece(optics: Optics, widths: _Widths) -> GaussianSum:
     if isinstance(optics, GaussianOptics):
-        return GaussianSum(jnp.ones(1), optics.sigma[None], jnp.zeros(()), jnp.zeros(()))
-    band = jnp.sum(optics.rule_on(np.array([0.0, 1.0])).weight)  # traced where the lens is, as `band()` cannot be
+        return GaussianSum(xp.ones(1), optics.sigma[None], xp.zeros(()), xp.zeros(()))
+    band = xp.sum(optics.rule_on(np.array([0.0, 1.0])).weight)  # traced where the lens is, as `band()` cannot be
     narrowest, terms, counts = widths(band)
-    reach = jnp.log(jnp.maximum(_WIDEST / narrowest, _WIDEST))
-    sigmas = narrowest * jnp.exp(reach * jnp.linspace(0, 1, terms))
+    reach = xp.log(xp.maximum(_WIDEST / narrowest, _WIDEST))
+    sigmas = narrowest * xp.exp(reach * xp.linspace(0, 1, terms))
 
     # weights = 1 / terms + basis @ v: their sum is 1 whatever v is
-    mean = jnp.full(terms, 1 / terms)
-    basis = jnp.asarray(np.linalg.qr(np.eye(terms) - 1 / terms)[0][:, : terms - 1])
-    frequency = jnp.asarray(_GRID) * band
+    mean = xp.full(terms, 1 / terms)
+    basis = xp.asarray(np.linalg.qr(np.eye(terms) - 1 / terms)[0][:, : terms - 1])
+    frequency = xp.asarray(_GRID) * band
     importance = counts * np.sqrt(_GRID) * _through_full_pixel(frequency)
     spectra = _spectra(frequency, sigmas)
-    rows = jnp.concatenate([importance[:, None] * (spectra @ basis), _RIDGE * basis])
-    right = jnp.concatenate([importance * (_mean_transfer(optics, frequency) - spectra @ mean), -_RIDGE * mean])
-    q, r = jnp.linalg.qr(rows)
-    weights = mean + basis @ jax.scipy.linalg.solve_triangular(r, q.T @ right)
+    rows = xp.concatenate([importance[:, None] * (spectra @ basis), _RIDGE * basis])
+    right = xp.concatenate([importance * (_mean_transfer(optics, frequency) - spectra @ mean), -_RIDGE * mean])
+    q, r = linalg.qr(rows)
+    weights = mean + basis @ linalg.solve(r, q.T @ right)
 
-    checked = jnp.asarray(_CHECKED) * band
-    difference = jnp.abs(_spectra(checked, sigmas) @ weights - _mean_transfer(optics, checked))
+    checked = xp.asarray(_CHECKED) * band
+    difference = xp.abs(_spectra(checked, sigmas) @ weights - _mean_transfer(optics, checked))
     total = difference * _through_full_pixel(checked)
-    return GaussianSum(weights, sigmas, jnp.max(difference), jnp.max(total))
+    return GaussianSum(weights, sigmas, xp.max(difference), xp.max(total))
 
 
 def _mean_transfer(optics: Optics, frequency: jax.Array) -> jax.Array:
@@ -194,14 +208,14 @@ def _mean_transfer(optics: Optics, frequency: jax.Array) -> jax.Array:
     if optics.isotropic:
         return optics.mtf(frequency)
     f, angle = frequency[:, None], np.pi * np.arange(_DIRECTIONS) / _DIRECTIONS  # the other half is its conjugate
-    return jnp.mean(jnp.real(optics.otf(f * np.cos(angle), f * np.sin(angle))), axis=1)
+    return xp.mean(xp.real(optics.otf(f * np.cos(angle), f * np.sin(angle))), axis=1)
 
 
 def _spectra(f: jax.Array, sigmas: jax.Array) -> jax.Array:
-    return jnp.exp(-2 * (jnp.pi * f[..., None] * sigmas) ** 2)
+    return xp.exp(-2 * (xp.pi * f[..., None] * sigmas) ** 2)
 
 
 def _through_full_pixel(f: jax.Array) -> jax.Array:
     """Return the transfer function of a square of side 1 px in the direction that lets most through."""
     angle = np.linspace(0, np.pi / 4, 33)
-    return jnp.max(jnp.abs(jnp.sinc(f[:, None] * np.cos(angle)) * jnp.sinc(f[:, None] * np.sin(angle))), axis=1)
+    return xp.max(xp.abs(xp.sinc(f[:, None] * np.cos(angle)) * xp.sinc(f[:, None] * np.sin(angle))), axis=1)

@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
-from jax.typing import ArrayLike
 
 from matcam.camera.optics.gaussian import GaussianOptics
 from matcam.camera.optics.optics import Optics, Rule, checked_isotropic
 from matcam.core import checks
+from matcam.core.arrays import is_concrete, xp
+from matcam.core.arrays.module import leaves_of
 from matcam.core.errors import ArgumentError
-from matcam.core.jax import is_concrete, jax, jnp
+
+if TYPE_CHECKING:
+    from jax.typing import ArrayLike
+
+    from matcam.core.jax import jax
 
 _TRACED_OCTAVES = 18  # resolves the spike of a halo of 1000 px under a band of 40 cycles/px
 
@@ -103,18 +108,18 @@ class HaloOptics(Optics):
 
         They resolve the halo's spike.
         """
-        known = all(map(is_concrete, jax.tree.leaves(self)))
+        known = all(map(is_concrete, leaves_of(self)))
         octaves = 2 + max(0, int(np.log2(self.core.band() / self.halo.band()))) if known else _TRACED_OCTAVES
         rule = self.core.rule_on(np.union1d(borders, 2.0 ** -np.arange(octaves + 2)))
         if known and self.halo.band() <= self.core.band():
             return rule
         # a halo narrower than its core reaches beyond the core's band; weights sum to what a rule covers
-        start, beyond = jnp.sum(rule.weight), self.halo.rule_on(borders)
-        end = jnp.sum(beyond.weight)
-        share = jnp.maximum(end - start, 0) / end
+        start, beyond = xp.sum(rule.weight), self.halo.rule_on(borders)
+        end = xp.sum(beyond.weight)
+        share = xp.maximum(end - start, 0) / end
         return Rule(
-            jnp.concatenate([jnp.asarray(rule.frequency), start + share * beyond.frequency]),
-            jnp.concatenate([jnp.asarray(rule.weight), share * beyond.weight]),
+            xp.concatenate([xp.asarray(rule.frequency), start + share * beyond.frequency]),
+            xp.concatenate([xp.asarray(rule.weight), share * beyond.weight]),
         )
 
     def components(self) -> tuple[tuple[jax.Array, Optics], ...]:

@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
-import equinox as eqx
 import numpy as np
-from jax.typing import ArrayLike
 
 from matcam.camera.optics.optics import Optics, Rule, lsf_by_quadrature, psf_by_quadrature, split_rule
 from matcam.core import checks
+from matcam.core.arrays import compiled_by_jax, has_jax, is_concrete, xp
+from matcam.core.arrays.module import static_field
 from matcam.core.errors import ArgumentError
-from matcam.core.jax import is_concrete, jax, jnp
+
+if TYPE_CHECKING:
+    from jax.typing import ArrayLike
+
+    from matcam.core.jax import jax
 
 _ZERO = 1e-9
 
@@ -43,9 +47,9 @@ class MeasuredOptics(Optics):
         (0.7, 0.0)
     """
 
-    frequency: tuple[float, ...] = eqx.field(static=True)
+    frequency: tuple[float, ...] = static_field()
     values: jax.Array
-    ends_at_zero: bool = eqx.field(static=True)
+    ends_at_zero: bool = static_field()
 
     profile_fields: ClassVar[Mapping[str, str]] = {"frequency_cycles_per_px": "frequency", "mtf": "values"}
 
@@ -58,7 +62,7 @@ class MeasuredOptics(Optics):
             )
         if f[0] != 0 or np.any(np.diff(f) <= 0):
             raise ArgumentError("frequency must start at 0 cycles/px and increase strictly")
-        self.ends_at_zero = True
+        ends_at_zero = True
         if is_concrete(values):
             samples = np.asarray(values)
             if abs(samples[0] - 1) > 1e-6:
@@ -70,9 +74,10 @@ class MeasuredOptics(Optics):
                 raise ArgumentError(
                     f"mtf must not exceed 1 (1.05 with noise), got {largest:g}: is the picture sharpened?"
                 )
-            self.ends_at_zero = bool(abs(samples[-1]) <= _ZERO)
+            ends_at_zero = bool(abs(samples[-1]) <= _ZERO)
         self.frequency = tuple(f.tolist())
         self.values = values
+        self.ends_at_zero = ends_at_zero
 
     def mtf(self, f: ArrayLike) -> jax.Array:
         """Interpolate the MTF at f cycles/px; optics only.
@@ -80,14 +85,14 @@ class MeasuredOptics(Optics):
         Raises:
             ArgumentError: f lies beyond the last sample, and the curve has not reached 0 there.
         """
-        f = jnp.abs(checks.number("f", f))
+        at = xp.abs(checks.number("f", f))
         last = self.frequency[-1]
-        if is_concrete(f) and not self.ends_at_zero and f.size and float(jnp.max(f)) > last:
+        if is_concrete(at) and not self.ends_at_zero and at.size and float(xp.max(at)) > last:
             raise ArgumentError(
                 f"the measured MTF ends at {last:g} cycles/px with {float(self.values[-1]):g}, and is asked for at "
-                f"{float(jnp.max(f)):g}: append samples to where it reaches 0"
+                f"{float(xp.max(at)):g}: append samples to where it reaches 0"
             )
-        return jnp.where(f > last, 0.0, _spline(jnp.asarray(self.frequency), self.values, f))
+        return xp.where(at > last, 0.0, _spline(xp.asarray(self.frequency), self.values, at))
 
     def lsf(self, x: ArrayLike) -> jax.Array:
         """Return the line spread function, 1/px, by quadrature; optics only."""
@@ -116,31 +121,43 @@ class MeasuredOptics(Optics):
 
     def components(self) -> tuple[tuple[jax.Array, Optics], ...]:
         """Return this lens, with weight 1."""
-        return ((jnp.ones(()), self),)
+        return ((xp.ones(()), self),)
 
     def __repr__(self) -> str:
         return f"MeasuredOptics(frequency={list(self.frequency)}, mtf={self.values.tolist()})"
 
 
-@jax.jit
+@compiled_by_jax
 def _spline(x: jax.Array, y: jax.Array, at: jax.Array) -> jax.Array:
     """Return the cubic spline through (x, y), shape (n,), n >= 4, whose third derivative is continuous next to the ends.
 
     Its slopes solve a tridiagonal system (de Boor 1978, chapter IV, "not-a-knot"), so that memory is linear in n; the solution
     is linear in y, and derivatives pass through it.
     """
-    width, rise = jnp.diff(x), jnp.diff(y) / jnp.diff(x)
+    width, rise = xp.diff(x), xp.diff(y) / xp.diff(x)
     first, last = x[2] - x[0], x[-1] - x[-3]
-    zero = jnp.zeros(1)
-    diagonal = jnp.concatenate([width[1:2], 2 * (width[:-1] + width[1:]), width[-2:-1]])
-    lower = jnp.concatenate([zero, width[1:], last[None]])
-    upper = jnp.concatenate([first[None], width[:-1], zero])
+    zero = xp.zeros(1)
+    diagonal = xp.concatenate([width[1:2], 2 * (width[:-1] + width[1:]), width[-2:-1]])
+    lower = xp.concatenate([zero, width[1:], last[None]])
+    upper = xp.concatenate([first[None], width[:-1], zero])
     start = ((width[0] + 2 * first) * width[1] * rise[0] + width[0] ** 2 * rise[1]) / first
     end = (width[-1] ** 2 * rise[-2] + (2 * last + width[-1]) * width[-2] * rise[-1]) / last
     inner = 3 * (width[1:] * rise[:-1] + width[:-1] * rise[1:])
-    right = jnp.concatenate([start[None], inner, end[None]])
-    slope = jax.lax.linalg.tridiagonal_solve(lower, diagonal, upper, right[:, None])[:, 0]
-    piece = jnp.clip(jnp.searchsorted(x, at, side="right") - 1, 0, x.size - 2)
-    t, h, secant = at - x[piece], width[piece], rise[piece]
-    bend = (slope[piece] + slope[piece + 1] - 2 * secant) / h
-    return y[piece] + t * (slope[piece] + t * ((secant - slope[piece]) / h - bend + t * bend / h))
+    right = xp.concatenate([start[None], inner, end[None]])
+    slope = _tridiagonal_solution(lower, diagonal, upper, right)
+    piece = xp.clip(xp.searchsorted(x, at, side="right") - 1, 0, x.size - 2)
+    left, low, h, secant, start, end = (xp.take(values, piece) for values in (x, y, width, rise, slope[:-1], slope[1:]))
+    t, bend = at - left, (start + end - 2 * secant) / h
+    return low + t * (start + t * ((secant - start) / h - bend + t * bend / h))
+
+
+def _tridiagonal_solution(lower: jax.Array, diagonal: jax.Array, upper: jax.Array, right: jax.Array) -> jax.Array:
+    """Solve a tridiagonal system; the first of `lower` and the last of `upper` do not count."""
+    if has_jax(lower, diagonal, upper, right):
+        from matcam.core.jax import jax, jnp
+
+        below, on, above, known = (jnp.asarray(band) for band in (lower, diagonal, upper, right))
+        return jax.lax.linalg.tridiagonal_solve(below, on, above, known[:, None])[:, 0]
+    from scipy.linalg import solve_banded
+
+    return solve_banded((1, 1), np.stack([np.roll(upper, 1), diagonal, np.roll(lower, -1)]), right)

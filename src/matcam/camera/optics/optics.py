@@ -10,17 +10,21 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Callable, Mapping
 from functools import partial
-from typing import Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
-import equinox as eqx
 import numpy as np
-from jax.typing import ArrayLike
 
 from matcam.core import checks
+from matcam.core.arrays import compiled_by_jax, first_axis_map, is_concrete, xp
+from matcam.core.arrays.module import Module
 from matcam.core.errors import ArgumentError
-from matcam.core.jax import AnyArray, is_concrete, jax, jnp
 from matcam.numerics.approximation import nodes_between, nodes_in_panels
 from matcam.numerics.lengths import plane_length
+
+if TYPE_CHECKING:
+    from jax.typing import ArrayLike
+
+    from matcam.core.jax import AnyArray, jax
 
 ORDER = 16
 """Nodes to a panel."""
@@ -29,7 +33,7 @@ _DEFAULT_REACH = 64.0  # px; assumed for traced positions, whose extent is not k
 _POINTS_AT_ONCE = 64
 
 
-Transfer = Callable[[jax.Array, jax.Array], jax.Array]
+Transfer = Callable[["jax.Array", "jax.Array"], "jax.Array"]
 
 
 class Wave(NamedTuple):
@@ -89,21 +93,22 @@ def plane_kernel(rule: Rule, transfer: Transfer, x: jax.Array, y: jax.Array, tur
     The nodes are polar, with `turns` angles to a quarter turn.
     """
     # the trapezoid rule on a full period is exact to rounding; over the quarter its two ends count half
-    angle = jnp.linspace(0, jnp.pi / 2, turns + 1)
-    ends = jnp.ones(turns + 1).at[jnp.array([0, -1])].set(0.5)
-    frequency = jnp.asarray(rule.frequency)[:, None]
-    area = (rule.weight * rule.frequency)[:, None] * ends * (jnp.pi / 2 / turns)
+    angle = xp.linspace(0, xp.pi / 2, turns + 1)
+    ends = np.ones(turns + 1)
+    ends[[0, -1]] = 0.5
+    frequency = xp.asarray(rule.frequency)[:, None]
+    area = (rule.weight * rule.frequency)[:, None] * ends * (xp.pi / 2 / turns)
     amplitude = 4 * area * transfer(frequency, angle)
-    return _plane_sum(frequency * jnp.cos(angle), frequency * jnp.sin(angle), amplitude, *jnp.broadcast_arrays(x, y))
+    return _plane_sum(frequency * xp.cos(angle), frequency * xp.sin(angle), amplitude, *xp.broadcast_arrays(x, y))
 
 
 def directed_plane_kernel(rule: Rule, transfer: Transfer, x: jax.Array, y: jax.Array, turns: int) -> jax.Array:
     """Integrate a transfer(f, angle) of any real kernel: the kernel in the plane, as `plane_kernel` for even ones."""
-    angle = jnp.arange(2 * turns) * (jnp.pi / 2 / turns)  # half a turn: the other half is its conjugate
-    frequency = jnp.asarray(rule.frequency)[:, None]
-    amplitude = rule.weight[:, None] * frequency * (jnp.pi / turns) * transfer(frequency, angle)
-    waves = frequency * jnp.cos(angle), frequency * jnp.sin(angle)
-    return _directed_plane_sum(*waves, amplitude, *jnp.broadcast_arrays(x, y))
+    angle = xp.arange(2 * turns) * (xp.pi / 2 / turns)  # half a turn: the other half is its conjugate
+    frequency = xp.asarray(rule.frequency)[:, None]
+    amplitude = rule.weight[:, None] * frequency * (xp.pi / turns) * transfer(frequency, angle)
+    waves = frequency * xp.cos(angle), frequency * xp.sin(angle)
+    return _directed_plane_sum(*waves, amplitude, *xp.broadcast_arrays(x, y))
 
 
 def turns_for(reach: float, band: float) -> int:
@@ -116,60 +121,65 @@ def turns_for(reach: float, band: float) -> int:
 
 def _step_even(f: jax.Array, x: jax.Array) -> jax.Array:
     # sin(2 pi f x) / (pi f), written so that f = 0 is no special case
-    return 2 * x * jnp.sinc(2 * f * x)
+    return 2 * x * xp.sinc(2 * f * x)
 
 
-_LINE = Wave(lambda f, x: 2 * jnp.cos(2 * jnp.pi * f * x), lambda f, x: -2 * jnp.sin(2 * jnp.pi * f * x))
-_STEP = Wave(_step_even, lambda f, x: jnp.cos(2 * jnp.pi * f * x) / (jnp.pi * f))  # no node lies at f = 0
+_LINE = Wave(lambda f, x: 2 * xp.cos(2 * xp.pi * f * x), lambda f, x: -2 * xp.sin(2 * xp.pi * f * x))
+_STEP = Wave(_step_even, lambda f, x: xp.cos(2 * xp.pi * f * x) / (xp.pi * f))  # no node lies at f = 0
 
 
 def _over_frequencies(wave: Wave, rule: Rule, transfer: Transfer, x: jax.Array, angle: jax.Array) -> jax.Array:
-    frequency, weight = jnp.asarray(rule.frequency), jnp.asarray(rule.weight)
+    frequency, weight = xp.asarray(rule.frequency), xp.asarray(rule.weight)
     if angle.ndim == 0:
         return _line_sum(wave, frequency, weight * transfer(frequency, angle), x)
 
-    def at(pair: tuple[jax.Array, jax.Array]) -> jax.Array:
-        return _summed(wave, frequency, weight * transfer(frequency, pair[1]), pair[0])
+    def at(x: jax.Array, angle: jax.Array) -> jax.Array:
+        return _summed(wave, frequency, weight * transfer(frequency, angle[:, None]), x)
 
-    return _at_each(at, *jnp.broadcast_arrays(x, angle))
+    return _at_each(at, *xp.broadcast_arrays(x, angle))
 
 
 def _summed(wave: Wave, frequency: jax.Array, amplitude: jax.Array, x: jax.Array) -> jax.Array:
-    total = wave.even(frequency, x) @ amplitude.real
-    return total + wave.odd(frequency, x) @ amplitude.imag if jnp.iscomplexobj(amplitude) else total
+    """Return the sum over frequencies at places x (n,); amplitude: of one direction, (frequencies,), or one for each place."""
+    total = xp.sum(wave.even(frequency, x[:, None]) * amplitude.real, axis=-1)
+    if not xp.iscomplexobj(amplitude):
+        return total
+    return total + xp.sum(wave.odd(frequency, x[:, None]) * amplitude.imag, axis=-1)
 
 
 # The sums are functions of arrays alone, so that what was compiled for one lens serves the next.
 
 
-@partial(jax.jit, static_argnums=0)
+@partial(compiled_by_jax, static=(0,))
 def _line_sum(wave: Wave, frequency: jax.Array, amplitude: jax.Array, x: jax.Array) -> jax.Array:
-    return _at_each(lambda point: _summed(wave, frequency, amplitude, point[0]), x)
+    return _at_each(lambda x: _summed(wave, frequency, amplitude, x), x)
 
 
-@jax.jit
+@compiled_by_jax
 def _plane_sum(fx: jax.Array, fy: jax.Array, amplitude: jax.Array, x: jax.Array, y: jax.Array) -> jax.Array:
-    def at(point: tuple[jax.Array, jax.Array]) -> jax.Array:
-        return jnp.sum(jnp.cos(2 * jnp.pi * fx * point[0]) * jnp.cos(2 * jnp.pi * fy * point[1]) * amplitude)
+    def at(x: jax.Array, y: jax.Array) -> jax.Array:
+        waves = (xp.cos(2 * xp.pi * f * at[:, None, None]) for f, at in ((fx, x), (fy, y)))
+        return xp.sum(next(waves) * next(waves) * amplitude, axis=(1, 2))
 
     return _at_each(at, x, y)
 
 
-@jax.jit
+@compiled_by_jax
 def _directed_plane_sum(fx: jax.Array, fy: jax.Array, amplitude: jax.Array, x: jax.Array, y: jax.Array) -> jax.Array:
-    def at(point: tuple[jax.Array, jax.Array]) -> jax.Array:
-        turn = 2 * jnp.pi * (fx * point[0] + fy * point[1])
-        return jnp.sum(jnp.cos(turn) * amplitude.real - jnp.sin(turn) * amplitude.imag)
+    def at(x: jax.Array, y: jax.Array) -> jax.Array:
+        turn = 2 * xp.pi * (fx * x[:, None, None] + fy * y[:, None, None])
+        return xp.sum(xp.cos(turn) * amplitude.real - xp.sin(turn) * amplitude.imag, axis=(1, 2))
 
     return _at_each(at, x, y)
 
 
-def _at_each(function: Callable[[Any], jax.Array], *positions: jax.Array) -> jax.Array:
+def _at_each(function: Callable[..., jax.Array], *positions: jax.Array) -> jax.Array:
+    """Apply a function of places (n,) to positions of any shape."""
     flat = tuple(p.ravel() for p in positions)
-    return jax.lax.map(function, flat, batch_size=_POINTS_AT_ONCE).reshape(positions[0].shape)
+    return first_axis_map(function, flat, _POINTS_AT_ONCE).reshape(positions[0].shape)
 
 
-class Optics(eqx.Module):
+class Optics(Module):
     """Describe a lens; the pixel is not in it.
 
     Most lenses blur isotropically and without shift: one MTF of one frequency is all of them. Those that do not say so
@@ -295,12 +305,12 @@ def lsf_by_quadrature(optics: Optics, x: ArrayLike) -> jax.Array:
     """Integrate the line spread function of a lens, 1/px, over its MTF."""
     x = checks.number("x", x)
     rule = optics.frequency_rule(panels_for(reach_of(x), optics.band()))
-    return line_kernel(rule, lambda f, _: optics.mtf(f), x, jnp.zeros(()))
+    return line_kernel(rule, lambda f, _: optics.mtf(f), x, xp.zeros(()))
 
 
 def psf_by_quadrature(optics: Optics, x: ArrayLike, y: ArrayLike) -> jax.Array:
     """Integrate the point spread function of a lens, 1/px^2, over its MTF."""
     x, y = checks.number("x", x), checks.number("y", y)
-    reach, band = reach_of(jnp.hypot(x, y)), optics.band()
+    reach, band = reach_of(xp.hypot(x, y)), optics.band()
     rule = optics.frequency_rule(panels_for(reach, band))
     return plane_kernel(rule, lambda f, _: optics.mtf(f), x, y, turns_for(reach, band))

@@ -6,16 +6,20 @@ In focus it is the limit of what any lens can do. Out of focus the pupil carries
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import partial
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
-from jax.typing import ArrayLike
 
 from matcam.camera.optics.optics import Optics, Rule, lsf_by_quadrature, piecewise_rule, psf_by_quadrature, reach_of
 from matcam.core import checks
-from matcam.core.jax import is_concrete, jax, jnp
+from matcam.core.arrays import compiled_by_jax, first_axis_map, is_concrete, xp
+from matcam.numerics.jinc import jinc
 from matcam.numerics.lengths import plane_length
+
+if TYPE_CHECKING:
+    from jax.typing import ArrayLike
+
+    from matcam.core.jax import jax
 
 _TRACED_BAND = 8.0
 _WIDEST = 1000.0  # px
@@ -75,7 +79,7 @@ class DiffractionOptics(Optics):
         (pi cutoff^2 / 4) [2 J1(v) / v]^2, v = pi cutoff r.
         """
         r = plane_length(checks.number("x", x), checks.number("y", y))
-        return jnp.pi / 4 * self.cutoff**2 * _jinc(jnp.pi * self.cutoff * r, reach_of(r) * self.band()) ** 2
+        return xp.pi / 4 * self.cutoff**2 * jinc(xp.pi * self.cutoff * r, np.pi * reach_of(r) * self.band()) ** 2
 
     def lsf(self, x: ArrayLike) -> jax.Array:
         """Return the line spread function, 1/px, by quadrature; optics only.
@@ -89,10 +93,10 @@ class DiffractionOptics(Optics):
 
         (2 / pi) [acos nu - nu sqrt(1 - nu^2)], nu = f / cutoff (Goodman 6-31); 0 beyond the cutoff.
         """
-        nu = jnp.abs(checks.number("f", f)) / self.cutoff
+        nu = xp.abs(checks.number("f", f)) / self.cutoff
         inside = nu < 1
-        nu = jnp.where(inside, nu, 0.5)  # keeps the gradient finite at and beyond the cutoff
-        return jnp.where(inside, 2 / jnp.pi * (jnp.arccos(nu) - nu * jnp.sqrt(1 - nu**2)), 0.0)
+        nu = xp.where(inside, nu, 0.5)  # keeps the gradient finite at and beyond the cutoff
+        return xp.where(inside, 2 / xp.pi * (xp.arccos(nu) - nu * xp.sqrt(1 - nu**2)), 0.0)
 
     def band(self) -> float:
         """Return the cutoff, cycles/px."""
@@ -109,34 +113,13 @@ class DiffractionOptics(Optics):
 
     def components(self) -> tuple[tuple[jax.Array, Optics], ...]:
         """Return this lens, with weight 1."""
-        return ((jnp.ones(()), self),)
+        return ((xp.ones(()), self),)
 
     def __repr__(self) -> str:
         return (
             f"DiffractionOptics(f_number={self.f_number!s}, wavelength={self.wavelength!s}, "
             f"pixel_pitch={self.pixel_pitch!s})"
         )
-
-
-def _jinc(v: jax.Array, turns: float) -> jax.Array:
-    """Return 2 J1(v) / v, the mean over the pupil's chords of 2 cos^2 t cos(v sin t).
-
-    It is exact once the nodes outnumber v.
-    """
-    return _over_chords(
-        24 + int(np.ceil(np.pi * turns)), v
-    )  # v = pi turns; the trapezoid rule sees the quarter turn only
-
-
-@partial(jax.jit, static_argnums=0)
-def _over_chords(nodes: int, v: jax.Array) -> jax.Array:
-    t = (jnp.arange(nodes) + 0.5) * (jnp.pi / 2 / nodes)
-    chord = 2 * jnp.cos(t) ** 2 / nodes
-
-    def at(value: jax.Array) -> jax.Array:
-        return jnp.cos(value * jnp.sin(t)) @ chord
-
-    return jax.lax.map(at, v.ravel(), batch_size=256).reshape(v.shape)
 
 
 class DefocusOptics(Optics):
@@ -200,14 +183,14 @@ class DefocusOptics(Optics):
         It is NaN for traced parameters whose c * cutoff exceeds 256, because the quadrature's size is fixed before they are
         known.
         """
-        f = jnp.abs(checks.number("f", f))
+        frequency = xp.abs(checks.number("f", f))
         cutoff = self.focused.cutoff
         known = is_concrete(self.blur_diameter) and is_concrete(cutoff)
         circle = float(self.blur_diameter * cutoff) if known else _TRACED_CIRCLE
         # in u = cos t the cosine runs through at most 0.23 c cutoff periods: three to a panel
         rule = piecewise_rule(np.linspace(0, 1, 3 + int(0.08 * circle)))
-        values = _overlap(f, cutoff, self.blur_diameter, *(jnp.asarray(a) for a in rule))
-        return values if known else jnp.where(self.blur_diameter * cutoff > _TRACED_CIRCLE, jnp.nan, values)
+        values = _overlap(frequency, cutoff, self.blur_diameter, *(xp.asarray(a) for a in rule))
+        return values if known else xp.where(self.blur_diameter * cutoff > _TRACED_CIRCLE, xp.nan, values)
 
     def band(self) -> float:
         """Return the diffraction cutoff, cycles/px."""
@@ -224,7 +207,7 @@ class DefocusOptics(Optics):
 
     def components(self) -> tuple[tuple[jax.Array, Optics], ...]:
         """Return this lens, with weight 1."""
-        return ((jnp.ones(()), self),)
+        return ((xp.ones(()), self),)
 
     def __repr__(self) -> str:
         lens = self.focused
@@ -234,17 +217,17 @@ class DefocusOptics(Optics):
         )
 
 
-@jax.jit
+@compiled_by_jax
 def _overlap(
     f: jax.Array, cutoff: jax.Array, blur_diameter: jax.Array, share: jax.Array, weight: jax.Array
 ) -> jax.Array:
     def at(frequency: jax.Array) -> jax.Array:
         nu = frequency / cutoff
         inside = nu < 1
-        nu = jnp.where(inside, nu, 0.5)  # keeps the gradient finite at and beyond the cutoff
-        end = jnp.arccos(nu)
-        t = end * share
-        wave = jnp.cos(jnp.pi * blur_diameter * frequency * (jnp.cos(t) - nu))
-        return jnp.where(inside, 4 / jnp.pi * end * ((wave * jnp.sin(t) ** 2) @ weight), 0.0)
+        nu = xp.where(inside, nu, 0.5)  # keeps the gradient finite at and beyond the cutoff
+        end = xp.arccos(nu)
+        t = end[:, None] * share
+        wave = xp.cos(xp.pi * blur_diameter * frequency[:, None] * (xp.cos(t) - nu[:, None]))
+        return xp.where(inside, 4 / xp.pi * end * ((wave * xp.sin(t) ** 2) @ weight), 0.0)
 
-    return jax.lax.map(at, f.ravel(), batch_size=_FREQUENCIES_AT_ONCE).reshape(f.shape)
+    return first_axis_map(at, (f.ravel(),), _FREQUENCIES_AT_ONCE).reshape(f.shape)

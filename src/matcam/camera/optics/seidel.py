@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import ClassVar
-
-import equinox as eqx
-from jax.typing import ArrayLike
+from typing import TYPE_CHECKING, ClassVar
 
 from matcam.camera.optics.optics import Optics
 from matcam.camera.optics.pupil import DiffractionOptics
 from matcam.camera.optics.varying import VaryingOptics
 from matcam.camera.optics.zernike import ZernikeOptics, check_phase
 from matcam.core import checks
-from matcam.core.jax import jax, jnp
+from matcam.core.arrays import xp
+from matcam.core.arrays.module import replaced
+
+if TYPE_CHECKING:
+    from jax.typing import ArrayLike
+
+    from matcam.core.jax import jax
 
 
 class SeidelOptics(VaryingOptics):
@@ -104,10 +107,8 @@ class SeidelOptics(VaryingOptics):
         terms = checks.number("x", x), checks.number("y", y)
         found = self.terms_at(*(checks.scalar(name, one) for name, one in zip("xy", terms, strict=True)))
         check_phase(found)
-        lens: ZernikeOptics = eqx.tree_at(
-            lambda one: (one.defocus, one.astigmatism, one.coma), self.axial, (found[0], found[1:3], found[3:5])
-        )
-        return lens
+        lens = replaced(self.axial, "defocus", found[0])
+        return replaced(replaced(lens, "astigmatism", found[1:3]), "coma", found[3:5])
 
     @property
     def named_lenses(self) -> dict[str, Optics]:
@@ -121,13 +122,13 @@ class SeidelOptics(VaryingOptics):
             x: places from the optical axis, to the right, px; broadcasts with y.
             y: the same upwards, px.
         """
-        right, up = (jnp.asarray(a) / self.unit for a in (x, y))
+        right, up = (xp.asarray(a) / self.unit for a in (x, y))
         defocus = self.axial.defocus + self.curvature * (right**2 + up**2)
         astigmatism = self.astigmatism * (right**2 - up**2), self.astigmatism * 2 * right * up
         coma = self.coma * right, self.coma * up
-        none = jnp.zeros(())
-        return jnp.stack(
-            jnp.broadcast_arrays(defocus, *astigmatism, *coma, none, none, self.axial.spherical + 0 * right), -1
+        none = xp.zeros(())
+        return xp.stack(
+            xp.broadcast_arrays(defocus, *astigmatism, *coma, none, none, self.axial.spherical + 0 * right), -1
         )
 
     def band(self) -> float:

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from abc import abstractmethod
+from typing import TYPE_CHECKING
 
 import numpy as np
-from jax.typing import ArrayLike
 
 from matcam.camera.optics.optics import Optics, Rule
 from matcam.core.errors import ArgumentError
-from matcam.core.jax import jax
+
+if TYPE_CHECKING:
+    from jax.typing import ArrayLike
+
+    from matcam.core.jax import jax
 
 
 class VaryingOptics(Optics):

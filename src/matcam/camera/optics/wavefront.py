@@ -13,11 +13,15 @@ entire, too: it may be interpolated across frequency 0 and the cutoff, where as 
 from __future__ import annotations
 
 from functools import partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from matcam.core.jax import jax, jnp
+from matcam.core.arrays import compiled_by_jax, first_axis_map, xp
 from matcam.numerics.approximation import POINTS, lagrange_basis
+
+if TYPE_CHECKING:
+    from matcam.core.jax import AnyArray, jax
 
 _LEAST, _PER_PHASE = 20, 1.3
 """Gauss-Legendre nodes along an overlap: these, and as many more for each radian of phase."""
@@ -30,7 +34,7 @@ _BEYOND = POINTS // 2
 """Steps by which a table reaches beyond its ends."""
 
 
-def wavefront(terms: jax.Array, x: jax.Array, y: jax.Array) -> jax.Array:
+def wavefront(terms: AnyArray, x: jax.Array, y: jax.Array) -> jax.Array:
     """Return the wavefront's error at places of the pupil in its radii, waves; terms: (8,), waves rms."""
     square = x**2 + y**2
     defocus, astig, astig_45, coma_x, coma_y, trefoil, trefoil_y, spherical = terms
@@ -51,7 +55,7 @@ def phase_of(terms: np.ndarray) -> int:
     return next((size for size in _PHASES if size >= bound), int(np.ceil(bound)))
 
 
-@partial(jax.jit, static_argnums=3)
+@partial(compiled_by_jax, static=(3,))
 def amplitude(terms: jax.Array, x: jax.Array, y: jax.Array, sizes: tuple[int, int]) -> jax.Array:
     """Return the mean over the pupil of exp(2 pi i (W + p . x)).
 
@@ -64,14 +68,14 @@ def amplitude(terms: jax.Array, x: jax.Array, y: jax.Array, sizes: tuple[int, in
     node, weight = np.polynomial.legendre.leggauss(sizes[0])
     turn = 2 * np.pi * np.arange(sizes[1]) / sizes[1]
     radius = (1 + node)[:, None] / 2
-    at_x, at_y = (jnp.asarray((radius * part).ravel()) for part in (np.cos(turn), np.sin(turn)))
-    share = jnp.asarray(np.repeat(weight * (1 + node) / 2 / sizes[1], sizes[1]))
+    at_x, at_y = (xp.asarray((radius * part).ravel()) for part in (np.cos(turn), np.sin(turn)))
+    share = xp.asarray(np.repeat(weight * (1 + node) / 2 / sizes[1], sizes[1]))
     error = wavefront(terms, at_x, at_y)
 
-    def at(place: tuple[jax.Array, jax.Array]) -> jax.Array:
-        return jnp.exp(2j * jnp.pi * (error + place[0] * at_x + place[1] * at_y)) @ share
+    def at(x: jax.Array, y: jax.Array) -> jax.Array:
+        return xp.exp(2j * np.pi * (error + x[:, None] * at_x + y[:, None] * at_y)) @ share
 
-    return jax.lax.map(at, (x, y), batch_size=max(1, _NODES_AT_ONCE // error.size))
+    return first_axis_map(at, (x, y), max(1, _NODES_AT_ONCE // error.size))
 
 
 def pupil_sizes(phase: int, reach: float) -> tuple[int, int]:
@@ -85,32 +89,32 @@ def overlap_order(phase: int) -> int:
     return _LEAST + int(_PER_PHASE * phase)
 
 
-@partial(jax.jit, static_argnums=3)
-def overlap(terms: jax.Array, end: jax.Array, angle: jax.Array, order: int) -> jax.Array:
+@partial(compiled_by_jax, static=(3,))
+def overlap(terms: AnyArray, end: AnyArray, angle: AnyArray, order: int) -> jax.Array:
     """Return the transfer function at frequencies cos(end) of the cutoff, along `angle`, rad; arrays (n,), complex.
 
     It is the entire continuation where `end` lies outside [0, pi/2].
     """
     node, weight = np.polynomial.legendre.leggauss(order)
-    s, t = jnp.asarray(node[:, None]), jnp.asarray(node)
+    s, t = xp.asarray(node[:, None]), xp.asarray(node)
 
-    def at(place: tuple[jax.Array, jax.Array]) -> jax.Array:
-        stop, direction = place
-        nu, half = jnp.cos(stop), jnp.cos(stop * s) - jnp.cos(stop)
-        along, across = half * t, jnp.sin(stop * s)
-        cosine, sine = jnp.cos(direction), jnp.sin(direction)
+    def at(ends: jax.Array, directions: jax.Array) -> jax.Array:
+        stop, direction = ends[:, None, None], directions[:, None, None]
+        nu, half = xp.cos(stop), xp.cos(stop * s) - xp.cos(stop)
+        along, across = half * t, xp.sin(stop * s)
+        cosine, sine = xp.cos(direction), xp.sin(direction)
 
         def pupil(shift: jax.Array) -> jax.Array:
             u = along + shift
             return wavefront(terms, u * cosine - across * sine, u * sine + across * cosine)
 
-        wave = jnp.exp(2j * jnp.pi * (pupil(nu) - pupil(-nu))) @ jnp.asarray(weight)
-        return stop / jnp.pi * jnp.sum(jnp.asarray(weight) * (jnp.cos(stop * s) * half)[:, 0] * wave)
+        wave = xp.exp(2j * np.pi * (pupil(nu) - pupil(-nu))) @ weight
+        return ends / np.pi * xp.sum(weight * (xp.cos(stop * s) * half)[..., 0] * wave, axis=-1)
 
-    return jax.lax.map(at, (end, angle), batch_size=_AT_ONCE)
+    return first_axis_map(at, (end, angle), _AT_ONCE)
 
 
-@partial(jax.jit, static_argnums=1)
+@partial(compiled_by_jax, static=(1,))
 def overlap_table(terms: jax.Array, phase: int) -> jax.Array:
     """Return `overlap` on a grid of `end` and angle, for `from_table`; (ends, angles), complex.
 
@@ -121,8 +125,8 @@ def overlap_table(terms: jax.Array, phase: int) -> jax.Array:
     cheb = np.cos(np.pi * (np.arange(lines) + 0.5) / lines)
     ends, turns = np.pi / 4 * (1 + 1.1 * cheb), np.pi * np.arange(half) / half
     end, angle = (a.ravel() for a in np.meshgrid(ends, turns, indexing="ij"))
-    values = overlap(terms, jnp.asarray(end), jnp.asarray(angle), overlap_order(phase)).reshape(lines, half)
-    values = jnp.concatenate([values, jnp.conj(values)], axis=1)  # of a real kernel
+    values = overlap(terms, xp.asarray(end), xp.asarray(angle), overlap_order(phase)).reshape(lines, half)
+    values = xp.concatenate([values, xp.conj(values)], axis=1)  # of a real kernel
 
     fine, round_fine = _fineness(phase)
     at = (np.arange(-_BEYOND, fine + _BEYOND + 1) / fine * 2 - 1) / 1.1
@@ -134,7 +138,7 @@ def overlap_table(terms: jax.Array, phase: int) -> jax.Array:
     every = 2 * np.pi * np.arange(-_BEYOND, round_fine + _BEYOND + 1) / round_fine
     by_turn = np.exp(1j * every[:, None] * wave) * (np.abs(wave) < half)
     by_turn = by_turn @ np.exp(-1j * wave[:, None] * np.pi * np.arange(2 * half) / half) / (2 * half)
-    return jnp.asarray(by_line) @ values @ jnp.asarray(by_turn.T)
+    return xp.asarray(by_line) @ values @ xp.asarray(by_turn.T)
 
 
 def _fineness(phase: int) -> tuple[int, int]:
@@ -142,22 +146,23 @@ def _fineness(phase: int) -> tuple[int, int]:
     return 96 + 12 * phase, 128 + 48 * phase
 
 
-@partial(jax.jit, static_argnums=1)
+@partial(compiled_by_jax, static=(1,))
 def from_table(table: jax.Array, phase: int, end: jax.Array, angle: jax.Array) -> jax.Array:
     """Return the transfer function at end in [0, pi/2] and any angle, rad, (n,), between the points of a table."""
     fine, round_fine = _fineness(phase)
     flat, width, steps = table.ravel(), table.shape[1], np.arange(POINTS)
     row, column = (
         end * (fine / (np.pi / 2)) + _BEYOND,
-        jnp.mod(angle, 2 * jnp.pi) * (round_fine / (2 * np.pi)) + _BEYOND,
+        xp.mod(angle, 2 * xp.pi) * (round_fine / (2 * np.pi)) + _BEYOND,
     )
 
-    def at(place: tuple[jax.Array, jax.Array]) -> jax.Array:
-        first = [jnp.floor(a).astype(jnp.int32) - (POINTS // 2 - 1) for a in place]
-        weights = [
-            jnp.stack(lagrange_basis(np.arange(float(POINTS)), a - one)) for a, one in zip(place, first, strict=True)
-        ]
-        index = (first[0] + steps)[:, None] * width + first[1] + steps
-        return weights[0] @ flat[index] @ weights[1]
+    def at(*place: jax.Array) -> jax.Array:
+        first = [xp.floor(a).astype(int) - (POINTS // 2 - 1) for a in place]
+        down, across = (
+            xp.stack(lagrange_basis(np.arange(float(POINTS)), a - one), axis=-1)
+            for a, one in zip(place, first, strict=True)
+        )
+        index = (first[0][:, None] + steps)[:, :, None] * width + (first[1][:, None] + steps)[:, None, :]
+        return xp.sum(down[:, :, None] * xp.take(flat, index) * across[:, None, :], axis=(1, 2))
 
-    return jax.lax.map(at, (row, column), batch_size=1 << 14)
+    return first_axis_map(at, (row, column), 1 << 14)

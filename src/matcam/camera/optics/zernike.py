@@ -6,10 +6,9 @@ Axes are those of pictures: x to the right, y upwards. The transfer function is 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
-from jax.typing import ArrayLike
 
 from matcam.camera.optics.optics import Optics, Rule, line_kernel, panels_for, reach_of
 from matcam.camera.optics.pupil import DiffractionOptics
@@ -25,8 +24,13 @@ from matcam.camera.optics.wavefront import (
     wavefront,
 )
 from matcam.core import checks
+from matcam.core.arrays import constant, is_concrete, xp
 from matcam.core.errors import ArgumentError
-from matcam.core.jax import AnyArray, is_concrete, jax, jnp
+
+if TYPE_CHECKING:
+    from jax.typing import ArrayLike
+
+    from matcam.core.jax import AnyArray, jax
 
 _MOST_DIRECTLY = 4096
 """Frequencies up to which each has its own quadrature; more are read between those of a table."""
@@ -120,7 +124,7 @@ class ZernikeOptics(Optics):
     def terms(self) -> jax.Array:
         """Coefficients in one row: defocus, astigmatism, coma, trefoil, spherical; (8,), waves rms."""
         alone = self.defocus[None], self.spherical[None]
-        return jnp.concatenate([alone[0], self.astigmatism, self.coma, self.trefoil, alone[1]])
+        return xp.concatenate([alone[0], self.astigmatism, self.coma, self.trefoil, alone[1]])
 
     def wavefront(self, x: ArrayLike, y: ArrayLike) -> jax.Array:
         """Return the wavefront's error at a place of the pupil, waves.
@@ -132,7 +136,7 @@ class ZernikeOptics(Optics):
         Raises:
             ArgumentError: a place is not finite.
         """
-        return wavefront(self.terms, *jnp.broadcast_arrays(checks.number("x", x), checks.number("y", y)))
+        return wavefront(self.terms, *xp.broadcast_arrays(checks.number("x", x), checks.number("y", y)))
 
     def psf(self, x: ArrayLike, y: ArrayLike) -> jax.Array:
         """Return the point spread function, 1/px^2; optics only.
@@ -146,17 +150,17 @@ class ZernikeOptics(Optics):
         Raises:
             ArgumentError: a place is not finite, or too far away.
         """
-        x, y = jnp.broadcast_arrays(checks.number("x", x), checks.number("y", y))
+        right, up = xp.broadcast_arrays(checks.number("x", x), checks.number("y", y))
         scale = self.cutoff / 2
-        reach = reach_of(x, y) * self.band() / 2
+        reach = reach_of(right, up) * self.band() / 2
         if reach > _FARTHEST:
             raise ArgumentError(
                 f"x and y must lie within {2 * _FARTHEST / self.band():.0f} px of the point, which is as far as it is "
-                f"integrated, got {reach_of(x, y):g} px"
+                f"integrated, got {reach_of(right, up):g} px"
             )
         sizes = pupil_sizes(self._phase(), np.sqrt(2) * reach)
-        wave = amplitude(self.terms, scale * x.ravel(), scale * y.ravel(), sizes)
-        return (jnp.pi * scale**2 * (wave.real**2 + wave.imag**2)).reshape(x.shape)
+        wave = amplitude(self.terms, scale * right.ravel(), scale * up.ravel(), sizes)
+        return (xp.pi * scale**2 * (wave.real**2 + wave.imag**2)).reshape(right.shape)
 
     def lsf(self, x: ArrayLike, angle: ArrayLike = 0.0) -> jax.Array:
         """Return the line spread function, 1/px, by quadrature; optics only.
@@ -165,9 +169,9 @@ class ZernikeOptics(Optics):
             x: distance from the line's image, px; broadcasts with angle.
             angle: direction of the line's normal, from +x towards +y, rad. Default: 0, a line along y.
         """
-        x, angle = checks.number("x", x), checks.number("angle", angle)
-        rule = self.frequency_rule(panels_for(reach_of(x), self.band()))
-        return line_kernel(rule, self._along, x, angle)
+        at, direction = checks.number("x", x), checks.number("angle", angle)
+        rule = self.frequency_rule(panels_for(reach_of(at), self.band()))
+        return line_kernel(rule, self._along, at, direction)
 
     def mtf(self, f: ArrayLike, angle: ArrayLike = 0.0) -> jax.Array:
         """Return the modulus of the transfer function; optics only.
@@ -176,7 +180,7 @@ class ZernikeOptics(Optics):
             f: frequency, cycles/px; broadcasts with angle.
             angle: direction of the wave, from +x towards +y, rad. Default: 0.
         """
-        return jnp.abs(self._along(checks.number("f", f), checks.number("angle", angle)))
+        return xp.abs(self._along(checks.number("f", f), checks.number("angle", angle)))
 
     def otf(self, fx: ArrayLike, fy: ArrayLike) -> jax.Array:
         """Return the transfer function in the plane, complex; optics only.
@@ -184,17 +188,17 @@ class ZernikeOptics(Optics):
         It is the integral of psf(x, y) exp(-2 pi i (fx x + fy y)): the autocorrelation of the pupil function, by Gauss-Legendre
         over the overlap of two shifted discs. Its error is below 1e-8, or 1e-6 for many frequencies.
         """
-        fx, fy = jnp.broadcast_arrays(checks.number("fx", fx), checks.number("fy", fy))
-        nu = jnp.hypot(fx, fy) / self.cutoff
+        right, up = xp.broadcast_arrays(checks.number("fx", fx), checks.number("fy", fy))
+        nu = xp.hypot(right, up) / self.cutoff
         inside = nu < 1
-        end = jnp.arccos(jnp.where(inside, nu, 0.5)).ravel()
-        angle = jnp.arctan2(jnp.where(nu > 0, fy, 0.0), jnp.where(nu > 0, fx, 1.0)).ravel()
+        end = xp.arccos(xp.where(inside, nu, 0.5)).ravel()
+        angle = xp.arctan2(xp.where(nu > 0, up, 0.0), xp.where(nu > 0, right, 1.0)).ravel()
         phase = self._phase()
         if end.size > _MOST_DIRECTLY:
             values = from_table(overlap_table(self.terms, phase), phase, end, angle)
         else:
             values = overlap(self.terms, end, angle, overlap_order(phase))
-        return jnp.where(inside, values.reshape(nu.shape), 0.0)
+        return xp.where(inside, values.reshape(nu.shape), 0.0)
 
     def band(self) -> float:
         """Return the cutoff, cycles/px."""
@@ -209,13 +213,13 @@ class ZernikeOptics(Optics):
 
     def components(self) -> tuple[tuple[jax.Array, Optics], ...]:
         """Return this lens, with weight 1."""
-        return ((jnp.ones(()), self),)
+        return ((xp.ones(()), self),)
 
     def _along(self, f: jax.Array, angle: jax.Array) -> jax.Array:
-        return self.otf(f * jnp.cos(angle), f * jnp.sin(angle))
+        return self.otf(f * xp.cos(angle), f * xp.sin(angle))
 
     def _phase(self) -> int:
-        terms = jax.lax.stop_gradient(self.terms)
+        terms = constant(self.terms)
         return phase_of(np.asarray(terms)) if is_concrete(terms) else _TRACED_PHASE
 
     def __repr__(self) -> str:
@@ -239,7 +243,7 @@ def _waves(name: str, value: Any) -> jax.Array:
 
 def _pair(name: str, value: Any) -> jax.Array:
     if isinstance(value, tuple | list) and not all(map(is_concrete, value)):
-        value = jnp.stack([jnp.asarray(one, dtype=jnp.float64) for one in value])
+        value = xp.stack([xp.asarray(one, dtype=xp.float64) for one in value])
     pair = _waves(name, value)
     if pair.shape != (2,):
         raise ArgumentError(f"{name} must be two numbers, waves rms, got an array of shape {pair.shape}")

@@ -20,20 +20,16 @@ from jax.typing import ArrayLike
 
 from matcam.camera.optics.gaussian import GaussianSum, few_gaussians, gaussian_sum, round_gaussians
 from matcam.camera.optics.optics import Optics
-from matcam.camera.pixel import PixelResponse
+from matcam.camera.pixel import PIXELS_SHARE, PixelResponse
 from matcam.core.errors import ArgumentError
 from matcam.core.jax import is_concrete, jax, jnp
 from matcam.forward.integral.kernel_rest import KernelRest, kernel_rest
-from matcam.lamp.lamps import closeness
+from matcam.lamp.lamps import STEEPEST, closeness
 from matcam.numerics.disc_chords import COUNTS, Chords, chord_rule, chords_of, half_of
 from matcam.rigs import Rig
 from matcam.sample.curved import Sphere
 from matcam.sample.shape import Curved
 
-STEEPEST = 0.1
-"""Least cosine of theta_d by which a lamp's ellipse is stretched: there it is as long as the sample."""
-PIXELS_SHARE = 0.3
-"""Share of the pixel's half width that counts as blur of a disc: its borders are steps before a sharp lens."""
 _LEAST_DISC = 1e-4
 """Least radius of a disc in standard deviations of its blur: the difference that a chord is keeps 12 digits."""
 

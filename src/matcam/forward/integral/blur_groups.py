@@ -8,8 +8,9 @@ import numpy as np
 
 from matcam.core.errors import ArgumentError
 from matcam.core.jax import is_concrete, jax
-from matcam.forward.integral.blur import STEEPEST, Blur
+from matcam.forward.integral.blur import Blur
 from matcam.forward.integral.kernel_rest import KernelRest
+from matcam.lamp.lamps import STEEPEST
 from matcam.sample.shape import Curved
 
 _ONE_WIDTH = 1.4

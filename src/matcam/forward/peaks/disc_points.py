@@ -8,16 +8,22 @@ point of each: Gauss-Legendre in the squared radius times equal steps round the 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from matcam.core.jax import is_concrete, jax, jnp
-from matcam.forward.integral.blur import PIXELS_SHARE, STEEPEST, blur_of
-from matcam.lamp.lamps import rings_and_spokes
-from matcam.rigs import Rig
+from matcam.camera.optics.gaussian import finest_width
+from matcam.camera.pixel import PIXELS_SHARE
+from matcam.core.arrays import constant, is_concrete, xp
+from matcam.lamp.lamps import STEEPEST, rings_and_spokes
 from matcam.sample.shape import Curved
 
+if TYPE_CHECKING:
+    from matcam.core.jax import jax
+    from matcam.rigs import Rig
+
+_LOBE = 0.5
+"""Share of a lobe's roughness that counts as its blur: a GGX lobe has its singularities at its scale."""
 _UNKNOWN_FINENESS = 6.0
 """Radius of a disc over the standard deviation of its blur that is reckoned with inside jit."""
 
@@ -38,36 +44,64 @@ class DiscPoints(NamedTuple):
     aside: jax.Array
 
 
+class Discs(NamedTuple):
+    """Sizes of the discs about some highlights, (slices,) each.
+
+    Attributes:
+        lamp_x: half axis of the lamp's ellipse towards the limb, px.
+        lamp_y: half axis across, px.
+        lens: radius of the disc of a lens out of focus, px.
+        turned: largest angle by which the lamp's disc turns the half vector across, rad.
+    """
+
+    lamp_x: jax.Array
+    lamp_y: jax.Array
+    lens: jax.Array
+    turned: jax.Array
+
+
+def disc_sizes(rig: Rig, theta: jax.Array) -> Discs | None:
+    """Return the sizes of a rig's discs at viewing angles, rad, (slices,); None where it has none."""
+    sample, nearness = rig.sample, rig.lamp.nearness
+    if not has_discs(rig) or not isinstance(sample, Curved):
+        return None
+    cosine = xp.cos(theta)
+    squeezed = cosine / xp.maximum(cosine, STEEPEST)
+    along, across = (
+        2 * xp.where(xp.isinf(scale), 0.0, scale) * xp.where(xp.isinf(scale), 0.0, spread)
+        for scale, spread in zip(rig.px_per_rad(theta), rig.lamp_spread(theta), strict=True)
+    )
+    normal = xp.cos(sample.highlight(sample.lamp_angle(theta, nearness), nearness))
+    lens = xp.abs(sample.radius * rig.aperture * (normal - xp.cos(rig.focus)) / 2)
+    return Discs(along, across * squeezed, lens, 2 * rig.lamp_spread(theta)[1] * squeezed)
+
+
 def mean_over_discs(
     rig: Rig,
     theta: jax.Array,
     record: Callable[[np.ndarray, DiscPoints], jax.Array],
-    finest: float = np.inf,
+    roughness: jax.Array | None = None,
 ) -> jax.Array:
     """Return the mean of a record over the points of a rig's discs.
 
     Args:
-        rig: a rig with a curved sample.
+        rig: a rig with discs.
         theta: viewing angles of the highlights, rad, (slices,).
         record: takes which of the angles, and returns the mean over their points, slices first.
-        finest: angle across over which the record changes much, rad. Default: infinite, it does not depend on `aside`.
+        roughness: of a lobe that is seen from aside. Default: None, the record does not depend on `aside`.
     """
-    cosine = jnp.cos(theta)
-    lamp = [
-        2 * jnp.where(jnp.isinf(scale), 0.0, scale) * jnp.where(jnp.isinf(scale), 0.0, spread)
-        for scale, spread in zip(rig.px_per_rad(theta), rig.lamp_spread(theta), strict=True)
-    ]
-    lamp[1] *= cosine / jnp.maximum(cosine, STEEPEST)
-    turned = 2 * rig.lamp_spread(theta)[1] * cosine / jnp.maximum(cosine, STEEPEST)
-    blur, nearness = blur_of(rig), rig.lamp.nearness
-    normal = jnp.cos(rig.sample.highlight(rig.sample.lamp_angle(theta, nearness), nearness))  # type: ignore[attr-defined]
-    focus = jnp.abs(blur.defocus(rig.sample.radius, normal))  # type: ignore[attr-defined]
-    std = jnp.hypot(jnp.min(blur.stds), PIXELS_SHARE * blur.pixel.half_width)
+    discs = disc_sizes(rig, theta)
+    assert discs is not None
+    finest = np.inf
+    if roughness is not None and is_concrete(known := constant(xp.asarray(roughness))):
+        finest = _LOBE * float(known)
+    lamp, focus, turned = (discs.lamp_x, discs.lamp_y), discs.lens, discs.turned
+    std = xp.hypot(xp.hypot(finest_width(rig.camera.optics), rig.jitter), PIXELS_SHARE * rig.camera.pixel.half_width)
     of_lamp, of_lens = (
         _levels(size / width)
         for size, width in (
-            (jnp.maximum(jnp.maximum(*lamp), turned * std / finest), std),
-            (focus, jnp.hypot(std, jnp.minimum(*lamp) / 2)),
+            (xp.maximum(xp.maximum(*lamp), turned * std / finest), std),
+            (focus, xp.hypot(std, xp.minimum(*lamp) / 2)),
         )
     )
     found: list[tuple[np.ndarray, jax.Array]] = []
@@ -82,7 +116,7 @@ def mean_over_discs(
         aside = (turned[slices, None, None] * lamps[1][:, None] + 0 * lens[0]).reshape(slices.size, -1)
         found.append((slices, record(slices, DiscPoints(x, y, share, aside))))
     order = np.argsort(np.concatenate([slices for slices, _ in found]))
-    return jnp.concatenate([records for _, records in found])[order]
+    return xp.concatenate([records for _, records in found])[order]
 
 
 def has_discs(rig: Rig) -> bool:
@@ -92,7 +126,7 @@ def has_discs(rig: Rig) -> bool:
 
 def _levels(fineness: jax.Array) -> np.ndarray:
     """Return radii over the standard deviation of their blur as powers of 2 that are no smaller; 0 stays."""
-    fineness = jax.lax.stop_gradient(fineness)
+    fineness = constant(fineness)
     if not is_concrete(fineness):
         return np.full(fineness.shape, _UNKNOWN_FINENESS)
     known = np.asarray(fineness)
@@ -112,5 +146,5 @@ def _unit_points(fineness: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def _is_zero(value: jax.Array) -> bool:
-    value = jax.lax.stop_gradient(value)
+    value = constant(value)
     return is_concrete(value) and float(value) == 0

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from matcam.camera.camera import Camera
-from matcam.camera.profile import Uncertainty
+from matcam.camera.parameters import Uncertainty
 from matcam.core.jax import jax, jnp, placed
 from matcam.core.remark import Remark
 from matcam.inverse.fit.fit_parameters import LobeKind, readable_value, reflectance_at

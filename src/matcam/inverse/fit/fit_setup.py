@@ -16,7 +16,7 @@ from typing import Any, Literal
 import numpy as np
 import xarray as xr
 
-from matcam.camera.profile import Uncertainty
+from matcam.camera.parameters import Uncertainty
 from matcam.camera.sensor import PixelNoise
 from matcam.core import checks
 from matcam.core.errors import ArgumentError, FitError

@@ -18,8 +18,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from matcam.camera.pixel import PIXELS_SHARE
 from matcam.core.jax import is_concrete, jax, jnp
-from matcam.forward.integral.blur import PIXELS_SHARE, Blur, Spread
+from matcam.forward.integral.blur import Blur, Spread
 from matcam.inverse.operator.sample_view import SampleView
 from matcam.numerics.disc_chords import CHORD_RULE, COUNTS, chord_rule, chords_of
 from matcam.numerics.disc_gaussians import DISC_GAUSSIANS, LARGEST

@@ -14,7 +14,7 @@ import equinox as eqx
 import numpy as np
 
 from matcam.camera.camera import Camera
-from matcam.camera.profile import Uncertainty
+from matcam.camera.parameters import Uncertainty
 from matcam.core.errors import ArgumentError
 from matcam.core.jax import jnp
 from matcam.forward.integral.blur import blur_of

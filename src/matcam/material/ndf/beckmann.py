@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
-from jax.typing import ArrayLike
+from typing import TYPE_CHECKING
 
-from matcam.core.jax import jax, jnp
+from matcam.core.arrays import special, xp
 from matcam.material.masking import cot_of
 from matcam.material.ndf.distribution import MixtureNDF, SlopeNDF, StretchedSlopes, checked_roughness
+
+if TYPE_CHECKING:
+    from jax.typing import ArrayLike
+
+    from matcam.core.jax import jax
 
 
 class Beckmann(SlopeNDF, MixtureNDF):
@@ -39,7 +44,7 @@ class Beckmann(SlopeNDF, MixtureNDF):
 
     def slope_density(self, slope2: jax.Array) -> jax.Array:
         """Return exp(-slope^2 / alpha^2) / (pi alpha^2)."""
-        return jnp.exp(-slope2 / self.alpha**2) / (jnp.pi * self.alpha**2)
+        return xp.exp(-slope2 / self.alpha**2) / (xp.pi * self.alpha**2)
 
     def smith_lambda(self, cos: jax.Array) -> jax.Array:
         """Return Smith's Lambda in closed form.
@@ -53,7 +58,7 @@ class Beckmann(SlopeNDF, MixtureNDF):
 
     def mixture(self) -> tuple[jax.Array, jax.Array]:
         """Return one Gaussian, in the slope."""
-        return jnp.ones(1), self.alpha[None] / jnp.sqrt(2)
+        return xp.ones(1), self.alpha[None] / xp.sqrt(2)
 
     @property
     def roughness(self) -> jax.Array:
@@ -85,7 +90,7 @@ class AnisotropicBeckmann(StretchedSlopes):
 
     def unit_density(self, slope2: jax.Array) -> jax.Array:
         """Return exp(-slope^2) / pi."""
-        return jnp.exp(-slope2) / jnp.pi
+        return xp.exp(-slope2) / xp.pi
 
     def unit_lambda(self, nu: jax.Array) -> jax.Array:
         """Return Beckmann's closed form of Lambda."""
@@ -94,5 +99,5 @@ class AnisotropicBeckmann(StretchedSlopes):
 
 def beckmann_lambda(nu: jax.Array) -> jax.Array:
     """Return Lambda of Beckmann's slopes at nu = cot theta / alpha, to 16 digits of 1 / (1 + Lambda)."""
-    nu = jnp.minimum(nu, 20.0)
-    return jnp.maximum(jnp.exp(-(nu**2)) / (nu * jnp.sqrt(jnp.pi)) - jax.scipy.special.erfc(nu), 0.0) / 2
+    nu = xp.minimum(nu, 20.0)
+    return xp.maximum(xp.exp(-(nu**2)) / (nu * xp.sqrt(xp.pi)) - special.erfc(nu), 0.0) / 2

@@ -12,21 +12,25 @@ and has a closed form where the shape is a mixture of Gaussians (forward/peaks/l
 from __future__ import annotations
 
 from abc import abstractmethod
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
-import equinox as eqx
 import numpy as np
-from jax.typing import ArrayLike
 
 from matcam.core import checks
-from matcam.core.jax import jax, jnp
+from matcam.core.arrays import xp
+from matcam.core.arrays.module import Module
 from matcam.core.shading import Shading
+
+if TYPE_CHECKING:
+    from jax.typing import ArrayLike
+
+    from matcam.core.jax import jax
 
 _SMOOTHEST = 1e-60  # roughness: far below any surface, and powers of it are still numbers
 _FLAT = 1e-30  # squared sine of a direction that is the normal itself
 
 
-class SlopeDistribution(eqx.Module):
+class SlopeDistribution(Module):
     """Describe the facets of a microfacet material, isotropic or not."""
 
     @abstractmethod
@@ -95,6 +99,14 @@ class NDF(SlopeDistribution):
         """
 
     @abstractmethod
+    def shape(self, r: jax.Array) -> jax.Array:
+        """Return the lobe as a function of the tangent-plane coordinate, 1 at the peak.
+
+        Args:
+            r: coordinate, an angle or a slope.
+        """
+
+    @abstractmethod
     def flattening(self, theta_h: jax.Array) -> jax.Array:
         """Return D over D(0) and the shape in r.
 
@@ -126,7 +138,7 @@ class NDF(SlopeDistribution):
         Raises:
             ArgumentError: theta lies outside its range.
         """
-        return 1 / (1 + self.smith_lambda(jnp.cos(checks.within("theta", theta, 0, np.pi / 2, "rad"))))
+        return 1 / (1 + self.smith_lambda(xp.cos(checks.within("theta", theta, 0, np.pi / 2, "rad"))))
 
     def density(self, along: jax.Array, across: jax.Array) -> jax.Array:
         """Return P22, the same in every direction."""
@@ -147,16 +159,20 @@ class SlopeNDF(NDF):
 
     def d(self, theta_h: ArrayLike) -> jax.Array:
         """Return D = P22 / cos^4 theta_h, 1/sr."""
-        slope2 = jnp.tan(checks.number("theta_h", theta_h)) ** 2
+        slope2 = xp.tan(checks.number("theta_h", theta_h)) ** 2
         return self.slope_density(slope2) * (1 + slope2) ** 2
 
     def coordinate(self, theta_h: jax.Array) -> jax.Array:
         """Return the slope tan theta_h."""
-        return jnp.tan(theta_h)
+        return xp.tan(theta_h)
+
+    def shape(self, r: jax.Array) -> jax.Array:
+        """Return the density of slopes over that at slope 0."""
+        return self.slope_density(r**2) / self.slope_density(xp.zeros(()))
 
     def flattening(self, theta_h: jax.Array) -> jax.Array:
         """Return cos^-4 theta_h, from slopes to solid angle."""
-        return jnp.cos(theta_h) ** -4
+        return xp.cos(theta_h) ** -4
 
 
 class MixtureNDF(NDF):
@@ -228,13 +244,13 @@ class StretchedSlopes(SlopeDistribution):
         )
 
     def _lambda(self, cos: jax.Array, along: jax.Array, across: jax.Array) -> jax.Array:
-        alpha_tan = jnp.sqrt((self.alpha_along * along) ** 2 + (self.alpha_across * across) ** 2 + _FLAT)
-        return self.unit_lambda(jnp.maximum(cos, _FLAT) / alpha_tan)
+        alpha_tan = xp.sqrt((self.alpha_along * along) ** 2 + (self.alpha_across * across) ** 2 + _FLAT)
+        return self.unit_lambda(xp.maximum(cos, _FLAT) / alpha_tan)
 
     @property
     def finest(self) -> jax.Array:
         """Narrowest scale on which P22 changes: the smaller roughness."""
-        return jnp.minimum(self.alpha_along, self.alpha_across)
+        return xp.minimum(self.alpha_along, self.alpha_across)
 
     @property
     def elongation(self) -> float:
@@ -253,14 +269,14 @@ def _tangents(shading: Shading) -> tuple[tuple[jax.Array, jax.Array], tuple[jax.
     """Return (part, offset): light and view along the surface's tangents are offset + part and offset - part."""
     slope2 = shading.slope_along**2 + shading.slope_across**2
     mirror = slope2 == 0  # there the half vector's azimuth counts as 0
-    slope = jnp.sqrt(jnp.where(mirror, 1.0, slope2))
+    slope = xp.sqrt(xp.where(mirror, 1.0, slope2))
     cos_phi, sin_phi = (
-        jnp.where(mirror, 1.0, shading.slope_along / slope),
-        jnp.where(mirror, 0.0, shading.slope_across / slope),
+        xp.where(mirror, 1.0, shading.slope_along / slope),
+        xp.where(mirror, 0.0, shading.slope_across / slope),
     )
-    cos_h = jax.lax.rsqrt(1 + slope2)
-    away = jnp.sin(shading.theta_d) * jnp.cos(shading.phi_d) * cos_h
-    beside = jnp.sin(shading.theta_d) * jnp.sin(shading.phi_d)
-    offset = jnp.cos(shading.theta_d) * cos_h
+    cos_h = 1 / xp.sqrt(1 + slope2)
+    away = xp.sin(shading.theta_d) * xp.cos(shading.phi_d) * cos_h
+    beside = xp.sin(shading.theta_d) * xp.sin(shading.phi_d)
+    offset = xp.cos(shading.theta_d) * cos_h
     part = away * cos_phi - beside * sin_phi, away * sin_phi + beside * cos_phi
     return part, (offset * shading.slope_along, offset * shading.slope_across)

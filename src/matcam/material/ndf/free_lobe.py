@@ -162,6 +162,10 @@ class ShadowedNDF(NDF):
         """Return the coordinate of the base."""
         return self.base.coordinate(theta_h)
 
+    def shape(self, r: jax.Array) -> jax.Array:
+        """Return the shape of the base."""
+        return self.base.shape(r)
+
     def flattening(self, theta_h: jax.Array) -> jax.Array:
         """Return the flattening of the base."""
         return self.base.flattening(theta_h)

@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
-from jax.typing import ArrayLike
 
 from matcam.core import checks
-from matcam.core.jax import jax, jnp
+from matcam.core.arrays import xp
 from matcam.material.masking import tabulated_lambda
 from matcam.material.ndf.distribution import MixtureNDF, checked_roughness
+
+if TYPE_CHECKING:
+    from jax.typing import ArrayLike
+
+    from matcam.core.jax import jax
 
 _SMALL = 1e-6  # squared slope below which its angle comes from a series: the root's slope is infinite at 0
 
@@ -43,37 +49,41 @@ class GaussianNDF(MixtureNDF):
 
     def d(self, theta_h: ArrayLike) -> jax.Array:
         """Return D, 1/sr, proportional to exp(-theta_h^2 / (2 width^2))."""
-        return self._of_squared_angle(checks.number("theta_h", theta_h) ** 2)
+        return self._of_squared_angle(xp.square(checks.number("theta_h", theta_h)))
 
     def slope_density(self, slope2: jax.Array) -> jax.Array:
         """Return P22 = D cos^4 theta_h."""
         small = slope2 < _SMALL
-        angle = jnp.arctan(jnp.sqrt(jnp.where(small, 1.0, slope2)))
+        angle = xp.arctan(xp.sqrt(xp.where(small, 1.0, slope2)))
         series = slope2 * (1 - slope2 * (2 / 3 - slope2 * 23 / 45))
-        return self._of_squared_angle(jnp.where(small, series, angle**2)) / (1 + slope2) ** 2
+        return self._of_squared_angle(xp.where(small, series, angle**2)) / (1 + slope2) ** 2
 
     def _of_squared_angle(self, theta2: jax.Array) -> jax.Array:
-        return jnp.exp(-theta2 / (2 * self.width**2)) / self._integral
+        return xp.exp(-theta2 / (2 * self.width**2)) / self._integral
 
     @property
     def _integral(self) -> jax.Array:
-        nodes, weights = (jnp.asarray(a) for a in np.polynomial.legendre.leggauss(64))
-        reach = jnp.minimum(jnp.pi / 2, 9 * self.width)
+        nodes, weights = (xp.asarray(a) for a in np.polynomial.legendre.leggauss(64))
+        reach = xp.minimum(xp.pi / 2, 9 * self.width)
         theta = reach * (nodes + 1) / 2
-        inside = jnp.exp(-((theta / self.width) ** 2) / 2) * jnp.sin(2 * theta)
-        return jnp.pi * reach / 2 * (inside @ weights)
+        inside = xp.exp(-((theta / self.width) ** 2) / 2) * xp.sin(2 * theta)
+        return xp.pi * reach / 2 * (inside @ weights)
 
     def coordinate(self, theta_h: jax.Array) -> jax.Array:
         """Return theta_h itself."""
         return theta_h
 
+    def shape(self, r: jax.Array) -> jax.Array:
+        """Return exp(-r^2 / (2 width^2))."""
+        return xp.exp(-((r / self.width) ** 2) / 2)
+
     def flattening(self, theta_h: jax.Array) -> jax.Array:
         """Return 1: the lobe is Gaussian in theta_h."""
-        return jnp.ones_like(theta_h)
+        return xp.ones_like(theta_h)
 
     def mixture(self) -> tuple[jax.Array, jax.Array]:
         """Return one Gaussian, in the angle."""
-        return jnp.ones(1), self.width[None]
+        return xp.ones(1), self.width[None]
 
     def smith_lambda(self, cos: jax.Array) -> jax.Array:
         """Return Smith's Lambda by its integral over slopes."""

@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
-import numpy as np
-from jax.typing import ArrayLike
+from typing import TYPE_CHECKING
 
-from matcam.core.jax import jax, jnp
+import numpy as np
+
+from matcam.core.arrays import xp
 from matcam.material.masking import cot_of
 from matcam.material.ndf.distribution import MixtureNDF, SlopeNDF, StretchedSlopes, checked_roughness
+
+if TYPE_CHECKING:
+    from jax.typing import ArrayLike
+
+    from matcam.core.jax import jax
 
 _MIXTURE_NODES = 56
 
@@ -42,7 +48,7 @@ class GGX(SlopeNDF, MixtureNDF):
 
     def slope_density(self, slope2: jax.Array) -> jax.Array:
         """Return alpha^2 / (pi (alpha^2 + slope^2)^2)."""
-        return (self.alpha / (self.alpha**2 + slope2)) ** 2 / jnp.pi
+        return (self.alpha / (self.alpha**2 + slope2)) ** 2 / xp.pi
 
     def smith_lambda(self, cos: jax.Array) -> jax.Array:
         """Return Smith's Lambda in closed form.
@@ -62,7 +68,7 @@ class GGX(SlopeNDF, MixtureNDF):
         log_t = np.linspace(-14.0, 3.9, _MIXTURE_NODES)
         t = np.exp(log_t)
         weights = t**2 * np.exp(-t)
-        return jnp.asarray(weights / weights.sum()), self.alpha / np.sqrt(2 * t)
+        return xp.asarray(weights / weights.sum()), self.alpha / np.sqrt(2 * t)
 
     @property
     def roughness(self) -> jax.Array:
@@ -94,7 +100,7 @@ class AnisotropicGGX(StretchedSlopes):
 
     def unit_density(self, slope2: jax.Array) -> jax.Array:
         """Return 1 / (pi (1 + slope^2)^2)."""
-        return 1 / (jnp.pi * (1 + slope2) ** 2)
+        return 1 / (xp.pi * (1 + slope2) ** 2)
 
     def unit_lambda(self, nu: jax.Array) -> jax.Array:
         """Return GGX's closed form of Lambda."""
@@ -104,4 +110,4 @@ class AnisotropicGGX(StretchedSlopes):
 def ggx_lambda(nu: jax.Array) -> jax.Array:
     """Return Lambda of GGX at nu = cot theta / alpha: t / (2 (1 + sqrt(1 + t))), t = nu^-2, which does not cancel."""
     t = nu**-2
-    return t / (2 * (1 + jnp.sqrt(1 + t)))
+    return t / (2 * (1 + xp.sqrt(1 + t)))

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
-from jax.typing import ArrayLike
 
 from matcam.core import checks
-from matcam.core.jax import jax, jnp
+from matcam.core.arrays import special, with_derivatives, xp
 from matcam.material.masking import tabulated_lambda
 from matcam.material.ndf.distribution import MixtureNDF, SlopeNDF, checked_roughness
+
+if TYPE_CHECKING:
+    from jax.typing import ArrayLike
+
+    from matcam.core.jax import jax
 
 _NORM_NODES = np.polynomial.legendre.leggauss(96)
 _MIXTURE_NODES = 96
@@ -52,10 +56,10 @@ class EPD(SlopeNDF):
 
     def slope_density(self, slope2: jax.Array) -> jax.Array:
         """Return p / (pi beta^2 Gamma(1/p)) exp(-(slope^2 / beta^2)^p)."""
-        peak = self.power / (jnp.pi * self.beta**2 * jnp.exp(jax.scipy.special.gammaln(1 / self.power)))
+        peak = self.power / (xp.pi * self.beta**2 * xp.exp(special.gammaln(1 / self.power)))
         at_peak = slope2 == 0  # where the derivative of x^p is infinite or of the form 0 ln 0
-        x = jnp.where(at_peak, 1.0, slope2 / self.beta**2)
-        return peak * jnp.exp(-jnp.where(at_peak, 0.0, _power(x, self.power)))
+        x = xp.where(at_peak, 1.0, slope2 / self.beta**2)
+        return peak * xp.exp(-xp.where(at_peak, 0.0, _power(x, self.power)))
 
     def smith_lambda(self, cos: jax.Array) -> jax.Array:
         """Return Smith's Lambda by its integral over slopes."""
@@ -110,8 +114,8 @@ class SGD(SlopeNDF, MixtureNDF):
         """Return K exp(-x) / (pi x^p), the density of slopes."""
         fall = slope2 / self.alpha
         above = fall / self.alpha  # x = alpha (1 + above)
-        peak = 1 / (jnp.pi * self.alpha**2 * self._integral)
-        return peak * jnp.exp(-fall) * (1 + above) ** -self.power
+        peak = 1 / (xp.pi * self.alpha**2 * self._integral)
+        return peak * xp.exp(-fall) * (1 + above) ** -self.power
 
     @property
     def _integral(self) -> jax.Array:
@@ -120,9 +124,9 @@ class SGD(SlopeNDF, MixtureNDF):
         This is Gamma(1 - p, alpha) without its powers of alpha, which overflow.
         """
         nodes, weights = _NORM_NODES
-        reach = jnp.log1p(_FADED / self.alpha)
+        reach = xp.log1p(_FADED / self.alpha)
         v = reach * (nodes + 1) / 2
-        return reach / 2 * (jnp.exp((1 - self.power) * v - self.alpha * jnp.expm1(v)) @ weights)
+        return reach / 2 * (xp.exp((1 - self.power) * v - self.alpha * xp.expm1(v)) @ weights)
 
     def mixture(self) -> tuple[jax.Array, jax.Array]:
         """Return the Gaussians whose sum is the lobe.
@@ -132,16 +136,16 @@ class SGD(SlopeNDF, MixtureNDF):
         x^-p exp(-x) = integral over u > 1 of (u - 1)^(p - 1) exp(-u x) du / Gamma(p), by the trapezoid rule in ln(u - 1).
         All u below the first node are one Gaussian at their mean. The error holds for alpha >= 1e-6.
         """
-        highest = jnp.log(_FADED / self.alpha)
+        highest = xp.log(_FADED / self.alpha)
         step = (highest - _LOWEST) / (_MIXTURE_NODES - 2)
-        log_excess = _LOWEST + step * jnp.arange(_MIXTURE_NODES - 1)
-        excess = jnp.exp(log_excess)
+        log_excess = _LOWEST + step * xp.arange(_MIXTURE_NODES - 1)
+        excess = xp.exp(log_excess)
         # the nodes below the first would be a geometric series, down to u = 1
-        rest = jnp.exp(self.power * (_LOWEST - step)) / -jnp.expm1(-self.power * step)
-        rest_excess = jnp.exp(_LOWEST - step) * jnp.expm1(-self.power * step) / jnp.expm1(-(1 + self.power) * step)
-        u = 1 + jnp.append(rest_excess, excess)
-        weights = jnp.append(rest, jnp.exp(self.power * log_excess)) * jnp.exp(-self.alpha * (u - 1))
-        return weights / jnp.sum(weights), jnp.sqrt(self.alpha / (2 * u))
+        rest = xp.exp(self.power * (_LOWEST - step)) / -xp.expm1(-self.power * step)
+        rest_excess = xp.exp(_LOWEST - step) * xp.expm1(-self.power * step) / xp.expm1(-(1 + self.power) * step)
+        u = 1 + xp.append(rest_excess, excess)
+        weights = xp.append(rest, xp.exp(self.power * log_excess)) * xp.exp(-self.alpha * (u - 1))
+        return weights / xp.sum(weights), xp.sqrt(self.alpha / (2 * u))
 
     def smith_lambda(self, cos: jax.Array) -> jax.Array:
         """Return Smith's Lambda by its integral over slopes."""
@@ -156,10 +160,5 @@ class SGD(SlopeNDF, MixtureNDF):
         return f"SGD(alpha={self.alpha!s}, power={self.power!s})"
 
 
-@jax.custom_jvp
-def _power(x: jax.Array, p: jax.Array) -> jax.Array:
-    """Return x^p of x > 0. Its derivatives take no further power, which would cost as much again."""
-    return x**p
-
-
-_power.defjvps(lambda dx, u, x, p: dx * u * p / x, lambda dp, u, x, p: dp * u * jnp.log(x))
+_power = with_derivatives(lambda x, p: x**p, lambda dx, u, x, p: dx * u * p / x, lambda dp, u, x, p: dp * u * xp.log(x))
+"""x^p of x > 0. Its derivatives take no further power, which would cost as much again."""

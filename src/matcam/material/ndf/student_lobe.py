@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
-from matcam.core.jax import jax, jnp
+from typing import TYPE_CHECKING
+
+from matcam.core.arrays import xp
 from matcam.material.masking import tabulated_lambda
 from matcam.material.ndf.distribution import SlopeNDF
+
+if TYPE_CHECKING:
+    from matcam.core.jax import jax
 
 
 class StudentLobe(SlopeNDF):
@@ -28,7 +33,7 @@ class StudentLobe(SlopeNDF):
         """Return P22."""
         g = 1 + self.excess
         square = g * self.beta**2
-        return self.excess / (jnp.pi * square) * jnp.exp(-g * jnp.log1p(slope2 / square))
+        return self.excess / (xp.pi * square) * xp.exp(-g * xp.log1p(slope2 / square))
 
     def smith_lambda(self, cos: jax.Array) -> jax.Array:
         """Return Smith's Lambda by its integral over slopes."""

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
-from matcam.core.jax import jax, jnp
+from typing import TYPE_CHECKING
+
+from matcam.core.arrays import xp
 from matcam.material.ndf.beckmann import Beckmann
 from matcam.material.ndf.distribution import SlopeNDF
 from matcam.material.ndf.ggx import GGX
+
+if TYPE_CHECKING:
+    from matcam.core.jax import jax
 
 
 class TwoLobes(SlopeNDF):
@@ -33,16 +38,16 @@ class TwoLobes(SlopeNDF):
 
     def slope_density(self, slope2: jax.Array) -> jax.Array:
         """Return the shares' P22."""
-        return sum((share * lobe.slope_density(slope2) for share, lobe in self._parts()), jnp.zeros(()))
+        return sum((share * lobe.slope_density(slope2) for share, lobe in self._parts()), xp.zeros(()))
 
     def smith_lambda(self, cos: jax.Array) -> jax.Array:
         """Return the shares' Lambda."""
-        return sum((share * lobe.smith_lambda(cos) for share, lobe in self._parts()), jnp.zeros(()))
+        return sum((share * lobe.smith_lambda(cos) for share, lobe in self._parts()), xp.zeros(()))
 
     @property
     def roughness(self) -> jax.Array:
         """Return the narrower lobe's roughness."""
-        return jnp.minimum(self.alpha, self.other_alpha)
+        return xp.minimum(self.alpha, self.other_alpha)
 
     def _parts(self) -> list[tuple[jax.Array, GGX | Beckmann]]:
         return [

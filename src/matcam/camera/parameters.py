@@ -1,0 +1,167 @@
+"""A camera's parameters by name, their covariance, and where a camera comes from.
+
+Parameters are named by their place, with their unit: "optics.sigma_px", "optics.mtf[3]", "optics.core.sigma_px".
+"""
+
+from __future__ import annotations
+
+import operator
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from matcam.core import checks
+from matcam.core.arrays import is_concrete, xp
+from matcam.core.arrays.module import Module, replaced, static_field
+from matcam.core.errors import ArgumentError
+
+if TYPE_CHECKING:
+    from jax.typing import ArrayLike
+
+    from matcam.core.jax import jax
+
+_NAME = re.compile(r"((?:\w+\.)+)(\w+?)(?:\[(\d+)\])?")
+
+
+class Uncertainty(Module):
+    """State the covariance of a camera's parameters; parameters without one are exact.
+
+    Args:
+        names: of the parameters, as in `Camera.parameters()`, such as "optics.sigma_px"; (n,).
+        covariance: in the units of the names, shape (n, n), symmetric, positive semidefinite.
+
+    Raises:
+        ArgumentError: the shape does not fit, a name stands twice, or this is no covariance.
+
+    Example:
+        >>> known = matcam.camera.Uncertainty.of({"optics.sigma_px": 0.02})
+        >>> known.std()
+        {'optics.sigma_px': 0.02}
+    """
+
+    names: tuple[str, ...] = static_field()
+    covariance: jax.Array
+
+    def __init__(self, names: Iterable[str], covariance: ArrayLike):
+        self.names = tuple(names)
+        self.covariance = checks.number("covariance", covariance)
+        n = len(self.names)
+        if self.covariance.shape != (n, n):
+            raise ArgumentError(f"covariance of {n} parameters must have shape ({n}, {n}), got {self.covariance.shape}")
+        if len(set(self.names)) != n:
+            raise ArgumentError(f"covariance names a parameter twice: {', '.join(self.names)}")
+        if not is_concrete(covariance):
+            return
+        matrix = np.asarray(covariance, dtype=float)  # as it was given: within jax.jit its copy is a tracer
+        scale = np.sqrt(np.maximum(np.diag(matrix), 0))
+        tolerance = 1e-9 * np.outer(scale, scale) + 1e-300
+        if np.any(np.diag(matrix) < 0) or np.any(np.abs(matrix - matrix.T) > tolerance):
+            raise ArgumentError("covariance must be symmetric with variances >= 0 on its diagonal")
+        correlation = matrix / np.where(scale > 0, scale, 1) / np.where(scale > 0, scale, 1)[:, None]
+        if n and np.linalg.eigvalsh(correlation)[0] < -1e-9:
+            raise ArgumentError("covariance is not positive semidefinite: some combination has a negative variance")
+
+    @classmethod
+    def of(cls, std: Mapping[str, float]) -> Uncertainty:
+        """Build the uncertainty of independent parameters from standard deviations.
+
+        Args:
+            std: standard deviation by name, in the unit of the name, >= 0.
+
+        Raises:
+            ArgumentError: a standard deviation is negative or not finite.
+        """
+        for name, value in std.items():
+            checks.within(f"standard deviation of {name}", value, 0, np.inf, open_high=True)
+        return cls(std.keys(), np.diag([float(s) ** 2 for s in std.values()]))
+
+    def check_names(self, parameters: Iterable[str]) -> None:
+        """Check that every name belongs to a camera.
+
+        Args:
+            parameters: names that the camera has.
+
+        Raises:
+            ArgumentError: a name is not among them.
+        """
+        known = set(parameters)
+        for name in self.names:
+            if name not in known:
+                raise ArgumentError(
+                    f"uncertainty names {name!r}, which this camera has not; it has {', '.join(sorted(known))}"
+                )
+
+    def std(self) -> dict[str, float]:
+        """Return the standard deviations by name, in the units of the names."""
+        return dict(zip(self.names, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
+
+    def __repr__(self) -> str:
+        return f"Uncertainty({self.names!r}, {xp.asarray(self.covariance).tolist()!r})"
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """Tell where a camera profile comes from; all texts are free.
+
+    Attributes:
+        source: measurement or assumption behind the profile. Default: "".
+        created: ISO 8601 date. Default: "", the day on which the profile is written.
+        software: program and version. Default: "", this one.
+        notes: anything else. Default: "".
+
+    Example:
+        >>> matcam.camera.Provenance(source="slanted edges, f/8").source
+        'slanted edges, f/8'
+    """
+
+    source: str = ""
+    created: str = ""
+    software: str = ""
+    notes: str = ""
+
+
+def parameters_of(part: str, module: Any) -> dict[str, jax.Array]:
+    """Return the scalars that describe the lens or pixel that is the camera's `part` ("optics", "optics.core")."""
+    named = {}
+    for field, value in fields_of(module).items():
+        if isinstance(value, Module):
+            named.update(parameters_of(f"{part}.{field}", value))
+        elif isinstance(value, tuple):
+            continue  # the frequencies of a curve's samples are known exactly
+        elif xp.ndim(value):
+            named.update({f"{part}.{field}[{i}]": value[i] for i in range(value.size)})
+        else:
+            named[f"{part}.{field}"] = value
+    return named
+
+
+def replace_parameters(part: str, module: Any, values: Mapping[str, Any]) -> Any:
+    """Return `module` with the parameters of this part replaced by `values`. Works under JAX transformations."""
+    for name, value in values.items():
+        found = _NAME.fullmatch(name)
+        if found is None or found[1].split(".")[0] != part:
+            continue
+        path = _path(module, found[1].split(".")[1:-1], found[2])
+        new = xp.asarray(value, dtype=xp.float64)
+        if found[3] is not None:
+            old = operator.attrgetter(path)(module)
+            new = xp.where(np.arange(old.size) == int(found[3]), new, old)
+        module = replaced(module, path, new)
+    return module
+
+
+def fields_of(module: Any) -> dict[str, Any]:
+    """Return what describes a lens or a pixel by names with units: scalars, curves, and the lens inside a lens."""
+    return {field: operator.attrgetter(path)(module) for field, path in module.profile_fields.items()}
+
+
+def _path(module: Any, inner: list[str], field: str) -> str:
+    """Return the place of a lens's parameter among its attributes, through the lenses inside it."""
+    steps = []
+    for name in (*inner, field):
+        steps.append(module.profile_fields[name])
+        module = operator.attrgetter(steps[-1])(module)
+    return ".".join(steps)

@@ -1,0 +1,51 @@
+"""Arrays of NumPy or of JAX, and immutable objects that hold them: what formulae are written with."""
+
+from matcam.core.arrays.control import (
+    as_index,
+    changed,
+    compiled_by_jax,
+    each,
+    either,
+    first_axis_map,
+    jacobian,
+    last_of,
+    repeated,
+    slope_along,
+    tuple_map,
+    with_derivatives,
+)
+from matcam.core.arrays.namespace import (
+    FloatArray,
+    constant,
+    fft,
+    has_jax,
+    is_concrete,
+    linalg,
+    scipy_linalg,
+    special,
+    xp,
+)
+
+__all__ = [
+    "FloatArray",
+    "as_index",
+    "changed",
+    "compiled_by_jax",
+    "constant",
+    "each",
+    "either",
+    "fft",
+    "first_axis_map",
+    "has_jax",
+    "is_concrete",
+    "jacobian",
+    "last_of",
+    "linalg",
+    "repeated",
+    "scipy_linalg",
+    "slope_along",
+    "special",
+    "tuple_map",
+    "with_derivatives",
+    "xp",
+]

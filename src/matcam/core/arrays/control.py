@@ -1,0 +1,165 @@
+"""Steps, conditions and derivatives that are written once, for arrays of NumPy and of JAX."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import wraps
+from importlib import import_module
+from typing import Any, ParamSpec, TypeVar
+
+import numpy as np
+
+from matcam.core.arrays.namespace import has_jax, xp
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+
+def first_axis_map(function: Callable[..., Any], arrays: tuple[Any, ...], together: int) -> Any:
+    """Apply a function to pieces of arrays and join the results, so that intermediate results stay small.
+
+    Args:
+        function: takes a piece of each array, and returns an array of as many elements along the first axis.
+        arrays: arrays whose first axes are of one length.
+        together: elements in a piece.
+    """
+    if has_jax(arrays):
+        one = lambda piece: function(*(array[None] for array in piece))[0]  # noqa: E731
+        return import_module("jax").lax.map(one, arrays, batch_size=together)
+    count = arrays[0].shape[0]
+    pieces = [slice(start, start + together) for start in range(0, max(count, 1), together)]
+    return xp.concatenate([function(*(array[piece] for array in arrays)) for piece in pieces])
+
+
+def repeated(count: int, step: Callable[[T], T], state: T) -> T:
+    """Apply a step to a tuple of arrays several times, all of which are of JAX where one is."""
+    if has_jax(state):
+        return import_module("jax").lax.fori_loop(0, count, lambda _, now: step(now), state)
+    for _ in range(count):
+        state = step(state)
+    return state
+
+
+def each(function: Callable[[Any], Any], array: Any) -> Any:
+    """Apply a function to the elements along an array's first axis, and stack what it returns: an array, or a tuple of them."""
+    if has_jax(array):
+        return import_module("jax").vmap(function)(array)
+    found = [function(one) for one in array]
+    if not isinstance(found[0], tuple):
+        return xp.stack(found)
+    return tuple(xp.stack(list(parts)) for parts in zip(*found, strict=True))
+
+
+def either(condition: Any, some: Callable[..., T], others: Callable[..., T], *args: Any) -> T:
+    """Call one of two functions, by a condition that may be traced."""
+    if has_jax(condition):
+        return import_module("jax").lax.cond(condition, some, others, *args)
+    return some(*args) if condition else others(*args)
+
+
+def last_of(step: Callable[[Any, Any], tuple[Any, T]], state: Any, inputs: Any) -> T:
+    """Go through inputs with a state, and return what the last step yields. step: takes state and input, returns both anew."""
+    if has_jax(state):
+        jax = import_module("jax")
+        return jax.tree.map(lambda a: a[-1], jax.lax.scan(step, state, inputs)[1])
+    for one in inputs:
+        state, found = step(state, one)
+    return found
+
+
+def changed(array: Any, where: Any, value: Any) -> Any:
+    """Return a copy of an array with other values at some places."""
+    if has_jax(array, value):
+        return import_module("jax").numpy.asarray(array).at[where].set(value)
+    copy = np.array(array)
+    copy[where] = value
+    return copy
+
+
+def as_index(number: Any) -> Any:
+    """Return whole numbers of an array as indices; 0 where there is no number."""
+    return xp.nan_to_num(number).astype(int)
+
+
+def tuple_map(function: Callable[..., Any], tree: T, *others: T) -> T:
+    """Apply a function to the arrays of a tuple, its tuples and theirs, and to those in the same places of others."""
+    if not isinstance(tree, tuple):
+        return function(tree, *others)
+    parts = (tuple_map(function, *them) for them in zip(tree, *others, strict=True))
+    return type(tree)(*parts) if hasattr(tree, "_fields") else type(tree)(parts)
+
+
+_STEP = 1e-3
+"""Relative step of differences of the fourth order: they err by 1e-12 of what is smooth on the scale of its argument."""
+
+
+def jacobian(function: Callable[[Any], Any], at: Any) -> Any:
+    """Return the derivatives of a function by the elements of a vector, on a last axis: of an array, or of each of a tuple.
+
+    For arrays of NumPy they are differences.
+    """
+    if has_jax(at):
+        return import_module("jax").jacfwd(function)(at)
+    at = np.asarray(at, dtype=np.float64)
+    columns = [slope_along(function, at, unit) for unit in np.eye(at.size)]
+    if isinstance(columns[0], tuple):
+        return tuple(np.stack(part, -1) for part in zip(*columns, strict=True))
+    return np.stack(columns, -1)
+
+
+def slope_along(function: Callable[[Any], Any], at: Any, direction: Any) -> Any:
+    """Return the derivative of a function along a direction, whose length is the scale on which it is smooth."""
+    if has_jax(at, direction):
+        jax = import_module("jax")
+        at, direction = (jax.numpy.asarray(a, dtype=float) for a in (at, direction))
+        return jax.jvp(function, (at,), (jax.numpy.broadcast_to(direction, at.shape),))[1]
+    near, far = ((function(at + _STEP * k * direction), function(at - _STEP * k * direction)) for k in (1, 2))
+
+    def slope(a: Any, b: Any, c: Any, d: Any) -> Any:
+        return (8 * (a - b) - (c - d)) / (12 * _STEP)
+
+    if isinstance(near[0], tuple):
+        return tuple(slope(*four) for four in zip(*near, *far, strict=True))
+    return slope(*near, *far)
+
+
+def compiled_by_jax(function: Callable[P, T], *, static: tuple[int, ...] = ()) -> Callable[P, T]:
+    """Compile a function for arrays of JAX, and call it as it is for those of NumPy.
+
+    Args:
+        function: a function of positional arguments.
+        static: places of arguments that are no arrays. Default: none.
+    """
+    programs: list[Callable[P, T]] = []
+
+    @wraps(function)
+    def call(*args: P.args, **kwargs: P.kwargs) -> T:
+        if not has_jax(*args):
+            with np.errstate(all="ignore"):
+                return function(*args, **kwargs)
+        if not programs:
+            programs.append(import_module("jax").jit(function, static_argnums=static))
+        return programs[0](*args, **kwargs)
+
+    return call
+
+
+def with_derivatives(function: Callable[P, T], *derivatives: Callable[..., Any]) -> Callable[P, T]:
+    """Give a function derivatives of its own, one for each argument, as `jax.custom_jvp` takes them.
+
+    Args:
+        function: a function of positional arguments.
+        derivatives: each takes the change of its argument, the result and all arguments.
+    """
+    known: list[Any] = []
+
+    @wraps(function)
+    def call(*args: P.args, **kwargs: P.kwargs) -> T:
+        if not has_jax(*args):
+            return function(*args, **kwargs)
+        if not known:
+            known.append(import_module("jax").custom_jvp(function))
+            known[0].defjvps(*derivatives)
+        return known[0](*args, **kwargs)
+
+    return call

@@ -1,0 +1,126 @@
+"""Formulae that are written once, for arrays of NumPy and of JAX.
+
+`xp` is NumPy's namespace, in which each function is JAX's where an argument is an array of JAX: inside `jax.grad` or `jax.jit`,
+or given by the caller. So a formula needs JAX only for derivatives and for compiled programs, and a single number needs
+neither the second that JAX takes to import nor a compiled program. `special` is the same for special functions.
+
+Annotations name `jax.Array` for both kinds.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from importlib import import_module
+from importlib.abc import MetaPathFinder
+from importlib.machinery import ModuleSpec
+from importlib.util import find_spec
+from typing import Any, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+T = TypeVar("T")
+FloatArray = npt.NDArray[np.float64]
+
+
+def has_jax(*values: Any) -> bool:
+    """Check whether any value, or an element of a tuple or list among them, is an array of JAX."""
+    jax = sys.modules.get("jax")
+    return jax is not None and _any_of(getattr(jax, "Array", ()), values)
+
+
+def _any_of(kind: Any, values: Any) -> bool:
+    return any(isinstance(v, kind) or (isinstance(v, tuple | list) and _any_of(kind, v)) for v in values)
+
+
+def is_concrete(value: object) -> bool:
+    """Check whether `value` holds numbers now, rather than a tracer inside a JAX transformation."""
+    jax: Any = sys.modules.get("jax")
+    return not (hasattr(jax, "core") and isinstance(value, jax.core.Tracer))
+
+
+def constant(value: T) -> T:
+    """Return the same numbers without their derivatives."""
+    return import_module("jax").lax.stop_gradient(value) if has_jax(value) else value
+
+
+class _Namespace:
+    """Functions of NumPy or SciPy, each of which is that of JAX where an argument is an array of JAX."""
+
+    def __init__(self, numpy_home: str, jax_home: str):
+        self._homes = numpy_home, jax_home
+
+    def __getattr__(self, name: str) -> Any:
+        own = getattr(import_module(self._homes[0]), name)
+        found = own if isinstance(own, type) or not callable(own) else self._choosing(name, own)
+        setattr(self, name, found)
+        return found
+
+    def _choosing(self, name: str, own: Callable[..., Any]) -> Callable[..., Any]:
+        def function(*args: Any, **kwargs: Any) -> Any:
+            if has_jax(*args, *kwargs.values()):
+                return getattr(import_module(self._homes[1]), name)(*args, **kwargs)
+            with np.errstate(all="ignore"):  # as in JAX, infinity and NaN are results like any other
+                try:
+                    return own(*args, **kwargs)
+                except np.linalg.LinAlgError:
+                    return np.full_like(args[-1], np.nan)
+
+        function.__name__ = name
+        return function
+
+
+xp: Any = _Namespace("numpy", "jax.numpy")
+special: Any = _Namespace("scipy.special", "jax.scipy.special")
+linalg: Any = _Namespace("numpy.linalg", "jax.numpy.linalg")
+scipy_linalg: Any = _Namespace("scipy.linalg", "jax.scipy.linalg")
+fft: Any = _Namespace("numpy.fft", "jax.numpy.fft")
+
+
+# ------------------------------------------------------------------------------------------------------- when JAX comes
+
+_PREPARED = "matcam.core.jax"
+"""Module that prepares JAX by importing it."""
+_awaiting: list[Callable[[Any], None]] = []
+
+
+def when_jax_is_there(action: Callable[[Any], None]) -> None:
+    """Run an action with the module of JAX: at once where it is imported, otherwise as soon as it is."""
+    jax = sys.modules.get("jax")
+    if hasattr(jax, "tree_util"):
+        action(jax)
+    else:
+        _awaiting.append(action)
+
+
+def jax_is_there(jax: Any) -> None:
+    """Run the actions that wait for JAX."""
+    while _awaiting:
+        _awaiting.pop(0)(jax)
+
+
+class _JaxWatcher(MetaPathFinder):
+    """Prepare JAX as soon as anybody imports it: a camera that was made before must be a pytree after, in float64."""
+
+    def find_spec(self, fullname: str, path: Any = None, target: Any = None) -> ModuleSpec | None:
+        """Find JAX once, with a loader that prepares it."""
+        if fullname != "jax":
+            return None
+        sys.meta_path.remove(self)
+        spec = find_spec(fullname)
+        if spec is not None and spec.loader is not None:
+            load = spec.loader.exec_module
+
+            def exec_module(module: Any) -> None:
+                load(module)
+                import_module(_PREPARED)
+
+            spec.loader.exec_module = exec_module  # type: ignore[method-assign]
+        return spec
+
+
+if "jax" in sys.modules:
+    import_module(_PREPARED)
+else:
+    sys.meta_path.insert(0, _JaxWatcher())

@@ -1,0 +1,78 @@
+"""The false haze and the false diffuse part that a lens's glare adds to a record."""
+
+from __future__ import annotations
+
+import numpy as np
+import xarray as xr
+
+from matcam.camera.camera import Camera
+from matcam.camera.optics.halo import HaloOptics
+from matcam.core import checks
+from matcam.core.errors import ArgumentError
+from matcam.core.grid import cosines
+from matcam.core.jax import jnp
+from matcam.forward.integral.blur import imaging_of
+from matcam.forward.integral.plan import RecordPlaces, integration_plan
+from matcam.forward.integral.recording import record
+from matcam.lamp.lamps import closeness
+from matcam.material.material import Material
+from matcam.rigs import Rig
+from matcam.sample.curved import Sphere
+
+_FALSE_LIGHT_THETA_H = np.radians([0.5, 1, 2, 3, 5, 7, 10, 15, 20, 30, 40, 50, 60])
+_FAR_FROM_HIGHLIGHT = 29.9  # degrees of theta_h
+
+
+def false_light(material: Material, rig: Rig, theta_d: float = np.pi / 8) -> xr.Dataset:
+    """Predict the haze and the diffuse part that a halo adds.
+
+    Veiling glare makes them of the highlight (docs/model.md 2). The angles lie across the plane of camera and lamp
+    (phi_d = pi / 2), where light and view stay high.
+
+    Args:
+        material: the material.
+        rig: a rig with a `Sphere` and a `HaloOptics`.
+        theta_d: slice of the table, in [0, pi/4], rad. Default: pi / 8.
+
+    Returns:
+        Dataset over theta_h (rad) and channel, 1/sr: `true` BRDF, `recorded`, and `added`, which is recorded less the record
+        without the halo. `false_diffuse` over channel is the albedo of the Lambertian part that `added` is taken for far from
+        the highlight: pi times its mean from 30 degrees on.
+
+    Raises:
+        ArgumentError: the lens has no halo, or the sample is no sphere.
+    """
+    optics = rig.camera.optics
+    if not isinstance(optics, HaloOptics):
+        raise ArgumentError("the lens has no halo: HaloOptics(core, fraction, radius)")
+    if not isinstance(rig.sample, Sphere):
+        raise ArgumentError(f"false light can be predicted for a Sphere, not for a {type(rig.sample).__name__}")
+    theta_d = float(checks.within("theta_d", theta_d, 0, np.pi / 4, "rad"))
+    sphere = rig.sample
+    theta_h, phi_d = _FALSE_LIGHT_THETA_H, np.full(_FALSE_LIGHT_THETA_H.size, np.pi / 2)
+    near = rig.lamp.nearness
+    lamps = np.asarray(sphere.lamp_angle(jnp.asarray([theta_d]), near))
+    place = sphere.place(theta_h, np.full(theta_h.size, theta_d), phi_d, near)
+    x, y, lamp = (np.asarray(a) for a in place)
+    places = RecordPlaces(x, y, lamp, np.zeros(x.size, dtype=np.int32))
+    cos_i = cosines(theta_h, theta_d, phi_d)[0]
+    irradiance = np.asarray(cos_i * closeness(near, cos_i) ** 2)[:, None]
+    bare = Rig(Camera(optics.core, rig.camera.pixel), sphere, rig.lamp, jitter=rig.jitter)
+    with_halo, without = (
+        np.asarray(record(material, imaging, integration_plan(imaging, lamps, places))) / irradiance
+        for imaging in (imaging_of(rig, gaussian_disc=True), imaging_of(bare, gaussian_disc=True))
+    )
+    true = np.asarray(material.brdf(theta_h, theta_d, phi_d)).reshape(theta_h.size, -1)
+    dims = ("theta_h", "channel")
+    added = with_halo - without
+    far = np.degrees(theta_h) >= _FAR_FROM_HIGHLIGHT
+    return xr.Dataset(
+        {
+            "true": (dims, np.broadcast_to(true, added.shape), {"units": "1/sr"}),
+            "recorded": (dims, with_halo, {"units": "1/sr"}),
+            "added": (dims, added, {"units": "1/sr"}),
+            "false_diffuse": ("channel", np.pi * added[far].mean(axis=0)),
+        },
+        coords={"theta_h": ("theta_h", theta_h, {"units": "rad"})},
+        attrs={"theta_d": theta_d, "fraction": float(optics.fraction), "radius_px": float(optics.radius)},
+    )

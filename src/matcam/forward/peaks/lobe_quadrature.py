@@ -1,0 +1,222 @@
+"""The record of any lobe through any isotropic lens, by one integral over frequencies (docs/model.md 4).
+
+    record = integral of transfer(f) spectrum(f) discs(f) exp(2 pi i f x) df
+
+The nodes are polar: panels that crowd towards f = 0, where the spectra of broad lobes are, times azimuths that crowd towards
+the direction in which the lobe is short. The discs of lamp and lens are factors, the transforms of even ellipses.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from matcam.core.arrays import constant, first_axis_map, is_concrete, xp
+from matcam.forward.peaks.disc_points import DiscPoints, Discs, disc_sizes, mean_over_discs
+from matcam.forward.peaks.lobe_spectrum import LobeSpectrum, lobe_spectrum
+from matcam.numerics.approximation import nodes_between
+from matcam.numerics.jinc import jinc
+
+if TYPE_CHECKING:
+    from matcam.camera.optics.optics import Rule
+    from matcam.core.jax import AnyArray, jax
+    from matcam.material.ndf.distribution import NDF
+    from matcam.rigs import Rig
+
+_VALUES = 1 << 19
+"""Values of an integrand that are held at a time."""
+_GRADE = 2.0
+"""Ratio of neighbouring panels of frequencies. The spectrum of a flat-topped lobe swings twice in one."""
+_MOST_PANELS = 28
+"""Panels that crowd towards 0 where the lobe's size is not known, inside `jax.jit`: lobes of up to 1e5 px."""
+_FLATTEST = 1e-3
+"""The first panel ends where the frequency times the lobe's size is this: the spectrum bends by its square below."""
+_AZIMUTHS = 28
+"""Nodes of a quarter turn: 1e-9 for lobes that are 600 times as long as wide."""
+_SHORTEST = 1.7e-3
+"""Ratio of a lobe's sizes that is reckoned with inside `jax.jit`: that on a sphere at 89.9 degrees."""
+_UNKNOWN_REACH = 8.0
+"""Distance of a place from the peak that is reckoned with inside `jax.jit`, px."""
+_CHEBYSHEV = 64
+"""Slices from which all others are interpolated where only the lobe's length varies: 1e-9."""
+
+Places = tuple["jax.Array", "jax.Array"]
+"""Offsets from the peak towards the limb and across, px, (slices, points) each."""
+
+
+def plane_record(rig: Rig, ndf: NDF, theta: jax.Array, places: Places | None) -> jax.Array:
+    """Return the record of a lobe over the true peak, (slices, points).
+
+    Args:
+        rig: the rig.
+        ndf: the lobe.
+        theta: viewing angles of the peak, rad, (slices,).
+        places: where it is recorded; None: at the peak, one point.
+    """
+    scale_x, scale_y = rig.px_per_rad(theta)
+    uniform = xp.isinf(scale_x) | xp.isinf(scale_y)
+    scale_x, scale_y = xp.where(uniform, 1.0, scale_x), xp.where(uniform, 1.0, scale_y)
+    discs = disc_sizes(rig, theta)
+    nodes = _polar_nodes(rig, ndf, (scale_x, scale_y), discs, places)
+    given = (scale_x, scale_y, *(discs[:3] if discs else ()), *(places or ()))
+    if discs is None and places is None and _only_length_varies(scale_x, scale_y):
+        records = _interpolated(nodes, scale_x, scale_y[:1])
+    else:
+        records = first_axis_map(nodes.at, given, nodes.together)
+    return xp.where(uniform[:, None], 1.0, records)
+
+
+def line_record(rig: Rig, ndf: NDF, theta: jax.Array, one_plane: bool) -> jax.Array:
+    """Return the record at the peak in one dimension, (slices,).
+
+    Args:
+        rig: the rig.
+        ndf: the lobe.
+        theta: viewing angles of the peak, rad, (slices,).
+        one_plane: True where only normals of one plane are there, as on a cylinder, away from all of which a lamp's disc turns
+            the half vector.
+    """
+    discs = disc_sizes(rig, theta)
+    if discs is None or not one_plane:
+        return _line(rig, ndf, theta, discs, None)[:, 0]
+
+    def mean(slices: np.ndarray, points: DiscPoints) -> jax.Array:
+        return _line(rig, ndf, theta[slices], None, points) @ points.share
+
+    return mean_over_discs(rig, theta, mean, ndf.roughness)
+
+
+def _line(rig: Rig, ndf: NDF, theta: jax.Array, discs: Discs | None, points: DiscPoints | None) -> jax.Array:
+    """Return the record in one dimension, (slices, points): at the peak before discs, or at points beside it."""
+    scale = rig.px_per_rad(theta)[0]
+    uniform = xp.isinf(scale)
+    scale = xp.where(uniform, 1.0, scale)
+    reach = _largest(*((points.x,) if points else ()), *(discs[:3] if discs else ()))
+    rule = _frequencies(rig, ndf, scale, reach)
+    f = xp.asarray(rule.frequency)
+    amplitude = 2 * rule.weight * rig.camera.mtf(f) * _of_jitter(rig, f)
+    ln_k, through = xp.log(2 * np.pi * f), None if points else lobe_spectrum(ndf, 1)
+
+    def at(scale: jax.Array, *more: jax.Array) -> jax.Array:
+        ln_scaled = (ln_k + xp.log(scale)[:, None])[:, None]
+        if through is None:
+            x, aside = more
+            spectrum = lobe_spectrum(ndf, 1, aside).at(xp.broadcast_to(ln_scaled, (*x.shape, f.size)))
+            waves = xp.cos(2 * np.pi * f * x[..., None])
+        else:
+            spectrum, waves = through.at(ln_scaled), xp.ones(())
+            for size in more:
+                waves = waves * jinc(2 * np.pi * f * size[:, None, None], 2 * np.pi * reach * optics.band())
+        return scale[:, None] * xp.sum(spectrum * amplitude * waves, axis=-1)
+
+    optics = rig.camera.optics
+    given = (points.x, points.aside) if points else (discs.lamp_x, discs.lens) if discs else ()
+    together = max(1, _VALUES // (16 * f.size * (points.x.shape[1] if points else 1)))
+    return xp.where(uniform[:, None], 1.0, first_axis_map(at, (scale, *given), together))
+
+
+class _PolarNodes(NamedTuple):
+    """Nodes in a quarter of the plane of frequencies.
+
+    Attributes:
+        spectrum: of the lobe.
+        frequency: cycles/px, (n, 1).
+        cos: of the azimuths, (azimuths,).
+        sin: of the azimuths, (azimuths,).
+        amplitude: transfer function times the weights of all four quarters, (n, azimuths).
+        discs: whether records have discs.
+        largest: largest frequency times the largest disc.
+        together: slices that are summed at a time.
+    """
+
+    spectrum: LobeSpectrum
+    frequency: jax.Array
+    cos: np.ndarray
+    sin: np.ndarray
+    amplitude: jax.Array
+    discs: bool
+    largest: float
+    together: int
+
+    def at(self, scale_x: jax.Array, scale_y: jax.Array, *more: jax.Array) -> jax.Array:
+        """Return the record of slices, (slices, points). more: half axes of the discs where there are any, and places."""
+        stretch = (scale_x[:, None] * self.cos) ** 2 + (scale_y[:, None] * self.sin) ** 2
+        ln_k = xp.log(2 * np.pi * self.frequency) + xp.log(stretch)[:, None] / 2
+        spectra = self.spectrum.at(ln_k) * self.amplitude * (scale_x * scale_y)[:, None, None]
+        turns = 2 * np.pi * self.frequency
+        if self.discs:
+            lamp_x, lamp_y, lens = (size[:, None, None] for size in more[:3])
+            lamp = turns * xp.sqrt((lamp_x * self.cos) ** 2 + (lamp_y * self.sin) ** 2)
+            spectra = spectra * jinc(lamp, self.largest) * jinc(turns * lens, self.largest)
+        places = more[3:] if self.discs else more
+        if not places:
+            return xp.sum(spectra, axis=(1, 2))[:, None]
+        along, across = (
+            xp.cos(turns * axis * at[..., None, None]) for axis, at in zip((self.cos, self.sin), places, strict=True)
+        )
+        return xp.sum(spectra[:, None] * along * across, axis=(2, 3))
+
+
+def _polar_nodes(
+    rig: Rig, ndf: NDF, scales: tuple[jax.Array, jax.Array], discs: Discs | None, places: Places | None
+) -> _PolarNodes:
+    of_discs = _largest(*discs[:3]) if discs else 0.0
+    reach = of_discs + _largest(*(places or ()))
+    rule = _frequencies(rig, ndf, xp.maximum(*scales), reach)
+    ratio = constant(xp.min(scales[0] / scales[1]))
+    short = float(np.clip(ratio, 1e-6, 1)) if is_concrete(ratio) else _SHORTEST
+    # phi = short sinh v: a spectrum changes over `short` next to phi = 0, and over 1 elsewhere
+    band = rig.camera.optics.band()
+    v, weight = nodes_between(np.zeros(()), np.arcsinh(np.pi / 2 / short), _AZIMUTHS + int(4 * reach * band))
+    phi = short * np.sinh(v)
+    f, cos, sin = xp.asarray(rule.frequency)[:, None], np.cos(phi), np.sin(phi)
+    area = 4 * xp.asarray(rule.weight)[:, None] * f * (weight * short * np.cosh(v))
+    transfer = rig.camera.transfer(f * cos, f * sin) * _of_jitter(rig, f)
+    together = max(1, _VALUES // (area.size * (1 if places is None else places[0].shape[1])))
+    largest = 2 * np.pi * of_discs * band
+    return _PolarNodes(lobe_spectrum(ndf, 2), f, cos, sin, area * transfer, discs is not None, largest, together)
+
+
+def _frequencies(rig: Rig, ndf: NDF, scale: jax.Array, reach: float) -> Rule:
+    """Return a rule over the lens's band that resolves a lobe of any size, and its record up to a distance from its peak.
+
+    scale: px per unit of the lobe's coordinate. reach: px.
+    """
+    optics = rig.camera.optics
+    size = constant(xp.max(scale * ndf.roughness)) * optics.band() / _FLATTEST
+    panels = _MOST_PANELS
+    if is_concrete(size):
+        panels = int(np.clip(np.ceil(np.log(max(float(size), 1.0)) / np.log(_GRADE)), 1, 2 * _MOST_PANELS))
+    even = np.linspace(0, 1, 3 + int(np.ceil((1 + reach) * optics.band())))
+    return optics.rule_on(np.union1d(even, _GRADE ** -np.arange(panels, 0, -1.0)))
+
+
+def _of_jitter(rig: Rig, frequency: AnyArray) -> jax.Array:
+    """Return the transfer function of the pictures' registration."""
+    return xp.exp(-2 * (np.pi * frequency * rig.jitter) ** 2)
+
+
+def _largest(*lengths: jax.Array) -> float:
+    """Return the largest of lengths, px."""
+    known = [constant(length) for length in lengths]
+    return max((float(xp.max(xp.abs(a))) if is_concrete(a) else _UNKNOWN_REACH for a in known), default=0.0)
+
+
+def _only_length_varies(scale_x: jax.Array, scale_y: jax.Array) -> bool:
+    """Check whether slices are many and differ in one known number: on a distant sphere."""
+    if scale_x.size <= _CHEBYSHEV or not all(isinstance(scale, np.ndarray) for scale in (scale_x, scale_y)):
+        return False
+    return bool(np.all(scale_y == scale_y[0]) and np.ptp(scale_x) > 0)
+
+
+def _interpolated(nodes: _PolarNodes, scale_x: np.ndarray, scale_y: np.ndarray) -> np.ndarray:
+    """Return the record at many peaks, (slices, 1), from those at Chebyshev's nodes of the logarithm of the lobe's length."""
+    domain = np.log([scale_x.min(), scale_x.max()])
+    unit = np.polynomial.chebyshev.chebpts1(_CHEBYSHEV)
+    length = np.exp(domain.mean() + np.ptp(domain) / 2 * unit)
+    records = first_axis_map(nodes.at, (length, np.full_like(length, scale_y[0])), nodes.together)[:, 0]
+    basis = np.polynomial.chebyshev.chebvander(unit, _CHEBYSHEV - 1)
+    place = (2 * np.log(scale_x) - domain.sum()) / np.ptp(domain)
+    shares = np.polynomial.chebyshev.chebvander(place, _CHEBYSHEV - 1) @ np.linalg.inv(basis)
+    return (shares @ records)[:, None]

@@ -1,0 +1,38 @@
+"""The Fourier transform of an even disc."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from matcam.core.arrays import compiled_by_jax, first_axis_map, has_jax, special, xp
+
+if TYPE_CHECKING:
+    from matcam.core.jax import jax
+
+_SMALL = 1e-4
+
+
+def jinc(v: jax.Array, largest: float) -> jax.Array:
+    """Return 2 J1(v) / v, 1 at v = 0.
+
+    For arrays of JAX, which has no J1, it is the mean over the disc's chords of 2 cos^2 t cos(v sin t), exact once the nodes
+    outnumber v.
+
+    Args:
+        v: argument, >= 0, any shape.
+        largest: an upper limit of v.
+    """
+    if has_jax(v):
+        return _over_chords(24 + int(np.ceil(largest)), v)
+    small = v < _SMALL
+    return xp.where(small, 1 - v**2 / 8, 2 * special.j1(v) / np.where(small, 1.0, v))
+
+
+@partial(compiled_by_jax, static=(0,))
+def _over_chords(nodes: int, v: jax.Array) -> jax.Array:
+    t = (np.arange(nodes) + 0.5) * (np.pi / 2 / nodes)  # the trapezoid rule needs the quarter turn only
+    chord = 2 * np.cos(t) ** 2 / nodes
+    return first_axis_map(lambda value: xp.cos(value[:, None] * np.sin(t)) @ chord, (v.ravel(),), 256).reshape(v.shape)
