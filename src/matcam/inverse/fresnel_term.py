@@ -366,6 +366,8 @@ def _supported_angle(term: NormalisedFresnel, theta_d: np.ndarray) -> np.ndarray
 def _check(rig: Rig, ndf: str, normalise: tuple[float, float]) -> None:
     check_rig(rig)
     checks.choice("ndf", ndf, (AUTO, *FAMILIES))
+    if np.shape(normalise) != (2,):
+        raise ArgumentError(f"normalise must be two angles (low, high), rad, got shape {np.shape(normalise)}")
     low, high = normalise
     if not 0 <= low < high < np.pi / 2:
         raise ArgumentError(f"normalise must be (low, high) with 0 <= low < high < pi/2 rad, got ({low:g}, {high:g})")
