@@ -19,8 +19,8 @@ import numpy as np
 
 from matcam import read_merl, rigs
 from matcam.core.io import plain, write_json
-from matcam.core.readers.texts import read_json
 from matcam.core.jax import use_compilation_cache
+from matcam.core.readers.texts import read_json
 from matcam.core.workspace import Workspace
 from matcam.inverse import Correction
 from matcam.inverse.correction.corrected_table import supported_values

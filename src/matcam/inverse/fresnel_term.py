@@ -249,7 +249,7 @@ def tabulated_fresnel(
         >>> matcam.inverse.tabulated_fresnel(found, "Cr", [550e-9])["tabulated_f0"].values.round(2).ravel()
         array([0.55, 0.65, 0.68])
     """
-    channels = checks.instance("result", result, xr.Dataset).sizes["channel"]
+    channels = checks.instance("result", result, xr.Dataset).sizes.get("channel", 0)
     if len(wavelengths) != channels:
         raise ArgumentError(f"wavelengths must be {channels}, one per channel of the result, got {len(wavelengths)}")
     theta_d = result["theta_d"].values
