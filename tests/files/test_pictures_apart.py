@@ -47,9 +47,12 @@ def test_what_is_decoded_apart_is_what_is_decoded_here(tmp_path, name, monkeypat
     write(tmp_path / name)
     asked = []
     send = apart._nursery.send
-    monkeypatch.setattr(
-        apart._nursery, "send", lambda request, channel: (asked.append(request), send(request, channel))
-    )
+
+    def counted(request, *sockets):
+        asked.append(request)
+        return send(request, *sockets)
+
+    monkeypatch.setattr(apart._nursery, "send", counted)
     there = read(tmp_path / name)
     assert [request["path"] for request in asked] == [str(tmp_path / name)]
     with reading_limits(None):

@@ -152,7 +152,9 @@ def _exposures_and_times(
     if positive.ndim != 1 or positive.size == 0:
         raise ArgumentError(f"exposures must be a list of numbers, got shape {positive.shape}")
     strengths = tuple(positive.tolist())
-    durations = (0.0,) * len(strengths) if times is None else tuple(float(t) for t in times)
+    durations = (
+        (0.0,) * len(strengths) if times is None else tuple(jnp.atleast_1d(checks.number("times", times)).tolist())
+    )
     if len(durations) != len(strengths):
         raise ArgumentError(f"times must be as many as exposures ({len(strengths)}), got {len(durations)}")
     checks.within("times", jnp.asarray(durations), 0, float("inf"), "s", open_high=True)

@@ -85,7 +85,7 @@ class Camera(Module):
         self.pixel = pixel
         self.sensor = sensor
         self.uncertainty = uncertainty
-        self.provenance = provenance or Provenance()
+        self.provenance = Provenance() if provenance is None else checks.instance("provenance", provenance, Provenance)
         self.field = field
         if uncertainty is not None:
             checks.instance("uncertainty", uncertainty, Uncertainty).check_names(self.parameters())

@@ -123,7 +123,9 @@ def choice(name: str, value: Any, allowed: tuple[Any, ...]) -> Any:
 def _is_one(value: Any, one: Any) -> bool:
     """Compare a value of any type with a choice: an array of several values is none, nor is True the number 1."""
     same = value == one
-    return isinstance(same, bool | np.bool_) and bool(same) and isinstance(value, bool) == isinstance(one, bool)
+    return (
+        isinstance(same, bool | np.bool_) and bool(same) and isinstance(value, bool | np.bool_) == isinstance(one, bool)
+    )
 
 
 def instance(name: str, value: Any, kind: type[T]) -> T:

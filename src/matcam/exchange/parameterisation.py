@@ -101,7 +101,7 @@ def adaptive_grid(material: Material, *, description: str = "", square: int = SQ
     solid = d * np.maximum(cos, 0) * _jacobian(place_u)
     density = values.mean(axis=-1) * solid / np.where(tabulated_density > 0, tabulated_density, 1.0)
     whole = lambda half, axis: np.concatenate([half, np.flip(half, axis)], axis).astype(np.float32)  # noqa: E731
-    note = (checks.instance("description", description or "made by matcam", str)).encode()
+    note = (checks.instance("description", description, str) or "made by matcam").encode()
     return xr.Dataset(
         {
             "description": ("description_0", np.frombuffer(note, dtype=np.uint8)),

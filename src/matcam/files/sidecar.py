@@ -129,6 +129,8 @@ def sidecar_path(picture: str | Path) -> Path:
         'copper.exr.json'
     """
     picture = Path(picture)
+    if not picture.name:
+        raise ArgumentError(f"picture must be a file with a name, got {str(picture)!r}")
     return picture.with_name(picture.name + ".json")
 
 

@@ -249,7 +249,7 @@ def tabulated_fresnel(
         >>> matcam.inverse.tabulated_fresnel(found, "Cr", [550e-9])["tabulated_f0"].values.round(2).ravel()
         array([0.55, 0.65, 0.68])
     """
-    channels = checks.instance("result", result, xr.Dataset).sizes["channel"]
+    channels = checks.instance("result", result, xr.Dataset).sizes.get("channel", 0)
     if len(wavelengths) != channels:
         raise ArgumentError(f"wavelengths must be {channels}, one per channel of the result, got {len(wavelengths)}")
     theta_d = result["theta_d"].values
@@ -366,6 +366,8 @@ def _supported_angle(term: NormalisedFresnel, theta_d: np.ndarray) -> np.ndarray
 def _check(rig: Rig, ndf: str, normalise: tuple[float, float]) -> None:
     check_rig(rig)
     checks.choice("ndf", ndf, (AUTO, *FAMILIES))
+    if np.shape(normalise) != (2,):
+        raise ArgumentError(f"normalise must be two angles (low, high), rad, got shape {np.shape(normalise)}")
     low, high = normalise
     if not 0 <= low < high < np.pi / 2:
         raise ArgumentError(f"normalise must be (low, high) with 0 <= low < high < pi/2 rad, got ({low:g}, {high:g})")

@@ -91,7 +91,9 @@ def metal(name: str, wavelength: ArrayLike, source: str | None = None) -> MetalI
         >>> bool(copper.k > 3)
         True
     """
-    sources = metals(name)[name]
+    sources = metals(name).get(name, ())
+    if not sources:
+        raise unknown_name("metal", name, metals())
     source = sources[0] if source is None else source
     if not isinstance(source, str) or source not in sources:
         raise unknown_name(f"source for {name}", source, sources)

@@ -96,6 +96,8 @@ class Conductor(Reflectance):
 
     def __init__(self, n: ArrayLike, k: ArrayLike):
         n, k = checks.within("n", n, 0, _LARGEST_INDEX, open_low=True), checks.within("k", k, 0, _LARGEST_INDEX)
+        if n.ndim and k.ndim and n.shape != k.shape and 1 not in (n.size, k.size):
+            raise ArgumentError(f"n and k must have the same shape, got {n.shape} and {k.shape}")
         self.n, self.k = jnp.broadcast_arrays(per_channel("n", n), per_channel("k", k))
 
     def at(self, theta: jax.Array) -> jax.Array:

@@ -71,7 +71,7 @@ def design_chart(
     """
     for kind in kinds:
         checks.choice("kinds", kind, KINDS)
-    if not kinds or len(set(kinds)) != len(kinds):
+    if not len(kinds) or len(set(kinds)) != len(kinds):
         raise ArgumentError(f"kinds must name at least one panel, each once, got {', '.join(kinds) or 'none'}")
     size = PAGES[checks.choice("page", page, tuple(PAGES))] if isinstance(page, str) else page
     if np.shape(size) != (2,):

@@ -14,6 +14,7 @@ from scipy.interpolate import PchipInterpolator
 
 from matcam.calibration.chart.chart import Chart, Dots, Element, Grating, Patch, Star
 from matcam.calibration.chart.registration import Projection
+from matcam.core import checks
 from matcam.core.arrays import FloatArray
 from matcam.core.remark import Remark
 
@@ -96,7 +97,7 @@ def printed_levels(values: FloatArray, chart: Chart, projection: Projection) -> 
     values: (height, width) linear, NaN where there are no data. projection: from the page, mm, to the picture, px.
     """
     rows = []
-    for patch in chart.elements:
+    for patch in checks.instance("chart", chart, Chart).elements:
         if isinstance(patch, Patch):
             found = _over_paper(values, patch, projection)
             if found is not None:
