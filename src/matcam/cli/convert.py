@@ -13,10 +13,13 @@ from matcam.files.formats import MEASUREMENTS, suffixes_for, titles_for
 
 
 def command(
-    source: Annotated[Path, typer.Argument(metavar="IN", help=f"A file: {titles_for(*MEASUREMENTS)}.")],
+    source: Annotated[Path, typer.Argument(metavar="IN", help=f"File to read: {titles_for(*MEASUREMENTS)}.")],
     target: Annotated[
         Path,
-        typer.Argument(metavar="OUT", help=f"Ends in {', '.join(suffixes_for(*MEASUREMENTS))}: that is its format."),
+        typer.Argument(
+            metavar="OUT",
+            help=f"File to write; its format is that of its ending: {', '.join(suffixes_for(*MEASUREMENTS, 'surface'))}.",
+        ),
     ],
     sampling: Sampling = "centre",
     square: Annotated[

@@ -16,8 +16,9 @@ from matcam.core.grid import Sampling
 from matcam.core.io import check_output, check_within, write_json
 from matcam.core.shading import Vector, local_shading, vector
 from matcam.exchange.contents import Contents, material_of, read_contents, write_contents
+from matcam.exchange.materialx import fit_openpbr, write_openpbr
 from matcam.exchange.parameterisation import SQUARE, adaptive_grid
-from matcam.files.formats import Format, format_for
+from matcam.files.formats import MEASUREMENTS, Format, format_for
 from matcam.files.sidecar import read_sidecar, sidecar_path
 from matcam.forward.measurement import true_table
 from matcam.material.material import Material
@@ -43,8 +44,9 @@ def convert(
     The input's format is recognised by its content. A picture's sidecar goes along.
 
     Args:
-        source: input: MERL, RGL, CSV of samples, NetCDF-4, Zarr in a zip, OpenEXR or TIFF.
-        target: output: .binary, .bsdf, .csv, .nc, .zarr.zip, .exr, .tif or .tiff.
+        source: input: MERL, RGL, Zemax BSDF, UTIA, BiRD JSON, CSV of samples, NetCDF-4, Zarr in a zip, OpenEXR or TIFF.
+        target: output: .binary, .bsdf (RGL's), .brdf, .mtlx (an OpenPBR surface that is fitted), .csv, .nc, .zarr.zip, .exr,
+            .tif or .tiff.
         sampling: point of its cell at which a MERL file's values are sampled, "centre" or "edge", see `read_merl`. The table
             that an RGL file is resampled to has the same. Default: "centre"; loaders of MERL files disagree.
         square: nodes along each side of the square of an RGL file that is made, see `adaptive_grid`. Default: 192; fewer
@@ -75,7 +77,7 @@ def convert(
         ('a picture', None)
     """
     source, target = Path(source), Path(target)
-    form = format_for(target)
+    form = format_for(target, *MEASUREMENTS, "surface")
     check_output(target, force=force, inputs=[source])
     contents = read_contents(source, sampling)
     report: dict[str, Any] = {
@@ -84,6 +86,8 @@ def convert(
         "format": contents.format,
         "holds": contents.kind,
     }
+    if form.name == "materialx":
+        return {**report, **_write_surface(target, contents, force)}
     contents, details = _resample(contents, form, sampling, square)
     form.writer(contents.content)
     if contents.picture is not None:
@@ -166,6 +170,21 @@ def _resample(contents: Contents, form: Format, sampling: Sampling, square: int)
     if contents.fields is not None and "table" in form.holds and "fields" not in form.holds:
         return _as_table(contents, sampling)
     return contents, {}
+
+
+def _write_surface(target: Path, contents: Contents, force: bool) -> dict[str, Any]:
+    """Fit an OpenPBR surface, and write it with its residual."""
+    material = material_of(contents)
+    surface = fit_openpbr(material)
+    error = resampling_error(material, surface.material)
+    kind = "metal" if surface.metalness else f"dielectric of index {surface.specular_ior:.3g}"
+    note = (
+        f"fitted as a {kind}, specular_roughness {surface.specular_roughness:.4g} (the square root of alpha): no measured BRDF "
+        "is kept as it was"
+    )
+    residual = f"Residual: {error['peak']:.1%} at the peak, {error['median']:.1%} at random directions (median)."
+    write_openpbr(target, surface, note=residual, force=force)
+    return {"resampled": note, "missing_share": 0.0, "error": error}
 
 
 def _as_table(contents: Contents, sampling: Sampling) -> tuple[Contents, dict[str, Any]]:
