@@ -28,6 +28,14 @@ def command(
             "--square", metavar="N", help="Resolution of a .bsdf to write, in values along each side; 192 make 36 MB."
         ),
     ] = 192,
+    error: Annotated[
+        float | None,
+        typer.Option(
+            "--error",
+            metavar="SHARE",
+            help="Make the smallest .bsdf (0.4 to 36 MB) whose median differences are at most this, such as 0.01.",
+        ),
+    ] = None,
     metadata: Annotated[
         Path | None,
         typer.Option(
@@ -59,7 +67,7 @@ def command(
             raise OutputError(f"output {metadata} is asked for twice: give two names")
         document = about(rig_of(camera, radius, lamp), table=target.name)
     with show.working("converting"):
-        report = convert(source, target, sampling=sampling, square=square, force=force)
+        report = convert(source, target, sampling=sampling, square=square, error=error, force=force)
     if metadata:
         write_json(metadata, document, force=force)
         report |= {"metadata": str(metadata), "receiver_sr": document["receiver"]["solid_angle_sr"]}
