@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from matcam.cli import show
-from matcam.cli.options import AsJson, Force, Lens, Mosaic
+from matcam.cli.options import AsJson, Budget, Force, Lens, Mosaic
 
 _SOME_FAILED = 1
 
@@ -90,6 +90,7 @@ def command(
             help="Camera profile whose sensor goes into the new one, see `matcam sensor`.",
         ),
     ] = None,
+    budget: Budget = None,
     figure: Annotated[
         Path | None,
         typer.Option("--figure", metavar="FILE", help="Page to write (.png, .pdf, .svg). Default: beside the profile."),
@@ -101,9 +102,13 @@ def command(
 
     Example: `matcam calibrate chart-1.dng chart-2.dng -o camera.json`
     """
+    from matcam.core.budget import check_budget_name
     from matcam.core.io import check_output, check_picture
 
     files = _files(pictures)
+    if budget:
+        check_budget_name(budget)
+        check_output(budget, force=force, inputs=files)
     figure = figure or output.with_suffix(".png")
     table = output.with_name(f"{output.stem}-edges.csv")
     check_output(output, force=force, inputs=files)
@@ -130,6 +135,8 @@ def command(
             accept_sharpened=accept_sharpened,
         )
         written = _write(found, electronics, output, figure, table, files, force)
+        if budget:
+            written.append(_write_budget(found, budget, force))
     if json:
         show.as_json({**found.to_dict(), "files": [str(path) for path in written]})
     else:
@@ -137,6 +144,18 @@ def command(
     for name, why in found.failed.items():
         show.remark(f"left out: {name}: {why}")
     return _SOME_FAILED if found.failed else 0
+
+
+def _write_budget(found: Any, path: Path, force: bool) -> Path:
+    """Write the budget of every parameter of every channel's camera."""
+    from matcam.core.budget import parameter_budgets, write_budgets
+
+    budgets = []
+    for channel, fit in found.channels.items():
+        names = [f"{channel}: {name}" for name in fit.names]
+        budgets += parameter_budgets(names, fit.values, fit.covariance)
+    write_budgets(path, budgets, force=force)
+    return path
 
 
 def _sensor(path: Path | None) -> Any:

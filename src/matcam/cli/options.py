@@ -133,6 +133,12 @@ else:  # Literal types, as typer wants them, of the registries' names
         typer.Option("--cfa", help="Colours of the first 2 x 2 px, if the picture is a mosaic."),
     ]
 
+Budget = Annotated[
+    Path | None,
+    typer.Option(
+        "--budget", metavar="FILE", help="Uncertainty budget to write (.json, .csv): sources, combined, expanded (GUM)."
+    ),
+]
 Sampling = Annotated[
     Literal["centre", "edge"],
     typer.Option("--sampling", help="Where in its cell a table's value was sampled; a MERL file does not say."),
