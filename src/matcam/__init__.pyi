@@ -3,6 +3,7 @@ from .batch.run import correct_all
 from .calibration.camera.calibration import calibrate
 from .calibration.edge.edge import edge_mtf, edge_mtf_stack
 from .calibration.photograph.linear_image import LinearImage
+from .calibration.sensor.characterise import characterise_sensor
 from .camera.camera import Camera
 from .camera.optics.colour import ColourOptics
 from .camera.optics.gaussian import GaussianOptics
@@ -72,6 +73,7 @@ __all__ = [
     "calibrate",
     "calibration",
     "camera",
+    "characterise_sensor",
     "convert",
     "correct",
     "correct_all",

@@ -1,23 +1,30 @@
 from .exchange.contents import read, write
+from .files.bird import read_bird, write_bird
 from .files.datasets import read_netcdf, read_zarr, write_netcdf, write_zarr
 from .files.example_data import example_table
 from .files.float_pictures import read_exr, read_float_tiff, write_exr, write_float_tiff
 from .files.rgl import read_rgl, write_rgl
 from .files.samples import read_samples, write_samples
 from .files.sidecar import read_sidecar, sidecar_path, write_sidecar
+from .files.utia import read_utia
+from .files.zemax import read_zemax
 
 __all__ = [
     "example_table",
     "read",
+    "read_bird",
     "read_exr",
     "read_float_tiff",
     "read_netcdf",
     "read_rgl",
     "read_samples",
     "read_sidecar",
+    "read_utia",
     "read_zarr",
+    "read_zemax",
     "sidecar_path",
     "write",
+    "write_bird",
     "write_exr",
     "write_float_tiff",
     "write_netcdf",

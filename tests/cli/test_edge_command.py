@@ -103,3 +103,14 @@ def test_bad_input_is_one_line_code_2_and_nothing_written(photograph, tmp_path, 
     assert lines[0].startswith("matcam: ")
     assert words in lines[0]
     assert {p: p.read_bytes() for p in tmp_path.rglob("*") if p.is_file()} == before
+
+
+def test_budget(edge, photograph, tmp_path):
+    found = json.loads(edge(photograph, *ROI, "--budget", "budget.json", "--json").stdout)
+    assert "budget.json" in found["files"]
+    free, *others = json.loads((tmp_path / "budget.json").read_text())["budgets"]
+    assert free["combined_standard_uncertainty"] == pytest.approx(found["mtf50_std"])
+    assert free["expanded_uncertainty"] == pytest.approx(2 * found["mtf50_std"])
+    assert "optics.sigma_px" in {one["result"] for one in others}
+    failed = edge(photograph, *ROI, "--budget", "budget.txt", "-o", "b.png", code=2)
+    assert "must end in .json or .csv" in failed.stderr

@@ -13,6 +13,7 @@ from matcam.acquisition.radiometry_remarks import processing_remarks
 from matcam.core.errors import FileFormatError
 from matcam.core.remark import Remark
 from matcam.files.capture import Capture, Region
+from matcam.numerics.frame_noise import clipped_variance, fixed_pattern_variance, pair_variance
 
 _HOT = 12.0  # standard deviations of a dark mean by which a hot pixel stands out
 _ROBUST = 1.4826
@@ -46,10 +47,10 @@ def dark_of(stack: Sequence[np.ndarray]) -> Darkness:
     level = float(mean.mean()) if mean.size < 100 else _trimmed_mean(mean)
     spread = _ROBUST * float(np.median(np.abs(mean - np.median(mean))))
     if n < 2:
-        noise = float(np.sqrt(max(_clipped_variance(mean - level), 0)))
+        noise = float(np.sqrt(clipped_variance(mean - level)))
         return Darkness(level, np.abs(mean - level) > _HOT * max(spread, noise, 0.5), noise, n)
-    variance = float(np.mean([_clipped_variance(a - b) / 2 for a, b in pairwise(stack)]))
-    pattern = max(_clipped_variance(mean - level) - variance / n, 0.0)
+    variance = float(np.mean([pair_variance(a, b) for a, b in pairwise(stack)]))
+    pattern = max(fixed_pattern_variance(clipped_variance(mean - level), variance, n), 0.0)
     # a pattern that is not seen beyond chance is none
     if pattern < 4 * variance / n * np.sqrt(2 / mean.size):
         pattern = 0.0
@@ -154,10 +155,3 @@ def _trimmed_mean(values: np.ndarray) -> float:
     middle = np.median(values)
     width = 6 * max(_ROBUST * float(np.median(np.abs(values - middle))), 1.0)
     return float(values[np.abs(values - middle) <= width].mean(dtype=np.float64))
-
-
-def _clipped_variance(values: np.ndarray) -> float:
-    """Return the variance without what stands out by eight standard deviations."""
-    width = 8 * max(_ROBUST * float(np.median(np.abs(values))), 0.5)
-    kept = values[np.abs(values) <= width]
-    return float(kept.var(dtype=np.float64)) if kept.size else 0.0

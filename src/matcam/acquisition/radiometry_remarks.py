@@ -12,6 +12,7 @@ from matcam.acquisition.bracket_sample import BracketSample, noise_correlation, 
 from matcam.acquisition.exposure_ratios import ClipLevel, ExposureRatios
 from matcam.core.remark import Remark, gathered
 from matcam.files.capture_settings import Stated
+from matcam.numerics.frame_noise import not_linear
 
 _WRONG_TIME = 0.02
 """Relative error of a nominal exposure time that is remarked."""
@@ -22,6 +23,8 @@ _DIAL = 0.1
 1/32."""
 _PROVEN, _POWER = 5.0, 0.1
 """Standard deviations by which an exponent differs from 1 where it proves a tone curve, and the smallest such difference."""
+_BENT = 0.01
+"""Relative departure from a straight line that is remarked: good sensors stay below 1 %."""
 _CORRELATED, _SHARPENED = 0.06, -0.015
 """Correlation of neighbouring pixels' noise beyond which a frame was smoothed (noise of whole rows correlates, too), and below
 which it was sharpened (little else makes it negative)."""
@@ -147,7 +150,7 @@ def linearity_remarks(ratios: ExposureRatios) -> list[Remark]:
     curve = curve[curve[:, 0] > 0.02] if len(curve) else curve
     if not len(curve):
         return []
-    bad = (np.abs(curve[:, 1]) > 0.01) & (np.abs(curve[:, 1]) > 5 * curve[:, 2])
+    bad = not_linear(curve[:, 1], curve[:, 2], _BENT)
     if not bad.any():
         return []
     worst = curve[bad][np.abs(curve[bad][:, 1]).argmax()]

@@ -4,6 +4,7 @@ from .camera.evidence import EdgeTable
 from .camera.lateral_colour import LateralColour
 from .edge.edge_result import EdgeMTF, EdgeSamples, EdgeStack
 from .edge.parametric_result import ParametricEdge, ParametricStack
+from .sensor.characteristics import SensorCharacteristics
 
 __all__ = [
     "Calibration",
@@ -16,4 +17,5 @@ __all__ = [
     "MeanCurve",
     "ParametricEdge",
     "ParametricStack",
+    "SensorCharacteristics",
 ]

@@ -214,6 +214,24 @@ class Camera(Module):
             field=field,
         )
 
+    def with_sensor(self, sensor: Sensor | None) -> Camera:
+        """Return the camera with another sensor.
+
+        Args:
+            sensor: noise and mosaic, as from `SensorCharacteristics.sensor`; None: not stated.
+
+        Raises:
+            ArgumentError: lens and sensor state different pixel pitches.
+        """
+        return Camera(
+            self.optics,
+            self.pixel,
+            sensor,
+            uncertainty=self.uncertainty,
+            provenance=self.provenance,
+            field=self.field,
+        )
+
     def save(self, path: str | Path, *, force: bool = False) -> None:
         """Write the camera's profile: kernel, sensor, uncertainty, provenance.
 

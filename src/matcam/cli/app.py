@@ -24,6 +24,7 @@ from matcam.cli import (
     predict,
     reconstruct,
     render,
+    sensor,
     simulate,
 )
 from matcam.cli.common import with_common
@@ -73,6 +74,7 @@ for _name, _module in {
     "simulate": simulate,
     "edge": edge,
     "calibrate": calibrate,
+    "sensor": sensor,
     "chart": chart,
     "inspect": inspect,
     "convert": convert,

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from matcam.cli import show
-from matcam.cli.options import AsJson, Force, Lens, Mosaic
+from matcam.cli.options import AsJson, Budget, Force, Lens, Mosaic
 
 _SOME_FAILED = 1
 
@@ -82,6 +82,15 @@ def command(
     accept_sharpened: Annotated[
         bool, typer.Option("--accept-sharpened", help="Measure sharpened and processed pictures all the same.")
     ] = False,
+    sensor: Annotated[
+        Path | None,
+        typer.Option(
+            "--sensor",
+            metavar="PROFILE",
+            help="Camera profile whose sensor goes into the new one, see `matcam sensor`.",
+        ),
+    ] = None,
+    budget: Budget = None,
     figure: Annotated[
         Path | None,
         typer.Option("--figure", metavar="FILE", help="Page to write (.png, .pdf, .svg). Default: beside the profile."),
@@ -93,14 +102,19 @@ def command(
 
     Example: `matcam calibrate chart-1.dng chart-2.dng -o camera.json`
     """
+    from matcam.core.budget import check_budget_name
     from matcam.core.io import check_output, check_picture
 
     files = _files(pictures)
+    if budget:
+        check_budget_name(budget)
+        check_output(budget, force=force, inputs=files)
     figure = figure or output.with_suffix(".png")
     table = output.with_name(f"{output.stem}-edges.csv")
     check_output(output, force=force, inputs=files)
     check_output(table, force=force, inputs=files)
     check_picture(figure, force=force, inputs=files)
+    electronics = _sensor(sensor)
     with show.working(f"measuring {len(files)} pictures"):
         from matcam.core.jax import use_compilation_cache
 
@@ -120,7 +134,9 @@ def command(
             chart=chart,
             accept_sharpened=accept_sharpened,
         )
-        written = _write(found, output, figure, table, files, force)
+        written = _write(found, electronics, output, figure, table, files, force)
+        if budget:
+            written.append(_write_budget(found, budget, force))
     if json:
         show.as_json({**found.to_dict(), "files": [str(path) for path in written]})
     else:
@@ -128,6 +144,33 @@ def command(
     for name, why in found.failed.items():
         show.remark(f"left out: {name}: {why}")
     return _SOME_FAILED if found.failed else 0
+
+
+def _write_budget(found: Any, path: Path, force: bool) -> Path:
+    """Write the budget of every parameter of every channel's camera."""
+    from matcam.core.budget import parameter_budgets, write_budgets
+
+    budgets = []
+    for channel, fit in found.channels.items():
+        names = [f"{channel}: {name}" for name in fit.names]
+        budgets += parameter_budgets(names, fit.values, fit.covariance)
+    write_budgets(path, budgets, force=force)
+    return path
+
+
+def _sensor(path: Path | None) -> Any:
+    """Load the sensor of a camera profile."""
+    if path is None:
+        return None
+    from matcam.camera.camera import Camera
+    from matcam.core.errors import ArgumentError
+
+    sensor = Camera.load(path).sensor
+    if sensor is None:
+        raise ArgumentError(
+            f"{path} states no sensor: give --sensor a profile with one, as `matcam sensor --profile` writes it"
+        )
+    return sensor
 
 
 def _mtf50(camera: Any) -> float:
@@ -183,7 +226,9 @@ def _tone(tone: str, patches: Path | None, files: list[Path]) -> Any:
     return read_tone_curve(tone)
 
 
-def _write(found: Any, output: Path, figure: Path, table: Path, files: list[Path], force: bool) -> list[Path]:
+def _write(
+    found: Any, sensor: Any, output: Path, figure: Path, table: Path, files: list[Path], force: bool
+) -> list[Path]:
     from matcam.core.io import check_output, write_columns
     from matcam.figures.calibration import calibration_figure
     from matcam.figures.style import save
@@ -197,7 +242,7 @@ def _write(found: Any, output: Path, figure: Path, table: Path, files: list[Path
     used = next(file for file in files if str(file) not in found.failed)
     picture = open_photograph(used).values
     for path, camera in profiles.items():
-        camera.save(path, force=force)
+        (camera if sensor is None else camera.with_sensor(sensor)).save(path, force=force)
     write_columns(table, found.edges_dataset(), force=force)
     save(calibration_figure(found, picture, _verdict(found)), figure, force=force)
     return [*profiles, table, figure]

@@ -13,10 +13,13 @@ from matcam.files.formats import MEASUREMENTS, suffixes_for, titles_for
 
 
 def command(
-    source: Annotated[Path, typer.Argument(metavar="IN", help=f"A file: {titles_for(*MEASUREMENTS)}.")],
+    source: Annotated[Path, typer.Argument(metavar="IN", help=f"File to read: {titles_for(*MEASUREMENTS)}.")],
     target: Annotated[
         Path,
-        typer.Argument(metavar="OUT", help=f"Ends in {', '.join(suffixes_for(*MEASUREMENTS))}: that is its format."),
+        typer.Argument(
+            metavar="OUT",
+            help=f"File to write; its format is that of its ending: {', '.join(suffixes_for(*MEASUREMENTS, 'surface'))}.",
+        ),
     ],
     sampling: Sampling = "centre",
     square: Annotated[
@@ -25,6 +28,14 @@ def command(
             "--square", metavar="N", help="Resolution of a .bsdf to write, in values along each side; 192 make 36 MB."
         ),
     ] = 192,
+    error: Annotated[
+        float | None,
+        typer.Option(
+            "--error",
+            metavar="SHARE",
+            help="Make the smallest .bsdf (0.4 to 36 MB) whose median differences are at most this, such as 0.01.",
+        ),
+    ] = None,
     metadata: Annotated[
         Path | None,
         typer.Option(
@@ -60,7 +71,7 @@ def command(
             raise OutputError(f"output {metadata} is asked for twice: give two names")
         document = about(rig_of(camera, radius, lamp), table=target.name)
     with show.working("converting"):
-        report = convert(source, target, sampling=sampling, square=square, force=force)
+        report = convert(source, target, sampling=sampling, square=square, error=error, force=force)
     if metadata:
         write_json(metadata, document, force=force)
         report |= {"metadata": str(metadata), "receiver_sr": document["receiver"]["solid_angle_sr"]}

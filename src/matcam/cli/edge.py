@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 import typer
 
 from matcam.cli import show
-from matcam.cli.options import AsJson, EdgeLens, Force, Mosaic
+from matcam.cli.options import AsJson, Budget, EdgeLens, Force, Mosaic
 
 
 def command(
@@ -60,6 +60,7 @@ def command(
             help="CSV file of the MTF to write, as sfrmat and Imatest write it: frequency, SFR.",
         ),
     ] = None,
+    budget: Budget = None,
     output: Annotated[
         Path | None,
         typer.Option(
@@ -77,6 +78,7 @@ def command(
     Example: `matcam edge chart.tif --roi 120 80 80 160`
     """
     from matcam.core import checks
+    from matcam.core.budget import check_budget_name
     from matcam.core.io import check_output, check_picture
 
     if output:
@@ -86,6 +88,9 @@ def command(
         checks.positive("--pitch", pitch, "um")
     if sfr:
         check_output(sfr, force=force, inputs=[picture])
+    if budget:
+        check_budget_name(budget)
+        check_output(budget, force=force, inputs=[picture])
     with show.working(f"{picture}: measuring the edge"):
         from matcam.calibration.edge.edge import edge_mtf
         from matcam.files.photographs import open_photograph
@@ -103,7 +108,7 @@ def command(
             tone=tone,
             accept_sharpened=accept_sharpened,
         )
-    files = [*([output, output.with_suffix(".csv")] if output else []), *([sfr] if sfr else [])]
+    files = [*([output, output.with_suffix(".csv")] if output else []), *(path for path in (sfr, budget) if path)]
     if json:
         document = result.to_dict()
         if pitch:
@@ -113,6 +118,8 @@ def command(
         _print(result, pitch)
     if sfr:
         _write_sfr(result, sfr, pitch, force)
+    if budget:
+        _write_budget(result, budget, force)
     if output:
         with show.working(f"{output}: drawing"):
             _write(result, photograph.values, roi, picture.name, output, force)
@@ -137,6 +144,19 @@ def _write_sfr(result: Any, path: Path, pitch: float | None, force: bool) -> Non
             lines.append(",".join(f"{float(cell):.8g}" for cell in cells))
     with replacing(path, force=force) as temporary:
         Path(temporary).write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def _write_budget(result: Any, path: Path, force: bool) -> None:
+    """Write the budgets of both MTF50 and of the lens's parameters."""
+    from matcam.core.budget import fit_budget, parameter_budgets, write_budgets
+
+    fit = result.parametric
+    budgets = [
+        fit_budget("MTF50 free of a model, cycles/px", result.mtf50, result.mtf50_std),
+        fit_budget(f"MTF50 of the {fit.model} lens, cycles/px", fit.mtf50, fit.mtf50_std),
+        *parameter_budgets(fit.names, fit.values, fit.covariance),
+    ]
+    write_budgets(path, budgets, force=force)
 
 
 def _write(result: Any, image: Any, roi: Any, name: str, output: Path, force: bool) -> None:

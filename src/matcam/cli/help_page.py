@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 GROUPS = {
     "Plan": ("predict", "limits", "simulate"),
-    "Calibrate": ("chart", "edge", "calibrate"),
+    "Calibrate": ("chart", "edge", "calibrate", "sensor"),
     "Acquire": ("capture", "reconstruct", "data"),
     "Correct": ("correct", "fit", "fresnel"),
     "Exchange": ("inspect", "convert", "render", "app"),

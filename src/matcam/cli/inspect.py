@@ -14,7 +14,7 @@ from matcam.files.formats import CONTENTS, titles_for
 
 
 def command(
-    file: Annotated[Path, typer.Argument(help=f"A file: {titles_for(*CONTENTS)}.")],
+    file: Annotated[Path, typer.Argument(help=f"File to read: {titles_for(*CONTENTS)}.")],
     sampling: Sampling = "centre",
     radius: Annotated[
         float,

@@ -139,6 +139,12 @@ Device = Annotated[
         "--device", help="Where to compute. Default: where it takes less time; of a GPU that is there, it says so."
     ),
 ]
+Budget = Annotated[
+    Path | None,
+    typer.Option(
+        "--budget", metavar="FILE", help="Uncertainty budget to write (.json, .csv): sources, combined, expanded (GUM)."
+    ),
+]
 Sampling = Annotated[
     Literal["centre", "edge"],
     typer.Option("--sampling", help="Where in its cell a table's value was sampled; a MERL file does not say."),

@@ -14,6 +14,8 @@ The format divides by functions that are chosen so that a smooth remainder is ta
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 import xarray as xr
 
@@ -39,11 +41,35 @@ def _light_angles(below: int, beyond: int) -> np.ndarray:
     return 2 * np.arctan(np.exp(effort)) - _HALF_PI
 
 
-LIGHT_ANGLES = _light_angles(36, 8)
-"""Angles of the light that are tabulated, rad."""
+class GridSize(NamedTuple):
+    """Counts of nodes of an RGL file.
+
+    Attributes:
+        angles: angles of the light up to 82 degrees and beyond.
+        square: nodes of the tabulated square along each side.
+        azimuths: azimuths at which visible normals are tabulated.
+        normals: angles at which visible normals are tabulated; 0: as many as of D.
+    """
+
+    angles: tuple[int, int]
+    square: int
+    azimuths: int
+    normals: int
+
+
 SQUARE = 192
 """Nodes of the tabulated square along each side; the file is 36 MB."""
-_THETA_NODES, _AZIMUTH_NODES = 181, 65
+_FINEST = GridSize((36, 8), SQUARE, 65, 0)
+GRID_SIZES = (
+    GridSize((12, 4), 32, 17, 91),
+    GridSize((16, 6), 40, 17, 91),
+    GridSize((22, 8), 40, 9, 61),
+    GridSize((24, 8), 64, 17, 91),
+    GridSize((28, 8), 96, 33, 181),
+    _FINEST,
+)
+"""Grids among which a file of a given error is sought: 0.4, 0.7, 0.9, 2.3, 6.2 and 36 MB."""
+_THETA_NODES = 181
 _VISIBLE_SHARE, _LOGARITHMIC_SHARE, _EVEN_SHARE = 0.4, 0.3, 0.3
 _FAINTEST = 1e-9  # of the peak of D: nothing is divided by less
 
@@ -83,20 +109,27 @@ def adaptive_grid(material: Material, *, description: str = "", square: int = SQ
         raise ArgumentError("only isotropic materials are resampled, and this RGL file is anisotropic")
     if type(square) is not int or square % 2 or not 8 <= square <= 512:
         raise ArgumentError(f"square must be an even number from 8 to 512, got {square!r}")
+    return resampled_grid(material, _FINEST._replace(square=square), description)
+
+
+def resampled_grid(material: Material, size: GridSize, description: str = "") -> xr.Dataset:
+    """Resample a material, checked by `adaptive_grid`, to a grid of this size."""
+    square, light_angles = size.square, _light_angles(*size.angles)
     u = np.linspace(0, 1, _nodes(material))
     facets = _facets(material, u)
     area = _projected_area(u, facets, u**2 * _HALF_PI)
-    seen_area = np.interp(np.sqrt(LIGHT_ANGLES / _HALF_PI), u, area)
-    visible = _visible(u, facets)
+    seen_area = np.interp(np.sqrt(light_angles / _HALF_PI), u, area)
+    coarse = np.linspace(0, 1, size.normals) if size.normals else u
+    visible = _visible(coarse, np.interp(coarse, u, facets), light_angles, size.azimuths)
     warp = Warp(visible)
     grid = np.linspace(0, 1, square)
     place_u, place_v, tabulated_density = warp.inverse(grid, grid[: square // 2])  # the other half mirrors it
     theta_m, phi_m = place_u**2 * _HALF_PI, (2 * place_v - 1) * np.pi
-    outgoing, cos_o, missing = _outgoing(material, theta_m, phi_m)
+    outgoing, cos_o, missing = _outgoing(material, theta_m, phi_m, light_angles)
     d = np.interp(place_u, u, facets)
     values = np.maximum(_fill_gaps(outgoing * (4 * seen_area[:, None, None] / d)[..., None], cos_o), 0)
     # of samples: BRDF cos_o and the solid angle of views, 4 i . m that of half vectors, over the density of the warp
-    light = LIGHT_ANGLES[:, None, None]
+    light = light_angles[:, None, None]
     cos = np.cos(light) * np.cos(theta_m) + np.sin(light) * np.sin(theta_m) * np.cos(phi_m)
     solid = d * np.maximum(cos, 0) * _jacobian(place_u)
     density = values.mean(axis=-1) * solid / np.where(tabulated_density > 0, tabulated_density, 1.0)
@@ -112,7 +145,7 @@ def adaptive_grid(material: Material, *, description: str = "", square: int = SQ
             "rgb": (("phi_i", "theta_i", "channel", "row", "column"), whole(np.moveaxis(values, -1, 1), 2)[None]),
             "jacobian": ("jacobian_0", np.ones(1, dtype=np.uint8)),
         },
-        coords={"phi_i": np.zeros(1, dtype=np.float32), "theta_i": LIGHT_ANGLES.astype(np.float32)},
+        coords={"phi_i": np.zeros(1, dtype=np.float32), "theta_i": light_angles.astype(np.float32)},
         attrs={"missing_share": missing},
     )
 
@@ -174,31 +207,33 @@ def _jacobian(u: np.ndarray) -> np.ndarray:
     return 2 * np.pi**2 * u * np.sin(u**2 * _HALF_PI)
 
 
-def _visible(u: np.ndarray, facets: np.ndarray) -> np.ndarray:
+def _visible(u: np.ndarray, facets: np.ndarray, light_angles: np.ndarray, azimuths: int) -> np.ndarray:
     """Return the density of half vectors, (T, azimuths, nodes).
 
     It is per area of the unit square. Azimuths are distributed as visible normals and evenly, half and half. In each,
     angles are distributed as visible normals and, for the sake of resolution, as sqrt(D) cos and evenly.
     """
     theta = u**2 * _HALF_PI
-    phi = np.linspace(-np.pi, np.pi, _AZIMUTH_NODES)[:, None]
-    light = LIGHT_ANGLES[:, None, None]
+    phi = np.linspace(-np.pi, np.pi, azimuths)[:, None]
+    light = light_angles[:, None, None]
     cos = np.cos(light) * np.cos(theta) + np.sin(light) * np.sin(theta) * np.cos(phi)
     seen = facets * np.maximum(cos, 0) * _jacobian(u)
     along = np.trapezoid(seen, u)[..., None]
-    azimuths = along / np.trapezoid(along[..., 0], phi[:, 0])[:, None, None] + 1 / (2 * np.pi)
+    over_azimuth = along / np.trapezoid(along[..., 0], phi[:, 0])[:, None, None] + 1 / (2 * np.pi)
     logarithmic = np.sqrt(facets) * np.cos(theta) * _jacobian(u)
     spread = _VISIBLE_SHARE * seen / along + _LOGARITHMIC_SHARE * logarithmic / np.trapezoid(logarithmic, u)
-    return azimuths * (spread + _EVEN_SHARE * 2 * u)
+    return over_azimuth * (spread + _EVEN_SHARE * 2 * u)
 
 
-def _outgoing(material: Material, theta_m: np.ndarray, phi_m: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+def _outgoing(
+    material: Material, theta_m: np.ndarray, phi_m: np.ndarray, light_angles: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, float]:
     """Return BRDF cos_o, cos_o, and the missing share above the horizon.
 
-    The light stands at LIGHT_ANGLES, and half vectors have shape (T, rows, columns). Channels are last. BRDF cos_o is
+    The light stands at `light_angles`, and half vectors have shape (T, rows, columns). Channels are last. BRDF cos_o is
     NaN below the horizon and where missing.
     """
-    light = np.broadcast_to(LIGHT_ANGLES[:, None, None], theta_m.shape)
+    light = np.broadcast_to(light_angles[:, None, None], theta_m.shape)
     i = np.sin(light), np.zeros(light.shape), np.cos(light)
     m = np.sin(theta_m) * np.cos(phi_m), np.sin(theta_m) * np.sin(phi_m), np.cos(theta_m)
     twice = 2 * (i[0] * m[0] + i[2] * m[2])

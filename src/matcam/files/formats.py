@@ -27,6 +27,7 @@ CONTENTS = {
     "camera": "a camera profile",
     "sidecar": "a picture sidecar",
     "chart": "a chart's description",
+    "surface": "a fitted surface",
 }
 """What a file can hold, in words."""
 
@@ -44,7 +45,7 @@ class Format:
         holds: keys of `CONTENTS` that it can hold.
         suffixes: endings of its files' names, lower case, the usual one first.
         starts: bytes that its files begin with, any of them.
-        mark: text that its JSON documents hold near their beginning.
+        mark: text that its documents hold near their beginning.
         hint: how people can recognise a file.
         reader: function that reads a path, as "module:function" below `matcam`; "": it stands above this package.
         writers: functions that write (path, data, force=...), by content, named likewise.
@@ -59,6 +60,11 @@ class Format:
     hint: str = ""
     reader: str = ""
     writers: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def written(self) -> tuple[str, ...]:
+        """Keys of `CONTENTS` that can be written to it; a profile and a chart write themselves."""
+        return tuple(self.writers) or (() if self.reader else self.holds)
 
     def read(self, path: str | Path, **options: Any) -> Any:
         """Read a file. `options` go to the reader, such as `sampling` for MERL."""
@@ -99,6 +105,21 @@ FORMATS = (
         writers={"fields": "files.rgl:write_rgl"},
     ),
     Format(
+        name="zemax",
+        title="Zemax BSDF",
+        holds=("samples",),
+        suffixes=(".bsdf",),
+        mark=b"SpectralContent",
+        reader="files.zemax:read_zemax",
+    ),
+    Format(
+        name="utia",
+        title="UTIA",
+        holds=("result",),
+        suffixes=(".bin",),
+        reader="files.utia:read_utia",
+    ),
+    Format(
         name="csv",
         title="CSV",
         holds=("table", "samples", "result"),
@@ -126,6 +147,21 @@ FORMATS = (
         suffixes=(".zarr.zip",),
         reader="files.datasets:read_zarr",
         writers=dict.fromkeys(_LABELLED, "files.datasets:write_zarr"),
+    ),
+    Format(
+        name="bird",
+        title="BiRD (JSON)",
+        holds=("samples",),
+        suffixes=(".brdf",),
+        mark=b"brdf_json_schema",
+        reader="files.bird:read_bird",
+        writers={"samples": "files.bird:write_bird"},
+    ),
+    Format(
+        name="materialx",
+        title="MaterialX",
+        holds=("surface",),
+        suffixes=(".mtlx",),
     ),
     Format(
         name="exr",
@@ -179,13 +215,16 @@ def format_named(name: str) -> Format:
 
 
 def suffixes_for(*contents: str) -> tuple[str, ...]:
-    """Return the suffixes of the formats that can hold any of these contents, in the order of `FORMATS`."""
-    return tuple(dict.fromkeys(s for form in FORMATS for s in form.suffixes if set(contents) & set(form.holds)))
+    """Return the suffixes of the formats that are written with any of these contents, in the order of `FORMATS`."""
+    return tuple(dict.fromkeys(s for form in FORMATS for s in form.suffixes if set(contents) & set(form.written)))
 
 
 def titles_for(*contents: str) -> str:
-    """Return the titles of the formats that can hold any of these contents, for people."""
-    return ", ".join(form.title for form in FORMATS if set(contents) & set(form.holds))
+    """Return the titles and suffixes of the formats that are read and hold any of these contents, for people."""
+    read = (form for form in FORMATS if set(contents) & set(form.holds) and form.name != "materialx")
+    return ", ".join(
+        f"{form.title} ({', '.join(form.suffixes)})" if ".json" not in form.suffixes else form.title for form in read
+    )
 
 
 def identify(path: str | Path) -> str:
@@ -206,7 +245,16 @@ def identify(path: str | Path) -> str:
     if head.lstrip().startswith(b"{"):
         # a sidecar holds a camera profile: the first mark is the document's own
         marked = [form for form in FORMATS if form.mark and form.mark in head]
-        return min(marked, key=lambda form: head.find(form.mark)).name if marked else "camera profile"
+        named = [
+            form.name
+            for form in FORMATS
+            if form.mark and path.suffix.lower() in form.suffixes
+            if path.suffix != ".json"
+        ]
+        return min(marked, key=lambda form: head.find(form.mark)).name if marked else [*named, "camera profile"][0]
+    marked = [form for form in FORMATS if form.mark and form.mark in head and ".json" not in form.suffixes]
+    if marked:
+        return marked[0].name
     first = head.split(b"\n", 1)[0]
     if b"_per_sr" in first and b"," in first:
         return "csv"
@@ -224,7 +272,7 @@ def format_for(path: str | Path, *contents: str) -> Format:
     """
     name, contents = Path(path).name.lower(), contents or MEASUREMENTS
     for form in FORMATS:
-        if set(contents) & set(form.holds) and name.endswith(form.suffixes):
+        if set(contents) & set(form.written) and name.endswith(form.suffixes):
             return form
     raise ArgumentError(f"{path}: the name must end in one of {', '.join(suffixes_for(*contents))}")
 

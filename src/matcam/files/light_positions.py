@@ -8,12 +8,14 @@ Imaging; relight, Visual Computing Lab of CNR).
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from matcam.core.errors import FileFormatError
+from matcam.core.io import replacing
 from matcam.core.readers.texts import read_lines
 
 _UNIT = 0.02
@@ -61,6 +63,22 @@ def read_light_positions(path: str | Path) -> list[LightPosition]:
             f"{path}: the first line announces {int(head)} photographs, {len(numbered) - 1} lines follow"
         )
     return [_position(path, number, line) for number, line in numbered[1:]]
+
+
+def write_light_positions(path: str | Path, positions: Sequence[LightPosition], *, force: bool = False) -> None:
+    """Write a light position file.
+
+    Args:
+        path: file to write (.lp).
+        positions: of the lamp in each photograph.
+        force: replace an existing file. Default: False.
+
+    Raises:
+        OutputError: the file cannot be written, or exists and `force` is False.
+    """
+    lines = [f"{one.file} {' '.join(repr(float(axis)) for axis in one.position)}" for one in positions]
+    with replacing(path, force=force) as temporary:
+        temporary.write_text("\n".join([str(len(lines)), *lines]) + "\n", encoding="utf-8")
 
 
 def are_unit_vectors(positions: list[LightPosition]) -> bool:

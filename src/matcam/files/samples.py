@@ -44,7 +44,7 @@ def samples_of(table: xr.DataArray) -> xr.DataArray:
     stacked = checked_table(table).transpose("phi_d", "theta_d", "theta_h", "channel")
     known = np.isfinite(stacked.values).any(axis=-1)
     angles = np.meshgrid(*(stacked[name].values for name in reversed(_HALF)), indexing="ij")[::-1]
-    return _samples(stacked.values[known], [a[known] for a in angles], [str(c) for c in stacked["channel"].values])
+    return samples_from(stacked.values[known], [a[known] for a in angles], [str(c) for c in stacked["channel"].values])
 
 
 def table_of(samples: xr.DataArray) -> xr.DataArray:
@@ -173,10 +173,11 @@ def read_samples(path: str | Path) -> xr.DataArray:
     if angles == _PAIR:
         in_half = [np.asarray(a) for a in half_and_difference(*in_half)]
     brdf = np.stack([columns[name] for name in channels], axis=-1)
-    return _samples(brdf, in_half, channels).assign_attrs(source=path.name)
+    return samples_from(brdf, in_half, channels).assign_attrs(source=path.name)
 
 
-def _samples(values: np.ndarray, angles: list[np.ndarray], channels: list[str]) -> xr.DataArray:
+def samples_from(values: np.ndarray, angles: list[np.ndarray], channels: list[str]) -> xr.DataArray:
+    """Build samples from values (n, channels), 1/sr, at theta_h, theta_d and phi_d (n,) each, rad."""
     coords = {name: ("sample", angle, {"units": "rad"}) for name, angle in zip(_HALF, angles, strict=True)}
     return xr.DataArray(
         values, dims=("sample", "channel"), coords={**coords, "channel": channels}, name="brdf", attrs={"units": "1/sr"}

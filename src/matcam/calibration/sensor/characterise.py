@@ -1,0 +1,299 @@
+"""From a series of lit and dark exposures to the characteristics of a sensor (EMVA Standard 1288)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from matcam.calibration.sensor.characteristics import SensorCharacteristics
+from matcam.calibration.sensor.exposure_statistics import (
+    ExposureStatistics,
+    FrameReader,
+    Progress,
+    measure_exposures,
+)
+from matcam.calibration.sensor.photon_transfer import Transfer, fit_gain, is_clipped, measure_transfer
+from matcam.core import checks
+from matcam.core.errors import ArgumentError
+from matcam.core.registry import CFAS
+from matcam.core.remark import Remark
+from matcam.files.capture_settings import Stated
+from matcam.files.exposure_series import read_exposure_series
+from matcam.numerics.frame_noise import fixed_pattern_variance, fixed_pattern_variance_error
+
+_ROUNDING = 1 / 12
+"""Variance of a rounded code, DN^2."""
+_HIDDEN = 0.24
+"""Temporal variance of dark codes below which rounding hides the noise, DN^2 (EMVA 1288, 6.6)."""
+_MANY = 2.0
+"""Times the usual number of frames of an exposure from which one was taken for the fixed patterns alone (EMVA 1288, 8.2): its
+light need not be that of the series."""
+_TIMES = 3
+"""Exposure times that a dark current needs, at least (EMVA 1288, 7.2)."""
+_BRIGHT = (0.2, 0.8)
+"""Shares of saturation between which the response of the pixels is measured; the standard takes 50 %."""
+_UNKNOWN = Stated(math.nan, math.inf)
+
+
+def characterise_sensor(
+    source: str | Path, *, bits: int | None = None, cfa: str | None = None, progress: Progress | None = None
+) -> SensorCharacteristics:
+    """Measure noise, gain, linearity and fixed patterns of a sensor.
+
+    The series shows an evenly lit field at several exposures and darkness at the same exposure times, two frames or more of
+    each. Fifty frames at one exposure, lit and dark, make the fixed patterns certain.
+
+    Args:
+        source: folder of the frames, or a descriptor of the EMVA 1288 reference data sets. In a folder, frames lie in dark/ and
+            flat/ or have names that begin so, and exposure times stand in the names ("flat_20ms_1.tif") or in the metadata.
+        bits: depth of the codes. Default: None, as the descriptor states, or the fewest that hold the largest code.
+        cfa: colours of the first 2 x 2 px, "RGGB" and so on. Default: None, as the files state, or none.
+        progress: called with a step, how much of it is done, and of how much. Default: None.
+
+    Returns:
+        The characteristics; remarks name the exposures that were not used.
+
+    Raises:
+        FileFormatError: there is no series, or a frame is damaged or of another kind.
+        ArgumentError: no exposure has two frames, or an argument is of the wrong kind.
+        FitError: too few exposures are linear.
+
+    Source:
+        EMVA Standard 1288, release 4.0 linear (2021); docs/sensor.md.
+
+    Example:
+        >>> matcam.characterise_sensor("no-such-folder")
+        Traceback (most recent call last):
+        matcam.core.errors.FileFormatError: no-such-folder: no such file
+    """
+    if cfa is not None:
+        checks.choice("cfa", cfa, CFAS)
+    if bits is not None and (type(bits) is not int or not 1 <= bits <= 32):
+        raise ArgumentError(f"bits must be a whole number in [1, 32] or None, got {bits!r}")
+    series = read_exposure_series(source)
+    reader = FrameReader(cfa)
+    found, remarks = measure_exposures(series, reader, progress or (lambda step, done, total: None))
+    dark = [one for one in found if not one.exposure.lit]
+    usual = _MANY * float(np.median([len(one.exposure.files) for one in found]))
+    stacks = [one for one in found if one.exposure.lit and len(one.exposure.files) > usual]
+    lit = [one for one in found if one.exposure.lit and len(one.exposure.files) <= usual]
+    bits = bits or series.bits or max(int(max(one.largest for one in lit)), 1).bit_length()
+    planes: list[Transfer] = []
+    for plane in range(len(lit[0].mean)):
+        transfer, said = measure_transfer(lit, dark, plane)
+        planes.append(transfer)
+        remarks += [one for one in said if one not in remarks]
+    remarks += _dark_times(lit, dark)
+    gain = fit_gain(planes)
+    read_noise, hidden = _read_noise(dark, gain)
+    if hidden:
+        text = f"rounding hides the read noise: it is at most {read_noise.value:.3g} e-"
+        remarks.append(Remark("read-noise-hidden", text))
+    saturation, saturated = _saturation(planes, gain)
+    if not saturated:
+        remarks.append(Remark("not-saturated", "no exposure saturates: the saturation capacity is a lower limit"))
+    bright = _chosen(stacks, planes) or _chosen(lit, planes) or lit[0]
+    shade = max(dark, key=lambda one: (-abs(one.exposure.time - bright.exposure.time), len(one.exposure.files)))
+    patterns = _Patterns(reader, bright, shade)
+    dsnu = patterns.dark(gain)
+    if dsnu.value == 0:
+        remarks.append(Remark("dsnu-not-seen", "the pixels' dark signals differ by no more than chance"))
+    judged = np.concatenate([plane.departure[plane.judged] for plane in planes])
+    charge = max(float(plane.signal.max()) for plane in planes) / gain.value if saturated else saturation.value
+    full_well = Stated(charge, charge * gain.std / gain.value) if saturated else saturation
+    return SensorCharacteristics(
+        gain=gain,
+        read_noise=read_noise,
+        read_noise_hidden=hidden,
+        black_level=_black_level(dark),
+        dark_current=_growth(dark, gain, lambda one: one.mean, 1),
+        dark_current_by_variance=_growth(dark, gain, lambda one: one.variance, 2),
+        dark_nonuniformity=_dark_nonuniformity(reader, dark, gain),
+        saturation=saturation,
+        saturated=saturated,
+        full_well=full_well,
+        prnu=patterns.response(),
+        prnu_pixel=patterns.response(own=True),
+        dsnu=dsnu,
+        linearity_error=(float(judged.min()), float(judged.max())) if judged.size else (math.nan, math.nan),
+        quantum_efficiency=_quantum_efficiency(planes, gain) if series.light_unit == "photons" else _UNKNOWN,
+        bits=bits,
+        cfa=reader.cfa,
+        prnu_map=patterns.response_map(),
+        dsnu_map=patterns.dark_map(gain),
+        transfers=tuple(planes),
+        light_unit=series.light_unit,
+        remarks=tuple(remarks),
+    )
+
+
+def _dark_times(lit: Sequence[ExposureStatistics], dark: Sequence[ExposureStatistics]) -> list[Remark]:
+    times = np.array([one.exposure.time for one in dark])
+    lacking = [
+        t for t in (one.exposure.time for one in lit) if np.abs(times / max(t, 1e-12) - 1).min() > 0.01 and t > 0
+    ]
+    if not lacking:
+        return []
+    text = (
+        f"no dark frames of {len(lacking)} exposure times, {min(lacking):g} to {max(lacking):g} s: the nearest are used"
+    )
+    return [Remark("dark-missing", text)]
+
+
+def _read_noise(dark: Sequence[ExposureStatistics], gain: Stated) -> tuple[Stated, bool]:
+    """Temporal noise of a dark pixel at exposure time 0, e-, and whether rounding hides it."""
+    times, variance = np.array([one.exposure.time for one in dark]), np.array([one.variance.mean() for one in dark])
+    error = variance * np.array([one.variance_error / math.sqrt(len(one.variance)) for one in dark])
+    if len(np.unique(times)) >= _TIMES:
+        _, offset = _line(times, variance)
+        dark_variance, std = offset.value, max(offset.std, float(error.min()) / math.sqrt(len(dark)))
+    else:
+        first = int(np.argmin(times))
+        dark_variance, std = float(variance[first]), float(error[first])
+    hidden = dark_variance < _HIDDEN
+    noise = math.sqrt(max(dark_variance, _HIDDEN) - _ROUNDING) / gain.value
+    return Stated(noise, math.hypot(std / (2 * noise * gain.value**2), noise * gain.std / gain.value)), hidden
+
+
+def _black_level(dark: Sequence[ExposureStatistics]) -> Stated:
+    first = min(dark, key=lambda one: one.exposure.time)
+    return Stated(float(first.mean.mean()), float(np.sqrt(first.variance.mean() / (first.pixels * len(first.mean)))))
+
+
+def _growth(dark, gain, of, power):  # type: ignore[no-untyped-def]
+    """Slope of a statistic of the dark frames over exposure time, in electrons per second."""
+    times = np.array([one.exposure.time for one in dark])
+    if len(np.unique(times)) < _TIMES:
+        return _UNKNOWN
+    slope, _ = _line(times, np.array([float(of(one).mean()) for one in dark]))
+    scale = gain.value**power
+    return Stated(
+        slope.value / scale, math.hypot(slope.std / scale, power * slope.value / scale * gain.std / gain.value)
+    )
+
+
+def _line(x: np.ndarray, y: np.ndarray) -> tuple[Stated, Stated]:
+    """Slope and offset of a straight line by ordinary least squares, with standard deviations by the scatter about it."""
+    matrix = np.stack([x - x.mean(), np.ones_like(x)], axis=1)
+    (slope, middle), *_ = np.linalg.lstsq(matrix, y, rcond=None)
+    scatter = float(np.sum((y - matrix @ (slope, middle)) ** 2)) / max(len(x) - 2, 1)
+    spread = float(np.sum((x - x.mean()) ** 2))
+    offset_std = math.sqrt(scatter * (1 / len(x) + x.mean() ** 2 / spread))
+    return Stated(float(slope), math.sqrt(scatter / spread)), Stated(float(middle - slope * x.mean()), offset_std)
+
+
+def _saturation(planes: Sequence[Transfer], gain: Stated) -> tuple[Stated, bool]:
+    """Saturation capacity, e-, of the plane that saturates first; and whether an exposure beyond it was seen.
+
+    Its standard deviation has the step between neighbouring exposures in it: the true one lies anywhere between them.
+    """
+    plane = min(planes, key=lambda one: (not one.saturated, one.light[one.saturation]))
+    at = plane.saturation
+    distances = np.abs(plane.light - plane.light[at])
+    step = float(np.min(distances, where=distances > 0, initial=np.inf)) / math.sqrt(12) / plane.light[at]
+    charge = plane.responsivity.value * plane.light[at] / gain.value
+    relative = math.hypot(plane.responsivity.std / plane.responsivity.value, gain.std / gain.value, step)
+    return Stated(float(charge), float(charge * relative)), plane.saturated
+
+
+def _quantum_efficiency(planes: Sequence[Transfer], gain: Stated) -> Stated:
+    plane = max(planes, key=lambda one: one.responsivity.value)
+    value = plane.responsivity.value / gain.value
+    return Stated(value, value * math.hypot(plane.responsivity.std / plane.responsivity.value, gain.std / gain.value))
+
+
+def _chosen(lit: Sequence[ExposureStatistics], planes: Sequence[Transfer]) -> ExposureStatistics | None:
+    """The exposure that shows the pixels' response best: most frames, then nearest to half of saturation."""
+
+    def share(one: ExposureStatistics) -> float:
+        return max((one.mean[k] - p.dark[0]) / p.signal[p.saturation] for k, p in enumerate(planes))
+
+    good = [one for one in lit if _BRIGHT[0] < share(one) < _BRIGHT[1] and not is_clipped(one, lit)]
+    return max(good, key=lambda one: (len(one.exposure.files), -abs(share(one) - 0.5)), default=None)
+
+
+def _dark_nonuniformity(reader: FrameReader, dark: Sequence[ExposureStatistics], gain: Stated) -> Stated:
+    """Relative standard deviation of the pixels' dark currents, from two independent differences of long and short exposures.
+
+    The covariance of the differences holds what the pixels have in common in both: their own dark current, without noise.
+    """
+    short, long = (pick(dark, key=lambda one: one.exposure.time) for pick in (min, max))
+    current = _growth(dark, gain, lambda one: one.mean, 1)
+    if not current.value > 5 * current.std:
+        return _UNKNOWN
+    frames = [list(reader.read(one.exposure))[:2] for one in (short, long)]
+    first, second = (frames[1][k].astype(np.float64) - frames[0][k] for k in (0, 1))
+    products = (first - first.mean()) * (second - second.mean())
+    covariance, error = float(products.mean()), float(products.std() / math.sqrt(products.size))
+    growth = float(first.mean() + second.mean()) / 2
+    if covariance <= 0 or growth <= 0:
+        return Stated(0.0, math.sqrt(error) / max(growth, 1e-12))
+    value = math.sqrt(covariance) / growth
+    return Stated(value, value * error / (2 * covariance))
+
+
+class _Patterns:
+    """The fixed patterns of a lit and a dark exposure."""
+
+    def __init__(self, reader: FrameReader, bright: ExposureStatistics, dark: ExposureStatistics):
+        self._reader, self._of = reader, (bright, dark)
+        self._mean = tuple(reader.mean(one.exposure) for one in self._of)
+
+    def _variance(self, which: int, plane: int, own: bool) -> Stated:
+        """Variance of the pixels of a plane, DN^2: all of it, or without what rows and columns share."""
+        of = self._of[which]
+        mean, frames = self._reader.planes(self._mean[which])[plane], len(of.exposure.files)
+        temporal = float(of.variance[plane])
+        measured = float(mean.var(ddof=1))
+        chance = temporal
+        if own:
+            # EMVA 1288, 8.2.3: each row's and column's own mean takes degrees of freedom
+            rows, columns = mean.shape
+            shared = [float(mean.mean(axis).var()) - temporal / (frames * n) for axis, n in ((0, rows), (1, columns))]
+            total = fixed_pattern_variance(measured, temporal, frames)
+            value = (total - sum(shared)) * mean.size / (mean.size - rows - columns)
+        else:
+            value = fixed_pattern_variance(measured, chance, frames)
+        return Stated(value, fixed_pattern_variance_error(value, temporal, frames, mean.size))
+
+    def _planes(self, of: np.ndarray) -> list[float]:
+        return [float(plane.mean()) for plane in self._reader.planes(of)]
+
+    def response(self, own: bool = False) -> Stated:
+        """Relative standard deviation of the pixels' sensitivities, the root mean square of the planes."""
+        level = np.subtract(self._planes(self._mean[0]), self._planes(self._mean[1]))
+        parts = [[self._variance(which, plane, own) for plane in range(len(level))] for which in (0, 1)]
+        square = [(b.value - d.value) / one**2 for b, d, one in zip(*parts, level, strict=True)]
+        error = [math.hypot(b.std, d.std) / one**2 for b, d, one in zip(*parts, level, strict=True)]
+        return _root(float(np.mean(square)), math.hypot(*error) / len(error))
+
+    def dark(self, gain: Stated) -> Stated:
+        """Standard deviation of the pixels' dark signals, e-."""
+        parts = [self._variance(1, plane, False) for plane in range(len(self._of[1].mean))]
+        found = _root(float(np.mean([p.value for p in parts])), math.hypot(*(p.std for p in parts)) / len(parts))
+        value = found.value / gain.value
+        return Stated(value, math.hypot(found.std / gain.value, value * gain.std / gain.value))
+
+    def response_map(self) -> np.ndarray:
+        """Sensitivity of each pixel over the mean of its plane."""
+        light = self._mean[0] - self._mean[1]
+        for plane in self._reader.planes(light):
+            plane /= plane.mean()
+        return light
+
+    def dark_map(self, gain: Stated) -> np.ndarray:
+        """Dark signal of each pixel over the mean of its plane, e-."""
+        level = self._mean[1].copy()
+        for plane in self._reader.planes(level):
+            plane -= plane.mean()
+        return level / gain.value
+
+
+def _root(square: float, error: float) -> Stated:
+    """Square root of a variance; 0 where it is below 0 by chance."""
+    if square <= 0:
+        return Stated(0.0, math.sqrt(max(error, 0.0)))
+    return Stated(math.sqrt(square), min(error / (2 * math.sqrt(square)), math.sqrt(error)))

@@ -1,0 +1,205 @@
+"""What a series of exposures determines of a sensor."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from matcam.calibration.sensor.photon_transfer import Transfer
+from matcam.camera.sensor import Sensor
+from matcam.core import checks
+from matcam.core.remark import Remark
+from matcam.files.capture_settings import Stated
+
+_MOST_READ_NOISE = 1e6  # e-, the limits of `Sensor`
+
+
+@dataclass(frozen=True)
+class SensorCharacteristics:
+    """Characteristics of a sensor, measured as EMVA Standard 1288 does.
+
+    Each value has its standard deviation.
+
+    Attributes:
+        gain: system gain K, DN per e-.
+        read_noise: temporal noise of a dark pixel without rounding, e-. Where rounding hides it, its upper limit.
+        read_noise_hidden: whether rounding hides the read noise.
+        black_level: mean dark code at the shortest exposure, DN.
+        dark_current: growth of the dark signal, e-/s; NaN: fewer than three exposure times.
+        dark_current_by_variance: growth of the dark variance, e-/s; NaN likewise.
+        dark_nonuniformity: relative standard deviation of the pixels' dark currents, no unit; NaN: not determined.
+        saturation: saturation capacity, e-: where the temporal variance is largest. A lower limit if not `saturated`.
+        saturated: whether an exposure beyond saturation was seen.
+        full_well: largest mean signal of an exposure beyond saturation, e-; without one, the saturation capacity.
+        prnu: photo-response non-uniformity, relative standard deviation of the pixels' sensitivities with the illumination's
+            own variation, no unit.
+        prnu_pixel: the same without what whole rows and columns share, no unit: the sensor's own pattern.
+        dsnu: dark signal non-uniformity, standard deviation of the pixels' dark signals, e-.
+        linearity_error: smallest and largest departure from a straight line between 5 and 95 % of saturation, no unit.
+        quantum_efficiency: electrons per photon, no unit; NaN: the photons are not stated.
+        bits: depth of the codes; None: floats.
+        cfa: colours of the first 2 x 2 px; None: no mosaic.
+        prnu_map: sensitivity of each pixel over the mean of its colour, without dark, (height, width).
+        dsnu_map: dark signal of each pixel over the mean, e-, (height, width).
+        transfers: signal, variance and departure of every exposure, by the planes of the mosaic.
+        light_unit: unit of the exposures' light, "photons" or "s".
+        remarks: what a reader should know; exposures that were not used are named. Default: none.
+
+    Source:
+        EMVA Standard 1288, release 4.0 linear (2021).
+
+    Example:
+        >>> import pathlib, tempfile
+        >>> sensor = matcam.Sensor(5e-6, full_well=2000, read_noise=5.0, gain=0.5, bits=12)
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     for seed in range(32):
+        ...         time, kind = 1 + seed // 4, "dark" if seed % 2 else "flat"
+        ...         frame = sensor.expose(np.full((64, 64), 100.0 * time if kind == "flat" else 0.0), 1.0, seed)
+        ...         matcam.io.write_float_tiff(pathlib.Path(folder, f"{kind}_{time}ms_{seed}.tif"), frame)
+        ...     found = matcam.characterise_sensor(folder, bits=12)
+        >>> abs(found.gain.value - 0.5) < 4 * found.gain.std, found.saturated
+        (True, False)
+    """
+
+    gain: Stated
+    read_noise: Stated
+    read_noise_hidden: bool
+    black_level: Stated
+    dark_current: Stated
+    dark_current_by_variance: Stated
+    dark_nonuniformity: Stated
+    saturation: Stated
+    saturated: bool
+    full_well: Stated
+    prnu: Stated
+    prnu_pixel: Stated
+    dsnu: Stated
+    linearity_error: tuple[float, float]
+    quantum_efficiency: Stated
+    bits: int | None
+    cfa: str | None
+    prnu_map: np.ndarray
+    dsnu_map: np.ndarray
+    transfers: Sequence[Transfer]
+    light_unit: str
+    remarks: tuple[Remark, ...] = field(default=())
+
+    @property
+    def snr_max(self) -> Stated:
+        """Signal over noise of a pixel at saturation, no unit."""
+        value = math.sqrt(self.saturation.value)
+        return Stated(value, self.saturation.std / (2 * value))
+
+    @property
+    def dynamic_range(self) -> Stated:
+        """Saturation capacity over the smallest detectable signal, no unit."""
+        rounding = 0.0 if self.bits is None else 1 / (12 * self.gain.value**2)
+        noise = math.sqrt(self.read_noise.value**2 + rounding)
+        value = self.saturation.value / (noise + 0.5)
+        noise_error = self.read_noise.value * self.read_noise.std / max(noise, 1e-12) / (noise + 0.5)
+        return Stated(value, value * math.hypot(self.saturation.std / self.saturation.value, noise_error))
+
+    def sensor(self, pitch: float) -> Sensor:
+        """Build the sensor that a camera profile holds.
+
+        `picture`, `simulate` and `reconstruct` use it.
+
+        Its PRNU is `prnu_pixel`: the pattern of independent pixels. What a `Sensor` does not have stays out: the non-uniformity
+        of the dark signal that does not grow with time.
+
+        Args:
+            pitch: distance of the pixels, m.
+
+        Raises:
+            ArgumentError: the pitch is out of range.
+        """
+        return Sensor(
+            pitch,
+            full_well=self.full_well.value,
+            read_noise=min(self.read_noise.value, _MOST_READ_NOISE),
+            gain=self.gain.value,
+            bits=self.bits,
+            cfa=self.cfa,
+            prnu=min(self.prnu_pixel.value, 1.0),
+            dark_current=max(_or_zero(self.dark_current.value), 0.0),
+            dark_nonuniformity=min(_or_zero(self.dark_nonuniformity.value), 10.0),
+            black_level=max(self.black_level.value, 0.0),
+        )
+
+    def snr(self, signal: np.ndarray) -> np.ndarray:
+        """Compute signal over noise by gain and read noise, no unit.
+
+        Args:
+            signal: code above dark, DN, any shape.
+        """
+        signal = np.asarray(checks.within("signal", signal, 0, np.inf, "DN above dark"))
+        rounding = 0.0 if self.bits is None else 1 / 12
+        variance = self.gain.value * signal + (self.gain.value * self.read_noise.value) ** 2 + rounding
+        return np.asarray(signal / np.sqrt(variance))
+
+    def columns(self) -> dict[str, Any]:
+        """List signal, noise and departure of every lit exposure.
+
+        Returns:
+            Arrays by name; planes of a mosaic follow each other.
+        """
+        parts = []
+        for number, plane in enumerate(self.transfers):
+            judged = plane.judged
+            parts.append(
+                {
+                    "plane": np.full(len(plane.light), number),
+                    "exposure_s": plane.time,
+                    f"light_{self.light_unit}": plane.light,
+                    "signal_dn": plane.signal,
+                    "dark_dn": plane.dark,
+                    "variance_dn2": plane.variance,
+                    "variance_std_dn2": plane.variance_std,
+                    "dark_variance_dn2": plane.dark_variance,
+                    "snr": plane.signal / np.sqrt(np.maximum(plane.variance, 1e-12)),
+                    "snr_model": self.snr(np.maximum(plane.signal, 0)),
+                    "departure": np.where(judged, plane.departure, np.nan),
+                    "used": plane.used.astype(int),
+                }
+            )
+        return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the result as a JSON object, which `matcam sensor --json` prints.
+
+        Returns:
+            Values with their standard deviations by name; units stand in the names.
+        """
+        values = {
+            "gain_dn_per_electron": self.gain,
+            "read_noise_electrons": self.read_noise,
+            "black_level_dn": self.black_level,
+            "dark_current_electrons_per_s": self.dark_current,
+            "dark_current_by_variance_electrons_per_s": self.dark_current_by_variance,
+            "dark_nonuniformity": self.dark_nonuniformity,
+            "saturation_electrons": self.saturation,
+            "full_well_electrons": self.full_well,
+            "prnu": self.prnu,
+            "prnu_pixel": self.prnu_pixel,
+            "dsnu_electrons": self.dsnu,
+            "quantum_efficiency": self.quantum_efficiency,
+            "snr_max": self.snr_max,
+            "dynamic_range": self.dynamic_range,
+        }
+        return {
+            **{name: list(value) for name, value in values.items()},
+            "read_noise_hidden": self.read_noise_hidden,
+            "saturated": self.saturated,
+            "linearity_error": list(self.linearity_error),
+            "bits": self.bits,
+            "cfa": self.cfa,
+            "remarks": [remark.to_dict() for remark in self.remarks],
+        }
+
+
+def _or_zero(value: float) -> float:
+    return value if math.isfinite(value) else 0.0

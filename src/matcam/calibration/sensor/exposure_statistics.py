@@ -1,0 +1,136 @@
+"""Mean, temporal variance and clipping of the frames of each exposure, by the mosaic's planes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from matcam.core.errors import ArgumentError, FileFormatError
+from matcam.core.remark import Remark
+from matcam.files.exposure_series import ExposureSeries, ExposureSet
+from matcam.files.photographs import open_photograph
+from matcam.numerics.frame_noise import pair_variance, pair_variance_error
+
+Progress = Callable[[str, int, int], None]
+"""Called with what is done, how many of it, and of how many."""
+
+
+class ExposureStatistics(NamedTuple):
+    """Statistics of the frames of one exposure.
+
+    Attributes:
+        exposure: the frames.
+        light: photons a pixel, or exposure time, s.
+        mean: code of each plane, DN, (planes,).
+        variance: temporal variance of a pixel, DN^2, (planes,).
+        variance_error: relative standard deviation of `variance`, no unit.
+        largest: largest code, DN.
+        at_largest: share of the pixels that read it, the largest of the planes, no unit.
+        pixels: how many pixels a plane has.
+    """
+
+    exposure: ExposureSet
+    light: float
+    mean: np.ndarray
+    variance: np.ndarray
+    variance_error: float
+    largest: float
+    at_largest: float
+    pixels: int
+
+
+class FrameReader:
+    """Reads the frames of a series, and checks that they are of one kind.
+
+    Args:
+        cfa: colours of the first 2 x 2 px; None: as the files state.
+
+    Attributes:
+        cfa: colours of the first 2 x 2 px; None: no mosaic.
+    """
+
+    def __init__(self, cfa: str | None):
+        self.cfa = cfa
+        self._kind: tuple[tuple[int, ...], str] | None = None
+
+    def read(self, exposure: ExposureSet) -> Iterator[np.ndarray]:
+        """Read the frames of an exposure, (height, width) each, in the file's own type."""
+        for path in exposure.files:
+            photograph = open_photograph(path)
+            values = photograph.values
+            if values.ndim == 3:
+                if not (values[..., :1] == values).all():
+                    raise FileFormatError(
+                        f"{path}: is in full colour, processed from a mosaic: give raw or grey frames"
+                    )
+                values = values[..., 0]
+            kind = (values.shape, str(values.dtype))
+            if self._kind is None:
+                self._kind, self.cfa = kind, self.cfa or photograph.cfa
+            elif kind != self._kind:
+                was, new = (f"{shape[1]} x {shape[0]} px of {dtype}" for shape, dtype in (self._kind, kind))
+                raise FileFormatError(f"{path}: has {new}; the frames before have {was}")
+            yield values
+
+    def planes(self, frame: np.ndarray) -> list[np.ndarray]:
+        """Split a frame into the planes of its mosaic; without one it is its only plane."""
+        return [frame] if self.cfa is None else [frame[i::2, j::2] for i in (0, 1) for j in (0, 1)]
+
+    def mean(self, exposure: ExposureSet) -> np.ndarray:
+        """Compute the mean frame of an exposure, DN, (height, width)."""
+        total, count = np.zeros(()), 0
+        for frame in self.read(exposure):
+            total, count = total + frame.astype(np.float64), count + 1
+        return np.asarray(total / count)
+
+
+def measure_exposures(
+    series: ExposureSeries, reader: FrameReader, progress: Progress
+) -> tuple[list[ExposureStatistics], list[Remark]]:
+    """Compute the statistics of every exposure of at least two frames.
+
+    Args:
+        series: the exposures.
+        reader: how frames are read.
+        progress: called after each exposure.
+
+    Returns:
+        Statistics in the order of the series, and remarks on exposures that were left out.
+
+    Raises:
+        ArgumentError: no exposure of darkness, or none of light, has two frames.
+    """
+    found, remarks = [], []
+    for number, exposure in enumerate(series.sets):
+        if len(exposure.files) < 2:
+            text = f"{exposure.files[0]}: is the only frame of its exposure: noise needs two; it was left out"
+            remarks.append(Remark("single-frame", text))
+        else:
+            found.append(_statistics(series, exposure, reader))
+        progress("exposures", number + 1, len(series.sets))
+    for lit, kind in ((True, "lit"), (False, "dark")):
+        if not any(one.exposure.lit == lit for one in found):
+            raise ArgumentError(
+                f"{series.source}: no {kind} exposure has two frames: give at least two of each exposure"
+            )
+    return found, remarks
+
+
+def _statistics(series: ExposureSeries, exposure: ExposureSet, reader: FrameReader) -> ExposureStatistics:
+    means, variances, largest, at_largest = [], [], -np.inf, 0.0
+    before: Sequence[np.ndarray] = ()
+    for frame in reader.read(exposure):
+        planes = reader.planes(frame)
+        means.append([float(plane.mean(dtype=np.float64)) for plane in planes])
+        if before:
+            variances.append([pair_variance(a, b) for a, b in zip(before, planes, strict=True)])
+        top = float(frame.max())
+        share = max(float(np.mean(plane == top)) for plane in planes)
+        at_largest = share if top > largest else max(share, at_largest) if top == largest else at_largest
+        largest, before = max(largest, top), planes
+    pixels = min(plane.size for plane in before)
+    error = pair_variance_error(len(means), pixels)
+    mean, variance = np.mean(means, axis=0), np.mean(variances, axis=0)
+    return ExposureStatistics(exposure, series.light(exposure), mean, variance, error, largest, at_largest, pixels)

@@ -1,0 +1,129 @@
+"""`matcam sensor`: the electronics of a camera from a series of exposures (EMVA 1288)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from matcam.cli import show
+from matcam.cli.options import AsJson, Force, Mosaic
+
+
+def command(
+    folder: Annotated[
+        Path,
+        typer.Argument(
+            metavar="FOLDER",
+            help="Frames of an evenly lit field and of darkness, two or more of each exposure: in flat/ and dark/, or with "
+            "names that begin so; or a descriptor file of the EMVA 1288 reference data sets.",
+        ),
+    ],
+    cfa: Mosaic = None,
+    bits: Annotated[
+        int | None,
+        typer.Option("--bits", metavar="N", help="Depth of the codes. Default: as stated, or by the largest code."),
+    ] = None,
+    camera: Annotated[
+        Path | None,
+        typer.Option("--camera", metavar="PROFILE", help="Camera profile (JSON) that the sensor goes into."),
+    ] = None,
+    profile: Annotated[
+        Path | None,
+        typer.Option("--profile", metavar="FILE", help="Camera profile to write: that of --camera with this sensor."),
+    ] = None,
+    pitch: Annotated[
+        float | None,
+        typer.Option("--pitch", metavar="UM", help="Pixel pitch, um. Default: that of --camera, if it states one."),
+    ] = None,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "--output",
+            "-o",
+            metavar="FILE",
+            help="Picture to write (.png, .pdf, .svg). Default: FOLDER-sensor.png here.",
+        ),
+    ] = None,
+    page: Annotated[
+        Path | None, typer.Option("--page", metavar="FILE", help="HTML page to write, with values, remarks and figure.")
+    ] = None,
+    maps: Annotated[
+        bool,
+        typer.Option("--maps", help="Write the pixels' responses and dark signals, too: two TIFF files of floats."),
+    ] = False,
+    force: Force = False,
+    json: AsJson = False,
+) -> None:
+    """Measure gain, noise, dark current, linearity, saturation and fixed patterns of a sensor, as EMVA 1288 does.
+
+    Example: `matcam sensor exposures --camera camera.json --profile camera-with-sensor.json --pitch 3.45`
+    """
+    from matcam.core.errors import ArgumentError
+    from matcam.core.io import check_output, check_picture, write_columns
+    from matcam.files.exposure_series import read_exposure_series
+
+    if (profile is None) != (camera is None):
+        raise ArgumentError("--profile writes the profile of --camera with this sensor: give both")
+    name = folder.resolve().stem
+    output = output or Path(f"{name}-sensor.png")
+    table = output.with_suffix(".csv")
+    pictures = {f"{one}_map": output.with_name(f"{output.stem}-{one}.tif") for one in ("prnu", "dsnu")} if maps else {}
+    inputs = [file for one in read_exposure_series(folder).sets for file in one.files] + ([camera] if camera else [])
+    check_picture(output, force=force, inputs=inputs)
+    for path in (table, page, profile, *pictures.values()):
+        if path is not None:
+            check_output(path, force=force, inputs=inputs)
+    base, metres = _camera(camera, pitch)
+    with show.stepping() as progress:
+        from matcam.calibration.sensor.characterise import characterise_sensor
+
+        found = characterise_sensor(folder, bits=bits, cfa=cfa, progress=progress)
+    with show.working("writing"):
+        from matcam.figures.sensor import sensor_figure, write_sensor_page
+        from matcam.figures.style import save
+        from matcam.files.float_pictures import write_float_tiff
+
+        save(sensor_figure(found, name), output, force=force)
+        write_columns(table, found.columns(), force=force)
+        if page is not None:
+            write_sensor_page(page, found, name, force=force)
+        for attribute, path in pictures.items():
+            write_float_tiff(path, getattr(found, attribute), force=force)
+        if profile is not None:
+            base.with_sensor(found.sensor(metres)).save(profile, force=force)
+    files = [output, table, *(path for path in (page, profile) if path is not None), *pictures.values()]
+    if json:
+        show.as_json({**found.to_dict(), "files": [str(path) for path in files]})
+    else:
+        _print(found, files)
+
+
+def _camera(path: Path | None, pitch: float | None) -> tuple[Any, float]:
+    """Load the profile that the sensor goes into; also the pixel pitch, m."""
+    if path is None:
+        return None, float("nan")
+    from matcam.camera.camera import Camera
+    from matcam.core.errors import ArgumentError
+
+    camera = Camera.load(path)
+    stated = [value for name, value in camera.parameters().items() if name.endswith("pixel_pitch_m")]
+    if camera.sensor is not None:
+        stated.append(camera.sensor.pitch)
+    if pitch is not None:
+        return camera, pitch * 1e-6
+    if not stated:
+        raise ArgumentError(f"{path} states no pixel pitch: give --pitch")
+    return camera, float(stated[0])
+
+
+def _print(found: Any, files: list[Path]) -> None:
+    from matcam.figures.sensor import values_of, verdict
+
+    rows = [[name, f"{value:.5g}", f"{std:.2g}"] for name, value, std in values_of(found)]
+    show.table(["characteristic", "value", "std"], rows)
+    show.say(verdict(found))
+    for remark in found.remarks:
+        show.say(f"note: {remark}")
+    show.say("written: " + ", ".join(map(str, files)))

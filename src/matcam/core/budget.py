@@ -1,0 +1,238 @@
+"""Uncertainty budget as the *Guide to the expression of uncertainty in measurement* asks (JCGM 100:2008, 5 and G.4).
+
+u_c^2 = sum_ij c_i c_j u_i u_j r_ij        c_i sensitivity, u_i standard uncertainty, r_ij correlation of the sources
+1 / nu = sum_i (c_i u_i)^4 / (nu_i u_c^4)  effective degrees of freedom (Welch and Satterthwaite), of independent sources
+U = k u_c                                  k = 2, or Student's t at 95.45 % where the degrees of freedom are few
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+
+from matcam.core.errors import ArgumentError
+from matcam.core.io import plain, write_columns, write_json
+
+_COVERAGE = 0.9545
+"""Probability of +-2 standard deviations of a normal distribution."""
+_STEP = 1e-3
+"""Share of a standard uncertainty by which a source is moved for a numerical sensitivity; its square is the relative error."""
+
+
+class Source(NamedTuple):
+    """One source of uncertainty.
+
+    Attributes:
+        name: what it is, with its unit.
+        value: estimate, in its unit.
+        uncertainty: standard uncertainty, in the same unit.
+        sensitivity: change of the result over that of the source.
+        kind: "A" by statistics of repeated readings, "B" by other means (JCGM 100, 4.2 and 4.3).
+        degrees: degrees of freedom of the uncertainty, no unit. Default: infinite.
+
+    Example:
+        >>> Source("length, m", 1.0, 0.001, 2.0, "B").contribution
+        0.002
+    """
+
+    name: str
+    value: float
+    uncertainty: float
+    sensitivity: float
+    kind: Literal["A", "B"]
+    degrees: float = math.inf
+
+    @property
+    def contribution(self) -> float:
+        """Standard uncertainty of the result by this source alone."""
+        return abs(self.sensitivity) * self.uncertainty
+
+
+class UncertaintyBudget:
+    """Uncertainty budget of one result.
+
+    Args:
+        name: of the result, with its unit.
+        value: estimate of the result.
+        sources: of its uncertainty, at least one.
+        correlation: of the sources, (n, n). Default: None, independent.
+
+    Raises:
+        ArgumentError: there is no source, an uncertainty is negative, or this is no correlation.
+
+    Example:
+        >>> sources = [Source("a", 1.0, 0.3, 1.0, "A", 9), Source("b", 2.0, 0.4, 1.0, "B")]
+        >>> budget = UncertaintyBudget("a + b", 3.0, sources)
+        >>> budget.combined, round(budget.coverage_factor, 2)
+        (0.5, 2.03)
+    """
+
+    def __init__(
+        self, name: str, value: float, sources: Sequence[Source], correlation: Sequence[Sequence[float]] | None = None
+    ):
+        self.name, self.value, self.sources = name, float(value), tuple(sources)
+        n = len(self.sources)
+        if not n:
+            raise ArgumentError(f"the budget of {name} needs at least one source")
+        for one in self.sources:
+            if not (one.uncertainty >= 0 and math.isfinite(one.uncertainty) and math.isfinite(one.sensitivity)):
+                raise ArgumentError(
+                    f"source {one.name} must have a finite uncertainty of at least 0, got {one.uncertainty}"
+                )
+            if not one.degrees > 0:
+                raise ArgumentError(f"source {one.name} must have degrees of freedom above 0, got {one.degrees}")
+        matrix = np.eye(n) if correlation is None else np.asarray(correlation, np.float64)
+        if matrix.shape != (n, n):
+            raise ArgumentError(f"correlation of {n} sources must have shape ({n}, {n}), got {matrix.shape}")
+        wrong = np.abs(matrix - matrix.T).max() > 1e-9 or np.abs(np.diag(matrix) - 1).max() > 1e-9
+        if wrong or np.linalg.eigvalsh(matrix)[0] < -1e-9:
+            raise ArgumentError("correlation must be symmetric and positive semidefinite, with 1 on its diagonal")
+        self.correlation = matrix
+
+    @classmethod
+    def of(
+        cls,
+        name: str,
+        function: Callable[..., float],
+        sources: Sequence[Source],
+        correlation: Sequence[Sequence[float]] | None = None,
+    ) -> UncertaintyBudget:
+        """Build the budget of a function of its sources.
+
+        Args:
+            name: of the result, with its unit.
+            function: result by the sources' values, in their order.
+            sources: their sensitivities are replaced by numerical ones.
+            correlation: of the sources, (n, n). Default: None, independent.
+        """
+        values = [one.value for one in sources]
+        found = []
+        for i, one in enumerate(sources):
+            step = _STEP * one.uncertainty
+            high, low = (function(*[v + sign * step * (j == i) for j, v in enumerate(values)]) for sign in (1, -1))
+            found.append(one._replace(sensitivity=(high - low) / (2 * step) if step else 0.0))
+        return cls(name, function(*values), found, correlation)
+
+    @property
+    def combined(self) -> float:
+        """Combined standard uncertainty, in the unit of the result."""
+        parts = np.array([one.sensitivity * one.uncertainty for one in self.sources])
+        return float(np.sqrt(max(parts @ self.correlation @ parts, 0.0)))
+
+    @property
+    def degrees(self) -> float:
+        """Effective degrees of freedom, no unit."""
+        total = sum(one.contribution**4 / one.degrees for one in self.sources)
+        return self.combined**4 / total if total > 0 else math.inf
+
+    @property
+    def coverage_factor(self) -> float:
+        """Factor k of the expanded uncertainty, 95.45 %."""
+        if not math.isfinite(self.degrees):
+            return 2.0
+        from scipy.stats import t
+
+        return float(t.ppf((1 + _COVERAGE) / 2, max(self.degrees, 1.0)))
+
+    @property
+    def expanded(self) -> float:
+        """Expanded uncertainty, in the unit of the result."""
+        return self.coverage_factor * self.combined
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the budget as a JSON object.
+
+        Returns:
+            Result, sources, correlation, combined and expanded uncertainty; infinite degrees of freedom are null.
+        """
+        finite = lambda degrees: degrees if math.isfinite(degrees) else None  # noqa: E731
+        return plain(
+            {
+                "result": self.name,
+                "value": self.value,
+                "combined_standard_uncertainty": self.combined,
+                "effective_degrees_of_freedom": finite(self.degrees),
+                "coverage_factor": self.coverage_factor,
+                "expanded_uncertainty": self.expanded,
+                "coverage_probability": _COVERAGE,
+                "sources": [
+                    {**one._asdict(), "degrees": finite(one.degrees), "contribution": one.contribution}
+                    for one in self.sources
+                ],
+                "correlation": self.correlation.tolist(),
+            }
+        )
+
+    def columns(self) -> dict[str, list[Any]]:
+        """List the sources as columns, the combined and the expanded uncertainty in the last rows.
+
+        Returns:
+            Values by name of the column.
+        """
+        rows = [
+            [one.name, one.kind, one.value, one.uncertainty, one.sensitivity, one.contribution, one.degrees]
+            for one in self.sources
+        ]
+        nan = math.nan
+        rows.append([f"{self.name}, combined", "", self.value, self.combined, nan, self.combined, self.degrees])
+        rows.append(
+            [f"{self.name}, expanded (k = {self.coverage_factor:.3g})", "", self.value, self.expanded, nan, nan, nan]
+        )
+        names = ("source", "type", "value", "standard_uncertainty", "sensitivity", "contribution", "degrees_of_freedom")
+        return dict(zip(names, map(list, zip(*rows, strict=True)), strict=True))
+
+
+def write_budgets(path: str | Path, budgets: Sequence[UncertaintyBudget], *, force: bool = False) -> None:
+    """Write the budgets of some results.
+
+    Args:
+        path: file to write; its ending decides: .json or .csv.
+        budgets: one a result.
+        force: replace an existing file. Default: False.
+
+    Raises:
+        ArgumentError: the name ends otherwise, or there is no budget.
+        OutputError: the file cannot be written, or exists and `force` is False.
+    """
+    check_budget_name(path)
+    if not budgets:
+        raise ArgumentError("there is no uncertainty to write: give at least one budget")
+    if Path(path).suffix.lower() == ".json":
+        write_json(path, {"budgets": [one.to_dict() for one in budgets]}, force=force)
+        return
+    parts = [one.columns() for one in budgets]
+    write_columns(path, {name: [cell for part in parts for cell in part[name]] for name in parts[0]}, force=force)
+
+
+def check_budget_name(path: str | Path) -> None:
+    """Refuse a budget's file whose ending is neither .json nor .csv (ArgumentError)."""
+    if Path(path).suffix.lower() not in (".json", ".csv"):
+        raise ArgumentError(f"{path}: a budget's name must end in .json or .csv")
+
+
+def fit_budget(name: str, value: float, std: float) -> UncertaintyBudget:
+    """Build the budget of a fitted value, whose one source is the fit (type A).
+
+    Args:
+        name: of the value, with its unit.
+        value: estimate.
+        std: standard uncertainty, in the same unit.
+    """
+    source = Source(f"{name}: noise and departures of the fit", float(value), float(std), 1.0, "A")
+    return UncertaintyBudget(name, value, [source])
+
+
+def parameter_budgets(names: Sequence[str], values: Sequence[float], covariance: np.ndarray) -> list[UncertaintyBudget]:
+    """Build the budgets of fitted parameters.
+
+    Args:
+        names: of the parameters, with units.
+        values: estimates, (n,).
+        covariance: of the estimates, (n, n).
+    """
+    stds = np.sqrt(np.maximum(np.diag(covariance), 0))
+    return [fit_budget(*one) for one in zip(names, values, stds, strict=True)]

@@ -1,0 +1,152 @@
+"""A camera behind a Mitsuba rendering: the effective kernel as a linear step of Dr.Jit, with its derivative.
+
+Mitsuba renders radiance on a film with a box filter, several subpixels a pixel. A pixel of the camera reads the sum of the
+subpixels times the kernel's integral over each. That is exact where radiance is even within a subpixel. The step is linear: its
+derivative forward is itself, and backward its transpose.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from scipy.signal import fftconvolve
+
+from matcam.camera.camera import Camera
+from matcam.core.errors import ArgumentError
+
+_ENCLOSED = 0.999
+"""Share of the kernel within its reach; the rest is spread over it."""
+_FARTHEST = 32
+"""Largest reach, px: a kernel of 65 px across."""
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(2)
+
+
+class MitsubaFilm:
+    """Record of a rendering by a camera.
+
+    Args:
+        camera: lens and pixel; its effective kernel is applied.
+        subpixels: of the rendering along each side of a pixel, no unit, 1 to 16. Default: 4.
+        reach: distance from a pixel's centre up to which light counts, px. Default: None, 99.9 % of the kernel, at most 32.
+
+    Raises:
+        ArgumentError: the camera has no one kernel, or an argument is out of range.
+
+    Example:
+        >>> film = matcam.exchange.MitsubaFilm(matcam.Camera(matcam.GaussianOptics(0.5)), subpixels=2)
+        >>> film.record(np.ones((40, 60, 3)))[10, 15].round(6)
+        array([1., 1., 1.])
+    """
+
+    def __init__(self, camera: Camera, subpixels: int = 4, reach: int | None = None):
+        if not isinstance(camera, Camera):
+            raise ArgumentError(f"camera must be a Camera, got {type(camera).__name__}")
+        if type(subpixels) is not int or not 1 <= subpixels <= 16:
+            raise ArgumentError(f"subpixels must be a whole number in [1, 16], got {subpixels!r}")
+        if reach is not None and (type(reach) is not int or not 1 <= reach <= 256):
+            raise ArgumentError(f"reach must be a whole number of px in [1, 256] or None, got {reach!r}")
+        self.subpixels = subpixels
+        self.reach = _reach(camera) if reach is None else reach
+        weights = _weights(camera, subpixels, self.reach)
+        self.weights = weights / weights.sum()
+
+    def record(self, image: np.ndarray) -> np.ndarray:
+        """Compute what the camera records of a rendering.
+
+        Outside of the rendering it is dark: render `reach` pixels more on every side, and crop.
+
+        Args:
+            image: radiance of the subpixels, (rows, columns) or (rows, columns, channels), a multiple of `subpixels` each.
+
+        Returns:
+            Radiance of the pixels.
+
+        Raises:
+            ArgumentError: the image does not hold whole pixels.
+        """
+        image = np.asarray(image, np.float64)
+        s = self.subpixels
+        if image.ndim not in (2, 3) or image.shape[0] % s or image.shape[1] % s or 0 in image.shape:
+            raise ArgumentError(f"image must have {s} x {s} subpixels for each pixel, got shape {image.shape}")
+        margin = self.reach * s
+        padded = np.pad(image, [(margin, margin)] * 2 + [(0, 0)] * (image.ndim - 2))
+        kernel = self._kernel(image.ndim)[::-1, ::-1]
+        return np.asarray(fftconvolve(padded, kernel, "valid", axes=(0, 1))[::s, ::s])
+
+    def adjoint(self, picture: np.ndarray) -> np.ndarray:
+        """Apply the transpose of `record`, from pixels to subpixels.
+
+        Args:
+            picture: derivative by each pixel, (rows, columns) or (rows, columns, channels).
+
+        Returns:
+            Derivative by each subpixel.
+        """
+        picture = np.asarray(picture, np.float64)
+        s, margin = self.subpixels, self.reach * self.subpixels
+        rows, columns = picture.shape[0] * s, picture.shape[1] * s
+        spread = np.zeros((rows - s + 1, columns - s + 1, *picture.shape[2:]))
+        spread[::s, ::s] = picture
+        whole = fftconvolve(spread, self._kernel(picture.ndim), "full", axes=(0, 1))
+        return np.asarray(whole[margin : margin + rows, margin : margin + columns])
+
+    def __call__(self, image: Any) -> Any:
+        """Record a rendering as a differentiable step of Dr.Jit.
+
+        Args:
+            image: tensor of the subpixels, as `mitsuba.render` returns it.
+
+        Returns:
+            Tensor of the pixels, of the same type.
+
+        Raises:
+            ArgumentError: the image does not hold whole pixels.
+        """
+        import drjit as dr
+
+        film, kind = self, type(image)
+
+        class Recorded(dr.CustomOp):
+            """The step and both of its derivatives."""
+
+            def eval(self, image: Any) -> Any:
+                return kind(film.record(np.array(image)).astype(np.float32))
+
+            def forward(self) -> None:
+                self.set_grad_out(kind(film.record(np.array(self.grad_in("image"))).astype(np.float32)))
+
+            def backward(self) -> None:
+                self.set_grad_in("image", kind(film.adjoint(np.array(self.grad_out())).astype(np.float32)))
+
+        return dr.custom(Recorded, image)
+
+    def _kernel(self, dimensions: int) -> np.ndarray:
+        return self.weights if dimensions == 2 else self.weights[..., None]
+
+
+def _reach(camera: Camera) -> int:
+    """Distance within which 99.9 % of the kernel's line spread function lies, px."""
+    distance = np.arange(1, _FARTHEST + 1)
+    enclosed = np.asarray(camera.esf(distance + 0.5)) - np.asarray(camera.esf(-distance - 0.5))
+    enough = np.flatnonzero(enclosed >= _ENCLOSED)
+    return int(distance[enough[0]]) if enough.size else _FARTHEST
+
+
+def _weights(camera: Camera, subpixels: int, reach: int) -> np.ndarray:
+    """Integrate the effective kernel over each subpixel; rows run downwards, as an image's do."""
+    count = (2 * reach + 1) * subpixels
+    centre = (np.arange(count) + 0.5) / subpixels - (reach + 0.5)
+    at = (centre[:, None] + _NODES / (2 * subpixels)).ravel()
+    weights = np.tile(_WEIGHTS / (2 * subpixels), count)
+    if camera.optics.isotropic:  # one quadrant, which the others mirror
+        half = at[: at.size // 2]
+        x, y = np.meshgrid(half, -half)
+        quadrant = np.asarray(camera.psf(x, y))
+        upper = np.concatenate([quadrant, quadrant[:, ::-1]], axis=1)
+        values = np.concatenate([upper, upper[::-1]])
+    else:
+        x, y = np.meshgrid(at, -at)
+        values = np.asarray(camera.psf(x, y))
+    values = values * weights * weights[:, None]
+    return values.reshape(count, len(_NODES), count, len(_NODES)).sum((1, 3))

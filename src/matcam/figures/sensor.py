@@ -1,0 +1,147 @@
+"""Figure and page of a sensor's characteristics (EMVA Standard 1288)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from matcam.core.remark import texts
+from matcam.figures.style import BLACK, BLUE, GREY, VERMILION, inline_png, styled, write_page
+
+if TYPE_CHECKING:
+    from matcam.calibration.sensor.characteristics import SensorCharacteristics
+
+_LARGEST = 400  # px of a map as it is drawn
+_SPREAD = 3.0
+"""Standard deviations that a map's grey levels span on either side of the mean."""
+
+
+def sensor_figure(result: SensorCharacteristics, name: str) -> Figure:
+    """Draw photon transfer, signal over noise, linearity and the maps of the pixels' responses.
+
+    Args:
+        result: as from `characterise_sensor`.
+        name: title.
+    """
+    with styled():
+        figure = Figure(figsize=(10.2, 6.4), layout="constrained")
+        axes = figure.subplot_mosaic([["transfer", "snr", "linearity"], ["response", "dark", "spread"]])
+        _draw_transfer(axes["transfer"], result)
+        _draw_snr(axes["snr"], result)
+        _draw_linearity(axes["linearity"], result)
+        _draw_map(
+            axes["response"], 100 * (result.prnu_map - 1), 100 * result.prnu.value, "response over its mean - 1 [%]"
+        )
+        _draw_map(axes["dark"], result.dsnu_map, result.dsnu.value, "dark signal over its mean [e-]")
+        _draw_spread(axes["spread"], result)
+        figure.suptitle(name, x=0.01, ha="left", fontsize=11, parse_math=False)
+    return figure
+
+
+def values_of(result: SensorCharacteristics) -> list[tuple[str, float, float]]:
+    """List the values that a page and the command line show: name with unit, value, standard deviation."""
+    rows = [
+        ("gain, DN per e-", result.gain),
+        ("read noise" + (" (upper limit)" if result.read_noise_hidden else "") + ", e-", result.read_noise),
+        ("dark current, e-/s", result.dark_current),
+        ("black level, DN", result.black_level),
+        ("saturation capacity" + ("" if result.saturated else " (lower limit)") + ", e-", result.saturation),
+        ("full well, e-", result.full_well),
+        ("PRNU, %", _scaled(result.prnu, 100)),
+        ("PRNU of single pixels, %", _scaled(result.prnu_pixel, 100)),
+        ("DSNU, e-", result.dsnu),
+        ("largest signal over noise", result.snr_max),
+        ("dynamic range", result.dynamic_range),
+        ("quantum efficiency, %", _scaled(result.quantum_efficiency, 100)),
+    ]
+    return [(name, value, std) for name, (value, std) in rows if np.isfinite(value)]
+
+
+def write_sensor_page(path: str | Path, result: SensorCharacteristics, name: str, *, force: bool = False) -> None:
+    """Write the page of a sensor: values with standard deviations, remarks, and the figure.
+
+    Args:
+        path: HTML file to write; it needs no network and no other file.
+        result: as from `characterise_sensor`.
+        name: title of the page.
+        force: whether to replace the file. Default: False.
+    """
+    content = {
+        "name": name,
+        "verdict": verdict(result),
+        "remarks": texts(result.remarks),
+        "parameters": values_of(result),
+        "figures": [
+            (
+                "Photon transfer, signal over noise, linearity, and fixed patterns",
+                inline_png(sensor_figure(result, name)),
+            )
+        ],
+    }
+    write_page(path, "sensor_page.html", content, force=force)
+
+
+def verdict(result: SensorCharacteristics) -> str:
+    """State in one sentence how linear the sensor is."""
+    used = sum(int(plane.used.sum()) for plane in result.transfers)
+    low, high = (100 * error for error in result.linearity_error)
+    return f"{used} exposures give the gain; the signal departs from a straight line by {low:+.2f} to {high:+.2f} %"
+
+
+def _scaled(value: tuple[float, float], factor: float) -> tuple[float, float]:
+    return factor * value[0], factor * value[1]
+
+
+def _draw_transfer(axes: Axes, result: SensorCharacteristics) -> None:
+    top = 1.0
+    for plane in result.transfers:
+        own = plane.variance - plane.dark_variance
+        axes.plot(plane.signal[~plane.used], own[~plane.used], "o", ms=3, mfc="none", color=GREY)
+        axes.plot(plane.signal[plane.used], own[plane.used], "o", ms=3, color=BLUE)
+        top = max(top, float(plane.signal.max()))
+    line = np.array([0.0, top])
+    axes.plot(line, result.gain.value * line, color=VERMILION, lw=1.1)
+    axes.set_ylim(0, None)
+    axes.set(title="Photon transfer", xlabel="signal [DN]", ylabel="temporal variance - dark [DN²]")
+
+
+def _draw_snr(axes: Axes, result: SensorCharacteristics) -> None:
+    for plane in result.transfers:
+        there = (plane.signal > 0) & (plane.variance > 0)
+        signal = plane.signal[there] / result.gain.value
+        axes.loglog(signal, plane.signal[there] / np.sqrt(plane.variance[there]), "o", ms=3, color=BLUE)
+    fine = np.geomspace(1, max(result.full_well.value, 2.0), 100)
+    axes.loglog(fine, result.snr(fine * result.gain.value), color=VERMILION, lw=1.1, label="by gain and read noise")
+    axes.loglog(fine, np.sqrt(fine), color=BLACK, lw=0.8, ls="--", label="ideal sensor")
+    axes.legend(loc="lower right")
+    axes.set(title="Signal over noise", xlabel="signal [e-]", ylabel="signal / noise")
+
+
+def _draw_linearity(axes: Axes, result: SensorCharacteristics) -> None:
+    for plane in result.transfers:
+        judged = plane.judged
+        axes.plot(plane.signal[judged], 100 * plane.departure[judged], "o", ms=3, color=BLUE)
+    axes.axhline(0, color=BLACK, lw=0.8)
+    axes.set(title="Linearity", xlabel="signal [DN]", ylabel="departure from a line [%]")
+
+
+def _draw_map(axes: Axes, values: np.ndarray, std: float, title: str) -> None:
+    step = max(1, -(-max(values.shape) // _LARGEST))
+    height, width = (n - n % step for n in values.shape)
+    coarse = values[:height, :width].reshape(height // step, step, width // step, step).mean((1, 3))
+    limit = _SPREAD * max(std, 1e-12)
+    axes.grid(visible=False)
+    drawn = axes.imshow(coarse, cmap="gray", vmin=-limit, vmax=limit, interpolation="nearest")
+    axes.figure.colorbar(drawn, ax=axes, shrink=0.8)
+    axes.set(title=title, xticks=[], yticks=[])
+
+
+def _draw_spread(axes: Axes, result: SensorCharacteristics) -> None:
+    departure = 100 * (result.prnu_map - 1).ravel()
+    limit = 6 * max(100 * result.prnu.value, 1e-9)
+    axes.hist(np.clip(departure, -limit, limit), bins=101, histtype="step", color=BLUE, log=True)
+    axes.set(title="Responses of the pixels", xlabel="response over its mean - 1 [%]", ylabel="pixels")

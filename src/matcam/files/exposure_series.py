@@ -1,0 +1,191 @@
+"""A series of exposures of an evenly lit field and of darkness, from which a sensor is characterised.
+
+Two kinds of folders are read. One has a descriptor, a text file in the format of the public EMVA 1288 reference data sets:
+
+    n 12 640 480                    bits, width, height
+    b 40000.0 120.0                 lit: exposure time, ns, and photons a pixel
+    i images/b_000_snap_001.png     a file, relative to the descriptor; two or more of each exposure
+    d 40000.0                       dark: exposure time, ns
+
+The other has pictures in folders dark/ and flat/, or with names that begin so. Exposure times stand in the names
+("flat_20ms_1.tif") or in the files' metadata; the lamp stays the same.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+from matcam.core.errors import FileFormatError
+from matcam.core.io import check_within, reading
+from matcam.files.photographs import PICTURES
+from matcam.files.picture_header import exposure_time
+
+_LARGEST = 1 << 24
+"""Bytes of a descriptor: 100,000 frames with long names."""
+_NANO = 1e-9
+_UNITS = {"ns": 1e-9, "us": 1e-6, "ms": 1e-3, "s": 1.0}
+_TIME = re.compile(r"(?<![a-zA-Z0-9.])(\d+(?:\.\d+)?)\s?(ns|us|ms|s)(?![a-zA-Z0-9])")
+_KINDS = {"dark": False, "bias": False, "flat": True, "bright": True}
+"""Beginning of the name of a file or its folder -> whether it is lit."""
+_DIGITS = 6
+"""Significant digits to which exposure times of one set agree."""
+
+
+class ExposureSet(NamedTuple):
+    """Frames of one exposure.
+
+    Attributes:
+        lit: whether the field was lit.
+        time: exposure time, s.
+        photons: photons a pixel; NaN: not stated, and the light is proportional to the time.
+        files: the frames.
+    """
+
+    lit: bool
+    time: float
+    photons: float
+    files: tuple[Path, ...]
+
+    @property
+    def name(self) -> str:
+        """Short description for messages."""
+        light = f", {self.photons:g} photons" if math.isfinite(self.photons) and self.lit else ""
+        return f"{'flat' if self.lit else 'dark'} frames of {self.time:g} s{light}"
+
+
+@dataclass(frozen=True)
+class ExposureSeries:
+    """Exposures of an evenly lit field and of darkness.
+
+    Attributes:
+        source: folder or descriptor that was read.
+        sets: frames of each exposure, dark ones first, then by light.
+        bits: depth of the codes; None: not stated.
+    """
+
+    source: Path
+    sets: tuple[ExposureSet, ...]
+    bits: int | None
+
+    @property
+    def light_unit(self) -> str:
+        """Unit of `light`: "photons" or "s"."""
+        return "photons" if all(math.isfinite(one.photons) for one in self.sets if one.lit) else "s"
+
+    def light(self, one: ExposureSet) -> float:
+        """Relative light of an exposure: photons a pixel, or the exposure time, s."""
+        return one.photons if self.light_unit == "photons" else one.time
+
+
+def read_exposure_series(path: str | Path) -> ExposureSeries:
+    """List the frames of a series of exposures.
+
+    Args:
+        path: folder, or descriptor of one.
+
+    Raises:
+        FileFormatError: there is no such series, a line of the descriptor is wrong, or a frame has no exposure time.
+    """
+    path = Path(path)
+    with reading(path):
+        folder = path.is_dir()
+        if not folder and path.stat().st_size > _LARGEST:
+            raise FileFormatError(f"{path}: {path.stat().st_size} bytes is too large for a descriptor of exposures")
+        path.stat()
+    if not folder:
+        return _described(path)
+    texts = [one for one in sorted(path.glob("*.txt")) if _is_descriptor(one)]
+    if len(texts) > 1:
+        names = ", ".join(one.name for one in texts)
+        raise FileFormatError(f"{path}: has several descriptors of exposures ({names}): name one of these files")
+    return _described(texts[0]) if texts else _listed(path)
+
+
+def _is_descriptor(path: Path) -> bool:
+    with reading(path, "a descriptor of exposures"):
+        if path.stat().st_size > _LARGEST:
+            return False
+        lines = _lines(path)
+    return any(re.match(r"n\s+\d+\s+\d+\s+\d+$", line) for _, line in lines[:3])
+
+
+def _lines(path: Path) -> list[tuple[int, str]]:
+    text = path.read_text(encoding="utf-8-sig", errors="replace")
+    numbered = ((number, line.strip()) for number, line in enumerate(text.splitlines(), 1))
+    return [(number, line) for number, line in numbered if line and not line.startswith("#")]
+
+
+def _described(path: Path) -> ExposureSeries:
+    """Read a descriptor of the EMVA 1288 reference data sets."""
+    with reading(path, "a descriptor of exposures"):
+        lines = _lines(path)
+    bits: int | None = None
+    sets: list[ExposureSet] = []
+    for number, line in lines:
+        key, *cells = line.split(None, 1 if line[:1] == "i" else -1)
+        try:
+            if key == "n" and len(cells) == 3:
+                bits = int(cells[0])
+            elif key == "b" and len(cells) == 2:
+                sets.append(ExposureSet(True, _number(cells[0]) * _NANO, _number(cells[1]), ()))
+            elif key == "d" and len(cells) == 1:
+                sets.append(ExposureSet(False, _number(cells[0]) * _NANO, 0.0, ()))
+            elif key == "i" and len(cells) == 1 and sets:
+                file = path.parent / cells[0].replace("\\", "/")
+                check_within(file, path.parent)
+                sets[-1] = sets[-1]._replace(files=(*sets[-1].files, file))
+            elif key != "v":
+                raise ValueError
+        except ValueError:
+            text = "must be n BITS WIDTH HEIGHT, b TIME PHOTONS, d TIME, or i FILE behind one of them"
+            raise FileFormatError(f"{path}: line {number} {text}, got {line!r:.60}") from None
+    return _series(path, sets, bits)
+
+
+def _number(cell: str) -> float:
+    value = float(cell.replace(",", "."))
+    if not 0 <= value < math.inf:
+        raise ValueError
+    return value
+
+
+def _listed(folder: Path) -> ExposureSeries:
+    """Find the frames of a folder by their names."""
+    found: dict[tuple[bool, str], ExposureSet] = {}
+    files = sorted(one for one in folder.rglob("*") if one.suffix.lower() in PICTURES and one.is_file())
+    for file in files:
+        inside = file.relative_to(folder)
+        lit = next(
+            (lit for part in inside.parts for begin, lit in _KINDS.items() if part.lower().startswith(begin)), None
+        )
+        if lit is None:
+            continue
+        check_within(file, folder)
+        stated = _TIME.findall(re.sub(r"[_-]", " ", str(inside)))
+        time = float(stated[-1][0]) * _UNITS[stated[-1][1]] if stated else exposure_time(file)
+        if time is None:
+            raise FileFormatError(
+                f"{file}: states no exposure time, neither in its metadata nor in its name, as in flat_20ms_1.tif"
+            )
+        key = (lit, f"{time:.{_DIGITS}g}")
+        one = found.setdefault(key, ExposureSet(lit, time, math.nan if lit else 0.0, ()))
+        found[key] = one._replace(files=(*one.files, file))
+    if not found:
+        raise FileFormatError(
+            f"{folder}: holds no exposures: it needs pictures in dark/ and flat/, names that begin so, or a descriptor"
+        )
+    return _series(folder, found.values(), None)
+
+
+def _series(path: Path, sets: Iterable[ExposureSet], bits: int | None) -> ExposureSeries:
+    found = [one for one in sets if one.files]
+    for lit, kind in ((True, "lit"), (False, "dark")):
+        if not any(one.lit == lit for one in found):
+            raise FileFormatError(f"{path}: names no {kind} exposure: a sensor needs lit and dark ones")
+    series = ExposureSeries(path, tuple(found), bits)
+    return ExposureSeries(path, tuple(sorted(found, key=lambda one: (one.lit, series.light(one), one.time))), bits)

@@ -1,0 +1,117 @@
+"""Variances of frames in time and over the pixels, and departures from a straight line (EMVA Standard 1288, release 4).
+
+`matcam sensor`, the dark frames of a capture and its check of linearity use these estimators.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+_OUTLIER = 8.0
+"""Robust standard deviations beyond which a difference is no noise but a cosmic ray or a hot pixel; normal values: 1e-15."""
+_ROBUST = 1.4826
+"""Standard deviation of normal values over their median absolute value."""
+_SMALLEST_SPREAD = 0.5
+"""Robust standard deviation that is assumed at least, codes: most pixels of a quiet frame read one code."""
+_SIGNIFICANT = 5.0
+"""Standard deviations by which a departure from a straight line differs from 0."""
+
+
+def clipped_variance(values: np.ndarray) -> float:
+    """Compute the variance of values about their mean, without outliers.
+
+    Args:
+        values: any shape, centred about 0, DN.
+
+    Returns:
+        Variance, DN^2; 0 of no values.
+    """
+    width = _OUTLIER * max(_ROBUST * float(np.median(np.abs(values))), _SMALLEST_SPREAD)
+    kept = values[np.abs(values) <= width]
+    return float(kept.var(dtype=np.float64)) if kept.size else 0.0
+
+
+def pair_variance(first: np.ndarray, second: np.ndarray) -> float:
+    """Compute the temporal variance of a pixel from two equal exposures (EMVA 1288, 8.2.1).
+
+    The difference of the frames' means does not count: it is a change of the lamp. Differences of more than eight robust
+    standard deviations are left out, in which this departs from the standard.
+
+    Args:
+        first: frame, (height, width), DN.
+        second: another frame of the same exposure.
+
+    Returns:
+        Variance, DN^2.
+    """
+    difference = np.subtract(second, first, dtype=np.float32)  # codes of 16 bits are exact
+    return clipped_variance(difference - difference.mean(dtype=np.float64)) / 2
+
+
+def pair_variance_error(frames: int, pixels: int) -> float:
+    """Relative standard deviation of the mean `pair_variance` of consecutive frames.
+
+    Args:
+        frames: how many frames there are, at least 2.
+        pixels: how many pixels a frame has.
+
+    Source:
+        von Neumann (1941), Annals of Mathematical Statistics 12, 367: the mean square successive difference.
+    """
+    return float(np.sqrt((3 * frames - 4) / (frames - 1) ** 2 / pixels))
+
+
+def fixed_pattern_variance(measured: float, temporal: float, frames: int) -> float:
+    """Compute the variance of the pixels' own levels from that of a mean of frames (EMVA 1288, 8.2.2).
+
+    Args:
+        measured: variance of the mean of the frames over its pixels, DN^2.
+        temporal: variance of one pixel from frame to frame, DN^2.
+        frames: how many frames the mean has.
+
+    Returns:
+        Variance, DN^2; below 0 by chance where the pixels do not differ.
+    """
+    return measured - temporal / frames
+
+
+def fixed_pattern_variance_error(pattern: float, temporal: float, frames: int, pixels: int) -> float:
+    """Standard deviation of `fixed_pattern_variance`, DN^2: what temporal noise leaves open of these very pixels.
+
+    Args:
+        pattern: variance of the pixels' own levels, DN^2.
+        temporal: variance of one pixel from frame to frame, DN^2.
+        frames: how many frames the mean has, at least 2.
+        pixels: how many pixels a frame has.
+    """
+    chance = temporal / frames
+    own = (4 * max(pattern, 0.0) * chance + 2 * chance**2) / pixels
+    return float(np.sqrt(own + (chance * pair_variance_error(frames, pixels)) ** 2))
+
+
+def line_of_least_relative_error(x: np.ndarray, y: np.ndarray) -> tuple[float, float]:
+    """Fit a straight line by least squares of relative departures (EMVA 1288, 8.2.7).
+
+    Args:
+        x: light, any unit, (n,).
+        y: signal above dark, positive, (n,).
+
+    Returns:
+        Slope and offset.
+    """
+    slope, offset = np.polynomial.polynomial.polyfit(x, y, 1, w=1 / y)[::-1]
+    return float(slope), float(offset)
+
+
+def not_linear(departure: np.ndarray, std: np.ndarray, least: float) -> np.ndarray:
+    """Find departures from a straight line that are larger than allowed, and larger than chance.
+
+    Args:
+        departure: relative to the line, no unit.
+        std: standard deviation, same shape.
+        least: largest departure that is allowed, no unit.
+
+    Returns:
+        True where the signal is not linear.
+    """
+    return (np.abs(departure) > least) & (np.abs(departure) > _SIGNIFICANT * std)

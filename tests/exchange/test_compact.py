@@ -1,0 +1,48 @@
+"""RGL files of a given error: the smallest grid that reaches it, evaluated by Mitsuba."""
+
+import numpy as np
+import pytest
+
+import matcam
+from matcam.core.errors import ArgumentError
+from matcam.exchange.conversion import convert
+
+
+@pytest.fixture(scope="module")
+def satin(tmp_path_factory):
+    path = tmp_path_factory.mktemp("satin") / "satin.binary"
+    material = matcam.Microfacet(matcam.GGX(0.3), matcam.Dielectric(1.5), diffuse=[0.2, 0.3, 0.4])
+    matcam.write_merl(path, matcam.forward.true_table(material))
+    return path
+
+
+def test_a_satin_table_takes_less_than_a_megabyte_at_one_percent(satin, tmp_path):
+    report = convert(satin, tmp_path / "a.bsdf", error=0.01)
+    assert (tmp_path / "a.bsdf").stat().st_size < 1e6
+    assert max(report["error"]["median"], report["error"]["peak"]) <= 0.01
+    mi = pytest.importorskip("mitsuba")
+    mi.set_variant("scalar_rgb")
+    bsdf = mi.load_dict({"type": "measured", "filename": str(tmp_path / "a.bsdf")})
+    table = matcam.material.Tabulated(matcam.read_merl(satin))
+    random = np.random.default_rng(5)
+    ratios = []
+    for _ in range(400):
+        theta, phi = np.arccos(random.uniform(0.2, 1, 2)), random.uniform(0, 2 * np.pi, 2)
+        light, view = (
+            np.array([np.sin(t) * np.cos(p), np.sin(t) * np.sin(p), np.cos(t)]) for t, p in zip(theta, phi, strict=True)
+        )
+        interaction = mi.SurfaceInteraction3f()
+        interaction.wi = mi.Vector3f(*light)
+        seen = np.array(bsdf.eval(mi.BSDFContext(), interaction, mi.Vector3f(*view)))
+        half = [np.asarray(a) for a in matcam.core.grid.half_and_difference(theta[0], phi[0], theta[1], phi[1])]
+        ratios.append(seen / np.cos(theta[1]) / np.asarray(table.brdf(*half)) - 1)
+    assert np.median(np.abs(ratios)) < 0.01
+
+
+def test_what_no_grid_reaches_is_stated(satin, tmp_path, monkeypatch):
+    sizes = matcam.exchange.conversion.GRID_SIZES[:1]
+    monkeypatch.setattr("matcam.exchange.conversion.GRID_SIZES", sizes)
+    report = convert(satin, tmp_path / "a.bsdf", error=1e-6)
+    assert "no grid reaches an error of 0.00%" in report["resampled"]
+    with pytest.raises(ArgumentError, match="error must lie in"):
+        convert(satin, tmp_path / "b.bsdf", error=-1.0)
