@@ -102,8 +102,8 @@ def command(
 
     Example: `matcam calibrate chart-1.dng chart-2.dng -o camera.json`
     """
-    from matcam.core.budget import check_budget_name
     from matcam.core.io import check_output, check_picture
+    from matcam.numerics.budget import check_budget_name
 
     files = _files(pictures)
     if budget:
@@ -148,7 +148,7 @@ def command(
 
 def _write_budget(found: Any, path: Path, force: bool) -> Path:
     """Write the budget of every parameter of every channel's camera."""
-    from matcam.core.budget import parameter_budgets, write_budgets
+    from matcam.numerics.budget import parameter_budgets, write_budgets
 
     budgets = []
     for channel, fit in found.channels.items():

@@ -78,8 +78,8 @@ def command(
     Example: `matcam edge chart.tif --roi 120 80 80 160`
     """
     from matcam.core import checks
-    from matcam.core.budget import check_budget_name
     from matcam.core.io import check_output, check_picture
+    from matcam.numerics.budget import check_budget_name
 
     if output:
         check_picture(output, force=force, inputs=[picture])
@@ -148,7 +148,7 @@ def _write_sfr(result: Any, path: Path, pitch: float | None, force: bool) -> Non
 
 def _write_budget(result: Any, path: Path, force: bool) -> None:
     """Write the budgets of both MTF50 and of the lens's parameters."""
-    from matcam.core.budget import fit_budget, parameter_budgets, write_budgets
+    from matcam.numerics.budget import fit_budget, parameter_budgets, write_budgets
 
     fit = result.parametric
     budgets = [

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from docs_claims import limit
-from matcam.core.budget import Source, UncertaintyBudget, write_budgets
 from matcam.core.errors import ArgumentError
+from matcam.numerics.budget import Source, UncertaintyBudget, write_budgets
 
 A, B, C = (
     Source("a", 2.0, 0.03, 1.0, "A", 7.0),
