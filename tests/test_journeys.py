@@ -33,7 +33,8 @@ ROOT = Path(__file__).parents[1]
 PAGES = [
     ROOT / "README.md",
     *sorted((ROOT / "examples" / "tutorials").glob("*.py")),
-    *sorted(path for path in (ROOT / "docs" / "howto").glob("*.md") if path.name != "troubleshooting.md"),
+    *sorted((ROOT / "docs" / "start").glob("*.md")),
+    *sorted((ROOT / "docs" / "howto").glob("*.md")),
 ]
 COMMANDS = commands()
 QUICK = {"predict", "chart", "inspect", "edge"}
@@ -120,6 +121,7 @@ MADE: dict[str, Callable[[Path], object]] = {
     "edge.dng": lambda path: write_dng(path, (512 + 4 * _edge()).astype(np.uint16)),
     "mosaic.tif": lambda path: tifffile.imwrite(path, (512 + 4 * _edge()).astype(np.uint16)),
     "shots": _capture,
+    "sphere": _capture,
 }
 MADE_QUICKLY: dict[str, Callable[[Path], object]] = {"chrome.binary": _ideal}
 """What quick tests take instead: a record takes 15 s to simulate."""
