@@ -17,6 +17,8 @@ os.environ.setdefault("XDG_CACHE_HOME", str(HERE.parent / "build" / "docs-cache"
 
 from sphinx_gallery.sorting import ExplicitOrder  # noqa: E402
 
+import docs_commands  # noqa: E402
+import docs_results  # noqa: E402
 from matcam.core.jax import use_compilation_cache  # noqa: E402
 
 use_compilation_cache()
@@ -52,18 +54,33 @@ python_maximum_signature_line_length = 88
 toc_object_entries_show_parents = "hide"
 add_module_names = False
 
+WIDE = (
+    "index",
+    "glossary",
+    "stand-ins",
+    "capture",
+    "exchange",
+    "reference/messages",
+    "reference/supported",
+    "understand/trust",
+    "validation/index",
+    *(f"validation/{name}" for name in docs_results.pages()),
+    *(f"reference/commands/{docs_commands.file_of(words)}" for words in docs_commands.commands()),
+)
+"""Pages with wide tables, which have no list of their headings beside them."""
 html_theme = "pydata_sphinx_theme"
 html_title = "matcam"
 html_static_path = ["_static"]
 html_css_files = ["matcam.css"]
-html_js_files = ["search-from-disk.js"]
+html_js_files = ["matcam.js"]
 html_show_sourcelink = False
 html_copy_source = False
 html_theme_options = {
     "logo": {"text": "matcam"},
     "navbar_end": ["theme-switcher"],
+    "navbar_persistent": ["search-button"],
     "navbar_align": "left",
-    "secondary_sidebar_items": ["page-toc"],
+    "secondary_sidebar_items": {"**": ["page-toc"]} | {page: [] for page in WIDE},
     "show_prev_next": True,
     "navigation_depth": 3,
     "show_nav_level": 1,

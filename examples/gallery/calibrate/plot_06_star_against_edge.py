@@ -27,8 +27,8 @@ star = 0.5 + 0.3 * passed * np.cos(36 * azimuth) * (radius < 112) + random.norma
 # An edge at 5 degrees.
 
 angle = np.radians(5)
-v, u = np.mgrid[:120, :80]
-edge = 0.2 + 0.6 * np.asarray(camera.esf((u - 40) * np.cos(angle) + (v - 60) * np.sin(angle), angle))
+v, u = np.mgrid[:100, :80]
+edge = 0.2 + 0.6 * np.asarray(camera.esf((u - 40) * np.cos(angle) + (v - 50) * np.sin(angle), angle))
 edge += random.normal(0, 0.005, edge.shape)
 
 by_star = matcam.targets.star_mtf(star, contrast=0.6).samples
