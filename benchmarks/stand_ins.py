@@ -206,9 +206,9 @@ def answer(found: dict) -> list[str]:
 def table(found: dict) -> list[str]:
     """Return the verdict of every material, as lines of Markdown."""
     lines = [
-        "| material | half width | noise of a pixel with the camera / without | verdict | peak supported, 5° to 75° | "
-        "std of the correction at 45° / 75° | largest change |",
-        "|---|---|---|---|---|---|---|",
+        "| material | half width | noise with the camera / without | verdict | peak supported, 5° to 75° | "
+        "std of the correction at 45° / 75° |",
+        "|---|---|---|---|---|---|",
     ]
     for name, one in sorted(found.items(), key=lambda pair: pair[1]["hwhm_without_deg"] or 90):
         camera, none = (share(one["noise"][key]) for key in ("camera", "no camera"))
@@ -216,7 +216,7 @@ def table(found: dict) -> list[str]:
         width = one["hwhm_without_deg"]
         lines.append(
             f"| {name} | {f'{width:.2g}°' if width else '-'} | {camera} / {none} | {verdict(one)} | "
-            f"{one['peak_supported']:.0%} | {stds} | {one['largest_change']:.1%} |"
+            f"{one['peak_supported']:.0%} | {stds} |"
         )
     return lines
 

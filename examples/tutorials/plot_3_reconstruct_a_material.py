@@ -51,8 +51,8 @@ normal = np.stack([columns, rows, height])
 
 
 def through_camera(light):
-    """Blur an image of samples by the lens and average it over the pixels."""
-    return gaussian_filter(light, LENS * FINE).reshape(SIDE, FINE, SIDE, FINE).mean((1, 3))
+    """Blur an image of samples by the lens and average it over the pixels. A sample is a square of variance 1 / 12."""
+    return gaussian_filter(light, np.sqrt((LENS * FINE) ** 2 + 1 / 12)).reshape(SIDE, FINE, SIDE, FINE).mean((1, 3))
 
 
 def light_of_sphere(theta):
