@@ -221,7 +221,6 @@ def _tests():
 def _sources():
     kinds = (
         "src/**/*.py",
-        "tests/**/*.py",
         "benchmarks/*.py",
         "docs/_ext/*.py",
         "docs/*.json",

@@ -27,6 +27,7 @@ def table(link):
     lines = ["| claim | required | measured | test |", "|---|---|---|---|"]
     for one in claims().values():
         asked = f"≤ {one['limit']:g}" if not isinstance(one["limit"], list) else "{:g} to {:g}".format(*one["limit"])
+        asked = asked.replace("e-0", "e-")
         lines.append(f"| {one['claim']} | {asked} | {one['measured']} | {link(one)} |")
     return lines
 
