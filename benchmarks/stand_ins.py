@@ -213,9 +213,9 @@ def table(found: dict) -> list[str]:
     for name, one in sorted(found.items(), key=lambda pair: pair[1]["hwhm_without_deg"] or 90):
         camera, none = (share(one["noise"][key]) for key in ("camera", "no camera"))
         stds = " / ".join(f"{one['correction_std'][angle]:.0%}" for angle in ("45", "75"))
-        width = one["hwhm_without_deg"]
+        width, words = one["hwhm_without_deg"], verdict(one).removesuffix(", no camera")
         lines.append(
-            f"| {name} | {f'{width:.2g}°' if width else '-'} | {camera} / {none} | {verdict(one)} | "
+            f"| {name} | {f'{width:.2g}°' if width else '-'} | {camera} / {none} | {words} | "
             f"{one['peak_supported']:.0%} | {stds} |"
         )
     return lines
