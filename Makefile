@@ -61,13 +61,14 @@ format: $(VENV)/.installed-test
 fuzz: $(VENV)/.installed-test
 	PYTHONPATH=. $(RUN) tests.files.fuzz
 
-# Two of the scripts import tests.oracle, which is not installed
+# Two of the scripts import tests.oracle, which is not installed. Results go to benchmarks/results and benchmarks/RESULTS.md
 bench: $(VENV)/.installed-test
 	for script in benchmarks/bench_*.py; do PYTHONPATH=. $(VENV)/bin/python $$script || exit 1; done
+	$(VENV)/bin/python benchmarks/results.py
 
 # Every example is executed; warnings, bad links and what would be loaded from outside are errors
 docs: $(VENV)/.installed-docs
-	rm -rf build/site docs/gallery docs/tutorials
+	rm -rf build/site docs/gallery docs/tutorials docs/reference/api docs/reference/commands
 	$(RUN) sphinx -b html -n -W --keep-going docs build/site
 	@echo "Open build/site/index.html"
 

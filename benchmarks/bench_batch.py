@@ -19,6 +19,7 @@ import psutil
 
 from matcam.core.readers.texts import read_json
 from matcam.io import read_netcdf
+from results import record
 
 SHARED = Path(__file__).resolve().parents[2] / "shared"
 NOT_MATERIALS = {"settings", "failed", "camera"}
@@ -163,6 +164,12 @@ def main() -> None:
         )
         print(f"difference to the run that was not killed: {difference(folder / 'w2', out):.1e}")
 
+        rows = [
+            ("two workers / one, throughput", "≥ 1.7", f"{runs[1].seconds / runs[2].seconds:.2f}"),
+            ("a killed run and the resumed one / an uninterrupted run, processor time", "≤ 1.1", f"{work:.2f}"),
+            ("seconds per material, one worker", "≤ 4 s of one core", f"{slopes[done]:.1f}"),
+        ]
+        record("bench_batch.py", rows)
         if "--cluster" in sys.argv:
             dask = Watched(str(database), "--cluster", "local:2", out=folder / "dask", cache=cache)
             dask.end()

@@ -6,6 +6,7 @@ import time
 from pathlib import Path
 
 from matcam import GGX, Conductor, Flat, Microfacet, Rig, convert, measure, rigs, write_merl
+from results import record
 
 
 def seconds(call) -> float:
@@ -26,6 +27,8 @@ def main() -> None:
                 measuring.append(took[0])
                 converting.append(took[1])
     ratio = statistics.median(c / m for c, m in zip(converting, measuring, strict=True))
+    shown = f"{ratio:.2f} ({statistics.median(converting):.1f} s / {statistics.median(measuring):.1f} s)"
+    record("bench_convert.py", [("MERL to RGL with its error / `measure`", "≤ 3", shown)])
     print(
         f"convert MERL -> RGL, its error included / measure: median {ratio:.2f} of {len(measuring)} "
         f"({statistics.median(converting):.1f} s / {statistics.median(measuring):.1f} s; asked for: 3)"

@@ -10,6 +10,7 @@ import numpy as np
 from matcam import read_merl, write_merl
 from matcam.files.merl import SCALE
 from matcam.forward.measurement import simulated_chromium
+from results import record
 
 
 def bare(path: Path) -> np.ndarray:
@@ -27,6 +28,8 @@ def main() -> None:
             middle = time.perf_counter()
             read_merl(path)
             ratios.append((time.perf_counter() - middle) / (middle - start))
+    measured = f"{statistics.median(ratios):.2f} (worst of 21: {max(ratios):.2f})"
+    record("bench_read_merl.py", [("`read_merl` / `numpy.fromfile(...) * scale`", "≤ 3", measured)])
     print(
         f"read_merl / (fromfile * scale): median {statistics.median(ratios):.2f}, worst {max(ratios):.2f} of 21 (asked for: 3)"
     )

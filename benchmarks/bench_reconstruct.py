@@ -20,6 +20,8 @@ import numpy as np
 import tifffile
 from scipy.ndimage import gaussian_filter
 
+from results import record
+
 ALPHA, INDEX, CAMERA, LAMP, LENS = 0.03, (3.18, 3.33), 40.0, 25.0, 0.55
 WELL, GAIN, READ, BLACK = 30_000, 0.5, 3.0, 256
 LAMPS, EXPOSURES, STEP = 18, 5, 4.0
@@ -142,6 +144,10 @@ def measure(folder: Path) -> None:
     for name, seconds in parts.items():
         print(f"  {name}: {seconds:.1f} s of processor time here ({walls[name]:.1f} s on the clock)")
     print(f"  all: {sum(parts.values()):.1f} s ({sum(walls.values()):.1f} s), peak memory {peak:.2f} GiB")
+    quantity = (
+        f"{LAMPS} x {EXPOSURES} frames, sphere of {found.geometry['radius_px'][0]:.0f} px, processor time; peak memory"
+    )
+    record("bench_reconstruct.py", [(quantity, "≤ 5 min; ≤ 4 GB", f"{sum(parts.values()):.0f} s; {peak:.2f} GiB")])
     alpha = found.parameters.get("alpha")
     print(
         f"  alpha {alpha} (true {ALPHA}); unexplained {found.fit.solution.unexplained:.2%}; {len(found.remarks)} remarks"

@@ -134,9 +134,9 @@ def summary(found: dict) -> list[str]:
     bright = sum(one["albedo"]["file"] > max(1.0, one["albedo"]["recorded"]) + 1e-9 for one in every)
     rows = [
         ("materials", "100", len(every)),
-        ("tables with albedo > 1 that had less before", "0", bright),
+        ("tables with albedo > 1 after, not before", "0", bright),
         (
-            "tables with albedo > 1 as recorded, not made worse",
+            "tables with albedo > 1 as recorded, not increased",
             "-",
             sum(one["albedo"]["recorded"] > 1 for one in every),
         ),
@@ -146,7 +146,7 @@ def summary(found: dict) -> list[str]:
             sum(one["peaks_raised_beyond_2_std"] > 0 for one in every),
         ),
         (
-            "tables whose file has an unsupported entry that changed",
+            "tables with a changed unsupported entry in the file",
             "0",
             sum(one["largest_change_unsupported"] > 0 for one in every),
         ),
@@ -155,9 +155,9 @@ def summary(found: dict) -> list[str]:
             "0",
             f"{sum(one['largest_change'] > 0.01 for one in diffuse)} of {len(diffuse)}",
         ),
-        ("tables changed by more than 1 % at all", "-", sum(one["largest_change"] > 0.01 for one in every)),
+        ("tables changed by more than 1 %", "-", sum(one["largest_change"] > 0.01 for one in every)),
         (
-            "median noise of a pixel, by the explanation that holds",
+            "median noise of a pixel, by the most probable explanation",
             "≤ 5 %",
             f"{median_noise(found):.1%}; 90 % of materials below {np.quantile(noise, 0.9):.1%}",
         ),
@@ -169,7 +169,7 @@ def summary(found: dict) -> list[str]:
         ("processor time of a correction, median", "-", f"{np.median([one['seconds'] for one in every]):.1f} s"),
     ]
     return [
-        "| what | asked | found |",
+        "| quantity | required | measured |",
         "|---|---|---|",
         *(f"| {what} | {asked} | {value} |" for what, asked, value in rows),
     ]
@@ -195,29 +195,29 @@ def answer(found: dict) -> list[str]:
     shadowing = sum(one["free_shadowing"] for one in narrow)
     noise = {key: (middle(narrow, key), middle(broad, key)) for key in ("camera", "no camera")}
     return [
-        f"- **Narrow lobes** (half width below {NARROW:g}°, 4 px; {len(narrow)} materials): through the paper's camera a",
-        f"  pixel's noise would be {noise['camera'][0]} (median), without a camera {noise['no camera'][0]}. The data rule",
-        f"  this camera out, 99 to 1 or more, in {against}; {shadowing} of them ask for free shadowing.",
-        f"- **Broad lobes** ({len(broad)}): {noise['camera'][1]} with the camera, {noise['no camera'][1]} without. A camera",
-        "  changes so little there that the data cannot tell.",
-        f"- The camera is the better explanation, 99 to 1 or more, of {for_camera} of {len(found)}.",
+        f"- **Narrow lobes** (half width below {NARROW:g}°, 4 px; {len(narrow)} materials): with the paper's camera the",
+        f"  noise of a pixel is {noise['camera'][0]} (median), without a camera {noise['no camera'][0]}. The data exclude",
+        f"  this camera with odds of 99 to 1 or more in {against} cases; {shadowing} of them require free shadowing.",
+        f"- **Broad lobes** ({len(broad)}): {noise['camera'][1]} with the camera, {noise['no camera'][1]} without. The effect",
+        "  of a camera is too small there for a decision.",
+        f"- With odds of 99 to 1 or more the camera is the better explanation of {for_camera} of {len(found)}.",
     ]
 
 
 def table(found: dict) -> list[str]:
     """Return the verdict of every material, as lines of Markdown."""
     lines = [
-        "| material | half width | noise of a pixel with the camera / without | verdict | peak supported, 5° to 75° | "
-        "std of the correction at 45° / 75° | largest change |",
-        "|---|---|---|---|---|---|---|",
+        "| material | half width | noise with the camera / without | verdict | peak supported, 5° to 75° | "
+        "std of the correction at 45° / 75° |",
+        "|---|---|---|---|---|---|",
     ]
     for name, one in sorted(found.items(), key=lambda pair: pair[1]["hwhm_without_deg"] or 90):
         camera, none = (share(one["noise"][key]) for key in ("camera", "no camera"))
         stds = " / ".join(f"{one['correction_std'][angle]:.0%}" for angle in ("45", "75"))
-        width = one["hwhm_without_deg"]
+        width, words = one["hwhm_without_deg"], verdict(one).removesuffix(", no camera")
         lines.append(
-            f"| {name} | {f'{width:.2g}°' if width else '-'} | {camera} / {none} | {verdict(one)} | "
-            f"{one['peak_supported']:.0%} | {stds} | {one['largest_change']:.1%} |"
+            f"| {name} | {f'{width:.2g}°' if width else '-'} | {camera} / {none} | {words} | "
+            f"{one['peak_supported']:.0%} | {stds} |"
         )
     return lines
 
@@ -256,12 +256,14 @@ def figure(found: dict):
                 x, ends[1], marker, color=colour, markersize=5, linestyle="", label=f"{kind} ({len(those)})", zorder=3
             )
         axes.axvline(np.degrees(1 / 256), color=BLACK, linestyle=":", linewidth=1)
-        axes.text(np.degrees(1 / 256) * 1.05, 0.105, "one pixel of MERL's sphere", fontsize=8, rotation=90, va="bottom")
+        axes.text(
+            np.degrees(1 / 256) * 1.05, 0.105, "one pixel of the MERL sphere", fontsize=8, rotation=90, va="bottom"
+        )
         axes.set(
             xscale="log",
             yscale="log",
             xlabel="half width of the lobe at half maximum, without a camera (degrees)",
-            ylabel="noise that a pixel would need (%)",
+            ylabel="required noise of a pixel (%)",
             yticks=[0.1, 1, 10],
             yticklabels=["≤ 0.1", "1", "10"],
             xticks=[0.1, 1, 10],

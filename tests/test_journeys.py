@@ -33,7 +33,8 @@ ROOT = Path(__file__).parents[1]
 PAGES = [
     ROOT / "README.md",
     *sorted((ROOT / "examples" / "tutorials").glob("*.py")),
-    *sorted(path for path in (ROOT / "docs" / "howto").glob("*.md") if path.name != "troubleshooting.md"),
+    *sorted((ROOT / "docs" / "start").glob("*.md")),
+    *sorted((ROOT / "docs" / "howto").glob("*.md")),
 ]
 COMMANDS = commands()
 QUICK = {"predict", "chart", "inspect", "edge"}

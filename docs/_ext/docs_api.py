@@ -1,6 +1,6 @@
-"""Pages of the reference: the public names by task, each with its signature, all parameters and its example.
+"""Pages of the Python reference: one page per public name, and one index per task.
 
-`reference/api.toml` says what stands where. Docstrings are read by the same functions as in tests/test_docstrings.py.
+`reference/api.toml` assigns each name to an index. Docstrings are read by the same functions as in tests/test_docstrings.py.
 """
 
 import inspect
@@ -14,6 +14,20 @@ from docs_names import inherited_description, members, public_things, sections, 
 _HERE = Path(__file__).parent.parent / "reference" / "api.toml"
 _SOLE = ("rigs.Rig",)  # shown under its first name
 _CITED = re.compile(r"docs/([a-z-]+)\.md(?:,? sections? ([\d, and]+)|,? (\d+))?")
+
+
+SECTIONS = {
+    2: "image-formation",
+    3: "samples",
+    4: "peak-loss",
+    5: "merl",
+    6: "microfacets",
+    7: "measuring-the-camera",
+    8: "inverse",
+    9: "pitfalls",
+    10: "photographs",
+}
+"""Pages of the sections of docs/model.md."""
 
 
 class UndocumentedError(Exception):
@@ -48,25 +62,42 @@ def pages(names=None):
 
 
 def write(folder):
-    """Write all pages and their index into a folder."""
+    """Write a page for each name and an index for each task, and remove pages of names that no longer exist."""
     things = dict(public_things())
-    folder.mkdir(parents=True, exist_ok=True)
-    listed = []
+    texts = {}
     for file, title, intro, filled in pages():
         lines = [f"# {title}", "", intro, ""]
         for section, names in filled.items():
-            lines += [f"## {section}", ""]
-            for name in names:
-                lines += [*entry(name, things[name]), ""]
-        _update(folder / f"{file}.md", "\n".join(lines))
-        listed.append(file)
-    return listed
+            lines += [f"## {section}", "", "| name | description |", "|---|---|"]
+            lines += [f"| [`{name}`]({name}.md) | {summary(things[name])} |" for name in names]
+            lines.append("")
+        listed = [name for names in filled.values() for name in names]
+        lines += ["```{toctree}", ":hidden:", "", *listed, "```"]
+        texts[file] = "\n".join(lines)
+        texts |= {name: "\n".join([f"# matcam.{name}", "", *entry(name, things[name]), ""]) for name in listed}
+    write_pages(folder, texts)
+    return list(texts)
 
 
-def _update(path, text):
-    """Write a file whose text has changed; Sphinx reads again what is newer."""
+def write_pages(folder, texts):
+    """Write {name: text} as the only pages of a folder. Unchanged files keep their times: Sphinx reads newer files again."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for stale in set(folder.glob("*.md")) - {folder / f"{name}.md" for name in texts}:
+        stale.unlink()
+    for name, text in texts.items():
+        update(folder / f"{name}.md", text)
+
+
+def update(path, text):
+    """Write a file if its text differs."""
     if not path.exists() or path.read_text(encoding="utf-8") != text:
         path.write_text(text, encoding="utf-8")
+
+
+def summary(thing):
+    """Return the first sentence of a docstring as the cell of a table."""
+    first = (inspect.getdoc(thing) or "").split("\n\n")[0].replace("\n", " ")
+    return inline(first).replace("|", "\\|")
 
 
 def entry(name, thing):
@@ -184,4 +215,6 @@ def _link(found):
     words = found[1].replace("-", " ") + (f", section {section}" if section else "")
     if "schema" in found[0]:
         return found[0]
-    return f"[{words}](/{found[1]}.md)"
+    number = int(re.match(r"[0-9]+", section)[0]) if section else 1
+    page = f"model/{SECTIONS[number]}" if found[1] == "model" and number in SECTIONS else found[1]
+    return f"[{words}](/{page}.md)"

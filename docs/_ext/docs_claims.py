@@ -1,8 +1,10 @@
-"""The claims of `docs/claims.toml`: printed in README and on a page, and read by the tests that show them."""
+"""The claims of `docs/claims.toml`: printed on a page, and read by the tests that show them."""
 
 import tomllib
 from functools import cache
 from pathlib import Path
+
+import docs_api
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -22,52 +24,51 @@ def limit(name):
 
 def table(link):
     """Return the table of all claims as Markdown; link(claim) writes where a claim is shown."""
-    lines = ["| claim | asked | measured | shown by |", "|---|---|---|---|"]
+    lines = ["| claim | required | measured | test |", "|---|---|---|---|"]
     for one in claims().values():
         asked = f"≤ {one['limit']:g}" if not isinstance(one["limit"], list) else "{:g} to {:g}".format(*one["limit"])
+        asked = asked.replace("e-0", "e-")
         lines.append(f"| {one['claim']} | {asked} | {one['measured']} | {link(one)} |")
     return lines
 
 
 def shown_on_page(one):
-    """Return a claim's test, and the page that says more, for the page of claims."""
+    """Return the test of a claim and the page of its method."""
     if "benchmark" in one:
         return "`benchmarks/RESULTS.md`"
     path, _, name = one["test"].partition("::")
-    more = f", [more](/{one['page']})" if "page" in one else ""
+    more = f", [method](/{one['page']})" if "page" in one else ""
     return f"`{path}`, `{name}`{more}"
 
 
 def taken(docs):
-    """Return the sentence on tables that the inverse commands take. docs: address of the folder of pages."""
+    """Return the sentence on the tables that the inverse commands take. docs: address of the folder of pages."""
     return (
-        "**Which tables it takes**: `fit`, `fresnel` and `correct` take tables of a sphere or a cylinder, with camera and lamp near or "
-        f"distant ([what takes what]({docs}/forward.md#what-takes-what)). A table of a flat sample is not blurred."
+        "`fit`, `fresnel` and `correct` take tables of a sphere or a cylinder, with camera and lamp near or distant "
+        f"([what is supported]({docs}/reference/supported.md)). A table of a flat sample is not blurred."
     )
 
 
 def write(path):
-    """Write the page."""
+    """Write the page of claims."""
     text = "\n".join(
         [
-            "# How good is it?",
+            "# Can I trust it?",
             "",
-            "Every claim stands once, in `docs/claims.toml`. The test beside it reads what it demands from that file.",
-            "Claims with more cases, and what falls short, stand on the pages of each method.",
+            "Each claim of this table is an entry of `docs/claims.toml`. The test beside a claim reads its limit from that file, so "
+            "that page, limit and test agree. [Validation](/validation/index.md) has all measured figures, and the cases that fall short.",
             "",
             *table(shown_on_page),
             "",
-            taken(""),
+            "**Supported tables.** " + taken(""),
+            "",
+            "**Truth.** The tests compare with `tests/oracle`, which imports nothing of the package, with golden values, and with other "
+            "libraries. An inverse is never tested with data from its own forward model alone.",
+            "",
+            "**Errors.** Every result has a standard deviation. Simulations with known truth check it: the claims on coverage above.",
+            "",
+            "**Refusals.** Where rig and data contradict each other, the correction is withheld ([limits](limits.md)).",
             "",
         ]
     )
-    if not path.exists() or path.read_text(encoding="utf-8") != text:
-        path.write_text(text, encoding="utf-8")
-
-
-def shown_in_readme(one):
-    """Return where a claim is shown, for README."""
-    if "benchmark" in one:
-        return "[benchmarks](benchmarks/RESULTS.md)"
-    path = one["test"].partition("::")[0]
-    return f"[{Path(path).stem}]({path})" + (f", [more](docs/{one['page']})" if "page" in one else "")
+    docs_api.update(path, text)

@@ -1,10 +1,11 @@
-"""The reference of the command line: every command with its arguments, options, units, defaults, example and exit codes.
+"""Pages of the command line: each command with its arguments, options, units, defaults and example.
 
-It is what `--help` prints (`matcam/cli/help_page.py`), as a page.
+They hold what `--help` prints (`matcam/cli/help_page.py`).
 """
 
 import typer
 
+import docs_api
 from matcam.cli import help_page
 from matcam.cli.app import app
 
@@ -25,36 +26,52 @@ def _context(words, command):
     return command.make_context(f"matcam {words}", [], resilient_parsing=True)
 
 
-def write(path):
-    """Write the page."""
+def file_of(words):
+    """Return the name of a command's page, without suffix."""
+    return words.replace(" ", "-")
+
+
+def write(folder):
+    """Write one page for each command, and an index with what is common to all."""
     found = commands()
     root = typer.main.get_command(app)
     lines = [
         "# Command line",
         "",
-        "`matcam COMMAND --help` prints the same. Every value's name is its unit: `PX` pixels of the camera, `DEGREES`, `MM`, `NM`, `UM`,",
-        "`RADII` of the sample, `SHARE` a number from 0 to 1. Options that take several numbers also take them as one word with commas:",
-        "`--roi 120,80,80,160`.",
+        "`matcam COMMAND --help` prints the page of a command.",
         "",
-        "Options of `matcam` itself stand before the command:",
+    ]
+    for title, names in help_page.groups(root.commands):
+        listed = [words for name in names for words in found if words.split()[0] == name]
+        lines += [f"## {title}", "", "| command | description |", "|---|---|"]
+        lines += [f"| [`matcam {w}`]({file_of(w)}.md) | {_cell(help_page.summary(found[w][0]))} |" for w in listed]
+        lines.append("")
+    lines += [
+        "## Values",
+        "",
+        "The name of a value is its unit: `PX` (pixels of the camera), `DEGREES`, `MM`, `NM`, `UM`, `RADII` (radii of the sample) and "
+        "`SHARE` (0 to 1). An option that takes several numbers also takes them as one word with commas: `--roi 120,80,80,160`.",
+        "",
+        "## Options of `matcam` itself",
+        "",
+        "These options precede the command.",
         "",
         *_table(help_page.entries(root, root.make_context("matcam", [], resilient_parsing=True))[1]),
         "",
         "## Exit codes",
         "",
-        "| code | what it says |",
+        "| code | meaning |",
         "|---|---|",
         *(f"| {code} | {words} |" for code, words in help_page.EXIT_CODES.items()),
         "",
+        "```{toctree}",
+        ":hidden:",
+        "",
+        *map(file_of, found),
+        "```",
     ]
-    for title, names in help_page.groups(root.commands):
-        lines += [f"## {title}", ""]
-        for name in names:
-            for words in [w for w in found if w.split()[0] == name]:
-                lines += [*_command(words, *found[words]), ""]
-    text = "\n".join(lines)
-    if not path.exists() or path.read_text(encoding="utf-8") != text:
-        path.write_text(text, encoding="utf-8")
+    texts = {file_of(words): "\n".join(_command(words, *found[words])) for words in found}
+    docs_api.write_pages(folder, texts | {"index": "\n".join(lines)})
 
 
 def _command(words, command, context):
@@ -62,13 +79,16 @@ def _command(words, command, context):
     arguments, options = help_page.entries(command, context)
     if not examples:
         raise ValueError(f"matcam {words} has no example")
-    lines = [f"(command-{words.replace(' ', '-')})=", f"### matcam {words}", "", text.replace("<", "\\<"), ""]
-    lines += ["```text", help_page.usage(command, context), "```", "", "```sh", *examples, "```", ""]
+    lines = [f"# matcam {words}", "", text.replace("<", "\\<"), ""]
+    lines += ["```text", help_page.usage(command, context), "```", ""]
+    lines += ["## Example", "", "```sh", *examples, "```", ""]
     if arguments:
-        lines += ["| argument | meaning |", "|---|---|"]
+        lines += ["## Arguments", "", "| argument | meaning |", "|---|---|"]
         lines += [f"| `{_cell(a.names)}` | {_cell(a.help)} |" for a in arguments]
         lines.append("")
-    return [*lines, *_table(options)]
+    if options:
+        lines += ["## Options", "", *_table(options), ""]
+    return [*lines, "[Units of values, common options, exit codes](index.md)", ""]
 
 
 def _table(options):

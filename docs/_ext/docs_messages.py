@@ -1,4 +1,4 @@
-"""Messages of the error family, read from the sources: the page of troubleshooting, and what the tests ask of them.
+"""Messages of the error family, read from the sources: the index of messages, and what the tests check.
 
 A placeholder stands for a value.
 """
@@ -7,6 +7,7 @@ import ast
 from pathlib import Path
 from typing import NamedTuple
 
+import docs_api
 import matcam
 from matcam.core import errors
 
@@ -54,53 +55,52 @@ def collected():
 
 MEANINGS = {
     "ArgumentError": (
-        "A value that cannot be",
+        "Invalid values",
         "An option or an argument is out of its range, or two of them exclude each other. Nothing was written. The message names the "
-        "option, its range and its value; a [glossary](/glossary.md) entry says what it means.",
+        "option, its value and its range. The [glossary](/glossary.md) explains the terms.",
     ),
     "FileFormatError": (
-        "A file that cannot be read",
-        "The message begins with the file's name. A file that was cut short has to be fetched or written again. What each format "
-        "holds, and what is refused in it, stands under [files in and out](/exchange.md). With `matcam --trust` files of your own "
-        "are decoded without limits of time and memory.",
+        "Unreadable files",
+        "The message begins with the name of the file. Fetch or write a truncated file again. [File formats](/exchange.md) lists the "
+        "content of each format. `matcam --trust COMMAND` decodes your own files without limits of time and memory.",
     ),
     "OutputError": (
-        "A file that is not written",
-        "Nothing is replaced unasked: use `--force`, or another name. An input is never an output.",
+        "Outputs that are not written",
+        "Existing files are kept: use `--force` or another name. An input is never an output.",
     ),
     "DownloadError": (
-        "A file that was not fetched",
-        "The network or the server. Nothing is kept of what is not as published; try again, or name another copy with `--source`.",
+        "Failed downloads",
+        "The network or the server failed, or the file differs from the published one. Try again, or specify another copy with `--source`.",
     ),
     "FitError": (
-        "Data that give no answer",
-        "A photograph or a table is not what the method needs: focus, light, contrast, size, or anything sharp enough. "
-        "[Photograph a chart](/howto/photograph-a-chart.md) says what a photograph needs, "
-        "[what cannot be undone](/explanation/limits.md) what no table can tell.",
+        "Data that do not permit a result",
+        "A photograph or a table does not meet the requirements of the method: focus, light, contrast, size or sharpness. See "
+        "[photograph a chart](/howto/photograph-a-chart.md), [photograph a sphere](/howto/photograph-a-sphere.md) and "
+        "[limits](/understand/limits.md).",
     ),
     "WorkerError": (
-        "A run's worker that failed",
-        "[A database at a time](/batch.md) says what a run does then.",
+        "Failed workers of a run",
+        "The run lists the material and continues ([correct a database](/batch.md)).",
     ),
     "ClusterError": (
-        "A cluster that cannot be used",
-        "[A database at a time](/batch.md) says what workers need.",
+        "Unusable clusters",
+        "[Correct a database](/batch.md) lists the requirements of workers.",
     ),
 }
 """Title and advice of each kind of error; the others are listed under their own names."""
 
 
 def write(path):
-    """Write the page of troubleshooting: every message, with what to do about its kind."""
+    """Write the index of messages, by kind of error."""
     own = [m for m in collected() if any(letter.islower() for letter in m.text.replace(PLACE, ""))]
     lines = [
-        "# Troubleshooting: every message",
+        "# Messages",
         "",
-        f"All {len(own)} messages of matcam, read from its sources. `…` stands for a value. A message says what was wrong, where, and "
-        "what would be right. Search this page, or the site, for the words that you saw.",
+        f"This index lists all {len(own)} error messages, read from the source code. `…` stands for a value. "
+        "[Troubleshooting](/howto/troubleshooting.md) explains the most common problems.",
         "",
-        "On the command line a message is one line behind `matcam:`, and Python's arguments appear as options (`half_width` as "
-        "`--half-width`). The exit code is 2 for bad input and 70 for a fault of ours, which has a traceback: please report it.",
+        "On the command line a message is one line after `matcam:`, and arguments of Python functions appear as options (`half_width` "
+        "as `--half-width`). Exit code 2 means invalid input. Exit code 70 means a fault of matcam: please report its traceback.",
         "",
     ]
     kinds = [kind for kind in MEANINGS if any(m.error == kind for m in own)]
@@ -112,14 +112,12 @@ def write(path):
         for message in own:
             if message.error == kind:
                 by_module.setdefault(message.place.partition(":")[0], []).append(message.text)
-        lines += ["| from | message |", "|---|---|"]
+        lines += ["| module | message |", "|---|---|"]
         for module, texts in by_module.items():
             for text in dict.fromkeys(texts):
                 lines.append(f"| `{module}` | {_as_text(text)} |")
         lines.append("")
-    text = "\n".join(lines)
-    if not path.exists() or path.read_text(encoding="utf-8") != text:
-        path.write_text(text, encoding="utf-8")
+    docs_api.update(path, "\n".join(lines))
 
 
 def _as_text(text):

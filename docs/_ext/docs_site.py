@@ -1,4 +1,4 @@
-"""What the site adds to Sphinx: pages generated from the code, MathJax of an installed package, and a last check of all links."""
+"""Sphinx extension of the site: generated pages, MathJax from an installed package, and checks of citations and links."""
 
 from importlib import metadata
 from pathlib import Path
@@ -8,25 +8,30 @@ from sphinx.util.fileutil import copy_asset
 
 import docs_api
 import docs_check
+import docs_cites
 import docs_claims
 import docs_commands
 import docs_messages
+import docs_results
 
 
 def generate(app):
-    """Write the generated pages before Sphinx looks for sources."""
+    """Write the generated pages and check what the written pages cite, before Sphinx looks for sources."""
     source = Path(app.srcdir)
     try:
         docs_api.write(source / "reference" / "api")
     except docs_api.UndocumentedError as error:
         raise ExtensionError(str(error)) from error
-    docs_commands.write(source / "reference" / "commands.md")
-    docs_messages.write(source / "howto" / "troubleshooting.md")
-    docs_claims.write(source / "explanation" / "how-good.md")
+    docs_commands.write(source / "reference" / "commands")
+    docs_messages.write(source / "reference" / "messages.md")
+    docs_claims.write(source / "understand" / "trust.md")
+    docs_results.write(source / "validation")
+    if faults := docs_cites.faults():
+        raise ExtensionError("pages cite what does not exist:\n" + "\n".join(faults))
 
 
 def mathjax():
-    """Return the file of MathJax that needs no other, from the package sphinx-mathjax-offline."""
+    """Return the self-contained file of MathJax from the package sphinx-mathjax-offline."""
     for file in metadata.files("sphinx-mathjax-offline") or ():
         if file.name == "tex-svg.js":
             return Path(str(file.locate()))
@@ -34,7 +39,7 @@ def mathjax():
 
 
 def finish(app, error):
-    """Copy MathJax, then check the whole site."""
+    """Copy MathJax and the schemas, then check the links of the whole site."""
     if error is None and app.builder.name == "html":
         copy_asset(str(mathjax()), str(Path(app.outdir) / "_static"))
         for schema in Path(app.srcdir).glob("*.schema.json"):
@@ -44,7 +49,7 @@ def finish(app, error):
 
 
 def setup(app):
-    """Connect."""
+    """Connect the functions to the events of a build."""
     app.connect("builder-inited", generate, priority=100)  # before the gallery
     app.connect("build-finished", finish)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

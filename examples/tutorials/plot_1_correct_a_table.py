@@ -2,9 +2,8 @@
 Correct your first table
 ========================
 
-You have a table of a shiny metal, in MERL's format or another, and want to know what a perfect camera would have
-measured. Here the table is simulated chromium, so that the truth is known: roughness alpha 0.004, a highlight of half a
-pixel, 1 % noise a pixel.
+This tutorial corrects the table of a shiny metal: it estimates what a perfect camera would have measured. The table is
+simulated chromium, so the truth is known: roughness alpha 0.004, a highlight of half a pixel, 1 % noise per pixel.
 """
 
 import matplotlib.pyplot as plt
@@ -18,11 +17,11 @@ table = matcam.io.example_table()  # yours: matcam.read_merl("chrome.binary"), o
 print(dict(table.sizes), table.attrs.get("units", "1/sr"))
 
 # %%
-# Say which rig took it
-# ---------------------
+# Describe the rig
+# ----------------
 #
-# A rig is a camera, a sample and a lamp. `rigs.merl()` is the paper's reading of the MERL rig; its lens is a guess, 0.5 ± 0.5 px,
-# and it says so. Yours is a profile: the next tutorial measures one.
+# A rig is a camera, a sample and a lamp. `rigs.merl()` is the MERL rig as the paper reconstructs it. Its lens is a guess of
+# 0.5 ± 0.5 px. Use a profile of your own camera where you have one; the next tutorial measures it.
 
 rig = matcam.rigs.merl()
 print(rig.camera.optics, rig.camera.pixel, rig.sample, sep="\n")
@@ -31,8 +30,8 @@ print(rig.camera.optics, rig.camera.pixel, rig.sample, sep="\n")
 # Correct it
 # ----------
 #
-# One lobe is fitted through the camera to all difference angles jointly; true over recorded lobe then corrects every
-# entry. `matcam.correct` returns the table alone; `Correction.of` keeps the fits that it was corrected by, too.
+# One lobe is fitted through the camera to all difference angles jointly. Each entry is then multiplied by the ratio of true to
+# recorded lobe. `matcam.correct` returns the table; `Correction.of` also returns the fits.
 
 found = matcam.inverse.Correction.of(table, rig, "ggx")
 fit = found.fit
@@ -46,22 +45,22 @@ for remark in found.remarks:
 # Read the result
 # ---------------
 #
-# `brdf` is the corrected table, `brdf_std` its standard deviation, `supported` where the correction is known to 5 %, and
-# `response` is recorded over true.
+# `brdf` is the corrected table and `brdf_std` its standard deviation. `supported` marks entries whose correction is known to 5 %.
+# `response` is the ratio of recorded to true value.
 
 peak = found.table["response"].sel(theta_h=0, method="nearest").isel(phi_d=90)
 angles = np.degrees(found.table.theta_d)
 
 figure, axes = plt.subplots(figsize=(7, 3.8), layout="constrained")
-axes.plot(angles, peak, label="recorded over true peak, as found")
+axes.plot(angles, peak, label="recorded / true peak, estimated")
 true = matcam.peak_response(rig, matcam.GGX(ALPHA), found.table.theta_d.values)
-axes.plot(angles, true, "k:", label="the truth, at the exact half vector")
-axes.set(xlabel="difference angle, degrees", ylabel="share of the peak that is left", ylim=(0, 1), xlim=(0, 90))
+axes.plot(angles, true, "k:", label="truth")
+axes.set(xlabel="difference angle, degrees", ylabel="share of the peak that is kept", ylim=(0, 1), xlim=(0, 90))
 axes.legend()
 plt.show()
 
 # %%
-# The same on the command line, with a page to read and files for every other program:
+# The command line does the same, and writes a page to read:
 #
 # .. code-block:: sh
 #

@@ -2,8 +2,8 @@
 Calibrate a camera from photographs
 ===================================
 
-A correction is as good as the camera's profile. Photograph a chart of slanted squares where the sample will be
-(how: *Photograph a chart*), and let `calibrate` find and measure every edge. Here a camera that we know takes the photograph.
+A correction is as accurate as the camera profile. This tutorial measures a camera from a photograph of slanted squares. A known
+camera takes the photograph, so the truth is known.
 """
 
 import tempfile
@@ -20,8 +20,8 @@ truth = matcam.Camera(matcam.GaussianOptics(0.55), matcam.BoxPixel(0.5))
 # The photograph
 # --------------
 #
-# Dark squares on paper, turned by five degrees. Far from its corners a square's edge is recorded as the camera's edge
-# spread function.
+# Dark squares on paper, turned by five degrees. Away from its corners the edge of a square is recorded as the edge spread
+# function of the camera.
 
 tilt = np.radians(5)
 rows, columns = np.mgrid[:240, :240]
@@ -41,8 +41,10 @@ folder = Path(tempfile.mkdtemp())
 matcam.io.write_float_tiff(folder / "chart.tif", photograph.astype(np.float32))
 
 # %%
-# Edges, joined into one camera
-# -----------------------------
+# Fit one camera to all edges
+# ---------------------------
+#
+# `calibrate` finds and measures every edge.
 
 found = matcam.calibrate([folder / "chart.tif"], half_width=0.5, tone="linear")
 (fit,) = found.channels.values()
@@ -63,7 +65,7 @@ plt.show()
 # The profile
 # -----------
 #
-# It is JSON, with units in its names and its covariance. It goes along with the data, and into every command:
+# The profile is a JSON file with units in its names and a covariance. Use it in every command:
 # `matcam correct chrome.binary --camera camera.json`.
 
 camera.save(folder / "camera.json")

@@ -2,8 +2,8 @@
 Plan a rig
 ==========
 
-Before anything is bought: how large must the sphere be in the picture, how small the lamp, and which roughness can the
-rig still measure? Let the roughest answer be wanted to 75 degrees with less than 5 % lost.
+How large must the sphere be in the image, how small the lamp, and which roughness can the rig measure? The requirement of this
+example is a relative loss of less than 5 % up to 75 degrees.
 """
 
 import matplotlib.pyplot as plt
@@ -18,7 +18,7 @@ print(f"MTF of lens and pixel at a quarter of a cycle per px: {float(camera.mtf(
 # The sphere
 # ----------
 #
-# The blur is fixed on the sensor. A sphere that fills more pixels has sharper normals.
+# The blur is constant on the sensor. A sphere that covers more pixels has a finer angular resolution.
 
 gaussian = matcam.Camera(matcam.GaussianOptics(0.5), matcam.BoxPixel(0.5))
 roughness = np.geomspace(5e-4, 0.2, 24)
@@ -36,8 +36,8 @@ plt.show()
 # The lamp
 # --------
 #
-# Its disc blurs, too, and in the sample's angles, whatever the camera. Its share is small where its radius, over four, is far below
-# the lobe.
+# The lamp disc adds a blur in angle that does not depend on the camera. It is negligible where a quarter of its radius is far below
+# the roughness.
 
 for degrees in (0.0, 0.1, 0.25, 0.5):
     rig = matcam.Rig(gaussian, matcam.Sphere(512), matcam.DistantLamp(np.radians(degrees)))
@@ -45,10 +45,10 @@ for degrees in (0.0, 0.1, 0.25, 0.5):
     print(f"lamp of {degrees:4} degrees: {kept[0]:.1%} of the peak kept at 0, {kept[1]:.1%} at 60 degrees")
 
 # %%
-# Write the plan down
-# -------------------
+# Rig file
+# --------
 #
-# A rig file holds it for every command: `matcam predict --rig rig.toml`, `matcam simulate --rig rig.toml`.
+# A rig file specifies the rig for every command: `matcam predict --rig rig.toml`, `matcam simulate --rig rig.toml`.
 
 print(
     """schema = "matcam-rig-1"

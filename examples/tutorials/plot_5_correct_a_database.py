@@ -2,8 +2,8 @@
 Correct a database
 ==================
 
-All tables of a folder, each with its files, and an index over all. Finished work is never lost: a run that was killed
-goes on where it was when it is started again.
+This tutorial corrects all tables of a folder. A run writes files for each table and an index. A run that was killed continues when
+it is started again.
 """
 
 import json
@@ -17,7 +17,7 @@ import numpy as np
 import matcam
 
 # %%
-# A folder with two tables, one of which was cut short by a full disk.
+# A folder with two tables, one of which is truncated.
 
 folder = Path(tempfile.gettempdir()) / "matcam-examples"
 shutil.rmtree(folder, ignore_errors=True)
@@ -33,8 +33,8 @@ if __name__ == "__main__":  # workers are new processes
         print("failed:", failed.reason.replace(str(folder), "..."))
 
 # %%
-# Each material has a record, written last, which vouches for its files. A MERL file holds no negative noise: it was cut off
-# above, and the verdict notices that the floor is no longer what a lobe and a camera would leave.
+# Each material has a record, which is written last and marks it as finished. A MERL file cannot contain negative noise. It was
+# clipped above, and the verdict shows the effect.
 
 record = json.loads((outputs / "chromium.json").read_text())
 print("verdict:", record["verdict"])
@@ -42,7 +42,7 @@ print("peak lost:", {f"{angle}°": round(share, 2) for angle, share in record["p
 print(sorted(path.name for path in outputs.iterdir() if not path.name.startswith(".")))
 
 # %%
-# Its table, as recorded and as corrected: the values that the pixels of one picture gave, at a difference angle of 75 degrees.
+# The table, as recorded and as corrected: values of the pixels of one image, at a difference angle of 75 degrees.
 
 before = matcam.read_merl(inputs / "chromium.binary").isel(channel=1, theta_d=75)
 after = matcam.read_merl(outputs / "chromium.binary").isel(channel=1, theta_d=75)
@@ -56,7 +56,7 @@ axes.legend()
 plt.show()
 
 # %%
-# Start it again, and nothing is done twice.
+# A second start repeats nothing.
 
 if __name__ == "__main__":
     again = matcam.correct_all([inputs], matcam.rigs.merl(), outputs, "ggx", workers=1, pages=False)

@@ -14,7 +14,7 @@ import matcam
 from matcam.inverse.operator.sample_view import rig_behind
 
 ROOT = Path(__file__).parents[2]
-EXAMPLES = [path for folder in ("tutorials", "gallery") for path in sorted((ROOT / "examples" / folder).glob("*.py"))]
+EXAMPLES = [path for folder in ("tutorials", "gallery") for path in sorted((ROOT / "examples" / folder).rglob("*.py"))]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 ASKED = [*PROJECT["dependencies"], *PROJECT["optional-dependencies"]["docs"]]
 INSTALLED = {re.split(r"[\[><= ]", one)[0].lower() for one in ASKED} | {"matcam"}

@@ -32,18 +32,18 @@ def pages(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def commands(tmp_path_factory):
-    """The generated page of commands."""
-    path = tmp_path_factory.mktemp("commands") / "commands.md"
-    docs_commands.write(path)
-    return path.read_text()
+    """The generated pages of commands, by name of their file."""
+    folder = tmp_path_factory.mktemp("commands")
+    docs_commands.write(folder)
+    return {path.stem: path.read_text() for path in folder.glob("*.md")}
 
 
-def test_every_public_name_is_on_one_page_with_all_parameters(pages):
-    whole = "\n".join(pages.values())
-    listed = re.split(r"(?m)^:::::\{py:(?:class|function)\} matcam\.", whole)[1:]
-    entries = {re.match(r"[\w.]+", text)[0]: text for text in listed}
-    assert len(entries) == len(listed)
+def test_every_public_name_has_a_page_with_all_parameters(pages):
+    entries = {name: text for name, text in pages.items() if text.startswith("# matcam.")}
     assert set(entries) == set(THINGS) - {"rigs.Rig"}
+    assert [name for name, text in entries.items() if len(re.findall(r"(?m)^:::::\{py:", text)) != 1] == []
+    indices = "\n".join(text for name, text in pages.items() if name not in entries)
+    assert [name for name in entries if indices.count(f"[`{name}`]({name}.md)") != 1] == []
     missing = [
         f"{name}: {parameter}"
         for name, text in entries.items()
@@ -60,11 +60,12 @@ def test_a_public_name_on_no_page_is_named():
         docs_api.pages(set(THINGS) - {"measure"})
 
 
-def test_every_command_stands_there_with_all_options(commands):
-    sections = re.split(r"(?m)^### matcam ", commands)[1:]
-    by_name = {text.split("\n")[0]: text for text in sections}
+def test_every_command_has_a_page_with_all_options(commands):
+    index = commands["index"]
+    by_name = {text.split("\n")[0].removeprefix("# matcam "): text for text in commands.values() if text != index}
     found = docs_commands.commands()
     assert set(by_name) == set(found)
+    assert [words for words in found if f"({docs_commands.file_of(words)}.md)" not in index] == []
     missing = [
         f"{words} {option}"
         for words, (command, _) in found.items()
@@ -77,7 +78,7 @@ def test_every_command_stands_there_with_all_options(commands):
     ]
     assert missing == []
     assert [words for words, text in by_name.items() if f"```sh\nmatcam {words}" not in text] == []
-    assert [code for code in (0, 1, BAD_INPUT, FAULT, INTERRUPTED) if f"| {code} |" not in commands] == []
+    assert [code for code in (0, 1, BAD_INPUT, FAULT, INTERRUPTED) if f"| {code} |" not in index] == []
 
 
 def test_values_of_options_are_units_or_choices():
@@ -94,8 +95,8 @@ def test_values_of_options_are_units_or_choices():
     assert wrong == []
 
 
-def test_every_message_is_on_the_page_of_troubleshooting(tmp_path):
-    path = tmp_path / "troubleshooting.md"
+def test_every_message_is_in_the_index(tmp_path):
+    path = tmp_path / "messages.md"
     docs_messages.write(path)
     text = path.read_text()
     own = [m for m in docs_messages.collected() if re.search("[a-z]", m.text.replace("{}", ""))]
@@ -115,16 +116,21 @@ def test_a_claim_names_a_test_that_reads_it(name):
     assert f'limit("{name}")' in (ROOT / path).read_text()
 
 
-def test_readme_prints_the_claims():
-    assert "\n".join(docs_claims.table(docs_claims.shown_in_readme)) in (ROOT / "README.md").read_text()
+def test_readme_names_the_claims_and_the_page_prints_them(tmp_path):
+    readme = " ".join((ROOT / "README.md").read_text().split())
+    assert "[docs/claims.toml](docs/claims.toml)" in readme
+    for name in ("corrected-fresnel", "raw-fresnel", "fresnel-coverage"):
+        assert docs_claims.claims()[name]["measured"] in readme
+    docs_claims.write(tmp_path / "trust.md")
+    assert "\n".join(docs_claims.table(docs_claims.shown_on_page)) in (tmp_path / "trust.md").read_text()
 
 
 def test_one_sentence_says_which_tables_are_taken(tmp_path):
-    """README, the page of claims and the table that both link to agree with the code."""
+    """README, the page of claims and the table to which both link agree with the code."""
     assert docs_claims.taken("docs") in " ".join((ROOT / "README.md").read_text().split())
-    docs_claims.write(tmp_path / "how-good.md")
-    assert docs_claims.taken("") in (tmp_path / "how-good.md").read_text()
-    assert "\n## What takes what\n" in (ROOT / "docs" / "forward.md").read_text()
+    docs_claims.write(tmp_path / "trust.md")
+    assert docs_claims.taken("") in (tmp_path / "trust.md").read_text()
+    assert (ROOT / "docs" / "reference" / "supported.md").exists()
     camera, lamps = matcam.rigs.merl().camera, (matcam.DistantLamp(), matcam.NearLamp(28.0))
     for sample in (matcam.Sphere, matcam.Cylinder):
         for distance in (np.inf, 30.0):
