@@ -296,7 +296,7 @@ def checked_isotropic(optics: Optics, what: str) -> Optics:
         return optics
     raise ArgumentError(
         f"{what} needs a lens that blurs alike in all directions, colours and places, not {type(optics).__name__}: "
-        "`picture` takes it, and so do a distant sphere's tables; elsewhere give the nearest such lens, as DefocusOptics or a "
+        "`picture` takes it, and so do tables of a sphere; elsewhere give the nearest such lens, as DefocusOptics or a "
         "mean MTF in MeasuredOptics"
     )
 
