@@ -76,7 +76,8 @@ def use_device(device: Device) -> None:
     """
     if device == "gpu" and not has_gpu():
         raise ArgumentError(
-            "device must be 'cpu': JAX finds no GPU here; for one of NVIDIA install python -m pip install 'matcam[gpu]'"
+            f"device must be 'cpu', got {device!r}: JAX finds no GPU here; for one of NVIDIA install "
+            "python -m pip install 'matcam[gpu]'"
         )
     jax.config.update("jax_platforms", "cpu" if device == "cpu" else None)
 

@@ -20,7 +20,7 @@ from matcam.inverse.operator.chosen_cells import ChosenCells
 from matcam.inverse.operator.circle_arcs import SpherePixels
 from matcam.inverse.operator.cylinder_rule import CylinderRule, LinePixels, cylinder_rule, line_window
 from matcam.inverse.operator.lamp_lines import LampDisc, lamp_discs
-from matcam.inverse.operator.line_rule import ARMS, LinePlaces, line_rule
+from matcam.inverse.operator.line_rule import ARMS, ImagePlaces, line_rule
 from matcam.inverse.operator.rig_axes import SHAPE, SHAPE_SHARE, SHAPE_SPREAD, Axis, rig_with
 from matcam.inverse.operator.sample_view import SampleView, sample_view
 from matcam.inverse.operator.sphere_rule import Kernel, SphereRule, sphere_range, sphere_rule
@@ -240,7 +240,7 @@ def _rules(view: SampleView, pixels: tuple[np.ndarray, ...], widths: list[_Blurs
     if any(through.lamps) or not view.distant:
         pixels = LinePixels(np.hypot(x, y), lamp_angle, np.arctan2(-y, x), factor)
         return _cylinder_rules(view, pixels, through, None if view.distant else theta_d)
-    return _line_rules(view.radius, LinePlaces(x, y, theta_d, factor), through)
+    return _line_rules(view.radius, ImagePlaces(x, y, theta_d, factor), through)
 
 
 def kernel_reach(half_width: float, stds: np.ndarray) -> np.ndarray:
@@ -328,7 +328,7 @@ def _standing_for(widths: list[_Blurs]) -> _Blurs:
     return widths[0]._replace(blurs=[stand_in])
 
 
-def _line_rules(radius: float, pixels: LinePlaces, through: _Blurs) -> list[_Found]:
+def _line_rules(radius: float, pixels: ImagePlaces, through: _Blurs) -> list[_Found]:
     """Return the rules of a cylinder's two arms."""
     blurs, spreads, reaches, *_ = through
     terms = through.terms

@@ -26,7 +26,7 @@ ARMS = (1.0, -1.0)
 """Sides of the place that is closest to the half vector: away from the axis, and towards it."""
 
 
-class LinePlaces(NamedTuple):
+class ImagePlaces(NamedTuple):
     """Places in the images of a sphere, whose distance from the axis is that on the cylinder; arrays of one shape.
 
     Attributes:
@@ -62,7 +62,7 @@ def line_rule(
     blur: Blur,
     variance: jax.Array,
     terms: tuple[int, ...],
-    pixels: LinePlaces,
+    pixels: ImagePlaces,
     reach: jax.Array,
     onto: jax.Array,
     arm: float,

@@ -44,12 +44,12 @@ class SampleView(NamedTuple):
 
     @property
     def distant(self) -> bool:
-        """Whether camera and lamp both are distant."""
+        """Check whether camera and lamp both are distant."""
         return self.camera == 0 and self.lamp == 0
 
     @property
     def one_picture(self) -> bool:
-        """Whether one image shows all cells of one theta_d."""
+        """Check whether one image shows all cells of one theta_d."""
         return self.distant and not self.line
 
     @property
