@@ -45,6 +45,9 @@ NOT_RUN = {
     "data": "it downloads from the network",
     "app": "it serves until it is ended",
     "--cluster": "it needs a scheduler",
+    "diffuser.bsdf": "it reads a file of Zemax (tests/files/test_neighbours.py)",
+    "carpet.bin": "it reads a file of UTIA (tests/files/test_neighbours.py)",
+    "exposures": "it reads exposures of a camera (tests/cli/test_sensor_command.py)",
 }
 """Words of command lines that are not run, and why. That the command line reads them is tested in tests/docs."""
 CODES = {"capture check": (0, 1)}
@@ -103,6 +106,13 @@ def _edge():
     return np.random.default_rng(3).poisson(3000 * (0.2 + 0.6 * ndtr(across / 0.6)))
 
 
+def _samples(path):
+    """Three readings of a white sample in BiRD's format."""
+    text = path.with_suffix(".txt.csv")
+    text.write_text("theta_h_deg,theta_d_deg,phi_d_deg,Y_per_sr\n0,30,90,0.31\n5,30,90,0.3\n10,30,90,0.3\n")
+    matcam.io.write_bird(path, matcam.io.read_samples(text))
+
+
 def _capture(path):
     said = "simulate --radius 64 --roughness 0.03 --lamp-positions 6 --capture"
     assert _run([*said.split(), str(path), "--quiet"]) == 0
@@ -120,12 +130,19 @@ MADE: dict[str, Callable[[Path], object]] = {
     "raw": _raw,
     "edge.dng": lambda path: write_dng(path, (512 + 4 * _edge()).astype(np.uint16)),
     "mosaic.tif": lambda path: tifffile.imwrite(path, (512 + 4 * _edge()).astype(np.uint16)),
+    "paper.bsdf": lambda path: matcam.convert(path.parent / "chrome-corrected.binary", path, square=32),
+    "spectralon.brdf": _samples,
     "shots": _capture,
     "sphere": _capture,
 }
 MADE_QUICKLY: dict[str, Callable[[Path], object]] = {"chrome.binary": _ideal}
 """What quick tests take instead: a record takes 15 s to simulate."""
-NEEDS = {"chrome.bsdf": ["chrome-corrected.binary"], "photographs": ["chart.json"], "PHOTOGRAPHS": ["chart.json"]}
+NEEDS = {
+    "paper.bsdf": ["chrome-corrected.binary"],
+    "chrome.bsdf": ["chrome-corrected.binary"],
+    "photographs": ["chart.json"],
+    "PHOTOGRAPHS": ["chart.json"],
+}
 """Files that must lie beside another before it is made."""
 
 

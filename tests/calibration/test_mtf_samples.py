@@ -25,7 +25,7 @@ def test_lists_become_arrays_and_the_diagonal_is_the_variance():
 @pytest.mark.parametrize(
     ("changed", "words"),
     [
-        ({"kind": "sky"}, "kind must be one of edge"),
+        ({"kind": "sky"}, "kind must be one of 'edge'"),
         ({"mtf": [0.9]}, "mtf must be 2 finite numbers"),
         ({"mtf": [0.9, np.nan]}, "mtf must be 2 finite numbers"),
         ({"frequency": [0.0, 0.2]}, "frequency must be positive"),

@@ -247,7 +247,7 @@ def test_foreign_files_are_refused(text, tmp_path):
 def test_unreadable_places(tmp_path):
     with pytest.raises(FileFormatError, match="no such file"):
         Camera.load(tmp_path / "none.json")
-    with pytest.raises(FileFormatError, match="cannot be read"):
+    with pytest.raises(FileFormatError, match="is a folder, not a camera profile"):
         Camera.load(tmp_path)
     huge = tmp_path / "huge.json"
     with huge.open("wb") as file:

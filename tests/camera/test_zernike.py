@@ -149,8 +149,11 @@ METAL = Microfacet(GGX(0.1), 0.9)
             "SeidelOptics is several",
         ),
         (
-            lambda: matcam.fit(matcam.forward.true_table(METAL), Rig(Camera(LENS), Sphere(60.0, distance=9.0))),
-            "a fit of a cylinder, or before a near camera",
+            lambda: matcam.fit(
+                matcam.forward.true_table(METAL).assign_attrs(sample="cylinder"),
+                Rig(Camera(LENS), matcam.Cylinder(60.0)),
+            ),
+            "a fit of a cylinder",
         ),
         (lambda: matcam.peak_response(Rig(Camera(LENS), Sphere(60.0)), GGX(0.1), 0.3), "alike in all directions"),
         (

@@ -219,7 +219,7 @@ BAD = [
     ("predict -1", "No such option: -1"),
     ("predict --ndf epd", "--power must be given for epd"),
     ("predict --power 1", "--power belongs to epd and sgd, not to ggx, got 1"),
-    ("predict 1e-7 --ndf epd --power 1", "must lie in [0.004, 7000]"),
+    ("predict 0.1 --ndf epd --power 9", "--power must lie in [0.25, 4]"),
     ("predict 0", "alpha must lie in (0, 1], got 0"),
     ("predict --radius -3", "--radius must lie in"),
     ("predict --lamp 80", "--lamp must lie in"),

@@ -48,7 +48,13 @@ def test_a_correction_page_cannot_be_injected_into(tmp_path):
 
 def test_templates_are_files_of_the_package():
     names = {file.name for file in (resources.files("matcam.figures") / "templates").iterdir()}
-    assert names == {"page.html", "correction_page.html", "reconstruction_page.html", "run_index.html"}
+    assert names == {
+        "page.html",
+        "correction_page.html",
+        "reconstruction_page.html",
+        "run_index.html",
+        "sensor_page.html",
+    }
 
 
 CONTENT = {
