@@ -18,6 +18,7 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 from scipy.optimize import least_squares
 
+from matcam.core import checks
 from matcam.core.errors import ArgumentError
 from matcam.core.grid import CHANNELS
 from matcam.core.io import replacing
@@ -130,6 +131,7 @@ def write_openpbr(path: str | Path, surface: OpenPBRSurface, *, note: str = "", 
         force: replace an existing file. Default: False.
 
     Raises:
+        ArgumentError: `surface` or `note` is of another kind.
         OutputError: the file cannot be written, or exists and `force` is False.
 
     Example:
@@ -141,6 +143,7 @@ def write_openpbr(path: str | Path, surface: OpenPBRSurface, *, note: str = "", 
         ...     "specular_roughness" in path.read_text()
         True
     """
+    surface, note = checks.instance("surface", surface, OpenPBRSurface), checks.instance("note", note, str)
     colour = ", ".join(f"{one:.7g}" for one in surface.base_color)
     inputs = [("base_color", "color3", colour), ("base_metalness", "float", f"{surface.metalness:g}")]
     inputs += [("specular_roughness", "float", f"{surface.specular_roughness:.7g}")]

@@ -24,7 +24,7 @@ from matcam.core.errors import ArgumentError, FileFormatError
 from matcam.core.grid import azimuth_difference, cosines, half_and_difference
 from matcam.core.io import write_json
 from matcam.core.readers.texts import read_json
-from matcam.files.samples import samples_from
+from matcam.files.samples import checked_samples, samples_from
 
 SCHEMA = "urn:bird-project:brdf_json_schema_v1.0"
 """Name of the schema, as the format demands it in its documents."""
@@ -103,7 +103,7 @@ def write_bird(path: str | Path, samples: xr.DataArray, *, force: bool = False) 
         force: replace an existing file. Default: False.
 
     Raises:
-        ArgumentError: there are more than two million values.
+        ArgumentError: `samples` has other dims, units or labels, or more than two million values.
         OutputError: the file cannot be written, or exists and `force` is False.
 
     Example:
@@ -113,6 +113,7 @@ def write_bird(path: str | Path, samples: xr.DataArray, *, force: bool = False) 
         ...     _ = text.write_text("theta_h_deg,theta_d_deg,phi_d_deg,Y_per_sr\n0,30,90,0.25\n")
         ...     matcam.io.write_bird(pathlib.Path(folder, "a.brdf"), matcam.io.read_samples(text))
     """
+    samples = checked_samples(samples)
     known = np.isfinite(samples.values)
     if known.sum() > _MOST:
         raise ArgumentError(f"{known.sum()} values are too many for JSON: at most {_MOST}; use .nc or .csv")
