@@ -68,7 +68,7 @@ def spans(page):
 
 
 def problem_of(span):
-    """Return what does not exist of the text of a citation; None where all does."""
+    """Find the part of a cited text that does not exist; None if all of it exists."""
     if span in OTHERS["names"] or span.split("(")[0] in OTHERS["names"]:
         return None
     if span.startswith("matcam "):
@@ -208,7 +208,7 @@ def _dotted(schema, document, depth):
 
 
 def _defined(name):
-    """Tell whether the sources define a class or a function of this name."""
+    """Check whether the sources define a class or a function of this name."""
     return re.search(rf"(?m)^\s*(class|def) {re.escape(name)}\b", _sources()) is not None
 
 

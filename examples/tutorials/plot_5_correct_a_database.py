@@ -17,7 +17,7 @@ import numpy as np
 import matcam
 
 # %%
-# A folder with two tables, one of which is truncated.
+# The folder contains two tables. The second file is truncated.
 
 folder = Path(tempfile.gettempdir()) / "matcam-examples"
 shutil.rmtree(folder, ignore_errors=True)

@@ -158,6 +158,17 @@ def not_masked(name: str, value: Any) -> None:
         )
 
 
+def plain_array(name: str, value: Any) -> np.ndarray:
+    """Return an array of any type; ArgumentError for a masked array, and for rows of different lengths."""
+    not_masked(name, value)
+    try:
+        return np.asarray(value)
+    except ValueError:
+        raise ArgumentError(
+            f"{name} must be an array, got a {type(value).__name__} of rows of different lengths"
+        ) from None
+
+
 def _kept(array: np.ndarray, value: Any) -> Any:
     """Return checked numbers as an array of JAX where they were given as one, otherwise as one of NumPy that cannot change."""
     if has_jax(value):

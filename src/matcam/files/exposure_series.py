@@ -22,11 +22,10 @@ from typing import NamedTuple
 
 from matcam.core.errors import FileFormatError
 from matcam.core.io import check_within, reading
+from matcam.core.readers.texts import read_lines
 from matcam.files.photographs import PICTURES
 from matcam.files.picture_header import exposure_time
 
-_LARGEST = 1 << 24
-"""Bytes of a descriptor: 100,000 frames with long names."""
 _NANO = 1e-9
 _UNITS = {"ns": 1e-9, "us": 1e-6, "ms": 1e-3, "s": 1.0}
 _TIME = re.compile(r"(?<![a-zA-Z0-9.])(\d+(?:\.\d+)?)\s?(ns|us|ms|s)(?![a-zA-Z0-9])")
@@ -94,8 +93,6 @@ def read_exposure_series(path: str | Path) -> ExposureSeries:
     path = Path(path)
     with reading(path):
         folder = path.is_dir()
-        if not folder and path.stat().st_size > _LARGEST:
-            raise FileFormatError(f"{path}: {path.stat().st_size} bytes is too large for a descriptor of exposures")
         path.stat()
     if not folder:
         return _described(path)
@@ -107,23 +104,22 @@ def read_exposure_series(path: str | Path) -> ExposureSeries:
 
 
 def _is_descriptor(path: Path) -> bool:
-    with reading(path, "a descriptor of exposures"):
-        if path.stat().st_size > _LARGEST:
-            return False
+    try:
         lines = _lines(path)
+    except FileFormatError:  # too large, or with lines that are too long
+        return False
     return any(re.match(r"n\s+\d+\s+\d+\s+\d+$", line) for _, line in lines[:3])
 
 
 def _lines(path: Path) -> list[tuple[int, str]]:
-    text = path.read_text(encoding="utf-8-sig", errors="replace")
-    numbered = ((number, line.strip()) for number, line in enumerate(text.splitlines(), 1))
+    lines = read_lines(path, "a descriptor of exposures")
+    numbered = ((number, line.strip()) for number, line in enumerate(lines, 1))
     return [(number, line) for number, line in numbered if line and not line.startswith("#")]
 
 
 def _described(path: Path) -> ExposureSeries:
     """Read a descriptor of the EMVA 1288 reference data sets."""
-    with reading(path, "a descriptor of exposures"):
-        lines = _lines(path)
+    lines = _lines(path)
     bits: int | None = None
     sets: list[ExposureSet] = []
     for number, line in lines:

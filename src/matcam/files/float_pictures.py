@@ -28,6 +28,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from matcam.core import checks
 from matcam.core.errors import ArgumentError, FileFormatError, OutputError
 from matcam.core.io import reading, replacing
 from matcam.core.readers.apart import read_apart
@@ -46,19 +47,12 @@ def as_float32(picture: ArrayLike) -> np.ndarray:
     NaN (missing) and infinities pass. ArgumentError for a wrong shape, for complex numbers or text, and for values that float32
     cannot hold.
     """
-    if np.ma.is_masked(picture):
-        raise ArgumentError("picture must not be masked: use .filled(np.nan) where values are missing")
+    given = checks.plain_array("picture", picture)
     labels = [str(label) for label in np.atleast_1d(getattr(picture, "coords", {}).get("channel", ()))]
     if labels and labels != list(_names(len(labels))):
         raise ArgumentError(
             f"picture has the channels {', '.join(labels)[:60]}; it must have {', '.join(_names(len(labels)))}"
         )
-    try:
-        given = np.asarray(picture)
-    except ValueError:  # rows of different lengths
-        raise ArgumentError(
-            f"picture must be an array, got a {type(picture).__name__} of rows of different lengths"
-        ) from None
     if given.dtype.kind not in "fiub":
         raise ArgumentError(f"picture must hold real numbers, got {given.dtype}")
     if given.ndim not in (2, 3) or given.size == 0 or given.size > LARGEST:

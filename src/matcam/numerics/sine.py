@@ -47,9 +47,3 @@ def _odd(coefficients: tuple[float, ...], x: jax.Array, square: jax.Array) -> ja
     for coefficient in coefficients[-2::-1]:
         total = total * square + coefficient
     return total * x
-
-
-def sine_and_cosine(angle: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Return both within [-pi, pi], from the half angle: to 1e-15, and to 2e-8 of sines next to the ends."""
-    half = sine(angle / 2)
-    return 2 * half * xp.sqrt((1 - half) * (1 + half)), 1 - 2 * half * half

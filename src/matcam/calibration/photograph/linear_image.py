@@ -323,13 +323,7 @@ def as_photograph(
 
     ArgumentError where it is no picture. what, colours: for its message, and how many colours there may be.
     """
-    checks.not_masked("image", image)
-    try:
-        values = np.asarray(image)
-    except ValueError:  # rows of different lengths
-        raise ArgumentError(
-            f"image must be an array, got a {type(image).__name__} of rows of different lengths"
-        ) from None
+    values = checks.plain_array("image", image)
     if (
         values.dtype.kind not in "uif"
         or values.ndim not in (2, 3)

@@ -23,7 +23,7 @@ from matcam.inverse.operator.lamp_lines import LampDisc, lamp_discs
 from matcam.inverse.operator.line_rule import ARMS, ImagePlaces, line_rule
 from matcam.inverse.operator.rig_axes import SHAPE, SHAPE_SHARE, SHAPE_SPREAD, Axis, rig_with
 from matcam.inverse.operator.sample_view import SampleView, sample_view
-from matcam.inverse.operator.sphere_rule import Kernel, SphereRule, sphere_range, sphere_rule
+from matcam.inverse.operator.sphere_rule import Kernel, SphereRule, kernel_reach, sphere_range, sphere_rule
 from matcam.inverse.operator.theta_nodes import (
     NODES,
     PIECE,
@@ -243,11 +243,6 @@ def _rules(view: SampleView, pixels: tuple[np.ndarray, ...], widths: list[_Blurs
     return _line_rules(view.radius, ImagePlaces(x, y, theta_d, factor), through)
 
 
-def kernel_reach(half_width: float, stds: np.ndarray) -> np.ndarray:
-    """Return the half side of the square that a pixel sees through Gaussians of these standard deviations, px."""
-    return half_width + _REACH * stds
-
-
 def _widest_disc(view: SampleView, blur: Blur, x: np.ndarray, y: np.ndarray, std: float) -> np.ndarray:
     """Return the radius of the largest disc out of focus that a pixel sees anything of, px."""
     if not blur.chords:
@@ -274,45 +269,52 @@ def _sphere_rules(
 ) -> _Found:
     """Return a rule on one set of nodes for terms of several widths. finest: see `ThetaRange`."""
     own = finest if np.min(widths[0].reaches[0]) > _SURROUNDINGS[0] else np.inf
-    widest, onto = (
-        one._replace(finest=finest)
-        for one in sphere_range(view, pixels, np.max([through.reaches for through in widths], axis=(0, 1)))
-    )
+    largest = np.max([through.reaches for through in widths], axis=(0, 1))
+    widest, onto = (one._replace(finest=finest) for one in sphere_range(view, pixels, largest))
 
     def rule(through: _Blurs, n: int, circles: ThetaRange, reach: np.ndarray) -> SphereRule:
         blur, nodes = through.blurs[n], _pixel_nodes(through.blurs, n) if view.azimuth else 0
         kernel = Kernel(blur, through.terms, tuple(through.spreads[n]), reach, through.discs[n], nodes)
         return sphere_rule(view, pixels, kernel, circles, onto, theta_d)
 
-    def laid(through: _Blurs, n: int) -> tuple[np.ndarray, ...]:
-        """Return the weights of a blur at the nodes, and in a near rig their moments."""
+    def parts(through: _Blurs, n: int) -> list[SphereRule]:
+        """Return the rules whose sum is that of a blur: one for each part of its range that needs circles of its own."""
         seen = sphere_range(view, pixels, through.reaches[n])[0]
-        parts = [seen._replace(finest=own)] if through.blurs[n].rest is None else seen.parts()
-        rules = [(part, rule(through, n, part, through.reaches[n])) for part in parts]
-        if view.distant:
-            return (np.sum([onto.carry(part.nodes()[0], one.weight) for part, one in rules], axis=0),)
-        return tuple(
-            np.sum(parts, axis=0) for parts in zip(*((one.weight, one.moment) for _, one in rules), strict=True)
-        )
+        ranges = [seen._replace(finest=own)] if through.blurs[n].rest is None else seen.parts()
+        return [rule(through, n, one, through.reaches[n]) for one in ranges]
+
+    first = parts(widths[0], 0)
 
     def each(through: _Blurs) -> list[tuple[np.ndarray, ...]]:
-        """Return the same of all blurs of a width; those of one residual are the same."""
-        first, rest = laid(through, 0), through.blurs[0].rest
+        """Return weights, and in a near rig moments, of all blurs of a width; those of one residual are the same."""
+        main, rest = _summed(first if through is widths[0] else parts(through, 0)), through.blurs[0].rest
         others = enumerate(through.blurs[1:], start=1)
-        return [first, *(first if rest is not None and blur.rest is rest else laid(through, n) for n, blur in others)]
+        return [
+            main,
+            *(main if rest is not None and blur.rest is rest else _summed(parts(through, n)) for n, blur in others),
+        ]
 
     found = [
-        tuple(np.sum(parts, axis=0) for parts in zip(*of_blur, strict=True))
+        tuple(np.sum(arrays, axis=0) for arrays in zip(*of_blur, strict=True))
         for of_blur in zip(*map(each, widths), strict=True)
     ]
     weights, *moments = zip(*found, strict=True)
-    by = widths[0] if len(widths) == 1 else _standing_for(widths)
-    shown = rule(by, 0, widest, widths[-1].reaches[0])
+    if len(widths) == len(first) == 1 and own == finest and np.array_equal(widths[0].reaches[0], largest):
+        shown = first[0]  # its circles are those of the whole range
+    else:
+        by = widths[0] if len(widths) == 1 else _standing_for(widths)
+        shown = rule(by, 0, widest, widths[-1].reaches[0])
     theta = onto.nodes()[0]
     # close to the limb of a near sphere no polynomial follows G
     at = SAMPLED if view.distant else np.arange(NODES[0].size)
     sampled = dict(zip(_MASKED, masking_samples(shown.circles, theta, at), strict=True))
     return _Found(theta, list(weights), sampled, *(tuple(one) for one in moments))
+
+
+def _summed(rules: list[SphereRule]) -> tuple[np.ndarray, ...]:
+    """Return the sums of the rules' weights, and in a near rig of their moments."""
+    arrays = zip(*((one.weight, one.moment) for one in rules), strict=True)
+    return tuple(np.sum(one, axis=0) for one in arrays if one[0] is not None)
 
 
 def _standing_for(widths: list[_Blurs]) -> _Blurs:
@@ -400,8 +402,6 @@ MOMENT_ALONG = "moment_along"
 """Name of what changes of the moments along each axis, before the axis's number."""
 _MASKED = "sample_theta", "sample_cos_psi", "sample_theta_d", "sample_share"
 """Names of what `masking_samples` returns."""
-_REACH = 6.2
-"""How far a Gaussian is followed, in standard deviations: highlights are 1e6 times brighter than their surroundings."""
 _SURROUNDINGS = np.array([9.0, 45.0])
 """Reach of the terms of a lens that count as its core, and as what surrounds it, px."""
 _RESOLVED = 10

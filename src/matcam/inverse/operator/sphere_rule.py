@@ -43,6 +43,8 @@ _ARC_OF_RINGS = np.polynomial.legendre.leggauss(48)
 """Nodes on an arc that resolve the diffraction rings of a lens."""
 _CALL, _BLOCK = 4096, 256
 """Arcs of one call of the compiled program, and of the blocks that it works through: their arrays fit into a cache."""
+_REACH = 6.2
+"""How far a Gaussian is followed, in standard deviations: highlights are 1e6 times brighter than their surroundings."""
 _SLACK = 0.02
 """Share by which the range of angles on the border of a window is widened."""
 _OUTSIDE = 1.1
@@ -74,11 +76,16 @@ class Kernel(NamedTuple):
         return tuple(np.asarray(v)[index] for v in self.variances), disc
 
 
+def kernel_reach(half_width: float, stds: np.ndarray) -> np.ndarray:
+    """Return the half side of the square that a pixel sees through Gaussians of these standard deviations, px."""
+    return half_width + _REACH * stds
+
+
 class SphereRule(NamedTuple):
     """Rule of each pixel.
 
     Attributes:
-        weight: weights of a distant rig on its circles, of a near one at the nodes of theta_h, (pixels, 40), no unit.
+        weight: weights at the nodes of theta_h, (pixels, 40), no unit.
         circles: sums over the circles, of which masking takes its azimuths.
         moment: weights of the difference of theta_d from the cell's, as `weight`, rad; None in a distant rig.
     """
@@ -185,7 +192,7 @@ def sphere_rule(
         others += [total * place, total * theta_d[:, None], others[0] * theta_d[:, None]]
     seen = CircleSums(total, np.stack(others[:3]), *others[3:])
     if not near:
-        return SphereRule(through * total, seen)
+        return SphereRule(onto.carry(angle, through * total), seen)
     begins, own = np.flatnonzero(np.diff(arcs.pixel, prepend=-1)), np.zeros((2, *angle.shape))
     for weight, moment in zip(own, moments, strict=True):
         by_pixel = np.add.reduceat(moment * through[arcs.pixel, arcs.circle], begins, axis=1)
