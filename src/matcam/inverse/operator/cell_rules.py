@@ -305,8 +305,8 @@ def _sphere_rules(
         by = widths[0] if len(widths) == 1 else _standing_for(widths)
         shown = rule(by, 0, widest, widths[-1].reaches[0])
     theta = onto.nodes()[0]
-    # close to the limb of a near sphere no polynomial follows G
-    at = SAMPLED if view.distant else np.arange(NODES[0].size)
+    # without the symmetry of an aligned, distant rig no polynomial follows G close to the limb
+    at = SAMPLED if view.distant and not view.azimuth else np.arange(NODES[0].size)
     sampled = dict(zip(_MASKED, masking_samples(shown.circles, theta, at), strict=True))
     return _Found(theta, list(weights), sampled, *(tuple(one) for one in moments))
 

@@ -330,15 +330,15 @@ def operator_in(
         description = f"{description}, discs out of focus by {CHORD_RULE}"
     if kernel_error(rig) > 0:
         description = f"{description}, rings by {REST_RULE}"
-    description = f"{description}, masking at {SAMPLED.size} nodes, {NODE_RULE}"
-    if not sample_view(rig).distant:
+    view = sample_view(rig)
+    description = f"{description}, masking at {'every node' if view.azimuth else f'{SAMPLED.size} nodes'}, {NODE_RULE}"
+    if not view.distant:
         description = f"{description}, moments of {RISE}"
     stored = workspace.store(description, lambda: rule_arrays(rig, cells, axes))
     along, moment_along = (
         tuple(stored.pop(f"{name}{n}") for n in range(len(axes)) if f"{name}{n}" in stored)
         for name in ("along", MOMENT_ALONG)
     )
-    # before a near camera G is taken at every node: close to the limb no polynomial follows it
     every_node = stored["sample_theta"].shape[-1] == THROUGH_SAMPLES.shape[0]
     through = np.eye(THROUGH_SAMPLES.shape[0]) if every_node else THROUGH_SAMPLES
     return _Rules(along=along, moment_along=moment_along, **stored).operator(cells, through, axes)
