@@ -475,7 +475,7 @@ def test_every_option_reaches_the_run(database, tmp_path, monkeypatch):
     assert asked.pop("workspace") is Workspace.user()
     assert asked == {
         "paths": [database], "output": Path("x"), "ndf": "epd", "glare": 0.01, "anyway": True, "masking": None, "radius": 100.0,
-        "sampling": "edge", "workers": 3, "device": "cpu", "cluster": None, "pages": False, "zarr": True, "fit_camera": True,
+        "sampling": "edge", "workers": 3, "cluster": None, "pages": False, "zarr": True, "fit_camera": True,
         "time_limit": 60.0, "force": True, "compress": True,
     }  # fmt: skip
 
@@ -502,29 +502,7 @@ def test_the_command(database, tmp_path, monkeypatch, here):
     assert "name an output folder" in str(command(monkeypatch, database / "a.binary", "--workers", 2).exception)
 
 
-def test_where_a_gpu_is_at_hand_materials_are_done_side_by_side(database, tmp_path, monkeypatch):
-    """The same files as by workers; what fails stops nothing else."""
-    monkeypatch.setattr(run, "has_gpu", lambda: True)
-    monkeypatch.setattr(run, "available_cores", lambda: 2)
-    monkeypatch.setattr(ProcessExecutor, "outcomes", None)
-    done = correct_all([database], rigs.merl(), tmp_path / "gpu", corrector=simple.brighter)
-    assert sorted(path.stem for path in done.corrected) == ["a", "b", "poison"]
-    assert "short.binary" in reasons(done)["short"]
-    monkeypatch.undo()
-    simple.work_in_this_process(monkeypatch)
-    correct_all([database], rigs.merl(), tmp_path / "here", corrector=simple.brighter)
-    for name in ("a.binary", "b.binary", "poison.binary"):
-        assert (tmp_path / "gpu" / name).read_bytes() == (tmp_path / "here" / name).read_bytes()
-
-
-def test_many_cores_are_faster_than_a_gpu_and_the_user_decides(database, tmp_path, monkeypatch):
-    monkeypatch.setattr(run, "has_gpu", lambda: True)
-    for cores, device in ((2, "gpu"), (16, "cpu")):
-        monkeypatch.setattr(run, "available_cores", lambda cores=cores: cores)
-        assert run.faster_device() == device
-    monkeypatch.setattr(run, "has_gpu", lambda: False)
-    assert run.faster_device() == "cpu"
-    with pytest.raises(ArgumentError, match="device must be one of 'cpu', 'gpu', got 'tpu'"):
-        correct_all([database], rigs.merl(), tmp_path, device="tpu")
-    with pytest.raises(ArgumentError, match="leave them out where device is 'gpu'"):
-        correct_all([database], rigs.merl(), tmp_path, device="gpu", workers=2)
+def test_a_run_on_a_gpu_is_refused(database, tmp_path, monkeypatch):
+    refused = command(monkeypatch, database, "-o", tmp_path / "out", "--device", "gpu")
+    assert "--device gpu is for one table" in str(refused.exception)
+    assert not (tmp_path / "out").exists()

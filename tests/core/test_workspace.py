@@ -166,15 +166,6 @@ def test_memory_keeps_the_latest_used_of_each_kind():
     assert made == [("rule", 1), ("rule", 2), ("rule", 3), ("lattice", 1), ("rule", 2)]
 
 
-def test_a_batch_shares_the_memory_and_does_not_travel():
-    workspace, batch = Workspace(), object()
-    other = workspace.with_batch(batch)
-    assert other.batch is batch
-    assert workspace.batch is None
-    assert workspace.remember("rule", 1, lambda: 5) == other.remember("rule", 1, lambda: 1 / 0) == 5
-    assert pickle.loads(pickle.dumps(other)).batch is None
-
-
 def test_large_kinds_and_no_memory():
     make = Counted()
     workspace = Workspace()

@@ -7,13 +7,13 @@ from collections.abc import Callable, Iterable, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple, get_args
+from typing import Any, NamedTuple
 
 import equinox as eqx
 
 from matcam.batch.executors import Executor
 from matcam.batch.executors.cluster import ClusterExecutor
-from matcam.batch.executors.local import ProcessExecutor, ThreadExecutor
+from matcam.batch.executors.local import ProcessExecutor
 from matcam.batch.folder import RunFolder
 from matcam.batch.job import Job, Outcome
 from matcam.batch.recipe import (
@@ -30,7 +30,6 @@ from matcam.core import checks
 from matcam.core.errors import ArgumentError
 from matcam.core.grid import SAMPLINGS, Sampling
 from matcam.core.io import one_by_one
-from matcam.core.jax import Device, has_gpu
 from matcam.core.registry import FAMILIES
 from matcam.core.threads import available_cores
 from matcam.core.workspace import Workspace
@@ -39,9 +38,6 @@ from matcam.inverse.fit.fit_setup import AUTO
 from matcam.inverse.operator.lobe_operator import check_rig
 from matcam.material.masking import MASKINGS, Masking
 from matcam.rigs import Rig
-
-_CORES_LIKE_A_GPU = 5
-"""Cores that correct as many tables an hour as a GPU: 24 tables took 106 s on an H200, and 31 s on 16 cores beside it."""
 
 
 class Progress(NamedTuple):
@@ -113,7 +109,6 @@ def correct_all(
     anyway: bool = False,
     sampling: Sampling = "centre",
     workers: int | None = None,
-    device: Device | None = None,
     cluster: str | None = None,
     pages: bool = True,
     compress: bool = True,
@@ -148,8 +143,6 @@ def correct_all(
         sampling: where in its cell a value was sampled, "centre" or "edge"; the file does not say. Default: "centre".
         workers: number of worker processes of one core each, in [1, 1024]. Default: None, one for each core that this
             process may use.
-        device: "cpu", or "gpu" for threads of this process that share a GPU. Default: None, the faster of both: the
-            processor from five cores on, and wherever there is no GPU.
         cluster: run on Dask instead: "local:2" for workers on this machine, or the address of a scheduler. Its workers
             must have one thread, see the same folders and have the same versions. Default: None.
         pages: whether each material gets a page to read. Default: True.
@@ -158,7 +151,7 @@ def correct_all(
         fit_camera: whether to fit the rig's blur jointly to the few materials with the narrowest lobes. All are then
             corrected with that blur and its covariance, kept as camera.json. Default: False.
         time_limit: time after which a worker process that is still at one material is killed, and the material has
-            failed, s. Threads and clusters have none. Default: 3600.
+            failed, s. Clusters have none. Default: 3600.
         force: whether to replace what is in the folder and correct everything again. Default: False.
         watch: function that is called with a `Progress` at the start and after each material. Default: does nothing.
         corrector: function (table, rig, options) that corrects one table; it must stand at the top of a module, because
@@ -192,9 +185,7 @@ def correct_all(
     checks.within("glare", glare, 0, 0.5)
     checks.choice("sampling", sampling, SAMPLINGS)
     checks.positive("time_limit", time_limit, "s")
-    if device is not None:
-        checks.choice("device", device, get_args(Device))
-    executor = _executor(workers, cluster, time_limit, device or ("cpu" if workers else faster_device()))
+    executor = _executor(workers, cluster, time_limit)
     if zarr:
         checks.extra("a run's Zarr", "scale", "zarr")
     recipe = Recipe(rig, Options(ndf, masking, glare, anyway, workspace), sampling, pages, compress, corrector)
@@ -260,12 +251,7 @@ def _run_jobs(
     return replace(run, corrected=tuple(corrected), failures=tuple(failures))
 
 
-def faster_device() -> Device:
-    """Return the device on which a run ends sooner on this machine: its processor's cores, or its GPU."""
-    return "gpu" if has_gpu() and available_cores() < _CORES_LIKE_A_GPU else "cpu"
-
-
-def _executor(workers: int | None, cluster: str | None, time_limit: float, device: Device) -> Executor:
+def _executor(workers: int | None, cluster: str | None, time_limit: float) -> Executor:
     """Choose who does the jobs."""
     if cluster is not None:
         chosen = ClusterExecutor(cluster)
@@ -273,9 +259,7 @@ def _executor(workers: int | None, cluster: str | None, time_limit: float, devic
             raise ArgumentError("workers are of this machine, cluster says where others are: give one of them")
         return chosen
     if workers is None:
-        return ThreadExecutor() if device == "gpu" else ProcessExecutor(available_cores(), time_limit)
-    if device == "gpu":
-        raise ArgumentError("workers are processes of one core each: leave them out where device is 'gpu'")
+        return ProcessExecutor(available_cores(), time_limit)
     if type(workers) is not int or not 1 <= workers <= 1024:
         raise ArgumentError(f"workers must be a whole number in [1, 1024], got {workers!r}")
     return ProcessExecutor(workers, time_limit)

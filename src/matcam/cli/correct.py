@@ -150,13 +150,9 @@ def command(
     from matcam.core.jax import use_compilation_cache
     from matcam.core.workspace import Workspace
 
-    chosen: Any = None
-    if alone:
-        choose_device(device)
-    elif cluster is None:
-        from matcam.batch.run import faster_device
-
-        chosen = choose_device(device or ("cpu" if workers else None), faster_device())
+    if device == "gpu" and not alone:
+        raise ArgumentError("--device gpu is for one table: a run takes no longer with a process on each core")
+    choose_device(device)
     use_compilation_cache()
     workspace = Workspace.user()
     near: dict[str, Any] = {
@@ -199,7 +195,7 @@ def command(
                 show.remark(progress.last.reason)
 
         run = correct_all(
-            paths, rig, output or "", sampling=sampling, workers=workers, device=chosen, cluster=cluster, pages=pages,
+            paths, rig, output or "", sampling=sampling, workers=workers, cluster=cluster, pages=pages,
             compress=compress, zarr=zarr, fit_camera=fit_camera, time_limit=time_limit, force=force,
             watch=show_progress, workspace=workspace, **how,
         )  # fmt: skip

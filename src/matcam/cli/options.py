@@ -191,23 +191,19 @@ GlareRadius = Annotated[
 ]
 
 
-def choose_device(device: str | None, faster: str = "cpu") -> str:
+def choose_device(device: str | None) -> None:
     """Let JAX compute on a device, and say which one it is where the machine has a GPU.
 
     Args:
-        device: "cpu" or "gpu", as the user has chosen; None: `faster`.
-        faster: the device on which the command ends sooner. A single table does so on the processor: 5 s on two cores, where
-            a GPU takes 22 s to compile its first and 0.2 s for each of the next. Default: "cpu".
+        device: "cpu" or "gpu", as the user has chosen; None: the processor. There a table takes 5 s on two cores, where a GPU
+            takes 22 s to compile its first and 0.2 s for each of the next.
     """
     from matcam.core.jax import has_gpu, use_device
 
-    chosen: Any = device or faster
+    chosen: Any = device or "cpu"
     use_device(chosen)
     if device is None and has_gpu():
-        names = {"cpu": "the processor", "gpu": "the GPU"}
-        other = "gpu" if chosen == "cpu" else "cpu"
-        show.remark(f"computing on {names[chosen]}, where this takes less time (--device {other}: on {names[other]})")
-    return chosen
+        show.remark("computing on the processor, where this takes less time (--device gpu: on the GPU)")
 
 
 def rig_of(

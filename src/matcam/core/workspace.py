@@ -14,7 +14,7 @@ import io
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cache
 from importlib import metadata
 from pathlib import Path
@@ -39,8 +39,6 @@ class Workspace:
         entries: results of each kind kept in memory, the latest used; 0: none (no unit). Default: 6, enough for the rigs and
             slices of one correction.
         files: files kept in `folder`, the latest written (no unit). Default: 12, at most some hundred MB.
-        batch: what computes the lobes of several fits together, as a `RecordBatch` does for threads that share a GPU. Default:
-            None, each fit computes its own.
 
     Raises:
         ArgumentError: `entries` or `files` is not a whole number >= 0.
@@ -57,7 +55,6 @@ class Workspace:
     folder: Path | None = None
     entries: int = 6
     files: int = 12
-    batch: Any = field(default=None, repr=False, compare=False)
     _memory: dict[str, OrderedDict[Hashable, Any]] = field(default_factory=dict, init=False, repr=False, compare=False)
     _lock: threading.Lock = field(default_factory=threading.Lock, init=False, repr=False, compare=False)
 
@@ -70,7 +67,7 @@ class Workspace:
             object.__setattr__(self, "folder", Path(self.folder))
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Travel to another process without what is in memory, and without a batch."""
+        """Travel to another process without what is in memory."""
         return type(self), (self.folder, self.entries, self.files)
 
     @classmethod
@@ -83,20 +80,6 @@ class Workspace:
             The workspace that keeps files in the folder `rules` of `user_cache_folder`, always the same one.
         """
         return _user_workspace(user_cache_folder() / "rules")
-
-    def with_batch(self, batch: Any) -> Workspace:
-        """Return the same workspace, memory and all, for fits whose lobes a batch computes.
-
-        Args:
-            batch: the batch, as for the workspace itself.
-
-        Returns:
-            A workspace that shares this one's memory and folder.
-        """
-        other = replace(self, batch=batch)
-        object.__setattr__(other, "_memory", self._memory)
-        object.__setattr__(other, "_lock", self._lock)
-        return other
 
     def remember(self, kind: str, key: Hashable, make: Callable[[], T], most: int | None = None) -> T:
         """Return what `make` returned for this key before, or call it.

@@ -1,11 +1,8 @@
-"""Executors on this machine: processes of one core each, or threads of this process that share a GPU.
+"""The executor on this machine: processes of one core each.
 
 Each worker process has a pipe of its own, so that one that is killed in the middle of a message harms no other, and the job
 that it had is known. That is why this is no `pebble.ProcessPool`: its workers share a pipe, and some kills break or block
 the whole pool.
-
-Threads have their lobes recorded in one program. A fit's search stays on the processor; what the searches ask of the
-operator within a millisecond is computed together.
 """
 
 from __future__ import annotations
@@ -19,7 +16,6 @@ import threading
 import time
 from collections import deque
 from collections.abc import Generator, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass
 from multiprocessing import connection
 from typing import Any
@@ -28,8 +24,6 @@ from matcam.batch.executors import Executor, one_core_environment
 from matcam.batch.job import Job, Outcome, attempt
 from matcam.core.errors import MatcamError
 from matcam.core.memory import free_for_the_next
-from matcam.core.workspace import default_workspace
-from matcam.inverse.fit.lobe_slopes import RecordBatch
 
 # not fork: JAX has threads, and a fork would copy their locks without them
 _SPAWN = multiprocessing.get_context("spawn")
@@ -106,37 +100,6 @@ class ProcessExecutor(Executor):
     def _limit_of(self, worker: _Worker) -> float | None:
         """Return how long a worker may be silent: one that starts, one with a job; one without waits for nothing."""
         return _START_LIMIT if not worker.ready else self.time_limit if worker.job is not None else None
-
-
-@dataclass(frozen=True)
-class ThreadExecutor(Executor):
-    """Do jobs in threads of this process.
-
-    Attributes:
-        seats: materials at a time. Sixteen records fill a GPU, and their tables take some GiB of memory.
-    """
-
-    seats: int = 16
-
-    def outcomes(self, jobs: Sequence[Job]) -> Generator[Outcome]:
-        """Do jobs and yield their outcomes as they come."""
-        if not jobs:
-            return
-        seats = min(self.seats, len(jobs))
-        with RecordBatch(seats) as batch:
-
-            def attempt_in_batch(job: Job) -> Outcome:
-                workspace = job.recipe.options.workspace or default_workspace()
-                return attempt(job, workspace.with_batch(batch))
-
-            # what depends on the rig alone is computed by the first, and found by the others
-            yield attempt_in_batch(jobs[0])
-            pool = ThreadPoolExecutor(seats)
-            try:
-                for future in as_completed([pool.submit(attempt_in_batch, job) for job in jobs[1:]]):
-                    yield future.result()
-            finally:
-                pool.shutdown(cancel_futures=True)
 
 
 class _Worker:

@@ -22,7 +22,7 @@ from matcam.core.jax import jax, jnp, placed
 from matcam.core.programs import kept_program
 from matcam.inverse.fit.fit_data import FitData, Whitening, whitening
 from matcam.inverse.fit.fit_parameters import FresnelModel, Layout, reflectance_at
-from matcam.inverse.fit.lobe_slopes import RecordAndSlopes, RecordBatch, record_and_slopes
+from matcam.inverse.fit.lobe_slopes import RecordAndSlopes, record_and_slopes
 from matcam.inverse.fit.strength_slopes import StrengthSlopes
 from matcam.inverse.operator.chosen_cells import ChosenCells
 from matcam.inverse.operator.lobe_operator import LobeOperator
@@ -125,7 +125,6 @@ class FitProblem:
         layout: order of the parameters.
         prior: what is known of them.
         radius: radius of the sphere, px.
-        batch: computes lobes together with those of other fits; None: alone.
     """
 
     def __init__(
@@ -136,15 +135,14 @@ class FitProblem:
         layout: Layout,
         prior: Prior,
         radius: float,
-        batch: RecordBatch | None = None,
     ):
         self.data, self.cells, self.operator = data, cells, operator
-        self.layout, self.prior, self.radius, self.batch = layout, prior, radius, batch
+        self.layout, self.prior, self.radius = layout, prior, radius
         self._last: dict[int, tuple[bytes, list[RecordAndSlopes]]] = {}
 
     def with_layout(self, layout: Layout) -> FitProblem:
         """Return the same problem with other parameters."""
-        return FitProblem(self.data, self.cells, self.operator, layout, self.prior, self.radius, self.batch)
+        return FitProblem(self.data, self.cells, self.operator, layout, self.prior, self.radius)
 
     @property
     def theta_d(self) -> np.ndarray:
@@ -256,8 +254,7 @@ class FitProblem:
         q = np.concatenate([p[self.layout.lobe(index)], p[self.layout.rig]])
         key = q.tobytes()
         if index not in self._last or self._last[index][0] != key:
-            kind, batch = self.layout.kind, self.batch
-            self._last[index] = key, [record_and_slopes(one, kind, q, batch) for one in self.operator.orders]
+            self._last[index] = key, [record_and_slopes(one, self.layout.kind, q) for one in self.operator.orders]
         return self._last[index][1]
 
     def gain(self, noise: PixelNoise) -> float:

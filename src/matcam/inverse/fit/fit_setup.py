@@ -253,8 +253,7 @@ class FitSetup:
         layout = self.layout  # first: it checks the arguments
         cells, operator = self.rule()
         radius = (self.view if self.rig is None else sample_view(self.rig)).radius
-        batch = (self.workspace or default_workspace()).batch
-        return FitProblem(fit_data(self.tables, cells), cells, operator, layout, self.prior, radius, batch)
+        return FitProblem(fit_data(self.tables, cells), cells, operator, layout, self.prior, radius)
 
     @property
     def axes_with_doubts(self) -> tuple[Axis, ...]:
