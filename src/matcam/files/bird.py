@@ -34,6 +34,9 @@ _VALUE_UNITS = ("1/sr", "sr^-1")
 _NANO = {"nm": 1.0, "μm": 1e3, "µm": 1e3, "um": 1e3}
 _MOST = 2_000_000
 """Readings that are written, at most: each takes about 100 bytes."""
+_SPARSEST = 1000
+"""Cells of the table that is read for each reading, at most: it grows with the square of the readings where each is of
+another pair of directions and another channel. The 50,000 readings of the largest document then take 400 MB."""
 _NOT_STATED = "not stated"
 _GRAZING = 1e-9
 """Distance from 90 degrees that angles keep: the schema excludes 90 degrees itself."""
@@ -80,8 +83,13 @@ def read_bird(path: str | Path) -> xr.DataArray:
     pairs = np.stack([np.mod(a, 2 * np.pi) for a in angles], axis=1).round(9)
     unique, first, place = np.unique(pairs, axis=0, return_index=True, return_inverse=True)
     order = np.argsort(np.argsort(first))  # pairs of directions in the order of the file
+    if len(unique) * len(names) > _SPARSEST * len(values):
+        raise FileFormatError(
+            f"{path}: {len(values)} readings are too few for {len(unique)} pairs of directions in {len(names)} channels"
+        )
     table = np.full((len(unique), len(names)), np.nan)
-    column = np.array([names.index(one) for one in channel])
+    number = {name: k for k, name in enumerate(names)}
+    column = np.array([number[one] for one in channel])
     row = order[place.reshape(-1)]
     if len(set(zip(row.tolist(), column.tolist(), strict=True))) < len(values):
         raise FileFormatError(f"{path}: states several values of one pair of directions and channel")
