@@ -29,7 +29,7 @@ from matcam.camera.camera import Camera
 from matcam.core import checks
 from matcam.core.errors import ArgumentError
 from matcam.core.grid import SAMPLINGS, Sampling
-from matcam.core.io import one_by_one
+from matcam.core.io import is_there, one_by_one
 from matcam.core.jax import Device, has_gpu
 from matcam.core.registry import FAMILIES
 from matcam.core.threads import available_cores
@@ -191,6 +191,16 @@ def correct_all(
     checks.choice("masking", masking, MASKINGS)
     checks.within("glare", glare, 0, 0.5)
     checks.choice("sampling", sampling, SAMPLINGS)
+    switches = {
+        "anyway": anyway,
+        "pages": pages,
+        "compress": compress,
+        "zarr": zarr,
+        "fit_camera": fit_camera,
+        "force": force,
+    }
+    for name, switch in switches.items():
+        checks.flag(name, switch)
     checks.positive("time_limit", time_limit, "s")
     if device is not None:
         checks.choice("device", device, get_args(Device))
@@ -207,7 +217,7 @@ def correct_all(
         jobs = [Job(source, target, recipe, force=True, key=key) for source, target in outputs.items()]
         ours = folder.check(settings, jobs, force=force)
         fitted: Camera | None = None
-        if fit_camera and (force or not ours or not folder.camera.exists()):
+        if fit_camera and (force or not ours or not is_there(folder.camera)):
             fitted = fit_shared_camera(recipe, list(outputs))
         # from here on the folder is this run's; before, a run that cannot start has changed nothing
         if not ours:

@@ -10,6 +10,7 @@ import typer
 from matcam.cli import show
 from matcam.cli.common import with_common
 from matcam.cli.options import AsJson, Command, Force, Group
+from matcam.core.io import is_folder, is_there
 
 app = typer.Typer(no_args_is_help=True, cls=Group)
 
@@ -56,7 +57,7 @@ def merl(
     for name in materials:
         if name not in known:
             raise unknown_name("MERL material", name, known)
-    if output.exists() and not output.is_dir():
+    if is_there(output) and not is_folder(output):
         raise OutputError(f"output {output} is a file: give a folder")
     fetched, failed = [], []
     for name in materials:

@@ -5,7 +5,7 @@ Traced values (inside jit, grad, vmap) have no numbers yet and pass; the outermo
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from importlib.util import find_spec
@@ -128,11 +128,38 @@ def _is_one(value: Any, one: Any) -> bool:
     )
 
 
+def flag(name: str, value: Any) -> bool:
+    """Return `value` if it is True or False, NumPy's too: a text or an array would count as True. ArgumentError otherwise."""
+    if not isinstance(value, bool | np.bool_):
+        raise ArgumentError(f"{name} must be True or False, got {_shown(value)}")
+    return bool(value)
+
+
 def instance(name: str, value: Any, kind: type[T]) -> T:
     """Return `value` if it is of a class; ArgumentError names the class otherwise."""
     if not isinstance(value, kind):
         raise ArgumentError(f"{name} must be a {kind.__name__}, got {_shown(value)}")
     return value
+
+
+def instances(name: str, values: Any, kind: type[T]) -> list[T]:
+    """Return values as a list if each is of a class; ArgumentError names the class otherwise."""
+    if isinstance(values, str | bytes) or not isinstance(values, Iterable):
+        raise ArgumentError(f"{name} must be a sequence of {kind.__name__}, got {_shown(values)}")
+    found = list(values)
+    for number, value in enumerate(found, 1):
+        instance(f"entry {number} of {name}", value, kind)
+    return found
+
+
+def broadcast(**arrays: jax.Array) -> tuple[jax.Array, ...]:
+    """Broadcast arrays to one shape; ArgumentError names them and their shapes where they do not fit each other."""
+    try:
+        return tuple(xp.broadcast_arrays(*arrays.values()))
+    except ValueError:
+        *names, last = arrays
+        shapes = ", ".join(str(np.shape(array)) for array in arrays.values())
+        raise ArgumentError(f"{', '.join(names)} and {last} must have shapes that broadcast, got {shapes}") from None
 
 
 def extra(what: str, name: str, module: str) -> None:

@@ -313,6 +313,34 @@ def reading(path: Path, what: str = "") -> Iterator[None]:
         raise FileFormatError(f"{path}: cannot be read: {error.strerror or error}") from None
 
 
+def is_there(path: Path) -> bool:
+    """Check whether there is a file or folder. A name that the system refuses, such as one that is too long, names none."""
+    return os.path.exists(path)  # noqa: PTH110  # Path.exists raises an error for such a name
+
+
+def is_file(path: Path) -> bool:
+    """Check whether there is a file, as `is_there` does."""
+    return os.path.isfile(path)  # noqa: PTH113
+
+
+def is_folder(path: Path) -> bool:
+    """Check whether there is a folder, as `is_there` does."""
+    return os.path.isdir(path)  # noqa: PTH112
+
+
+def check_folder(path: Path, hint: str = "") -> None:
+    """Refuse what is no folder. FileFormatError; `hint` states what to give instead."""
+    if is_there(path) and not is_folder(path):
+        raise FileFormatError(f"{path}: is no folder{hint}")
+    try:
+        path.stat()
+    except FileNotFoundError:
+        raise FileFormatError(f"{path}: no such folder") from None
+    except (OSError, ValueError):
+        with reading(path):  # which states what is wrong with the name
+            raise
+
+
 UNPRINTABLE = "[\x00-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069\ud800-\udfff]"
 """Characters that move a terminal's cursor or change its state, and bytes of a name that are no text."""
 

@@ -26,7 +26,7 @@ import numpy as np
 from pydantic import ValidationError
 
 from matcam.core.errors import FileFormatError
-from matcam.core.io import check_within
+from matcam.core.io import check_folder, check_within, is_file, is_folder
 from matcam.core.readers.texts import checked_version, first_problem, read_lines, read_toml
 from matcam.core.registry import CFAS
 from matcam.core.remark import Remark, some_of
@@ -201,10 +201,7 @@ def read_capture(folder: str | Path) -> Capture:
         matcam.core.errors.FileFormatError: none: no such folder
     """
     folder = Path(folder)
-    if not folder.is_dir():
-        raise FileFormatError(
-            f"{folder}: " + ("is no folder: give a capture's" if folder.exists() else "no such folder")
-        )
+    check_folder(folder, ": give a capture's")
     settings = read_settings(folder / SETTINGS)
     if settings["camera"]["profile"] is not None:
         _inside(folder, settings["camera"]["profile"])
@@ -341,7 +338,7 @@ def _frame(
         raise FileFormatError(f"{path}: lies in none of {', '.join(KINDS)}")
     if name in seen:
         raise FileFormatError(f"{path}: is listed twice")
-    if not path.is_file():
+    if not is_file(path):
         return None
     if path.suffix.lower() not in PICTURES:
         raise FileFormatError(f"{path}: is no picture by its suffix")
@@ -381,7 +378,7 @@ def _unlisted(folder: Path, frames: Iterable[CaptureFrame], problems: Iterable[R
     extra: list[str] = []
     for kind in KINDS:
         place = folder / kind
-        if not place.is_dir() or not place.resolve().is_relative_to(folder.resolve()):
+        if not is_folder(place) or not place.resolve().is_relative_to(folder.resolve()):
             continue
         for path in sorted(place.iterdir()):
             name = f"{kind}/{path.name}"

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from matcam.core.errors import OutputError
-from matcam.core.io import all_or_nothing, make_folder, replacing
+from matcam.core.io import all_or_nothing, is_folder, is_there, make_folder, replacing
 from matcam.files.capture import COLUMNS, KINDS, LIST, SETTINGS
 
 TEMPLATE = """\
@@ -81,7 +81,7 @@ def write_template(folder: str | Path, rows: Iterable[Mapping[str, Any]] = (), *
         OutputError: a file exists and `force` is False, or the folder cannot be written.
     """
     folder = Path(folder)
-    if folder.exists() and not folder.is_dir():
+    if is_there(folder) and not is_folder(folder):
         raise OutputError(f"output {folder} is a file: give a folder")
     texts = {SETTINGS: TEMPLATE, LIST: _table(rows)}
     with all_or_nothing():

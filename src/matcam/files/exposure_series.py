@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from matcam.core.errors import FileFormatError
-from matcam.core.io import check_within, reading
+from matcam.core.io import check_within, is_file, is_folder, reading
 from matcam.core.readers.texts import read_lines
 from matcam.files.photographs import PICTURES
 from matcam.files.picture_header import exposure_time
@@ -92,7 +92,7 @@ def read_exposure_series(path: str | Path) -> ExposureSeries:
     """
     path = Path(path)
     with reading(path):
-        folder = path.is_dir()
+        folder = is_folder(path)
         path.stat()
     if not folder:
         return _described(path)
@@ -153,7 +153,7 @@ def _number(cell: str) -> float:
 def _listed(folder: Path) -> ExposureSeries:
     """Find the frames of a folder by their names."""
     found: dict[tuple[bool, str], ExposureSet] = {}
-    files = sorted(one for one in folder.rglob("*") if one.suffix.lower() in PICTURES and one.is_file())
+    files = sorted(one for one in folder.rglob("*") if one.suffix.lower() in PICTURES and is_file(one))
     for file in files:
         inside = file.relative_to(folder)
         lit = next(

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from matcam.core.errors import ArgumentError, FileFormatError
-from matcam.core.io import reading
+from matcam.core.io import is_folder, is_there, reading
 
 CONTENTS = {
     "table": "a table on the MERL grid",
@@ -300,7 +300,7 @@ def decoded_by(paths: Iterable[Path]) -> list[str]:
     suffixes = set()
     for path in paths:
         with contextlib.suppress(OSError, ValueError):  # the command will say so
-            inside = path.iterdir() if path.is_dir() else [path] if path.exists() else []
+            inside = path.iterdir() if is_folder(path) else [path] if is_there(path) else []
             suffixes |= {file.suffix.lower() for file in islice(inside, _MOST_LOOKED_AT)}
     return sorted({module for suffix in suffixes & set(_DECODERS) for module in _DECODERS[suffix]})
 

@@ -1,6 +1,7 @@
 """Decode tables (CSV, RGL, UTIA), apart: what runs in a process of its own (core/readers/apart.py).
 
-samples.py, rgl.py and utia.py describe the formats. This file imports neither xarray nor JAX, which the process would have to load.
+samples.py, rgl.py and utia.py describe the formats. This file imports neither xarray nor JAX, which the process would have
+to load.
 """
 
 from __future__ import annotations

@@ -140,13 +140,8 @@ def rig_highlights(
     angle = checked_lamp_angles(lamp_angle, rig.lamp, sample.distance)
     share = checks.within("reflectance", reflectance, 0, np.inf, open_high=True)
     turn = rig.azimuths(azimuth)
-    try:
-        lobe, angle, share, turn = jnp.broadcast_arrays(lobe, angle, share, turn)
-    except ValueError:
-        shapes = [a.shape for a in (lobe, angle, turn, share)]
-        raise ArgumentError(
-            f"width, lamp_angle, azimuth and reflectance must have shapes that broadcast, got {shapes}"
-        ) from None
+    given = checks.broadcast(width=lobe, lamp_angle=angle, azimuth=turn, reflectance=share)
+    lobe, angle, turn, share = map(jnp.asarray, given)
     u, theta_d = sample.highlight(angle, near), sample.theta_d(angle, near)
     x = sample.surface(u, jnp.zeros(())).x
     along, across = sample.px_per_rad(theta_d, near)
@@ -181,17 +176,12 @@ def _light_arrays(highlights: Highlights) -> _Lights:
         raise ArgumentError(
             f"highlights must be Highlights(flux, x, y, std_along, std_across), got {type(highlights).__name__}"
         )
-    values = [checks.number(name, getattr(highlights, name)) for name in ("flux", "x", "y")]
+    values = {name: checks.number(name, getattr(highlights, name)) for name in ("flux", "x", "y")}
     for name in ("std_along", "std_across"):
-        values.append(checks.within(name, getattr(highlights, name), 0, np.inf, "px", open_high=True))
+        values[name] = checks.within(name, getattr(highlights, name), 0, np.inf, "px", open_high=True)
     if highlights.angle is not None:
-        values.append(checks.number("angle", highlights.angle))
-    try:
-        return _Lights(*jnp.broadcast_arrays(*values))
-    except ValueError:
-        raise ArgumentError(
-            f"shapes of the highlights' numbers do not broadcast: {[a.shape for a in values]}"
-        ) from None
+        values["angle"] = checks.number("angle", highlights.angle)
+    return _Lights(*map(jnp.asarray, checks.broadcast(**values)))
 
 
 class _PixelEdges(eqx.Module):

@@ -123,6 +123,7 @@ def fresnel(
     brdf = checked_table(brdf)
     _check(rig, ndf, normalise)
     checks.choice("masking", masking, MASKINGS)
+    checks.flag("anyway", anyway)
     _check_highlight(brdf, normalise)
     located = located_rig(rig, brdf)
     setup = first_setup(

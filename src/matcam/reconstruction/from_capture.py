@@ -78,6 +78,7 @@ def reconstruct(
     """
     checks.choice("ndf", ndf, (AUTO, *FAMILIES))
     checks.choice("masking", masking, MASKINGS)
+    checks.flag("diffuse", diffuse)
     if not isinstance(capture, Capture):
         capture = read_capture(capture)
     say = progress or (lambda step, done, total: None)

@@ -27,6 +27,7 @@ from matcam.batch.folder import SETTINGS
 from matcam.batch.job import Job, Outcome, attempt
 from matcam.core import checks
 from matcam.core.errors import ArgumentError, MatcamError
+from matcam.core.io import is_file
 from matcam.core.jax import use_compilation_cache
 from matcam.core.memory import free_for_the_next
 from matcam.core.workspace import Workspace
@@ -208,7 +209,7 @@ def _check_workers(client: Any, folder: Path) -> int:
 
 def _worker_report(path: str) -> dict[str, Any]:
     """Return a worker's versions, and whether it sees a file."""
-    return {"versions": versions(), "sees": Path(path).is_file()}
+    return {"versions": versions(), "sees": is_file(Path(path))}
 
 
 def _with_absolute_paths(job: Job) -> Job:
