@@ -45,6 +45,23 @@ def test_help_groups_commands_and_tells_exit_codes(matcam):
     assert text == matcam("--help").stdout
 
 
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["reconstruct", "LONG"], ["reconstruct", "LONG", "-o", "a.binary"], ["correct", "LONG"],
+        ["correct", "LONG", "-o", "out"], ["correct", "a.binary", "-o", "LONG"], ["fit", "LONG"], ["fresnel", "LONG"],
+        ["calibrate", "LONG"], ["calibrate", "a.tif", "--tone", "LONG"], ["capture", "init", "out", "--from", "LONG"],
+        ["capture", "check", "LONG"], ["simulate", "--capture", "LONG"], ["app", "LONG"], ["inspect", "LONG"],
+        ["convert", "LONG", "a.nc"], ["edge", "LONG"], ["sensor", "LONG"], ["predict", "0.01", "--rig", "LONG"],
+    ],
+    ids=" ".join,
+)  # fmt: skip
+def test_a_name_that_the_system_refuses_is_one_line(matcam, words):
+    said = matcam(*["x" * 300 if word == "LONG" else word for word in words], code=2).stderr
+    assert said.startswith("matcam: ")
+    assert said.count("\n") == 1
+
+
 def test_a_rig_file_stands_for_options(matcam, rig_file):
     by_file = json.loads(matcam("predict", 0.01, "--rig", rig_file, "--json").stdout)
     by_options = json.loads(

@@ -14,6 +14,7 @@ from matcam.exchange.conversion import convert
 from matcam.files.formats import FORMATS, format_for, identify
 from matcam.files.light_positions import LightPosition, read_light_positions, write_light_positions
 from matcam.io import read_bird, read_samples, read_utia, read_zemax, write_bird
+from tests.files.text_readers import ZEMAX
 from tests.oracle.directions import half_and_difference
 
 
@@ -89,34 +90,6 @@ def test_damaged_bird_documents_are_refused(tmp_path, samples, change, message):
     (tmp_path / "a.brdf").write_text(json.dumps(document))
     with pytest.raises(FileFormatError, match=message):
         read_bird(tmp_path / "a.brdf")
-
-
-ZEMAX = """# a comment
-Source Measured
-Symmetry PlaneSymmetrical
-SpectralContent Monochrome
-ScatterType BRDF
-SampleRotation 1
-0
-AngleOfIncidence 2
-30 60
-ScatterAzimuth 3
-0 90 180
-ScatterRadial 3
-0 20 40
-
-Monochrome
-DataBegin
-TIS 0.1
-1 2 3
-1 4 5
-1 6 7
-TIS 0.2
-8 9 10
-8 11 12
-8 13 14
-DataEnd
-"""
 
 
 def test_zemax_directions_are_about_the_mirror_direction(tmp_path):

@@ -10,7 +10,6 @@ import typer
 from matcam.cli import show
 from matcam.cli.common import with_common
 from matcam.cli.options import AsJson, Command, Force, Group
-from matcam.core.io import is_folder, is_there
 
 app = typer.Typer(no_args_is_help=True, cls=Group)
 
@@ -45,7 +44,7 @@ def merl(
     Example: `matcam data merl chrome nickel -o merl`
     """
     from matcam.core.errors import ArgumentError, DownloadError, OutputError, unknown_name
-    from matcam.core.io import one_by_one
+    from matcam.core.io import check_output_folder, one_by_one
     from matcam.files.downloads import fetch_merl, merl_checksums
 
     known = merl_checksums()
@@ -57,8 +56,7 @@ def merl(
     for name in materials:
         if name not in known:
             raise unknown_name("MERL material", name, known)
-    if is_there(output) and not is_folder(output):
-        raise OutputError(f"output {output} is a file: give a folder")
+    check_output_folder(output)
     fetched, failed = [], []
     for name in materials:
         try:

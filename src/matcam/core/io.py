@@ -67,6 +67,18 @@ def _check_place(path: Path, inputs: Iterable[str | Path]) -> None:
             break
 
 
+def check_output_folder(path: Path) -> None:
+    """Refuse, before any work, a folder for outputs that is a file or cannot be made. OutputError."""
+    if is_there(path) and not is_folder(path):
+        raise OutputError(f"output {path} is a file: give a folder")
+    try:
+        path.stat()
+    except FileNotFoundError:
+        pass
+    except (OSError, ValueError) as error:
+        raise OutputError(f"output {path!s:.300} cannot be written: {getattr(error, 'strerror', error)}") from None
+
+
 def check_picture(path: str | Path, *, force: bool, inputs: Iterable[str | Path] = ()) -> Path:
     """Check an output that is a picture, whose suffix chooses the format, as `check_output` does."""
     path = check_output(path, force=force, inputs=inputs)

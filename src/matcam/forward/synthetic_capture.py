@@ -20,7 +20,7 @@ from matcam.camera.camera import Camera
 from matcam.camera.optics.optics import checked_isotropic
 from matcam.camera.sensor import Sensor
 from matcam.core.errors import ArgumentError, OutputError
-from matcam.core.io import is_folder, is_there, replacing, write_json
+from matcam.core.io import check_output_folder, is_folder, replacing, write_json
 from matcam.files.capture_writing import write_codes, write_description
 from matcam.forward.synthetic_samples import RADIUS_MM, LampErrors, SyntheticSample, synthetic_sample
 from matcam.lamp.lamps import NearLamp
@@ -121,7 +121,8 @@ def simulate_capture(
         got = f"{len(plan.theta_d)}, {plan.exposures} and {plan.step:g}"
         raise ArgumentError(f"plan must have lamp positions, 1 to 12 exposures and a step above 1, got {got}")
     folder = Path(folder)
-    if is_there(folder) and (not is_folder(folder) or (_holds_files(folder) and not force)):
+    check_output_folder(folder)
+    if _holds_files(folder) and not force:
         raise OutputError(f"output {folder} exists and is not empty: use force=True to write into it")
     rng = np.random.default_rng(seed)
     errors = LampErrors(plan.lamp_std, plan.gain_std, plan.shift_std)
