@@ -50,6 +50,11 @@ TABLE = xr.DataArray(np.zeros(3), dims="x")
             "zarr must be True or False, got 'no'",
         ),
         (
+            lambda: matcam.correct_all([], RIG, "out", workers=SWITCH),
+            "workers must be a whole number in [1, 1024] or None, got <xarray.DataArray",
+        ),
+        (lambda: matcam.targets.design_chart(page=[[1], [1, 2]]), "page must be an array, got a list of rows"),
+        (
             lambda: matcam.fresnel_conductor([], np.ones(3), np.ones(2)),
             "theta, n and k must have shapes that broadcast, got (0,), (3,), (2,)",
         ),

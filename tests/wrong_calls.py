@@ -35,7 +35,7 @@ class TooLongError(BaseException):
 
 
 def public():
-    """Every public callable by its name: functions, classes and the methods of objects made here."""
+    """Every public function and class by its name."""
     found = {}
     for suffix in _MODULES:
         module = importlib.import_module(f"matcam{suffix}")

@@ -191,6 +191,7 @@ def correct_all(
     checks.choice("masking", masking, MASKINGS)
     checks.within("glare", glare, 0, 0.5)
     checks.choice("sampling", sampling, SAMPLINGS)
+    checks.whole_number("workers", workers, 1, 1024, optional=True)
     switches = {
         "anyway": anyway,
         "pages": pages,
@@ -286,8 +287,6 @@ def _executor(workers: int | None, cluster: str | None, time_limit: float, devic
         return ThreadExecutor() if device == "gpu" else ProcessExecutor(available_cores(), time_limit)
     if device == "gpu":
         raise ArgumentError("workers are processes of one core each: leave them out where device is 'gpu'")
-    if type(workers) is not int or not 1 <= workers <= 1024:
-        raise ArgumentError(f"workers must be a whole number in [1, 1024], got {workers!r}")
     return ProcessExecutor(workers, time_limit)
 
 

@@ -128,6 +128,18 @@ def _is_one(value: Any, one: Any) -> bool:
     )
 
 
+def whole_number(
+    name: str, value: Any, low: int, high: int | None = None, *, unit: str = "", optional: bool = False
+) -> int | None:
+    """Return `value` if it is an int in [low, high], or None where it is optional; ArgumentError otherwise."""
+    if (optional and value is None) or (type(value) is int and low <= value and (high is None or value <= high)):
+        return value
+    interval = f">= {low}" if high is None else f"in [{low}, {high}]"
+    raise ArgumentError(
+        f"{name} must be a whole number{unit and ' of ' + unit} {interval}{' or None' * optional}, got {_shown(value)}"
+    )
+
+
 def flag(name: str, value: Any) -> bool:
     """Return `value` if it is True or False, NumPy's too: a text or an array would count as True. ArgumentError otherwise."""
     if not isinstance(value, bool | np.bool_):

@@ -89,8 +89,7 @@ def highlight_stamps(camera: Camera, size: int, highlights: Highlights) -> jax.A
         (2, 9, 9) [1. 1.]
     """
     lens = _gaussians(camera)
-    if not isinstance(size, int) or not 1 <= size <= _LARGEST:
-        raise ArgumentError(f"size must be a whole number of pixels in [1, {_LARGEST}], got {size!r:.60}")
+    checks.whole_number("size", size, 1, _LARGEST, unit="pixels")
     lights = _light_arrays(highlights)
     pixel: BoxPixel = camera.pixel  # type: ignore[assignment]
     edges = _PixelEdges(size, is_concrete(pixel.half_width) and float(pixel.half_width) == 0.5, pixel.half_width)
