@@ -62,6 +62,14 @@ TABLE = xr.DataArray(np.zeros(3), dims="x")
             lambda: matcam.forward.texture_contrast(matcam.Rig(RIG.camera, matcam.Flat()), [0.1, 0.2], [0.1, 0.2, 0.3]),
             "frequency and theta_o must have shapes that broadcast, got (2,), (3,)",
         ),
+        (
+            lambda: RIG.camera.esf([0.1, 0.2], [0.1, 0.2, 0.3]),
+            "x and angle must have shapes that broadcast, got (2,), (3,)",
+        ),
+        (
+            lambda: matcam.Microfacet(LOBE, 0.9).brdf([0.1, 0.2], [0.1, 0.2, 0.3], 0),
+            "theta_h, theta_d, phi_d and phi_h must have shapes that broadcast, got (2,), (3,), (), ()",
+        ),
         (lambda: matcam.targets.star_mtf(np.ones((20, 20)), cfa=TABLE), "cfa must be one of 'RGGB', 'BGGR'"),
         (lambda: matcam.targets.star_mtf(np.ones((20, 20)), channel=TABLE), "channel must be one of 'R', 'G', 'B'"),
     ],

@@ -164,14 +164,22 @@ def instances(name: str, values: Any, kind: type[T]) -> list[T]:
     return found
 
 
-def broadcast(**arrays: jax.Array) -> tuple[jax.Array, ...]:
-    """Broadcast arrays to one shape; ArgumentError names them and their shapes where they do not fit each other."""
+def broadcastable(**values: ArrayLike) -> tuple[jax.Array, ...]:
+    """Return values as float64 arrays; ArgumentError where one is not finite, or their shapes do not broadcast."""
+    arrays = {name: number(name, value) for name, value in values.items()}
+    broadcast_shape(**arrays)
+    return tuple(arrays.values())
+
+
+def broadcast_shape(**arrays: jax.Array) -> tuple[int, ...]:
+    """Return the shape to which arrays broadcast; ArgumentError names them and their shapes where they do not."""
+    shapes = [np.shape(array) for array in arrays.values()]
     try:
-        return tuple(xp.broadcast_arrays(*arrays.values()))
+        return np.broadcast_shapes(*shapes)
     except ValueError:
         *names, last = arrays
-        shapes = ", ".join(str(np.shape(array)) for array in arrays.values())
-        raise ArgumentError(f"{', '.join(names)} and {last} must have shapes that broadcast, got {shapes}") from None
+        text = f"{', '.join(names)} and {last} must have shapes that broadcast, got {', '.join(map(str, shapes))}"
+        raise ArgumentError(text) from None
 
 
 def extra(what: str, name: str, module: str) -> None:

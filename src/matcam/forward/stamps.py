@@ -139,8 +139,8 @@ def rig_highlights(
     angle = checked_lamp_angles(lamp_angle, rig.lamp, sample.distance)
     share = checks.within("reflectance", reflectance, 0, np.inf, open_high=True)
     turn = rig.azimuths(azimuth)
-    given = checks.broadcast(width=lobe, lamp_angle=angle, azimuth=turn, reflectance=share)
-    lobe, angle, turn, share = map(jnp.asarray, given)
+    checks.broadcast_shape(width=lobe, lamp_angle=angle, azimuth=turn, reflectance=share)
+    lobe, angle, share, turn = jnp.broadcast_arrays(lobe, angle, share, turn)
     u, theta_d = sample.highlight(angle, near), sample.theta_d(angle, near)
     x = sample.surface(u, jnp.zeros(())).x
     along, across = sample.px_per_rad(theta_d, near)
@@ -180,7 +180,8 @@ def _light_arrays(highlights: Highlights) -> _Lights:
         values[name] = checks.within(name, getattr(highlights, name), 0, np.inf, "px", open_high=True)
     if highlights.angle is not None:
         values["angle"] = checks.number("angle", highlights.angle)
-    return _Lights(*map(jnp.asarray, checks.broadcast(**values)))
+    checks.broadcast_shape(**values)
+    return _Lights(*jnp.broadcast_arrays(*values.values()))
 
 
 class _PixelEdges(eqx.Module):

@@ -40,7 +40,8 @@ def fresnel_conductor(theta: ArrayLike, n: ArrayLike, k: ArrayLike) -> jax.Array
     """
     theta = checks.within("theta", theta, 0, np.pi / 2, "rad")
     n, k = checks.within("n", n, 0, _LARGEST_INDEX, open_low=True), checks.within("k", k, 0, _LARGEST_INDEX)
-    return _mean_of_polarisations(*checks.broadcast(theta=theta, n=n, k=k))
+    checks.broadcast_shape(theta=theta, n=n, k=k)
+    return _mean_of_polarisations(theta, n, k)
 
 
 @jax.jit

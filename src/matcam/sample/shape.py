@@ -116,7 +116,7 @@ class Flat(Sample):
             ArgumentError: an argument is out of range.
         """
         frequency, theta_o = checks.number("frequency", frequency), checks.viewing_angle("theta_o", theta_o)
-        frequency, theta_o = checks.broadcast(frequency=frequency, theta_o=theta_o)
+        checks.broadcast_shape(frequency=frequency, theta_o=theta_o)
         return frequency / xp.cos(theta_o)
 
     def __repr__(self) -> str:
