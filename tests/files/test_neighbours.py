@@ -80,6 +80,14 @@ def test_bird_documents_are_valid_by_the_schemas_of_the_project(tmp_path, sample
         (lambda d: d["data"]["theta_r"]["values"].pop(), "data.theta_r has 79 values, data.BRDF has 80"),
         (lambda d: d["data"]["theta_r"]["values"].__setitem__(0, 100), r"data.theta_r must lie in \[0, 90\] degrees"),
         (lambda d: d["data"]["BRDF"]["values"].__setitem__(0, "x"), "data.BRDF.values must be finite numbers"),
+        (lambda d: d["data"]["BRDF"]["values"].__setitem__(0, 10**400), "data.BRDF.values must be finite numbers"),
+        (lambda d: d["data"]["BRDF"].update(values=["1"] * 80), "data.BRDF.values must be finite numbers"),
+        (lambda d: d["data"]["BRDF"].update(values=[[1], [1, 2]]), "data.BRDF.values must be finite numbers"),
+        (lambda d: d["data"]["BRDF"].update(unit=[1]), "data.BRDF.unit must be one of 1/sr"),
+        (
+            lambda d: d["data"]["adhoc_variables"]["channel"]["values"].__setitem__(0, "x" * 61),
+            "the name of a channel has more than 60 characters",
+        ),
         (lambda d: d["data"].pop("adhoc_variables"), "several values of one pair of directions"),
     ],
 )
