@@ -19,6 +19,7 @@ import xarray as xr
 from matcam import Camera, read_merl
 from matcam.core.errors import FileFormatError, MatcamError
 from matcam.exchange.contents import read_contents
+from matcam.files.exposure_series import read_exposure_series
 from matcam.files.formats import identify
 from matcam.files.photographs import open_photograph
 from matcam.files.tone_curve import read_tone_curve
@@ -319,6 +320,25 @@ class TestTexts:
             file.write(b"SpectralContent")
             file.truncate(100 << 30)
         refused(read_zemax, tmp_path / "a.bsdf", "is too large for a BSDF of Zemax")
+
+    @pytest.mark.parametrize(
+        ("line", "words"),
+        [
+            ("i /etc/passwd", "leads out of the descriptor's folder"),
+            ("i ../victim.png", "leads out of the descriptor's folder"),
+            ("i C:\\victim.png", "leads out of the descriptor's folder"),
+            ("i link/victim.png", "is a link out of the descriptor's folder"),
+            ("i " + "x" * 300, "has no name that is plain text"),
+            ("n " + "9" * 900 + " 1 1", "must be n BITS WIDTH HEIGHT"),
+            ("i a.png\n" * 90_000, "a descriptor of exposures has at most 20000"),
+        ],
+    )
+    def test_descriptors_of_exposures_that_reach_out(self, tmp_path, line, words):
+        (tmp_path / "in").mkdir()
+        (tmp_path / "victim.png").write_bytes(b"")
+        (tmp_path / "in" / "link").symlink_to(tmp_path)
+        (tmp_path / "in" / "a.txt").write_text(f"n 12 1 1\nb 1 1\n{line}\nd 1\ni d.png\n", encoding="utf-8")
+        refused(read_exposure_series, tmp_path / "in" / "a.txt", words)
 
     def test_an_rgl_file_without_an_end(self, tmp_path):
         """A hole of 100 GB, which nobody reads."""

@@ -13,6 +13,7 @@ from matcam.batch.job import Job
 from matcam.camera import Uncertainty
 from matcam.cli.rig_file import _KEYS, read_rig_file
 from matcam.files.capture import COLUMNS, read_capture
+from matcam.files.exposure_series import read_exposure_series
 from matcam.files.light_positions import read_light_positions
 from matcam.files.tone_curve import read_tone_curve
 from matcam.io import read_bird, read_samples, read_sidecar, read_zemax, write_bird, write_sidecar
@@ -171,6 +172,13 @@ TEXTS = {
         lambda path: path.write_text('3\n"a 1.jpg" 0.1 0.2 0.97\nb.jpg 1 2 3\nc.jpg -1e-3 0 1\n'),
         "a.lp",
         read_light_positions,
+    ),
+    "exposures": (
+        lambda path: path.write_text(
+            "# EMVA 1288\nn 12 640 480\nb 40000.0 120.0\ni images\\b_0.png\ni b 1.png\nd 4e4\ni d.png\n"
+        ),
+        "data.txt",
+        read_exposure_series,
     ),
     "tone curve": (lambda path: path.write_text("0 0\n1 0.5 # half\n200 100\n255,200\n"), "tone.txt", read_tone_curve),
     "record": (_record, "a.json", _finished),

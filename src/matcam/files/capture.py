@@ -27,6 +27,7 @@ from pydantic import ValidationError
 
 from matcam.core.errors import FileFormatError
 from matcam.core.io import check_folder, check_within, is_file, is_folder
+from matcam.core.readers.listed_files import listed_file
 from matcam.core.readers.texts import checked_version, first_problem, read_lines, read_toml
 from matcam.core.registry import CFAS
 from matcam.core.remark import Remark, some_of
@@ -264,15 +265,7 @@ def json_schema() -> dict[str, Any]:
 
 def _inside(folder: Path, name: str) -> Path:
     """Return the path of a file of the folder; FileFormatError where it leads out of it."""
-    pure = PurePosixPath(name)
-    path = folder / name
-    if not pure.parts or not name.isprintable() or len(name) > 200:
-        raise FileFormatError(f"{folder}: file {name[:40]!r} has no name that is plain text")
-    if pure.is_absolute() or ".." in pure.parts or "\\" in name or re.match(r"[A-Za-z]:", name):
-        raise FileFormatError(f"{path}: leads out of the capture's folder: give a name inside it")
-    if not path.resolve().is_relative_to(folder.resolve()):
-        raise FileFormatError(f"{path}: is a link out of the capture's folder: put the file itself there")
-    return path
+    return listed_file(folder, name, "the capture's folder")
 
 
 def _listed(folder: Path) -> tuple[list[CaptureFrame], dict[str, LampGuess], list[Remark]]:
