@@ -11,6 +11,7 @@ import pytest
 from matcam.core.errors import ArgumentError, FileFormatError
 from matcam.exchange.contents import read, write
 from matcam.exchange.conversion import convert
+from matcam.files import table_decoders, zemax_decoder
 from matcam.files.formats import FORMATS, format_for, identify
 from matcam.files.light_positions import LightPosition, read_light_positions, write_light_positions
 from matcam.io import read_bird, read_samples, read_utia, read_zemax, write_bird
@@ -149,6 +150,16 @@ def test_utia_is_read_as_its_own_loader_reads_it(tmp_path):
     with pytest.raises(FileFormatError, match="1 values that are not finite"):
         np.append(values[:-1], np.nan).tofile(tmp_path / "m.bin")
         read_utia(tmp_path / "m.bin")
+
+
+def test_large_files_are_decoded_in_another_process(tmp_path, monkeypatch):
+    """What decodes them there is not what this process has."""
+    (tmp_path / "a.bsdf").write_text(ZEMAX + "# nothing more\n" * 5000)
+    np.full(3 * 288 * 288, 0.2).tofile(tmp_path / "m.bin")
+    monkeypatch.delattr(zemax_decoder, "decode_zemax")
+    monkeypatch.delattr(table_decoders, "decode_utia")
+    assert read_zemax(tmp_path / "a.bsdf").shape == (13, 1)
+    assert read_utia(tmp_path / "m.bin")["brdf"].shape == (6, 48, 6, 48, 3)
 
 
 def test_light_positions_come_back(tmp_path):
