@@ -158,10 +158,7 @@ def instances(name: str, values: Any, kind: type[T]) -> list[T]:
     """Return values as a list if each is of a class; ArgumentError names the class otherwise."""
     if isinstance(values, str | bytes) or not isinstance(values, Iterable):
         raise ArgumentError(f"{name} must be a sequence of {kind.__name__}, got {_shown(values)}")
-    found = list(values)
-    for number, value in enumerate(found, 1):
-        instance(f"entry {number} of {name}", value, kind)
-    return found
+    return [instance(f"entry {number} of {name}", value, kind) for number, value in enumerate(values, 1)]
 
 
 def broadcastable(**values: ArrayLike) -> tuple[jax.Array, ...]:
