@@ -111,7 +111,7 @@ def refusal(read, path):
 
 _TOKEN = re.compile(rb'-?\d[\d.eE+-]*|"[^"\n]{0,60}"|[A-Za-z_]\w*|[\[\]{},=:\n]')
 _NASTY_TOKENS = [
-    b'"../x"', b"../x", b'"/etc/passwd"', b"/etc/passwd",
+    b'"' + b"x" * 300 + b'"', b'"../x"', b"../x", b'"/etc/passwd"', b"/etc/passwd",
     b"0", b"-1", b"1e999", b"-1e999", b"1e-320", b"nan", b"NaN", b"inf", b"Infinity", b"null", b"true", b"1" * 400, b"9" * 5000,
     b'""', b'"\\u0000"', b'"\\ud800"', b'"' + b"x" * 5000 + b'"', b"[]", b"{}", b"[[1]]", b"\n", b"\x1b[2J", b"\xff",
     b"\xe2\x80\xae", b"=", b"]", b'"a\\nb"', b'"a\\u001b[2J"', b"a." * 800 + b"a",

@@ -31,7 +31,7 @@ from matcam.app.plots import BLUE, GREY, VERMILION, curve_figure, hover, picture
 from matcam.app.transfers import Downloads, Upload
 from matcam.app.worker import Newest
 from matcam.core.errors import MatcamError
-from matcam.core.io import is_file
+from matcam.core.readers.names import is_file
 from matcam.files.photographs import PICTURES
 
 _SIDE = 430  # px of the screen

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from matcam.core.errors import FileFormatError, FitError, MatcamError
-from matcam.core.io import is_file
+from matcam.core.readers.names import is_file
 
 _LARGEST = 120_000_000
 """Most pixels of a picture that is shown."""

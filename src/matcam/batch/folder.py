@@ -18,7 +18,8 @@ from matcam.batch.job import Job, Outcome
 from matcam.batch.recipe import SETTINGS_FORMAT
 from matcam.batch.store import open_rows, whole_rows
 from matcam.core.errors import ArgumentError, FileFormatError, OutputError
-from matcam.core.io import check_name, check_output, check_within, is_folder, is_there, reading, write_json
+from matcam.core.io import check_output, reading, write_json
+from matcam.core.readers.names import check_name, check_within, is_folder, is_there
 from matcam.core.readers.texts import read_json
 from matcam.files.datasets import read_netcdf
 

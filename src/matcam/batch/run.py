@@ -29,8 +29,9 @@ from matcam.camera.camera import Camera
 from matcam.core import checks
 from matcam.core.errors import ArgumentError
 from matcam.core.grid import SAMPLINGS, Sampling
-from matcam.core.io import is_there, one_by_one
+from matcam.core.io import one_by_one
 from matcam.core.jax import Device, has_gpu
+from matcam.core.readers.names import is_there
 from matcam.core.registry import FAMILIES
 from matcam.core.threads import available_cores
 from matcam.core.workspace import Workspace

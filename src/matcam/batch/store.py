@@ -22,8 +22,8 @@ import xarray as xr
 from matcam.core import checks
 from matcam.core.errors import FileFormatError, OutputError
 from matcam.core.grid import CHANNELS, DIMS, GRID_SHAPE, Sampling, merl_grid
-from matcam.core.io import is_file
 from matcam.core.readers.apart import read_apart
+from matcam.core.readers.names import is_file
 from matcam.core.readers.texts import read_json
 from matcam.files.datasets import with_short_deviations
 from matcam.files.decoders import DESCRIPTION, check_codecs, check_lengths, chunk_shape

@@ -9,7 +9,7 @@ import typer
 
 from matcam.cli import show
 from matcam.core.errors import ArgumentError
-from matcam.core.io import is_there
+from matcam.core.readers.names import is_there
 
 _INTERRUPTED = 130
 

@@ -9,7 +9,7 @@ import typer
 
 from matcam.cli import show
 from matcam.cli.options import AsJson, Budget, Force, Lens, Mosaic
-from matcam.core.io import is_file, is_folder
+from matcam.core.readers.names import is_file, is_folder
 
 _SOME_FAILED = 1
 
@@ -187,7 +187,7 @@ def _mtf50(camera: Any) -> float:
 def _files(given: list[Path]) -> list[Path]:
     """Return the pictures, a folder's by name."""
     from matcam.core.errors import FileFormatError
-    from matcam.core.io import check_within
+    from matcam.core.readers.names import check_within
     from matcam.files.photographs import PICTURES
 
     files: list[Path] = []

@@ -30,7 +30,7 @@ from matcam.cli.options import (
     choose_device,
     rig_of,
 )
-from matcam.core.io import is_folder
+from matcam.core.readers.names import is_folder
 
 SOME_FAILED, NONE_DONE = 1, 2
 

@@ -8,7 +8,8 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from matcam.core.io import is_folder, is_there, where_written
+from matcam.core.io import where_written
+from matcam.core.readers.names import is_folder, is_there
 from matcam.files import formats
 
 _LONGEST_HEADER = 10_000

@@ -26,6 +26,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from matcam.core.errors import ArgumentError, FileFormatError, OutputError
+from matcam.core.readers.names import UNPRINTABLE, is_folder, is_there, printable
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -323,58 +324,6 @@ def reading(path: Path, what: str = "") -> Iterator[None]:
         raise FileFormatError(f"{path}: no such file") from None
     except OSError as error:
         raise FileFormatError(f"{path}: cannot be read: {error.strerror or error}") from None
-
-
-def is_there(path: Path) -> bool:
-    """Check whether there is a file or folder. A name that the system refuses, such as one that is too long, names none."""
-    return os.path.exists(path)  # noqa: PTH110  # Path.exists raises an error for such a name
-
-
-def is_file(path: Path) -> bool:
-    """Check whether there is a file, as `is_there` does."""
-    return os.path.isfile(path)  # noqa: PTH113
-
-
-def is_folder(path: Path) -> bool:
-    """Check whether there is a folder, as `is_there` does."""
-    return os.path.isdir(path)  # noqa: PTH112
-
-
-def check_folder(path: Path, hint: str = "") -> None:
-    """Refuse what is no folder. FileFormatError; `hint` states what to give instead."""
-    if is_there(path) and not is_folder(path):
-        raise FileFormatError(f"{path}: is no folder{hint}")
-    try:
-        path.stat()
-    except FileNotFoundError:
-        raise FileFormatError(f"{path}: no such folder") from None
-    except (OSError, ValueError):
-        with reading(path):  # which states what is wrong with the name
-            raise
-
-
-UNPRINTABLE = "[\x00-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069\ud800-\udfff]"
-"""Characters that move a terminal's cursor or change its state, and bytes of a name that are no text."""
-
-
-def printable(text: str) -> str:
-    """Return text without characters that a terminal obeys, or that are no characters: each as its escape."""
-    return re.sub(UNPRINTABLE, lambda found: found[0].encode("unicode_escape").decode(), text)
-
-
-def check_name(path: Path) -> None:
-    """Refuse an input whose name could not be written down. FileFormatError."""
-    if re.search(UNPRINTABLE, path.name):
-        raise FileFormatError(f"{printable(str(path))}: its name is not plain text: rename it")
-
-
-def check_within(path: Path, folder: Path) -> None:
-    """Refuse a file of a folder that is a link to elsewhere: who fills a folder must not choose among the reader's files.
-
-    FileFormatError where following the links of `path` leads out of `folder`.
-    """
-    if path.is_symlink() and not (target := path.resolve()).is_relative_to(folder.resolve()):
-        raise FileFormatError(f"{path}: is a link out of its folder, to {target}: name that file itself")
 
 
 def write_columns(path: str | Path, data: xr.Dataset | dict[str, Sequence[Any]], *, force: bool = False) -> None:

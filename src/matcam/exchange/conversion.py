@@ -14,7 +14,8 @@ import numpy as np
 from matcam.core import checks
 from matcam.core.errors import ArgumentError
 from matcam.core.grid import Sampling
-from matcam.core.io import check_output, check_within, is_there, write_json
+from matcam.core.io import check_output, write_json
+from matcam.core.readers.names import check_within, is_there
 from matcam.core.shading import Vector, local_shading, vector
 from matcam.exchange.contents import Contents, material_of, read_contents, write_contents
 from matcam.exchange.materialx import fit_openpbr, write_openpbr

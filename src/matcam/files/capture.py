@@ -26,8 +26,7 @@ import numpy as np
 from pydantic import ValidationError
 
 from matcam.core.errors import FileFormatError
-from matcam.core.io import check_folder, check_within, is_file, is_folder
-from matcam.core.readers.listed_files import listed_file
+from matcam.core.readers.names import check_folder, check_within, is_file, is_folder, listed_file
 from matcam.core.readers.texts import checked_version, first_problem, read_lines, read_toml
 from matcam.core.registry import CFAS
 from matcam.core.remark import Remark, some_of

@@ -17,7 +17,8 @@ from typing import Any
 import numpy as np
 
 from matcam.core.errors import ArgumentError, MatcamError, OutputError
-from matcam.core.io import all_or_nothing, check_folder, is_file, is_folder, is_there, replacing
+from matcam.core.io import all_or_nothing, replacing
+from matcam.core.readers.names import check_folder, is_file, is_folder, is_there
 from matcam.core.remark import some_of
 from matcam.files.capture import KINDS
 from matcam.files.light_positions import LightPosition, are_unit_vectors, read_light_positions

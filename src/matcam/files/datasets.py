@@ -19,8 +19,9 @@ import xarray as xr
 
 from matcam.core import checks
 from matcam.core.errors import ArgumentError, FileFormatError, OutputError
-from matcam.core.io import is_folder, reading, replacing, uninterrupted
+from matcam.core.io import reading, replacing, uninterrupted
 from matcam.core.readers.apart import read_apart
+from matcam.core.readers.names import is_folder
 from matcam.files.decoders import DESCRIPTION, check_stored_sizes, one_line
 
 _HDF5 = b"\x89HDF\r\n\x1a\n"

@@ -18,7 +18,8 @@ from pathlib import Path
 from typing import Any
 
 from matcam.core.errors import DownloadError, unknown_name
-from matcam.core.io import is_file, reading, replacing
+from matcam.core.io import reading, replacing
+from matcam.core.readers.names import is_file
 
 MERL_SOURCE = "https://zenodo.org/records/8101681/files/BRDFDatabase.zip"
 """The MERL BRDF database as its owners publish it since 2023 (CC BY-SA 4.0, doi:10.5281/zenodo.8101680): one archive,

@@ -21,8 +21,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 from matcam.core.errors import FileFormatError
-from matcam.core.io import check_within, is_file, is_folder, reading
-from matcam.core.readers.listed_files import listed_file
+from matcam.core.io import reading
+from matcam.core.readers.names import check_within, is_file, is_folder, listed_file
 from matcam.core.readers.texts import read_lines
 from matcam.files.photographs import PICTURES
 from matcam.files.picture_header import exposure_time

@@ -16,7 +16,8 @@ from pathlib import Path
 from typing import Any
 
 from matcam.core.errors import ArgumentError, FileFormatError
-from matcam.core.io import is_folder, is_there, reading
+from matcam.core.io import reading
+from matcam.core.readers.names import is_folder, is_there
 
 CONTENTS = {
     "table": "a table on the MERL grid",

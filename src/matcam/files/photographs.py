@@ -12,8 +12,9 @@ from typing import NamedTuple
 import numpy as np
 
 from matcam.core.errors import FileFormatError
-from matcam.core.io import is_file, reading
+from matcam.core.io import reading
 from matcam.core.readers.apart import read_apart
+from matcam.core.readers.names import is_file
 from matcam.files.float_pictures import read_exr
 from matcam.files.picture_header import Exif, cut, picture_memory, read_exif
 

@@ -20,7 +20,8 @@ from matcam.camera.camera import Camera
 from matcam.camera.optics.optics import checked_isotropic
 from matcam.camera.sensor import Sensor
 from matcam.core.errors import ArgumentError, OutputError
-from matcam.core.io import check_output_folder, is_folder, replacing, write_json
+from matcam.core.io import check_output_folder, replacing, write_json
+from matcam.core.readers.names import is_folder
 from matcam.files.capture_writing import write_codes, write_description
 from matcam.forward.synthetic_samples import RADIUS_MM, LampErrors, SyntheticSample, synthetic_sample
 from matcam.lamp.lamps import NearLamp

@@ -16,7 +16,7 @@ import xarray as xr
 
 from matcam.app.calibrated import drawn_values
 from matcam.core.errors import ArgumentError, FileFormatError, MatcamError
-from matcam.core.io import is_file
+from matcam.core.readers.names import is_file
 from matcam.files.capture import LIST, SETTINGS, Capture, read_capture
 
 WINDOWS = ("window_recorded", "window_fitted", "window_residual")

@@ -16,7 +16,7 @@ import xarray as xr
 
 from matcam.app.exploring.fitted_pictures import FittedPicture, fitted_pictures, is_capture
 from matcam.core.errors import ArgumentError, FileFormatError
-from matcam.core.io import check_within, is_file, is_folder
+from matcam.core.readers.names import check_within, is_file, is_folder
 from matcam.core.readers.texts import read_json
 
 _WIDTHS = ("alpha", "beta", "width", "hwhm_rad")

@@ -27,9 +27,9 @@ from matcam.batch.folder import SETTINGS
 from matcam.batch.job import Job, Outcome, attempt
 from matcam.core import checks
 from matcam.core.errors import ArgumentError, MatcamError
-from matcam.core.io import is_file
 from matcam.core.jax import use_compilation_cache
 from matcam.core.memory import free_for_the_next
+from matcam.core.readers.names import is_file
 from matcam.core.workspace import Workspace
 
 _COMPARED = ("matcam", "jax", "jaxlib", "numpy", "scipy", "xarray", "distributed")
