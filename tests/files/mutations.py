@@ -64,10 +64,12 @@ def mutated(content, count, seed, header):
         yield bytes(data[: len(content)])
 
 
-def survives(read, path, contents, *, seconds=2.0, times_the_file=4.0, spare=1 << 20, clock=time.perf_counter):
+def survives(
+    read, path, contents, *, seconds=2.0, times_the_file=4.0, spare=1 << 20, clock=time.perf_counter, folder=None
+):
     """How many were refused, how many read. Anything but an error of the family or a result, more than `seconds`, or more
     memory than `times_the_file` (and `spare` bytes for what the interpreter loads) fails here, and a file that is opened
-    outside the folder. `clock` may count processor time, where nothing can wait."""
+    outside `folder`, by default the file's. `clock` may count processor time, where nothing can wait."""
     refused = accepted = 0
     contents = iter(contents)
     first = next(contents)
@@ -86,7 +88,7 @@ def survives(read, path, contents, *, seconds=2.0, times_the_file=4.0, spare=1 <
         assert took < seconds, (k, took)
         assert used < limit, (k, used, len(content))
     tracemalloc.stop()
-    outside = _opened.outside(path.parent)
+    outside = _opened.outside(folder or path.parent)
     assert not outside, outside
     return refused, accepted
 
