@@ -220,7 +220,7 @@ def _check_result(result: xr.Dataset) -> None:
     checks.instance("result", result, xr.Dataset)
     dims = {"theta_d": ("theta_d",), "raw": _DIMS, "corrected": _DIMS, "supported_angle": _DIMS[1:]}
     lacking = [name for name, wanted in dims.items() if name not in result.variables or result[name].dims != wanted]
-    lacking += [] if np.shape(result.attrs.get("normalised_over")) == (2,) else ["attrs['normalised_over']"]
+    lacking += [] if np.shape(result.attrs.get("normalised_over", 0)) == (2,) else ["attrs['normalised_over']"]
     if lacking:
         raise ArgumentError(f"result must be a Dataset as from fresnel: it lacks {', '.join(lacking)}")
 
