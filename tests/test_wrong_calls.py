@@ -68,6 +68,7 @@ TABLE = xr.DataArray(np.zeros(3), dims="x")
         ),
         (lambda: matcam.camera.LensField((1, 2), 3, k2=[[1], [1, 2]]), "k2 must be an array, got a list of rows"),
         (lambda: matcam.camera.LensField(b"x", 3), "centre_px must be a number or an array of numbers, got b'x'"),
+        (lambda: matcam.metal("Cr", 10**400), "wavelength must be a number or an array of numbers, got 1000"),
         (
             lambda: RIG.camera.esf([0.1, 0.2], [0.1, 0.2, 0.3]),
             "x and angle must have shapes that broadcast, got (2,), (3,)",
