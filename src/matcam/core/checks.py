@@ -49,7 +49,7 @@ def number(name: str, value: ArrayLike | npt.ArrayLike) -> jax.Array:
     return _kept(array, value)
 
 
-def numbers(name: str, value: ArrayLike) -> jax.Array:
+def numbers(name: str, value: ArrayLike | npt.ArrayLike) -> jax.Array:
     """Return `value` as a float64 array that may hold NaN where a value is missing; ArgumentError where it is not numeric."""
     return _kept(_as_float64(name, value), value) if is_concrete(value) else xp.asarray(value, dtype=xp.float64)
 
