@@ -85,6 +85,7 @@ def test_a_damaged_store(tmp_path, count):
         path = store / target
         whole = path.read_bytes()
         change = mutated_text if target.endswith(".json") else functools.partial(mutated, header=len(whole))
-        survives(read, path, change(whole, -(-count // len(targets)), seed=5), spare=512 << 20, clock=time.process_time)
+        contents = change(whole, -(-count // len(targets)), seed=5)
+        survives(read, path, contents, spare=512 << 20, clock=time.process_time, folder=store)
         path.write_bytes(whole)
     assert row_names(store) == ["a", "b"]

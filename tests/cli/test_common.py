@@ -45,6 +45,23 @@ def test_help_groups_commands_and_tells_exit_codes(matcam):
     assert text == matcam("--help").stdout
 
 
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["reconstruct", "LONG"], ["reconstruct", "LONG", "-o", "a.binary"], ["correct", "LONG"],
+        ["correct", "LONG", "-o", "out"], ["correct", "a.binary", "-o", "LONG"], ["fit", "LONG"], ["fresnel", "LONG"],
+        ["calibrate", "LONG"], ["calibrate", "a.tif", "--tone", "LONG"], ["capture", "init", "out", "--from", "LONG"],
+        ["capture", "check", "LONG"], ["simulate", "--capture", "LONG"], ["app", "LONG"], ["inspect", "LONG"],
+        ["convert", "LONG", "a.nc"], ["edge", "LONG"], ["sensor", "LONG"], ["predict", "0.01", "--rig", "LONG"],
+    ],
+    ids=" ".join,
+)  # fmt: skip
+def test_a_name_that_the_system_refuses_is_one_line(matcam, words):
+    said = matcam(*["x" * 300 if word == "LONG" else word for word in words], code=2).stderr
+    assert said.startswith("matcam: ")
+    assert said.count("\n") == 1
+
+
 def test_a_rig_file_stands_for_options(matcam, rig_file):
     by_file = json.loads(matcam("predict", 0.01, "--rig", rig_file, "--json").stdout)
     by_options = json.loads(
@@ -65,6 +82,7 @@ def test_a_rig_file_stands_for_options(matcam, rig_file):
         (RIG + "[lamp]\ncolour = 3\n", "predict", "unknown entry lamp.colour; it has camera, sample.shape"),
         (RIG.replace("100", '"wide"'), "predict", "sample.radius_px must be a number, got 'wide'"),
         (RIG.replace("camera.json", "../camera.json"), "predict", "must be the plain name of a profile beside it"),
+        (RIG.replace("camera.json", "x" * 300), "predict", "cannot be read: File name too long"),
         (RIG + "[lens]\nglare = 0.01\n", "limits", "matcam limits cannot take lens.glare into account"),
         (RIG + "[lens]\nglare = 0.01\n", "correct", "matcam correct cannot take lens.glare into account"),
         (RIG.replace("100", "-1"), "predict", "--radius must lie in"),

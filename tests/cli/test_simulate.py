@@ -1,6 +1,9 @@
 """`matcam simulate` as a user runs it."""
 
 import json
+import os
+import subprocess
+import sys
 from functools import partial
 
 import numpy as np
@@ -91,3 +94,27 @@ def test_bad_input_is_one_line_and_leaves_nothing(simulate, tmp_path, arguments,
     assert message in done.stderr
     assert len(done.stderr.strip().splitlines()) == 1
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.slow
+def test_eight_commands_on_one_empty_cache(tmp_path):
+    """Each finds what another is just writing: no warning, no damaged file, the same picture."""
+    names = [f"{number}.exr" for number in range(8)]
+    options = ["--size", "60", "60", "--radius", "20"]
+    runs = [
+        subprocess.Popen(
+            [sys.executable, "-m", "matcam", "simulate", *options, "-o", name], cwd=tmp_path, text=True,
+            env={**os.environ, "XDG_CACHE_HOME": str(tmp_path / "cache")},
+            stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+        )
+        for name in names
+    ]  # fmt: skip
+    for name, run in zip(names, runs, strict=True):
+        said = run.communicate()[1]
+        assert run.returncode == 0, said
+        assert "cache" not in said
+        assert "damaged" not in said
+        assert (tmp_path / name).read_bytes() == (tmp_path / names[0]).read_bytes()
+    files = [path for path in (tmp_path / "cache").rglob("*") if path.is_file()]
+    assert files
+    assert not [path for path in files if path.name.startswith(".") and path.suffix != ".lock"]

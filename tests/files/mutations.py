@@ -1,13 +1,47 @@
 """Damaged files: what a reader has to survive."""
 
 import itertools
+import os
 import re
+import sys
+import sysconfig
 import time
 import tracemalloc
+from pathlib import Path
 
 import numpy as np
 
+import matcam
 from matcam.core.errors import MatcamError
+
+
+class _Opened:
+    """Files that Python code of this process opens while it is watched; C libraries open theirs unseen."""
+
+    def __init__(self):
+        self.watched, self.paths = False, set()
+        own = [
+            *sysconfig.get_paths().values(),
+            sys.prefix,
+            sys.base_prefix,
+            str(Path(matcam.__file__).parent),
+            "/proc",
+            "/sys",
+            "/dev",
+        ]
+        self.allowed = tuple(own)
+        sys.addaudithook(self)
+
+    def __call__(self, event, arguments):
+        if self.watched and event == "open" and not isinstance(arguments[0], int) and arguments[0] is not None:
+            self.paths.add(str(Path(os.fsdecode(arguments[0])).resolve()))
+
+    def outside(self, folder):
+        """Those that are neither in a folder nor the interpreter's or the package's own."""
+        return sorted(path for path in self.paths if not path.startswith((str(folder.resolve()), *self.allowed)))
+
+
+_opened = _Opened()
 
 
 def mutated(content, count, seed, header):
@@ -30,15 +64,18 @@ def mutated(content, count, seed, header):
         yield bytes(data[: len(content)])
 
 
-def survives(read, path, contents, *, seconds=2.0, times_the_file=4.0, spare=1 << 20, clock=time.perf_counter):
+def survives(
+    read, path, contents, *, seconds=2.0, times_the_file=4.0, spare=1 << 20, clock=time.perf_counter, folder=None
+):
     """How many were refused, how many read. Anything but an error of the family or a result, more than `seconds`, or more
-    memory than `times_the_file` (and `spare` bytes for what the interpreter loads) fails here. `clock` may count processor
-    time, where nothing can wait."""
+    memory than `times_the_file` (and `spare` bytes for what the interpreter loads) fails here, and a file that is opened
+    outside `folder`, by default the file's. `clock` may count processor time, where nothing can wait."""
     refused = accepted = 0
     contents = iter(contents)
     first = next(contents)
     path.write_bytes(first)
     refusal(read, path)  # what is imported on the way belongs to nobody's file
+    _opened.paths.clear()
     tracemalloc.start()
     for k, content in enumerate(itertools.chain([first], contents)):
         path.write_bytes(content)
@@ -51,13 +88,17 @@ def survives(read, path, contents, *, seconds=2.0, times_the_file=4.0, spare=1 <
         assert took < seconds, (k, took)
         assert used < limit, (k, used, len(content))
     tracemalloc.stop()
+    outside = _opened.outside(folder or path.parent)
+    assert not outside, outside
     return refused, accepted
 
 
 def _measured_refusal(read, path, clock):
     tracemalloc.reset_peak()
     before, start = tracemalloc.get_traced_memory()[0], clock()
+    _opened.watched = True
     message = refusal(read, path)
+    _opened.watched = False
     return message, clock() - start, tracemalloc.get_traced_memory()[1] - before
 
 
@@ -72,8 +113,9 @@ def refusal(read, path):
 
 _TOKEN = re.compile(rb'-?\d[\d.eE+-]*|"[^"\n]{0,60}"|[A-Za-z_]\w*|[\[\]{},=:\n]')
 _NASTY_TOKENS = [
+    b'"' + b"x" * 300 + b'"', b'"../x"', b"../x", b'"/etc/passwd"', b"/etc/passwd",
     b"0", b"-1", b"1e999", b"-1e999", b"1e-320", b"nan", b"NaN", b"inf", b"Infinity", b"null", b"true", b"1" * 400, b"9" * 5000,
-    b'""', b'"\\u0000"', b'"../x"', b'"\\ud800"', b'"' + b"x" * 5000 + b'"', b"[]", b"{}", b"[[1]]", b"\n", b"\x1b[2J", b"\xff",
+    b'""', b'"\\u0000"', b'"\\ud800"', b'"' + b"x" * 5000 + b'"', b"[]", b"{}", b"[[1]]", b"\n", b"\x1b[2J", b"\xff",
     b"\xe2\x80\xae", b"=", b"]", b'"a\\nb"', b'"a\\u001b[2J"', b"a." * 800 + b"a",
     b"1979-05-27T07:32:00Z", b"[" * 3000, b'{"a":' * 3000,
 ]  # fmt: skip

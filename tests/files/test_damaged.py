@@ -11,7 +11,7 @@ import pytest
 from matcam import BoxPixel, Camera, GaussianOptics, read_merl, rigs
 from matcam.files.photographs import open_photograph, read_photograph
 from matcam.files.picture_header import DEFLATE_LIMIT
-from matcam.io import read_exr, read_float_tiff, read_sidecar, write_exr, write_float_tiff, write_sidecar
+from matcam.io import read_exr, read_float_tiff, read_sidecar, read_utia, write_exr, write_float_tiff, write_sidecar
 from tests.files.mutations import mutated, refusal, survives
 from tests.files.test_open_photograph import COUNTS, write_dng
 
@@ -43,6 +43,10 @@ def _sidecar(path):
     write_sidecar(path, picture=described, lamp=lamp, exposure=None, material={}, **parts)
 
 
+def _utia(path):
+    np.random.default_rng(1).random(3 * 288 * 288).tofile(path)
+
+
 READERS = {
     "exr": (_picture, ".exr", read_exr, 400),
     "tiff": (_picture, ".tif", read_float_tiff, 300),
@@ -50,6 +54,7 @@ READERS = {
     "png": (_codes, ".png", open_photograph, 60),
     "jpeg": (_codes, ".jpg", open_photograph, 700),
     "raw": (_raw, ".dng", open_photograph, 400),
+    "utia": (_utia, ".bin", read_utia, 400),
     "camera profile": (_profile, ".json", Camera.load, 200),
     "picture sidecar": (_sidecar, ".json", read_sidecar, 300),
 }

@@ -19,15 +19,19 @@ import xarray as xr
 from matcam import Camera, read_merl
 from matcam.core.errors import FileFormatError, MatcamError
 from matcam.exchange.contents import read_contents
+from matcam.files.exposure_series import read_exposure_series
 from matcam.files.formats import identify
 from matcam.files.photographs import open_photograph
 from matcam.files.tone_curve import read_tone_curve
 from matcam.io import (
+    read_bird,
     read_netcdf,
     read_rgl,
     read_samples,
     read_sidecar,
+    read_utia,
     read_zarr,
+    read_zemax,
     write_netcdf,
     write_sidecar,
     write_zarr,
@@ -214,7 +218,8 @@ class TestZarr:
 
 
 @pytest.mark.parametrize(
-    "read", [identify, read_contents, open_photograph, read_merl, read_netcdf, read_zarr, read_samples]
+    "read",
+    [identify, read_contents, open_photograph, read_merl, read_netcdf, read_zarr, read_samples, read_zemax, read_utia],
 )
 def test_what_is_no_file_is_not_opened(tmp_path, read):
     """Nobody will ever write into the pipe; the device never ends."""
@@ -283,6 +288,57 @@ class TestTexts:
     def test_a_tone_curve_of_many_lines(self, tmp_path):
         (tmp_path / "a.txt").write_text("1\n" * 2_000_000)
         refused(read_tone_curve, tmp_path / "a.txt", "2000000 lines are too many")
+
+    def test_readings_each_of_another_channel(self, tmp_path):
+        """40,000 readings whose table would have 13 GB."""
+        count = 40_000
+        arrays = {
+            "theta_i": "0.001",
+            "phi_i": "0",
+            "theta_r": "{k}e-6",
+            "phi_r": "0",
+            "BRDF": "1",
+            "wavelength_i": "{k}",
+        }
+        units = {"BRDF": "1/sr", "wavelength_i": "nm"}
+        parts = [
+            f'"{name}": {{"unit": "{units.get(name, "rad")}", '
+            f'"values": [{",".join(value.format(k=k) for k in range(count))}]}}'
+            for name, value in arrays.items()
+        ]
+        (tmp_path / "a.brdf").write_text('{"data": {' + ", ".join(parts) + "}}")
+        refused(
+            read_bird, tmp_path / "a.brdf", "40000 readings are too few for 40000 pairs of directions in 40000 channels"
+        )
+
+    def test_a_zemax_file_of_words(self, tmp_path):
+        (tmp_path / "a.bsdf").write_text("SpectralContent " + "1 " * 5_000_000)
+        refused(read_zemax, tmp_path / "a.bsdf", "is no whole BSDF of Zemax")
+
+    def test_a_zemax_file_without_an_end(self, tmp_path):
+        with (tmp_path / "a.bsdf").open("wb") as file:
+            file.write(b"SpectralContent")
+            file.truncate(100 << 30)
+        refused(read_zemax, tmp_path / "a.bsdf", "is too large for a BSDF of Zemax")
+
+    @pytest.mark.parametrize(
+        ("line", "words"),
+        [
+            ("i /etc/passwd", "leads out of the descriptor's folder"),
+            ("i ../victim.png", "leads out of the descriptor's folder"),
+            ("i C:\\victim.png", "leads out of the descriptor's folder"),
+            ("i link/victim.png", "is a link out of the descriptor's folder"),
+            ("i " + "x" * 300, "has no name that is plain text"),
+            ("n " + "9" * 900 + " 1 1", "must be n BITS WIDTH HEIGHT"),
+            ("i a.png\n" * 90_000, "a descriptor of exposures has at most 20000"),
+        ],
+    )
+    def test_descriptors_of_exposures_that_reach_out(self, tmp_path, line, words):
+        (tmp_path / "in").mkdir()
+        (tmp_path / "victim.png").write_bytes(b"")
+        (tmp_path / "in" / "link").symlink_to(tmp_path)
+        (tmp_path / "in" / "a.txt").write_text(f"n 12 1 1\nb 1 1\n{line}\nd 1\ni d.png\n", encoding="utf-8")
+        refused(read_exposure_series, tmp_path / "in" / "a.txt", words)
 
     def test_an_rgl_file_without_an_end(self, tmp_path):
         """A hole of 100 GB, which nobody reads."""

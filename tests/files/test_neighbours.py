@@ -11,9 +11,11 @@ import pytest
 from matcam.core.errors import ArgumentError, FileFormatError
 from matcam.exchange.contents import read, write
 from matcam.exchange.conversion import convert
+from matcam.files import table_decoders, zemax_decoder
 from matcam.files.formats import FORMATS, format_for, identify
 from matcam.files.light_positions import LightPosition, read_light_positions, write_light_positions
 from matcam.io import read_bird, read_samples, read_utia, read_zemax, write_bird
+from tests.files.text_readers import ZEMAX
 from tests.oracle.directions import half_and_difference
 
 
@@ -79,6 +81,14 @@ def test_bird_documents_are_valid_by_the_schemas_of_the_project(tmp_path, sample
         (lambda d: d["data"]["theta_r"]["values"].pop(), "data.theta_r has 79 values, data.BRDF has 80"),
         (lambda d: d["data"]["theta_r"]["values"].__setitem__(0, 100), r"data.theta_r must lie in \[0, 90\] degrees"),
         (lambda d: d["data"]["BRDF"]["values"].__setitem__(0, "x"), "data.BRDF.values must be finite numbers"),
+        (lambda d: d["data"]["BRDF"]["values"].__setitem__(0, 10**400), "data.BRDF.values must be finite numbers"),
+        (lambda d: d["data"]["BRDF"].update(values=["1"] * 80), "data.BRDF.values must be finite numbers"),
+        (lambda d: d["data"]["BRDF"].update(values=[[1], [1, 2]]), "data.BRDF.values must be finite numbers"),
+        (lambda d: d["data"]["BRDF"].update(unit=[1]), "data.BRDF.unit must be one of 1/sr"),
+        (
+            lambda d: d["data"]["adhoc_variables"]["channel"]["values"].__setitem__(0, "x" * 61),
+            "the name of a channel has more than 60 characters",
+        ),
         (lambda d: d["data"].pop("adhoc_variables"), "several values of one pair of directions"),
     ],
 )
@@ -89,34 +99,6 @@ def test_damaged_bird_documents_are_refused(tmp_path, samples, change, message):
     (tmp_path / "a.brdf").write_text(json.dumps(document))
     with pytest.raises(FileFormatError, match=message):
         read_bird(tmp_path / "a.brdf")
-
-
-ZEMAX = """# a comment
-Source Measured
-Symmetry PlaneSymmetrical
-SpectralContent Monochrome
-ScatterType BRDF
-SampleRotation 1
-0
-AngleOfIncidence 2
-30 60
-ScatterAzimuth 3
-0 90 180
-ScatterRadial 3
-0 20 40
-
-Monochrome
-DataBegin
-TIS 0.1
-1 2 3
-1 4 5
-1 6 7
-TIS 0.2
-8 9 10
-8 11 12
-8 13 14
-DataEnd
-"""
 
 
 def test_zemax_directions_are_about_the_mirror_direction(tmp_path):
@@ -168,6 +150,16 @@ def test_utia_is_read_as_its_own_loader_reads_it(tmp_path):
     with pytest.raises(FileFormatError, match="1 values that are not finite"):
         np.append(values[:-1], np.nan).tofile(tmp_path / "m.bin")
         read_utia(tmp_path / "m.bin")
+
+
+def test_large_files_are_decoded_in_another_process(tmp_path, monkeypatch):
+    """What decodes them there is not what this process has."""
+    (tmp_path / "a.bsdf").write_text(ZEMAX + "# nothing more\n" * 5000)
+    np.full(3 * 288 * 288, 0.2).tofile(tmp_path / "m.bin")
+    monkeypatch.delattr(zemax_decoder, "decode_zemax")
+    monkeypatch.delattr(table_decoders, "decode_utia")
+    assert read_zemax(tmp_path / "a.bsdf").shape == (13, 1)
+    assert read_utia(tmp_path / "m.bin")["brdf"].shape == (6, 48, 6, 48, 3)
 
 
 def test_light_positions_come_back(tmp_path):

@@ -13,8 +13,10 @@ from matcam.batch.job import Job
 from matcam.camera import Uncertainty
 from matcam.cli.rig_file import _KEYS, read_rig_file
 from matcam.files.capture import COLUMNS, read_capture
+from matcam.files.exposure_series import read_exposure_series
+from matcam.files.light_positions import read_light_positions
 from matcam.files.tone_curve import read_tone_curve
-from matcam.io import read_samples, read_sidecar, write_sidecar
+from matcam.io import read_bird, read_samples, read_sidecar, read_zemax, write_bird, write_sidecar
 from matcam.targets import design_chart, read_chart, write_chart
 from tests.files.test_sidecar import sections
 
@@ -98,6 +100,40 @@ def _samples(path):
     path.write_text("theta_h_deg,theta_d_deg,phi_d_deg,Y_per_sr\n" + "1.5,30,90,0.25\n2.5,30,90,\n3,40,-10,1e3\n" * 9)
 
 
+ZEMAX = """# a comment
+Source Measured
+Symmetry PlaneSymmetrical
+SpectralContent Monochrome
+ScatterType BRDF
+SampleRotation 1
+0
+AngleOfIncidence 2
+30 60
+ScatterAzimuth 3
+0 90 180
+ScatterRadial 3
+0 20 40
+
+Monochrome
+DataBegin
+TIS 0.1
+1 2 3
+1 4 5
+1 6 7
+TIS 0.2
+8 9 10
+8 11 12
+8 13 14
+DataEnd
+"""
+
+
+def _bird(path):
+    _samples(path.with_suffix(".csv"))
+    samples = read_samples(path.with_suffix(".csv")).isel(sample=[0, 2])
+    write_bird(path, samples)
+
+
 def _record(path):
     run = {"settings": "0" * 64, "files": {"a.binary": 4, "a.nc": 4}}
     fit = {"params": {"alpha": 0.1}, "std": {"alpha": 0.01}}
@@ -130,6 +166,20 @@ TEXTS = {
     "whole profile": (_large_profile, "camera.json", Camera.load),
     "sidecar": (lambda path: write_sidecar(path, **sections()), "a.exr.json", read_sidecar),
     "samples": (_samples, "a.csv", read_samples),
+    "zemax": (lambda path: path.write_text(ZEMAX), "a.bsdf", read_zemax),
+    "bird": (_bird, "a.brdf", read_bird),
+    "light positions": (
+        lambda path: path.write_text('3\n"a 1.jpg" 0.1 0.2 0.97\nb.jpg 1 2 3\nc.jpg -1e-3 0 1\n'),
+        "a.lp",
+        read_light_positions,
+    ),
+    "exposures": (
+        lambda path: path.write_text(
+            "# EMVA 1288\nn 12 640 480\nb 40000.0 120.0\ni images\\b_0.png\ni b 1.png\nd 4e4\ni d.png\n"
+        ),
+        "data.txt",
+        read_exposure_series,
+    ),
     "tone curve": (lambda path: path.write_text("0 0\n1 0.5 # half\n200 100\n255,200\n"), "tone.txt", read_tone_curve),
     "record": (_record, "a.json", _finished),
 }

@@ -153,7 +153,7 @@ CAMERA = Camera(GaussianOptics(0.5))
         ((CAMERA, 8, 1, 0, 0, 1, np.nan), "std_across must lie in [0, inf) px, got nan"),
         ((CAMERA, 8, np.inf, 0, 0, 1, 1), "flux must be finite, got inf"),
         ((CAMERA, 8, 1, 0, 0, 1, 1, "up"), "angle must be a number"),
-        ((CAMERA, 8, [1, 2], [1, 2, 3], 0, 1, 1), "do not broadcast"),
+        ((CAMERA, 8, [1, 2], [1, 2, 3], 0, 1, 1), "must have shapes that broadcast"),
     ],
 )
 def test_nonsense_is_refused(arguments, words):

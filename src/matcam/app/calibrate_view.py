@@ -31,6 +31,7 @@ from matcam.app.plots import BLUE, GREY, VERMILION, curve_figure, hover, picture
 from matcam.app.transfers import Downloads, Upload
 from matcam.app.worker import Newest
 from matcam.core.errors import MatcamError
+from matcam.core.readers.names import is_file
 from matcam.files.photographs import PICTURES
 
 _SIDE = 430  # px of the screen
@@ -389,4 +390,4 @@ def is_picture(path: Path) -> bool:
     """Tell whether a file's name is that of a photograph."""
     from matcam.files.formats import suffixes_for
 
-    return path.is_file() and path.suffix.lower() in {*PICTURES, *suffixes_for("picture")}
+    return is_file(path) and path.suffix.lower() in {*PICTURES, *suffixes_for("picture")}

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from matcam.core.errors import FileFormatError, FitError, MatcamError
+from matcam.core.readers.names import is_file
 
 _LARGEST = 120_000_000
 """Most pixels of a picture that is shown."""
@@ -100,7 +101,7 @@ def is_chart(path: Path) -> bool:
     from matcam.files.formats import identify
 
     try:
-        return path.suffix.lower() == ".json" and path.is_file() and identify(path) == "chart"
+        return path.suffix.lower() == ".json" and is_file(path) and identify(path) == "chart"
     except MatcamError:
         return False
 

@@ -18,7 +18,8 @@ from matcam.batch.job import Job, Outcome
 from matcam.batch.recipe import SETTINGS_FORMAT
 from matcam.batch.store import open_rows, whole_rows
 from matcam.core.errors import ArgumentError, FileFormatError, OutputError
-from matcam.core.io import check_name, check_output, check_within, reading, write_json
+from matcam.core.io import check_output, reading, write_json
+from matcam.core.readers.names import check_name, check_within, is_folder, is_there
 from matcam.core.readers.texts import read_json
 from matcam.files.datasets import read_netcdf
 
@@ -88,7 +89,7 @@ class RunFolder:
         refused = []
         for path in given:
             inside = [path]
-            if path.is_dir():
+            if is_folder(path):
                 with reading(path):
                     inside = sorted(p for p in path.iterdir() if p.suffix.lower() == ".binary" and p.name[0] != ".")
             for file in inside:
@@ -110,7 +111,7 @@ class RunFolder:
         for stem, files in namesakes.items():
             for file in files:
                 output = self.path / f"{file.stem}.binary"
-                if output.exists() and file.exists() and output.samefile(file):
+                if is_there(output) and is_there(file) and output.samefile(file):
                     raise OutputError(f"output {output} is the input itself: choose another folder")
                 if len(files) > 1:
                     others = ", ".join(str(other) for other in files if other is not file)
@@ -129,7 +130,7 @@ class RunFolder:
         OutputError if it is the folder of a run with other settings, which is named, unless `force`; or if files that a
         run would write are there, and no run wrote them.
         """
-        if not self._settings.exists():
+        if not is_there(self._settings):
             for path in (*(path for job in jobs for path in job.files), self.index, self._failed, self.camera):
                 check_output(path, force=force)
             return False

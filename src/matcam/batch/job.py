@@ -14,7 +14,8 @@ from typing import Any, NamedTuple
 from matcam.batch.recipe import Recipe
 from matcam.batch.store import StoreRow
 from matcam.core.errors import ArgumentError, FileFormatError, MatcamError
-from matcam.core.io import all_or_nothing, check_name, check_output, plain, reading, where_written, write_json
+from matcam.core.io import all_or_nothing, check_output, plain, reading, where_written, write_json
+from matcam.core.readers.names import check_name
 from matcam.core.readers.texts import read_json
 from matcam.core.threads import import_behind
 from matcam.core.workspace import Workspace

@@ -30,6 +30,7 @@ from matcam.core import checks
 from matcam.core.errors import ArgumentError
 from matcam.core.grid import SAMPLINGS, Sampling
 from matcam.core.io import one_by_one
+from matcam.core.readers.names import is_there
 from matcam.core.registry import FAMILIES
 from matcam.core.threads import available_cores
 from matcam.core.workspace import Workspace
@@ -184,6 +185,17 @@ def correct_all(
     checks.choice("masking", masking, MASKINGS)
     checks.within("glare", glare, 0, 0.5)
     checks.choice("sampling", sampling, SAMPLINGS)
+    checks.whole_number("workers", workers, 1, 1024, optional=True)
+    switches = {
+        "anyway": anyway,
+        "pages": pages,
+        "compress": compress,
+        "zarr": zarr,
+        "fit_camera": fit_camera,
+        "force": force,
+    }
+    for name, switch in switches.items():
+        checks.flag(name, switch)
     checks.positive("time_limit", time_limit, "s")
     executor = _executor(workers, cluster, time_limit)
     if zarr:
@@ -198,7 +210,7 @@ def correct_all(
         jobs = [Job(source, target, recipe, force=True, key=key) for source, target in outputs.items()]
         ours = folder.check(settings, jobs, force=force)
         fitted: Camera | None = None
-        if fit_camera and (force or not ours or not folder.camera.exists()):
+        if fit_camera and (force or not ours or not is_there(folder.camera)):
             fitted = fit_shared_camera(recipe, list(outputs))
         # from here on the folder is this run's; before, a run that cannot start has changed nothing
         if not ours:
@@ -260,8 +272,6 @@ def _executor(workers: int | None, cluster: str | None, time_limit: float) -> Ex
         return chosen
     if workers is None:
         return ProcessExecutor(available_cores(), time_limit)
-    if type(workers) is not int or not 1 <= workers <= 1024:
-        raise ArgumentError(f"workers must be a whole number in [1, 1024], got {workers!r}")
     return ProcessExecutor(workers, time_limit)
 
 

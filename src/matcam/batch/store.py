@@ -23,6 +23,7 @@ from matcam.core import checks
 from matcam.core.errors import FileFormatError, OutputError
 from matcam.core.grid import CHANNELS, DIMS, GRID_SHAPE, Sampling, merl_grid
 from matcam.core.readers.apart import read_apart
+from matcam.core.readers.names import is_file
 from matcam.core.readers.texts import read_json
 from matcam.files.datasets import with_short_deviations
 from matcam.files.decoders import DESCRIPTION, check_codecs, check_lengths, chunk_shape
@@ -157,7 +158,7 @@ def _check_readable(store: Path) -> None:
         _check_store(store)
     except OutputError as error:
         raise FileFormatError(f"{store}: not the Zarr of a run: {error}") from None
-    if not (store / _ROW / DESCRIPTION).is_file():
+    if not is_file(store / _ROW / DESCRIPTION):
         raise FileFormatError(f"{store}: not the Zarr of a run: it has no array {_ROW}")
 
 

@@ -106,7 +106,7 @@ class Camera(Module):
         Raises:
             ArgumentError: a position is not finite, or a measured MTF has not reached 0.
         """
-        x, y = checks.number("x", x), checks.number("y", y)
+        x, y = checks.broadcastable(x=x, y=y)
         return self._sum(lambda part: effective.point(part, self.pixel, x, y))
 
     def lsf(self, x: ArrayLike, angle: ArrayLike = 0.0) -> jax.Array:
@@ -121,7 +121,7 @@ class Camera(Module):
         Raises:
             ArgumentError: an argument is not finite, or a measured MTF has not reached 0.
         """
-        x, angle = checks.number("x", x), checks.number("angle", angle)
+        x, angle = checks.broadcastable(x=x, angle=angle)
         return self._sum(lambda part: effective.line(part, self.pixel, x, angle))
 
     def esf(self, x: ArrayLike, angle: ArrayLike = 0.0) -> jax.Array:
@@ -136,7 +136,7 @@ class Camera(Module):
         Raises:
             ArgumentError: an argument is not finite, or a measured MTF has not reached 0.
         """
-        x, angle = checks.number("x", x), checks.number("angle", angle)
+        x, angle = checks.broadcastable(x=x, angle=angle)
         return self._sum(lambda part: effective.edge(part, self.pixel, x, angle))
 
     def mtf(self, f: ArrayLike, angle: ArrayLike = 0.0) -> jax.Array:
@@ -152,7 +152,7 @@ class Camera(Module):
         Raises:
             ArgumentError: an argument is not finite, or f lies beyond a measured MTF.
         """
-        f, angle = checks.number("f", f), checks.number("angle", angle)
+        f, angle = checks.broadcastable(f=f, angle=angle)
         along = effective.transfer_along(self.optics, self.pixel, f, angle)
         return along if self.optics.isotropic else xp.abs(along)
 

@@ -65,14 +65,17 @@ class LensField:
     holds_at: float = 0.0
 
     def __post_init__(self) -> None:
-        checks.within("unit_px", self.unit, 0, np.inf, "px", open_low=True, open_high=True)
-        checks.within("holds_at_px", self.holds_at, 0, np.inf, "px", open_high=True)
+        if checks.number("centre_px", self.centre).shape != (2,):
+            raise ArgumentError(f"centre_px must be (column, row), got {self.centre!r:.60}")
+        checks.scalar("unit_px", checks.within("unit_px", self.unit, 0, np.inf, "px", open_low=True, open_high=True))
+        checks.scalar("holds_at_px", checks.within("holds_at_px", self.holds_at, 0, np.inf, "px", open_high=True))
         for name in ("k1", "k2", "growth"):
-            if np.shape(given := getattr(self, name)) != (2,):
+            if checks.plain_array(name, given := getattr(self, name)).shape != (2,):
                 raise ArgumentError(f"{name} must be (value, standard deviation), got {given!r:.60}")
             value, std = given
             checks.within(name, value, -_LARGEST, _LARGEST)
             checks.within(f"standard deviation of {name}", std, 0, np.inf, open_high=True)
+            object.__setattr__(self, name, Coefficient(value, std))
         rho2 = np.linspace(0, 1.5, 30)
         if np.any(1 + 3 * self.k1.value * rho2 + 5 * self.k2.value * rho2**2 <= 0.1):
             raise ArgumentError("k1 and k2 fold the picture over itself within 1.2 units: give smaller ones")

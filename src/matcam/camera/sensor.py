@@ -134,10 +134,8 @@ class Sensor(Module):
         def number(name: str, value: ArrayLike, low: float, high: float, unit: str = "", open_low: bool = False):  # type: ignore[no-untyped-def]
             return checks.scalar(name, checks.within(name, value, low, high, unit, open_low=open_low))
 
-        if bits is not None and (type(bits) is not int or not 1 <= bits <= _DEEPEST):
-            raise ArgumentError(f"bits must be a whole number in [1, {_DEEPEST}] or None, got {bits!r}")
-        if type(pattern_seed) is not int or not 0 <= pattern_seed < 2**31:
-            raise ArgumentError(f"pattern_seed must be a whole number in [0, 2^31), got {pattern_seed!r}")
+        checks.whole_number("bits", bits, 1, _DEEPEST, optional=True)
+        checks.whole_number("pattern_seed", pattern_seed, 0, 2**31 - 1)
         self.pitch = number("pitch", pitch, 1e-8, 1e-2, "m (5 um is 5e-6)")
         self.full_well = number("full_well", full_well, 1, 1e8, "e-")
         self.read_noise = number("read_noise", read_noise, 0, 1e6, "e-")

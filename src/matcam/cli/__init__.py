@@ -62,7 +62,7 @@ def _end_on_signals() -> None:
 
 
 def _warning_as_line(message: Any, *where: Any, **line: Any) -> str:
-    from matcam.core.io import printable
+    from matcam.core.readers.names import printable
 
     return f"matcam: {printable(_one_line(str(message)))}\n"
 
@@ -136,7 +136,7 @@ def _run(arguments: list[str] | None) -> int:
 
 
 def _complain(message: str, code: int) -> int:
-    from matcam.core.io import printable
+    from matcam.core.readers.names import printable
 
     with contextlib.suppress(OSError):
         print(f"matcam: {printable(message)}", file=sys.stderr)

@@ -16,7 +16,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from matcam.core.io import printable, replacing, user_cache_folder
+from matcam.core.io import replacing, user_cache_folder
+from matcam.core.readers.names import printable
 
 _FIRST, _EACH = 0.8, 0.25  # s: when the line appears, and how often it is drawn
 _LONG = 10.0

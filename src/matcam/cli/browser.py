@@ -9,6 +9,7 @@ import typer
 
 from matcam.cli import show
 from matcam.core.errors import ArgumentError
+from matcam.core.readers.names import is_there
 
 _INTERRUPTED = 130
 
@@ -39,7 +40,7 @@ def command(
     except ImportError:
         raise ArgumentError("the app needs an extra: python -m pip install 'matcam[app]'") from None
     for path in files or ():
-        if not path.exists():
+        if not is_there(path):
             raise ArgumentError(f"{path} does not exist: give a file or a folder")
     if not 0 <= port < 2**16:
         raise ArgumentError(f"--port must lie in [0, {2**16 - 1}], got {port}")

@@ -9,6 +9,7 @@ import typer
 
 from matcam.cli import show
 from matcam.cli.options import AsJson, Budget, Force, Lens, Mosaic
+from matcam.core.readers.names import is_file, is_folder
 
 _SOME_FAILED = 1
 
@@ -186,15 +187,15 @@ def _mtf50(camera: Any) -> float:
 def _files(given: list[Path]) -> list[Path]:
     """Return the pictures, a folder's by name."""
     from matcam.core.errors import FileFormatError
-    from matcam.core.io import check_within
+    from matcam.core.readers.names import check_within
     from matcam.files.photographs import PICTURES
 
     files: list[Path] = []
     for path in given:
-        if not path.is_dir():
+        if not is_folder(path):
             files.append(path)
             continue
-        inside = sorted(p for p in path.iterdir() if p.suffix.lower() in PICTURES and p.is_file())
+        inside = sorted(p for p in path.iterdir() if p.suffix.lower() in PICTURES and is_file(p))
         if not inside:
             raise FileFormatError(f"{path}: no pictures in this folder ({', '.join(PICTURES[:6])}, camera raw)")
         for file in inside:
@@ -219,7 +220,7 @@ def _tone(tone: str, patches: Path | None, files: list[Path]) -> Any:
             return float(tone.removeprefix("gamma:"))
         except ValueError:
             raise ArgumentError(f"--tone {tone!r}: a number must follow gamma:") from None
-    if not Path(tone).is_file():
+    if not is_file(Path(tone)):
         raise ArgumentError(f"--tone must be auto, linear, srgb, gamma:NUMBER or a file, got {tone!r}, which is none")
     from matcam.files.tone_curve import read_tone_curve
 

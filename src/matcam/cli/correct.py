@@ -30,6 +30,7 @@ from matcam.cli.options import (
     choose_device,
     rig_of,
 )
+from matcam.core.readers.names import is_folder
 
 SOME_FAILED, NONE_DONE = 1, 2
 
@@ -132,8 +133,8 @@ def command(
     from matcam.core import checks
     from matcam.core.errors import ArgumentError
 
-    one_file = len(paths) == 1 and not paths[0].is_dir()
-    alone = one_file and (output is None or (bool(output.suffix) and not output.is_dir()))
+    one_file = len(paths) == 1 and not is_folder(paths[0])
+    alone = one_file and (output is None or (bool(output.suffix) and not is_folder(output)))
     if alone and output and output.suffix.lower() != ".binary":
         raise ArgumentError(f"{output}: the corrected table is a MERL file, whose name must end in .binary")
     if alone and (workers is not None or cluster is not None or zarr or fit_camera):

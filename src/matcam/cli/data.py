@@ -44,7 +44,7 @@ def merl(
     Example: `matcam data merl chrome nickel -o merl`
     """
     from matcam.core.errors import ArgumentError, DownloadError, OutputError, unknown_name
-    from matcam.core.io import one_by_one
+    from matcam.core.io import check_output_folder, one_by_one
     from matcam.files.downloads import fetch_merl, merl_checksums
 
     known = merl_checksums()
@@ -56,8 +56,7 @@ def merl(
     for name in materials:
         if name not in known:
             raise unknown_name("MERL material", name, known)
-    if output.exists() and not output.is_dir():
-        raise OutputError(f"output {output} is a file: give a folder")
+    check_output_folder(output)
     fetched, failed = [], []
     for name in materials:
         try:

@@ -32,7 +32,7 @@ from pathlib import Path
 from typing import Any
 
 from matcam.core.errors import ArgumentError, FileFormatError
-from matcam.core.io import printable
+from matcam.core.readers.names import is_link, printable
 
 SCHEMA = "matcam-rig-1"
 
@@ -107,7 +107,7 @@ def _value(path: Path, keys: tuple[str, ...], value: Any) -> Any:
             raise FileFormatError(f"{path}: {where} must be text, got {value!r:.60}")
         if keys != ("camera",):
             return value
-        if Path(value).name != value or (path.parent / value).is_symlink():
+        if Path(value).name != value or is_link(path.parent / value):
             raise FileFormatError(f"{path}: camera must be the plain name of a profile beside it, got {value!r:.60}")
         return path.parent / value
     if not _is_number(value):

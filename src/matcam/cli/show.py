@@ -17,7 +17,8 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 from matcam.cli import activity
-from matcam.core.io import UNPRINTABLE, plain, printable
+from matcam.core.io import plain
+from matcam.core.readers.names import UNPRINTABLE, printable
 
 _SECONDS = 30.0
 _LEAST_WIDTH = 20

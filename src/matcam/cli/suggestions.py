@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from matcam.core.io import where_written
+from matcam.core.readers.names import is_folder, is_there
 from matcam.files import formats
 
 _LONGEST_HEADER = 10_000
@@ -24,7 +25,7 @@ def after(name: str, values: dict[str, Any]) -> str | None:
     """
     maker = _NEXT.get(name)
     words = maker(values) if maker else None
-    if words is None or not all(where_written(word).exists() for word in words if isinstance(word, Path)):
+    if words is None or not all(is_there(where_written(word)) for word in words if isinstance(word, Path)):
         return None
     return shlex.join(str(_unused(word) if isinstance(word, _Output) else word) for word in words)
 
@@ -38,7 +39,7 @@ class _Output(NamedTuple):
 def _unused(output: _Output) -> Path:
     """Return the path of an output, with a number where that name is taken."""
     path, number = output.path, 1
-    while where_written(path).exists():
+    while is_there(where_written(path)):
         number += 1
         path = output.path.with_stem(f"{output.path.stem}-{number}")
     return path
@@ -85,7 +86,7 @@ def _is_brdf(file: Path) -> bool:
 
 def _after_correct(values: dict[str, Any]) -> list[Any] | None:
     paths, output = values["paths"], values["output"]
-    if len(paths) != 1 or paths[0].is_dir() or (output and output.suffix.lower() != ".binary"):
+    if len(paths) != 1 or is_folder(paths[0]) or (output and output.suffix.lower() != ".binary"):
         return None
     if find_spec("mitsuba") is None:  # an extra
         return None
@@ -96,7 +97,7 @@ def _after_correct(values: dict[str, Any]) -> list[Any] | None:
 def _after_reconstruct(values: dict[str, Any]) -> list[Any] | None:
     """Inspect the table; of maps or an anisotropic material, which a MERL file cannot hold, the NetCDF file."""
     target = values["output"] or Path(f"{values['capture'].resolve().name}-reconstructed.binary")
-    return ["matcam", "inspect", target if where_written(target).exists() else target.with_suffix(".nc")]
+    return ["matcam", "inspect", target if is_there(where_written(target)) else target.with_suffix(".nc")]
 
 
 def _after_data(values: dict[str, Any]) -> list[Any] | None:

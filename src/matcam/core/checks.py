@@ -5,7 +5,7 @@ Traced values (inside jit, grad, vmap) have no numbers yet and pass; the outermo
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from importlib.util import find_spec
@@ -49,7 +49,7 @@ def number(name: str, value: ArrayLike | npt.ArrayLike) -> jax.Array:
     return _kept(array, value)
 
 
-def numbers(name: str, value: ArrayLike) -> jax.Array:
+def numbers(name: str, value: ArrayLike | npt.ArrayLike) -> jax.Array:
     """Return `value` as a float64 array that may hold NaN where a value is missing; ArgumentError where it is not numeric."""
     return _kept(_as_float64(name, value), value) if is_concrete(value) else xp.asarray(value, dtype=xp.float64)
 
@@ -128,11 +128,55 @@ def _is_one(value: Any, one: Any) -> bool:
     )
 
 
+def whole_number(
+    name: str, value: Any, low: int, high: int | None = None, *, unit: str = "", optional: bool = False
+) -> int | None:
+    """Return `value` if it is an int in [low, high], or None where it is optional; ArgumentError otherwise."""
+    if (optional and value is None) or (type(value) is int and low <= value and (high is None or value <= high)):
+        return value
+    interval = f">= {low}" if high is None else f"in [{low}, {high}]"
+    raise ArgumentError(
+        f"{name} must be a whole number{unit and ' of ' + unit} {interval}{' or None' * optional}, got {_shown(value)}"
+    )
+
+
+def flag(name: str, value: Any) -> bool:
+    """Return `value` if it is True or False, NumPy's too: a text or an array would count as True. ArgumentError otherwise."""
+    if not isinstance(value, bool | np.bool_):
+        raise ArgumentError(f"{name} must be True or False, got {_shown(value)}")
+    return bool(value)
+
+
 def instance(name: str, value: Any, kind: type[T]) -> T:
     """Return `value` if it is of a class; ArgumentError names the class otherwise."""
     if not isinstance(value, kind):
         raise ArgumentError(f"{name} must be a {kind.__name__}, got {_shown(value)}")
     return value
+
+
+def instances(name: str, values: Any, kind: type[T]) -> list[T]:
+    """Return values as a list if each is of a class; ArgumentError names the class otherwise."""
+    if isinstance(values, str | bytes) or not isinstance(values, Iterable):
+        raise ArgumentError(f"{name} must be a sequence of {kind.__name__}, got {_shown(values)}")
+    return [instance(f"entry {number} of {name}", value, kind) for number, value in enumerate(values, 1)]
+
+
+def broadcastable(**values: ArrayLike) -> tuple[jax.Array, ...]:
+    """Return values as float64 arrays; ArgumentError where one is not finite, or their shapes do not broadcast."""
+    arrays = {name: number(name, value) for name, value in values.items()}
+    broadcast_shape(**arrays)
+    return tuple(arrays.values())
+
+
+def broadcast_shape(**arrays: jax.Array) -> tuple[int, ...]:
+    """Return the shape to which arrays broadcast; ArgumentError names them and their shapes where they do not."""
+    shapes = [np.shape(array) for array in arrays.values()]
+    try:
+        return np.broadcast_shapes(*shapes)
+    except ValueError:
+        *names, last = arrays
+        text = f"{', '.join(names)} and {last} must have shapes that broadcast, got {', '.join(map(str, shapes))}"
+        raise ArgumentError(text) from None
 
 
 def extra(what: str, name: str, module: str) -> None:

@@ -26,6 +26,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from matcam.core.errors import ArgumentError, FileFormatError, OutputError
+from matcam.core.readers.names import UNPRINTABLE, is_folder, is_there, printable
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -65,6 +66,18 @@ def _check_place(path: Path, inputs: Iterable[str | Path]) -> None:
             if not parent.is_dir():
                 raise OutputError(f"output {path} cannot be written: {parent} is a file, not a folder")
             break
+
+
+def check_output_folder(path: Path) -> None:
+    """Refuse, before any work, a folder for outputs that is a file or cannot be made. OutputError."""
+    if is_there(path) and not is_folder(path):
+        raise OutputError(f"output {path} is a file: give a folder")
+    try:
+        path.stat()
+    except FileNotFoundError:
+        pass
+    except (OSError, ValueError) as error:
+        raise OutputError(f"output {path!s:.300} cannot be written: {getattr(error, 'strerror', error)}") from None
 
 
 def check_picture(path: str | Path, *, force: bool, inputs: Iterable[str | Path] = ()) -> Path:
@@ -311,30 +324,6 @@ def reading(path: Path, what: str = "") -> Iterator[None]:
         raise FileFormatError(f"{path}: no such file") from None
     except OSError as error:
         raise FileFormatError(f"{path}: cannot be read: {error.strerror or error}") from None
-
-
-UNPRINTABLE = "[\x00-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069\ud800-\udfff]"
-"""Characters that move a terminal's cursor or change its state, and bytes of a name that are no text."""
-
-
-def printable(text: str) -> str:
-    """Return text without characters that a terminal obeys, or that are no characters: each as its escape."""
-    return re.sub(UNPRINTABLE, lambda found: found[0].encode("unicode_escape").decode(), text)
-
-
-def check_name(path: Path) -> None:
-    """Refuse an input whose name could not be written down. FileFormatError."""
-    if re.search(UNPRINTABLE, path.name):
-        raise FileFormatError(f"{printable(str(path))}: its name is not plain text: rename it")
-
-
-def check_within(path: Path, folder: Path) -> None:
-    """Refuse a file of a folder that is a link to elsewhere: who fills a folder must not choose among the reader's files.
-
-    FileFormatError where following the links of `path` leads out of `folder`.
-    """
-    if path.is_symlink() and not (target := path.resolve()).is_relative_to(folder.resolve()):
-        raise FileFormatError(f"{path}: is a link out of its folder, to {target}: name that file itself")
 
 
 def write_columns(path: str | Path, data: xr.Dataset | dict[str, Sequence[Any]], *, force: bool = False) -> None:

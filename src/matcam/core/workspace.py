@@ -22,7 +22,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from matcam.core.errors import ArgumentError
+from matcam.core import checks
 from matcam.core.io import user_cache_folder
 from matcam.core.sealed import read_sealed, remove_sealed, sealed_files, write_sealed
 
@@ -60,9 +60,7 @@ class Workspace:
 
     def __post_init__(self) -> None:
         for name in ("entries", "files"):
-            value = getattr(self, name)
-            if type(value) is not int or value < 0:
-                raise ArgumentError(f"{name} must be a whole number >= 0, got {value!r:.60}")
+            checks.whole_number(name, getattr(self, name), 0)
         if self.folder is not None:
             object.__setattr__(self, "folder", Path(self.folder))
 

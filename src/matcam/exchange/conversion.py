@@ -14,7 +14,8 @@ import numpy as np
 from matcam.core import checks
 from matcam.core.errors import ArgumentError
 from matcam.core.grid import Sampling
-from matcam.core.io import check_output, check_within, write_json
+from matcam.core.io import check_output, write_json
+from matcam.core.readers.names import check_within, is_there
 from matcam.core.shading import Vector, local_shading, vector
 from matcam.exchange.contents import Contents, material_of, read_contents, write_contents
 from matcam.exchange.materialx import fit_openpbr, write_openpbr
@@ -224,7 +225,7 @@ def _as_table(contents: Contents, sampling: Sampling) -> tuple[Contents, dict[st
 def _write_sidecar(source: Path, target: Path, force: bool) -> dict[str, Any]:
     """Write the picture's sidecar beside the output, with its new name in it."""
     beside = sidecar_path(source)
-    if not beside.exists() or beside == sidecar_path(target):
+    if not is_there(beside) or beside == sidecar_path(target):
         return {}
     check_within(beside, source.resolve().parent)
     document = read_sidecar(beside)

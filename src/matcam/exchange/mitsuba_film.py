@@ -13,6 +13,7 @@ import numpy as np
 from scipy.signal import fftconvolve
 
 from matcam.camera.camera import Camera
+from matcam.core import checks
 from matcam.core.errors import ArgumentError
 
 _ENCLOSED = 0.999
@@ -42,10 +43,8 @@ class MitsubaFilm:
     def __init__(self, camera: Camera, subpixels: int = 4, reach: int | None = None):
         if not isinstance(camera, Camera):
             raise ArgumentError(f"camera must be a Camera, got {type(camera).__name__}")
-        if type(subpixels) is not int or not 1 <= subpixels <= 16:
-            raise ArgumentError(f"subpixels must be a whole number in [1, 16], got {subpixels!r}")
-        if reach is not None and (type(reach) is not int or not 1 <= reach <= 256):
-            raise ArgumentError(f"reach must be a whole number of px in [1, 256] or None, got {reach!r}")
+        checks.whole_number("subpixels", subpixels, 1, 16)
+        checks.whole_number("reach", reach, 1, 256, unit="px", optional=True)
         self.subpixels = subpixels
         self.reach = _reach(camera) if reach is None else reach
         weights = _weights(camera, subpixels, self.reach)

@@ -200,11 +200,10 @@ def rendered_sphere(
         (32, 32, 3)
         >>> matcam.exchange.rendered_sphere(material, size=8)
         Traceback (most recent call last):
-        matcam.core.errors.ArgumentError: size must be a whole number from 16 to 4096, got 8
+        matcam.core.errors.ArgumentError: size must be a whole number in [16, 4096], got 8
     """
     for name, value, low, high in (("size", size, 16, 4096), ("samples", samples, 1, 1 << 16)):
-        if type(value) is not int or not low <= value <= high:
-            raise ArgumentError(f"{name} must be a whole number from {low} to {high}, got {value!r}")
+        checks.whole_number(name, value, low, high)
     if not -np.pi < float(checks.scalar("lamp_angle", checks.number("lamp_angle", lamp_angle))) < np.pi:
         raise ArgumentError(f"lamp_angle must lie in (-180, 180) degrees, got {np.degrees(lamp_angle):g}")
     mitsuba = _mitsuba()

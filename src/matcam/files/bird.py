@@ -34,6 +34,11 @@ _VALUE_UNITS = ("1/sr", "sr^-1")
 _NANO = {"nm": 1.0, "μm": 1e3, "µm": 1e3, "um": 1e3}
 _MOST = 2_000_000
 """Readings that are written, at most: each takes about 100 bytes."""
+_LONGEST_NAME = 60
+"""Characters in the name of a channel, at most, as in a CSV of samples; each name takes the memory of the longest."""
+_SPARSEST = 1000
+"""Cells of the table that is read for each reading, at most: it grows with the square of the readings where each is of
+another pair of directions and another channel. The 50,000 readings of the largest document then take 400 MB."""
 _NOT_STATED = "not stated"
 _GRAZING = 1e-9
 """Distance from 90 degrees that angles keep: the schema excludes 90 degrees itself."""
@@ -77,11 +82,18 @@ def read_bird(path: str | Path) -> xr.DataArray:
             raise FileFormatError(f"{path}: data.{name} must lie in [0, 90] degrees")
     channel = _channels(path, data, len(values))
     names = list(dict.fromkeys(channel))
+    if max(map(len, names)) > _LONGEST_NAME:
+        raise FileFormatError(f"{path}: the name of a channel has more than {_LONGEST_NAME} characters")
     pairs = np.stack([np.mod(a, 2 * np.pi) for a in angles], axis=1).round(9)
     unique, first, place = np.unique(pairs, axis=0, return_index=True, return_inverse=True)
     order = np.argsort(np.argsort(first))  # pairs of directions in the order of the file
+    if len(unique) * len(names) > _SPARSEST * len(values):
+        raise FileFormatError(
+            f"{path}: {len(values)} readings are too few for {len(unique)} pairs of directions in {len(names)} channels"
+        )
     table = np.full((len(unique), len(names)), np.nan)
-    column = np.array([names.index(one) for one in channel])
+    number = {name: k for k, name in enumerate(names)}
+    column = np.array([number[one] for one in channel])
     row = order[place.reshape(-1)]
     if len(set(zip(row.tolist(), column.tolist(), strict=True))) < len(values):
         raise FileFormatError(f"{path}: states several values of one pair of directions and channel")
@@ -143,15 +155,15 @@ def _column(path: Path, data: dict[str, Any], name: str, units: dict[str, float]
     one = data.get(name)
     if not isinstance(one, dict) or "values" not in one:
         raise FileFormatError(f"{path}: data.{name} is missing, or has no values")
-    if one.get("unit") not in units:
+    if not isinstance(one.get("unit"), str) or one["unit"] not in units:
         raise FileFormatError(
             f"{path}: data.{name}.unit must be one of {', '.join(units)}, got {one.get('unit')!r:.40}"
         )
     try:
-        values = np.asarray(one["values"], np.float64)
-    except (TypeError, ValueError):
-        values = np.full((1, 1), np.nan)
-    if values.ndim != 1 or not len(values) or not np.isfinite(values).all():
+        values = np.asarray(one["values"])
+    except ValueError:  # rows of different lengths
+        values = np.empty((1, 1))
+    if values.dtype.kind not in "iuf" or values.ndim != 1 or not len(values) or not np.isfinite(values).all():
         raise FileFormatError(f"{path}: data.{name}.values must be finite numbers, at least one")
     return values * units[one["unit"]]
 

@@ -26,7 +26,7 @@ import numpy as np
 from pydantic import ValidationError
 
 from matcam.core.errors import FileFormatError
-from matcam.core.io import check_within
+from matcam.core.readers.names import check_folder, check_within, is_file, is_folder, listed_file
 from matcam.core.readers.texts import checked_version, first_problem, read_lines, read_toml
 from matcam.core.registry import CFAS
 from matcam.core.remark import Remark, some_of
@@ -201,10 +201,7 @@ def read_capture(folder: str | Path) -> Capture:
         matcam.core.errors.FileFormatError: none: no such folder
     """
     folder = Path(folder)
-    if not folder.is_dir():
-        raise FileFormatError(
-            f"{folder}: " + ("is no folder: give a capture's" if folder.exists() else "no such folder")
-        )
+    check_folder(folder, ": give a capture's")
     settings = read_settings(folder / SETTINGS)
     if settings["camera"]["profile"] is not None:
         _inside(folder, settings["camera"]["profile"])
@@ -267,15 +264,7 @@ def json_schema() -> dict[str, Any]:
 
 def _inside(folder: Path, name: str) -> Path:
     """Return the path of a file of the folder; FileFormatError where it leads out of it."""
-    pure = PurePosixPath(name)
-    path = folder / name
-    if not pure.parts or not name.isprintable() or len(name) > 200:
-        raise FileFormatError(f"{folder}: file {name[:40]!r} has no name that is plain text")
-    if pure.is_absolute() or ".." in pure.parts or "\\" in name or re.match(r"[A-Za-z]:", name):
-        raise FileFormatError(f"{path}: leads out of the capture's folder: give a name inside it")
-    if not path.resolve().is_relative_to(folder.resolve()):
-        raise FileFormatError(f"{path}: is a link out of the capture's folder: put the file itself there")
-    return path
+    return listed_file(folder, name, "the capture's folder")
 
 
 def _listed(folder: Path) -> tuple[list[CaptureFrame], dict[str, LampGuess], list[Remark]]:
@@ -341,7 +330,7 @@ def _frame(
         raise FileFormatError(f"{path}: lies in none of {', '.join(KINDS)}")
     if name in seen:
         raise FileFormatError(f"{path}: is listed twice")
-    if not path.is_file():
+    if not is_file(path):
         return None
     if path.suffix.lower() not in PICTURES:
         raise FileFormatError(f"{path}: is no picture by its suffix")
@@ -381,7 +370,7 @@ def _unlisted(folder: Path, frames: Iterable[CaptureFrame], problems: Iterable[R
     extra: list[str] = []
     for kind in KINDS:
         place = folder / kind
-        if not place.is_dir() or not place.resolve().is_relative_to(folder.resolve()):
+        if not is_folder(place) or not place.resolve().is_relative_to(folder.resolve()):
             continue
         for path in sorted(place.iterdir()):
             name = f"{kind}/{path.name}"

@@ -16,8 +16,9 @@ from typing import Any
 
 import numpy as np
 
-from matcam.core.errors import ArgumentError, FileFormatError, MatcamError, OutputError
+from matcam.core.errors import ArgumentError, MatcamError, OutputError
 from matcam.core.io import all_or_nothing, replacing
+from matcam.core.readers.names import check_folder, is_file, is_folder, is_there
 from matcam.core.remark import some_of
 from matcam.files.capture import KINDS
 from matcam.files.light_positions import LightPosition, are_unit_vectors, read_light_positions
@@ -58,7 +59,7 @@ class Listing:
         """
         wanted = [(source, folder / name) for source, name in self.copies.items()]
         wanted = [(source, target) for source, target in wanted if source.resolve() != target.resolve()]
-        taken = [target.name for _, target in wanted if target.exists()]
+        taken = [target.name for _, target in wanted if is_there(target)]
         if taken and not force:
             raise OutputError(f"output {folder} already has {some_of(taken)}: use force=True to replace them")
         with all_or_nothing():
@@ -85,8 +86,7 @@ def list_photographs(source: str | Path, light_positions: str | Path | None = No
         FileFormatError: the folder is missing, or the light position file is wrong.
     """
     source = Path(source)
-    if not source.is_dir():
-        raise FileFormatError(f"{source}: " + ("is no folder" if source.exists() else "no such folder"))
+    check_folder(source)
     found = {kind: _pictures(source / kind) for kind in KINDS}
     found["frames"] = sorted([*_pictures(source), *found["frames"]], key=_in_order)
     if not found["frames"]:
@@ -126,9 +126,9 @@ def list_photographs(source: str | Path, light_positions: str | Path | None = No
 
 
 def _files(folder: Path) -> list[Path]:
-    if not folder.is_dir():
+    if not is_folder(folder):
         return []
-    return [path for path in folder.iterdir() if path.is_file() and not path.name.startswith(".")]
+    return [path for path in folder.iterdir() if is_file(path) and not path.name.startswith(".")]
 
 
 def _pictures(folder: Path) -> list[Path]:

@@ -11,8 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from matcam.core.errors import OutputError
-from matcam.core.io import all_or_nothing, make_folder, replacing
+from matcam.core.io import all_or_nothing, check_output_folder, make_folder, replacing
 from matcam.files.capture import COLUMNS, KINDS, LIST, SETTINGS
 
 TEMPLATE = """\
@@ -81,8 +80,7 @@ def write_template(folder: str | Path, rows: Iterable[Mapping[str, Any]] = (), *
         OutputError: a file exists and `force` is False, or the folder cannot be written.
     """
     folder = Path(folder)
-    if folder.exists() and not folder.is_dir():
-        raise OutputError(f"output {folder} is a file: give a folder")
+    check_output_folder(folder)
     texts = {SETTINGS: TEMPLATE, LIST: _table(rows)}
     with all_or_nothing():
         for kind in KINDS:

@@ -17,9 +17,11 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from matcam.core import checks
 from matcam.core.errors import ArgumentError, FileFormatError, OutputError
 from matcam.core.io import reading, replacing, uninterrupted
 from matcam.core.readers.apart import read_apart
+from matcam.core.readers.names import is_folder
 from matcam.files.decoders import DESCRIPTION, check_stored_sizes, one_line
 
 _HDF5 = b"\x89HDF\r\n\x1a\n"
@@ -53,6 +55,7 @@ def write_netcdf(path: str | Path, data: xr.Dataset, *, force: bool = False, com
         {'units': '1/sr'}
     """
     _check_dataset(data)
+    checks.flag("compress", compress)
     with replacing(path, force=force) as temporary:
         try:
             with uninterrupted():  # xarray's lock stays shut where it is interrupted, and closing the file waits for it
@@ -196,7 +199,7 @@ def read_zarr(path: str | Path) -> xr.Dataset:
 
     path = Path(path)
     with reading(path):
-        if path.is_dir():
+        if is_folder(path):
             raise FileFormatError(f"{path}: is a folder; a Zarr in one zip file is read (zip -0 -r a.zarr.zip .)")
     stored = read_apart(
         "matcam.files.decoders:decode_zarr",

@@ -19,6 +19,7 @@ from typing import Any
 
 from matcam.core.errors import DownloadError, unknown_name
 from matcam.core.io import reading, replacing
+from matcam.core.readers.names import is_file
 
 MERL_SOURCE = "https://zenodo.org/records/8101681/files/BRDFDatabase.zip"
 """The MERL BRDF database as its owners publish it since 2023 (CC BY-SA 4.0, doi:10.5281/zenodo.8101680): one archive,
@@ -74,7 +75,7 @@ def fetch_merl(
     if material not in checksums:
         raise unknown_name("MERL material", material, checksums)
     path = Path(folder) / f"{material}.binary"
-    if path.is_file() and _sha256(path) == checksums[material]:
+    if is_file(path) and _sha256(path) == checksums[material]:
         return path
     source = source or os.environ.get(SOURCE_SETTING) or MERL_SOURCE
     with replacing(path, force=force) as temporary, temporary.open("wb") as output:

@@ -21,7 +21,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 from matcam.core.errors import FileFormatError
-from matcam.core.io import check_within, reading
+from matcam.core.io import reading
+from matcam.core.readers.names import check_within, is_file, is_folder, listed_file
 from matcam.core.readers.texts import read_lines
 from matcam.files.photographs import PICTURES
 from matcam.files.picture_header import exposure_time
@@ -31,6 +32,9 @@ _UNITS = {"ns": 1e-9, "us": 1e-6, "ms": 1e-3, "s": 1.0}
 _TIME = re.compile(r"(?<![a-zA-Z0-9.])(\d+(?:\.\d+)?)\s?(ns|us|ms|s)(?![a-zA-Z0-9])")
 _KINDS = {"dark": False, "bias": False, "flat": True, "bright": True}
 """Beginning of the name of a file or its folder -> whether it is lit."""
+_MOST_LINES = 20_000
+"""Lines of a descriptor, most of which name a file; each file's place is looked up, which takes 40 us."""
+_DEEPEST = 32  # bits of a code
 _DIGITS = 6
 """Significant digits to which exposure times of one set agree."""
 
@@ -92,7 +96,7 @@ def read_exposure_series(path: str | Path) -> ExposureSeries:
     """
     path = Path(path)
     with reading(path):
-        folder = path.is_dir()
+        folder = is_folder(path)
         path.stat()
     if not folder:
         return _described(path)
@@ -120,27 +124,34 @@ def _lines(path: Path) -> list[tuple[int, str]]:
 def _described(path: Path) -> ExposureSeries:
     """Read a descriptor of the EMVA 1288 reference data sets."""
     lines = _lines(path)
+    if len(lines) > _MOST_LINES:
+        raise FileFormatError(f"{path}: {len(lines)} lines; a descriptor of exposures has at most {_MOST_LINES}")
     bits: int | None = None
     sets: list[ExposureSet] = []
+    files: list[list[Path]] = []
     for number, line in lines:
         key, *cells = line.split(None, 1 if line[:1] == "i" else -1)
         try:
             if key == "n" and len(cells) == 3:
                 bits = int(cells[0])
+                if not 0 < bits <= _DEEPEST:
+                    raise ValueError
             elif key == "b" and len(cells) == 2:
                 sets.append(ExposureSet(True, _number(cells[0]) * _NANO, _number(cells[1]), ()))
+                files.append([])
             elif key == "d" and len(cells) == 1:
                 sets.append(ExposureSet(False, _number(cells[0]) * _NANO, 0.0, ()))
+                files.append([])
             elif key == "i" and len(cells) == 1 and sets:
-                file = path.parent / cells[0].replace("\\", "/")
-                check_within(file, path.parent)
-                sets[-1] = sets[-1]._replace(files=(*sets[-1].files, file))
+                files[-1].append(listed_file(path.parent, cells[0].replace("\\", "/"), "the descriptor's folder"))
             elif key != "v":
                 raise ValueError
+        except FileFormatError as error:
+            raise FileFormatError(f"{path}: line {number}: {error}") from None
         except ValueError:
             text = "must be n BITS WIDTH HEIGHT, b TIME PHOTONS, d TIME, or i FILE behind one of them"
             raise FileFormatError(f"{path}: line {number} {text}, got {line!r:.60}") from None
-    return _series(path, sets, bits)
+    return _series(path, [one._replace(files=tuple(of)) for one, of in zip(sets, files, strict=True)], bits)
 
 
 def _number(cell: str) -> float:
@@ -153,7 +164,7 @@ def _number(cell: str) -> float:
 def _listed(folder: Path) -> ExposureSeries:
     """Find the frames of a folder by their names."""
     found: dict[tuple[bool, str], ExposureSet] = {}
-    files = sorted(one for one in folder.rglob("*") if one.suffix.lower() in PICTURES and one.is_file())
+    files = sorted(one for one in folder.rglob("*") if one.suffix.lower() in PICTURES and is_file(one))
     for file in files:
         inside = file.relative_to(folder)
         lit = next(

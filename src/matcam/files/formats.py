@@ -17,6 +17,7 @@ from typing import Any
 
 from matcam.core.errors import ArgumentError, FileFormatError
 from matcam.core.io import reading
+from matcam.core.readers.names import is_folder, is_there
 
 CONTENTS = {
     "table": "a table on the MERL grid",
@@ -281,7 +282,8 @@ _DECODERS = {
     ".nc": ("matcam.files.decoders", "h5py", "h5netcdf"),
     ".zip": ("matcam.files.decoders", "zarr.storage"),
     ".csv": ("matcam.files.table_decoders", "pandas"),
-    ".bsdf": ("matcam.files.table_decoders",),
+    ".bsdf": ("matcam.files.table_decoders", "matcam.files.zemax_decoder"),
+    ".bin": ("matcam.files.table_decoders",),
     ".exr": ("matcam.files.picture_decoders", "OpenEXR"),
     **dict.fromkeys((".tif", ".tiff"), ("matcam.files.picture_decoders", "tifffile", "imagecodecs._zlib")),
     ".png": ("matcam.files.picture_decoders", "imagecodecs._png"),
@@ -299,7 +301,7 @@ def decoded_by(paths: Iterable[Path]) -> list[str]:
     suffixes = set()
     for path in paths:
         with contextlib.suppress(OSError, ValueError):  # the command will say so
-            inside = path.iterdir() if path.is_dir() else [path] if path.exists() else []
+            inside = path.iterdir() if is_folder(path) else [path] if is_there(path) else []
             suffixes |= {file.suffix.lower() for file in islice(inside, _MOST_LOOKED_AT)}
     return sorted({module for suffix in suffixes & set(_DECODERS) for module in _DECODERS[suffix]})
 

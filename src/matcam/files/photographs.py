@@ -14,6 +14,7 @@ import numpy as np
 from matcam.core.errors import FileFormatError
 from matcam.core.io import reading
 from matcam.core.readers.apart import read_apart
+from matcam.core.readers.names import is_file
 from matcam.files.float_pictures import read_exr
 from matcam.files.picture_header import Exif, cut, picture_memory, read_exif
 
@@ -87,7 +88,7 @@ def open_photograph(path: str | Path, region: tuple[int, int, int, int] | None =
     path = Path(path)
     with reading(path, "a picture"):
         exif = read_exif(path)
-    if exif.dng or (path.suffix.lower() in SUFFIXES and path.is_file()):
+    if exif.dng or (path.suffix.lower() in SUFFIXES and is_file(path)):
         mosaic = read_raw(path, region)
         return Photograph(mosaic.values, mosaic.cfa, mosaic.saturation, True, exif)
     with reading(path), path.open("rb") as file:

@@ -1,6 +1,7 @@
-"""Decode BRDF samples (CSV) and tensor files (RGL), apart: what runs in a process of its own (core/readers/apart.py).
+"""Decode tables (CSV, RGL, UTIA), apart: what runs in a process of its own (core/readers/apart.py).
 
-samples.py and rgl.py describe the formats. This file imports neither xarray nor JAX, which the process would have to load.
+samples.py, rgl.py and utia.py describe the formats. This file imports neither xarray nor JAX, which the process would have
+to load.
 """
 
 from __future__ import annotations
@@ -25,6 +26,9 @@ _BLOCK = 1 << 16  # bytes
 
 RGL_MAGIC, RGL_VERSION = b"tensor_file\0", b"\1\0"
 RGL_TYPES = dict(enumerate(("u1", "i1", "<u2", "<i2", "<u4", "<i4", "<u8", "<i8", "<f2", "<f4", "<f8"), 1))
+UTIA_SHAPE = (3, 6, 48, 6, 48)
+_UTIA_BYTES = 8 * math.prod(UTIA_SHAPE)
+"""Bytes of a file of UTIA: it has no other mark."""
 _MOST_FIELDS, _MOST_DIMENSIONS, _LONGEST_NAME = 64, 8, 64
 
 
@@ -154,3 +158,14 @@ def decode_rgl(path: Path) -> dict[str, np.ndarray]:
     except (struct.error, UnicodeDecodeError):
         raise FileFormatError(f"{path}: damaged list of fields") from None
     return found
+
+
+def decode_utia(path: Path) -> np.ndarray:
+    """Read the values of a BRDF of UTIA: channel, and two angles of the light and of the view."""
+    size = path.stat().st_size
+    if size != _UTIA_BYTES:
+        raise FileFormatError(f"{path}: has {size} bytes; a BRDF of UTIA has {_UTIA_BYTES}")
+    values = np.fromfile(path, "<f8").reshape(UTIA_SHAPE)
+    if not np.isfinite(values).all():
+        raise FileFormatError(f"{path}: holds {np.count_nonzero(~np.isfinite(values))} values that are not finite")
+    return values

@@ -10,15 +10,12 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
-from matcam.core.errors import FileFormatError
 from matcam.core.grid import CHANNELS
 from matcam.core.io import reading
+from matcam.core.readers.apart import read_apart
+from matcam.files.table_decoders import UTIA_SHAPE
 
-_POLAR, _AZIMUTHS = 6, 48
 _STEP = np.radians(15.0)
-_SHAPE = (len(CHANNELS), _POLAR, _AZIMUTHS, _POLAR, _AZIMUTHS)
-SIZE = 8 * int(np.prod(_SHAPE))
-"""Bytes of a file: it has no other mark."""
 
 
 def read_utia(path: str | Path) -> xr.Dataset:
@@ -47,13 +44,8 @@ def read_utia(path: str | Path) -> xr.Dataset:
     """
     path = Path(path)
     with reading(path, "a BRDF of UTIA"):
-        size = path.stat().st_size
-        if size != SIZE:
-            raise FileFormatError(f"{path}: has {size} bytes; a BRDF of UTIA has {SIZE}")
-        values = np.fromfile(path, "<f8").reshape(_SHAPE)
-    if not np.isfinite(values).all():
-        raise FileFormatError(f"{path}: holds {np.count_nonzero(~np.isfinite(values))} values that are not finite")
-    polar, azimuth = np.arange(_POLAR) * _STEP, np.arange(_AZIMUTHS) * 2 * np.pi / _AZIMUTHS
+        values = read_apart("matcam.files.table_decoders:decode_utia", path)
+    polar, azimuth = np.arange(UTIA_SHAPE[1]) * _STEP, np.arange(UTIA_SHAPE[2]) * 2 * np.pi / UTIA_SHAPE[2]
     dims = ("theta_i", "phi_i", "theta_o", "phi_o", "channel")
     angles = {name: (name, polar if "theta" in name else azimuth, {"units": "rad"}) for name in dims[:4]}
     brdf = (dims, np.moveaxis(values, 0, -1), {"units": "1/sr"})

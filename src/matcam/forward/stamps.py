@@ -89,8 +89,7 @@ def highlight_stamps(camera: Camera, size: int, highlights: Highlights) -> jax.A
         (2, 9, 9) [1. 1.]
     """
     lens = _gaussians(camera)
-    if not isinstance(size, int) or not 1 <= size <= _LARGEST:
-        raise ArgumentError(f"size must be a whole number of pixels in [1, {_LARGEST}], got {size!r:.60}")
+    checks.whole_number("size", size, 1, _LARGEST, unit="pixels")
     lights = _light_arrays(highlights)
     pixel: BoxPixel = camera.pixel  # type: ignore[assignment]
     edges = _PixelEdges(size, is_concrete(pixel.half_width) and float(pixel.half_width) == 0.5, pixel.half_width)
@@ -140,13 +139,8 @@ def rig_highlights(
     angle = checked_lamp_angles(lamp_angle, rig.lamp, sample.distance)
     share = checks.within("reflectance", reflectance, 0, np.inf, open_high=True)
     turn = rig.azimuths(azimuth)
-    try:
-        lobe, angle, share, turn = jnp.broadcast_arrays(lobe, angle, share, turn)
-    except ValueError:
-        shapes = [a.shape for a in (lobe, angle, turn, share)]
-        raise ArgumentError(
-            f"width, lamp_angle, azimuth and reflectance must have shapes that broadcast, got {shapes}"
-        ) from None
+    checks.broadcast_shape(width=lobe, lamp_angle=angle, azimuth=turn, reflectance=share)
+    lobe, angle, share, turn = jnp.broadcast_arrays(lobe, angle, share, turn)
     u, theta_d = sample.highlight(angle, near), sample.theta_d(angle, near)
     x = sample.surface(u, jnp.zeros(())).x
     along, across = sample.px_per_rad(theta_d, near)
@@ -181,17 +175,13 @@ def _light_arrays(highlights: Highlights) -> _Lights:
         raise ArgumentError(
             f"highlights must be Highlights(flux, x, y, std_along, std_across), got {type(highlights).__name__}"
         )
-    values = [checks.number(name, getattr(highlights, name)) for name in ("flux", "x", "y")]
+    values = {name: checks.number(name, getattr(highlights, name)) for name in ("flux", "x", "y")}
     for name in ("std_along", "std_across"):
-        values.append(checks.within(name, getattr(highlights, name), 0, np.inf, "px", open_high=True))
+        values[name] = checks.within(name, getattr(highlights, name), 0, np.inf, "px", open_high=True)
     if highlights.angle is not None:
-        values.append(checks.number("angle", highlights.angle))
-    try:
-        return _Lights(*jnp.broadcast_arrays(*values))
-    except ValueError:
-        raise ArgumentError(
-            f"shapes of the highlights' numbers do not broadcast: {[a.shape for a in values]}"
-        ) from None
+        values["angle"] = checks.number("angle", highlights.angle)
+    checks.broadcast_shape(**values)
+    return _Lights(*jnp.broadcast_arrays(*values.values()))
 
 
 class _PixelEdges(eqx.Module):

@@ -20,7 +20,8 @@ from matcam.camera.camera import Camera
 from matcam.camera.optics.optics import checked_isotropic
 from matcam.camera.sensor import Sensor
 from matcam.core.errors import ArgumentError, OutputError
-from matcam.core.io import replacing, write_json
+from matcam.core.io import check_output_folder, replacing, write_json
+from matcam.core.readers.names import is_folder
 from matcam.files.capture_writing import write_codes, write_description
 from matcam.forward.synthetic_samples import RADIUS_MM, LampErrors, SyntheticSample, synthetic_sample
 from matcam.lamp.lamps import NearLamp
@@ -121,7 +122,8 @@ def simulate_capture(
         got = f"{len(plan.theta_d)}, {plan.exposures} and {plan.step:g}"
         raise ArgumentError(f"plan must have lamp positions, 1 to 12 exposures and a step above 1, got {got}")
     folder = Path(folder)
-    if folder.exists() and (not folder.is_dir() or (_holds_files(folder) and not force)):
+    check_output_folder(folder)
+    if _holds_files(folder) and not force:
         raise OutputError(f"output {folder} exists and is not empty: use force=True to write into it")
     rng = np.random.default_rng(seed)
     errors = LampErrors(plan.lamp_std, plan.gain_std, plan.shift_std)
@@ -206,7 +208,7 @@ def sensor_or_usual(rig: Rig) -> Rig:
 
 def _holds_files(folder: Path) -> bool:
     """Return whether somebody's files are in a folder, not only what a run that was ended has left."""
-    return any(not path.is_dir() and not path.name.startswith(".") for path in folder.rglob("*"))
+    return any(not is_folder(path) and not path.name.startswith(".") for path in folder.rglob("*"))
 
 
 def _sensor(rig: Rig) -> Sensor:

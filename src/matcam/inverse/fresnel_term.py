@@ -50,6 +50,7 @@ _SHARP_LENS = 0.05
 """px."""
 _PARTS = 5
 """In which the angles of exact peaks are computed."""
+_DIMS = ("theta_d", "channel")
 _REFRACTIVE = (1.3, 1.4, 1.5, 1.6, 1.7, 1.8)
 """Indices of dielectrics that a result is compared with."""
 _QUIET = np.radians(np.arange(6, 60, 3))  # theta_d where lobes of real tables are complete
@@ -123,6 +124,7 @@ def fresnel(
     brdf = checked_table(brdf)
     _check(rig, ndf, normalise)
     checks.choice("masking", masking, MASKINGS)
+    checks.flag("anyway", anyway)
     _check_highlight(brdf, normalise)
     located = located_rig(rig, brdf)
     setup = first_setup(
@@ -213,6 +215,16 @@ def fresnel(
     )
 
 
+def _check_result(result: xr.Dataset) -> None:
+    """Refuse what is no Dataset as from `fresnel`. ArgumentError names what it lacks."""
+    checks.instance("result", result, xr.Dataset)
+    dims = {"theta_d": ("theta_d",), "raw": _DIMS, "corrected": _DIMS, "supported_angle": _DIMS[1:]}
+    lacking = [name for name, wanted in dims.items() if name not in result.variables or result[name].dims != wanted]
+    lacking += [] if np.shape(result.attrs.get("normalised_over", 0)) == (2,) else ["attrs['normalised_over']"]
+    if lacking:
+        raise ArgumentError(f"result must be a Dataset as from fresnel: it lacks {', '.join(lacking)}")
+
+
 def tabulated_fresnel(
     result: xr.Dataset, metal: str | None = None, wavelengths: Sequence[float] = CHANNEL_WAVELENGTHS
 ) -> xr.Dataset:
@@ -232,7 +244,7 @@ def tabulated_fresnel(
           normalisation to the supported angle; NaN where nothing is supported.
 
     Raises:
-        ArgumentError: there is no such metal, or not one wavelength for each channel.
+        ArgumentError: there is no such metal, not one wavelength for each channel, or `result` lacks something.
 
     Source:
         `metals` lists the tables.
@@ -249,7 +261,8 @@ def tabulated_fresnel(
         >>> matcam.inverse.tabulated_fresnel(found, "Cr", [550e-9])["tabulated_f0"].values.round(2).ravel()
         array([0.55, 0.65, 0.68])
     """
-    channels = checks.instance("result", result, xr.Dataset).sizes.get("channel", 0)
+    _check_result(result)
+    channels = result.sizes["channel"]
     if len(wavelengths) != channels:
         raise ArgumentError(f"wavelengths must be {channels}, one per channel of the result, got {len(wavelengths)}")
     theta_d = result["theta_d"].values

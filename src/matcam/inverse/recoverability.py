@@ -89,8 +89,7 @@ def limits(
         matcam.core.errors.ArgumentError: roughness must lie in [1e-05, 1], got -1
     """
     check_rig(rig)
-    if type(every) is not int or not 1 <= every <= 30:
-        raise ArgumentError(f"every must be a whole number in [1, 30], got {every!r:.60}")
+    checks.whole_number("every", every, 1, 30)
     checks.choice("ndf", ndf, tuple(ONE_WIDTH))
     if LENS not in rig.camera.parameters():
         raise ArgumentError("limits need a camera whose lens is a Gaussian: it has no 'optics.sigma_px'")

@@ -57,7 +57,7 @@ class Material(eqx.Module):
             Shape of the angles, with (channels,) behind it if the material has channels; NaN below the horizon.
 
         Raises:
-            ArgumentError: an angle is not finite.
+            ArgumentError: an angle is not finite, or the shapes do not broadcast.
 
         Source:
             Rusinkiewicz (1998); docs/model.md 1.
@@ -73,10 +73,7 @@ class Material(eqx.Module):
 
 def shading_at(theta_h: ArrayLike, theta_d: ArrayLike, phi_d: ArrayLike, phi_h: ArrayLike = 0.0) -> Shading:
     """Return light and view as a surface sees them at half and difference angles, rad, which broadcast."""
-    theta_h, theta_d, phi_d, phi_h = (
-        checks.number(name, angle)
-        for name, angle in (("theta_h", theta_h), ("theta_d", theta_d), ("phi_d", phi_d), ("phi_h", phi_h))
-    )
+    theta_h, theta_d, phi_d, phi_h = checks.broadcastable(theta_h=theta_h, theta_d=theta_d, phi_d=phi_d, phi_h=phi_h)
     cos_i, cos_o = cosines(theta_h, theta_d, phi_d)
     slope = jnp.tan(theta_h)
     along, across = jnp.broadcast_arrays(slope * jnp.cos(phi_h), slope * jnp.sin(phi_h), cos_i)[:2]

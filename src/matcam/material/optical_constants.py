@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from matcam.core import checks
 from matcam.core.errors import ArgumentError, unknown_name
 
 
@@ -98,10 +99,7 @@ def metal(name: str, wavelength: ArrayLike, source: str | None = None) -> MetalI
     if not isinstance(source, str) or source not in sources:
         raise unknown_name(f"source for {name}", source, sources)
     table = _table(name, source)
-    try:
-        wavelength = np.asarray(wavelength, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise ArgumentError(f"wavelength must be a number or an array of numbers, m, got {wavelength!r:.60}") from None
+    wavelength = np.asarray(checks.numbers("wavelength", wavelength))
     low, high = table.wavelength[[0, -1]]
     outside = ~((wavelength >= low) & (wavelength <= high))
     if outside.any():

@@ -29,7 +29,7 @@ def fresnel_conductor(theta: ArrayLike, n: ArrayLike, k: ArrayLike) -> jax.Array
         Reflectance in [0, 1], shape of the broadcast arguments.
 
     Raises:
-        ArgumentError: an argument is out of range.
+        ArgumentError: an argument is out of range, or the shapes do not broadcast.
 
     Source:
         Complex Snell's law and Fresnel's equations (Born & Wolf, 14.2).
@@ -40,6 +40,7 @@ def fresnel_conductor(theta: ArrayLike, n: ArrayLike, k: ArrayLike) -> jax.Array
     """
     theta = checks.within("theta", theta, 0, np.pi / 2, "rad")
     n, k = checks.within("n", n, 0, _LARGEST_INDEX, open_low=True), checks.within("k", k, 0, _LARGEST_INDEX)
+    checks.broadcast_shape(theta=theta, n=n, k=k)
     return _mean_of_polarisations(theta, n, k)
 
 

@@ -78,11 +78,11 @@ def reconstruct(
     """
     checks.choice("ndf", ndf, (AUTO, *FAMILIES))
     checks.choice("masking", masking, MASKINGS)
+    checks.flag("diffuse", diffuse)
     if not isinstance(capture, Capture):
         capture = read_capture(capture)
     say = progress or (lambda step, done, total: None)
-    if type(workers) is not int or workers < 1:
-        raise ArgumentError(f"workers must be a whole number >= 1, got {workers!r:.60}")
+    checks.whole_number("workers", workers, 1)
     kind = capture.settings["sample"]["kind"]
     if rig_from is not None and kind != "sphere":
         raise ArgumentError(f"rig_from is for photographs of a sphere, and the sample is a {kind}: leave it out")

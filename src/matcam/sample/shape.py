@@ -115,7 +115,9 @@ class Flat(Sample):
         Raises:
             ArgumentError: an argument is out of range.
         """
-        return checks.number("frequency", frequency) / xp.cos(checks.viewing_angle("theta_o", theta_o))
+        frequency, theta_o = checks.number("frequency", frequency), checks.viewing_angle("theta_o", theta_o)
+        checks.broadcast_shape(frequency=frequency, theta_o=theta_o)
+        return frequency / xp.cos(theta_o)
 
     def __repr__(self) -> str:
         return "Flat()"

@@ -16,6 +16,7 @@ import xarray as xr
 
 from matcam.app.calibrated import drawn_values
 from matcam.core.errors import ArgumentError, FileFormatError, MatcamError
+from matcam.core.readers.names import is_file
 from matcam.files.capture import LIST, SETTINGS, Capture, read_capture
 
 WINDOWS = ("window_recorded", "window_fitted", "window_residual")
@@ -89,7 +90,7 @@ def fitted_pictures(name: str, data: xr.Dataset) -> list[FittedPicture]:
 
 def is_capture(path: Path) -> bool:
     """Tell whether a folder is a capture."""
-    return (path / SETTINGS).is_file() and (path / LIST).is_file()
+    return is_file(path / SETTINGS) and is_file(path / LIST)
 
 
 def opened_captures(paths: Sequence[Path]) -> tuple[list[Capture], list[str]]:

@@ -16,7 +16,7 @@ import xarray as xr
 
 from matcam.app.exploring.fitted_pictures import FittedPicture, fitted_pictures, is_capture
 from matcam.core.errors import ArgumentError, FileFormatError
-from matcam.core.io import check_within
+from matcam.core.readers.names import check_within, is_file, is_folder
 from matcam.core.readers.texts import read_json
 
 _WIDTHS = ("alpha", "beta", "width", "hwhm_rad")
@@ -73,23 +73,23 @@ def entries_of(path: Path) -> list[Openable]:
     Raises:
         FileFormatError: a folder holds no records of a run.
     """
-    if not path.is_dir():
+    if not is_folder(path):
         table = path.with_suffix(".nc")
-        if path.suffix.lower() == ".json" and table.is_file():  # two halves of one result
+        if path.suffix.lower() == ".json" and is_file(table):  # two halves of one result
             check_within(table, path.parent)
             return [_of_run(table, path)]
         return [Openable(path.name, lambda: read_opened(path))]
-    if (path / "zarr.json").is_file():
+    if is_file(path / "zarr.json"):
         return _rows(path)
     found = []
     for record in sorted(path.glob("*.json")):
         table = record.with_suffix(".nc")
-        if table.is_file():
+        if is_file(table):
             check_within(record, path)
             check_within(table, path)
             found.append(_of_run(table, record))
     if not found and not is_capture(path):  # whose photographs belong to a result that is open beside it
-        if (path / "run.zarr").is_dir():
+        if is_folder(path / "run.zarr"):
             return _rows(path / "run.zarr")
         raise FileFormatError(
             f"{path}: holds no record of a run (NAME.json with NAME.nc): open a file, or a run's folder"

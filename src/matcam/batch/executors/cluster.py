@@ -29,6 +29,7 @@ from matcam.core import checks
 from matcam.core.errors import ArgumentError, MatcamError
 from matcam.core.jax import use_compilation_cache
 from matcam.core.memory import free_for_the_next
+from matcam.core.readers.names import is_file
 from matcam.core.workspace import Workspace
 
 _COMPARED = ("matcam", "jax", "jaxlib", "numpy", "scipy", "xarray", "distributed")
@@ -208,7 +209,7 @@ def _check_workers(client: Any, folder: Path) -> int:
 
 def _worker_report(path: str) -> dict[str, Any]:
     """Return a worker's versions, and whether it sees a file."""
-    return {"versions": versions(), "sees": Path(path).is_file()}
+    return {"versions": versions(), "sees": is_file(Path(path))}
 
 
 def _with_absolute_paths(job: Job) -> Job:

@@ -193,6 +193,8 @@ def calibrate(
         checks.choice("channel", name, CHANNELS)
     if cfa is not None:
         checks.choice("cfa", cfa, MOSAICS)
+    checks.flag("accept_sharpened", accept_sharpened)
+    samples = checks.instances("samples", samples, MTFSamples)
     if not len(pictures) and not len(samples):
         raise ArgumentError("there is nothing to calibrate from: no pictures, no samples")
     described = read_chart(chart) if isinstance(chart, str | Path) else chart

@@ -74,7 +74,7 @@ def design_chart(
     if not len(kinds) or len(set(kinds)) != len(kinds):
         raise ArgumentError(f"kinds must name at least one panel, each once, got {', '.join(kinds) or 'none'}")
     size = PAGES[checks.choice("page", page, tuple(PAGES))] if isinstance(page, str) else page
-    if np.shape(size) != (2,):
+    if checks.plain_array("page", size).shape != (2,):
         raise ArgumentError(f"page must be one of {', '.join(PAGES)}, or (width, height) in mm, got {size!r:.60}")
     width, height = (float(checks.within("page", side, 50, 5000, "mm")) for side in size)
     pixel = width / float(checks.within("pixels_across", pixels_across, 300, 100_000))

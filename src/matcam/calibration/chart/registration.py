@@ -125,6 +125,7 @@ def register_chart(image: ArrayLike | LinearImage, chart: Chart, *, mosaic: bool
     """
     if len(checks.instance("chart", chart, Chart).fiducials) < 4:
         raise ArgumentError("this chart has no fiducials: it cannot be found in a photograph")
+    checks.flag("mosaic", mosaic)
     picture = LinearImage.of(image).values
     picture = balanced(picture) if mosaic else picture
     marks = find_marks(picture, len(chart.fiducials))

@@ -250,6 +250,7 @@ def _settings(
 ) -> EdgeSettings:  # fmt: skip
     """Return the public functions' arguments, checked, as one object."""
     checks.choice("model", model, tuple(PARAMETRIC_LENSES))
+    checks.flag("accept_sharpened", accept_sharpened)
     if model in ("diffraction", "defocus"):
         for name, value in (("wavelength", wavelength), ("pixel_pitch", pixel_pitch)):
             if value is None:

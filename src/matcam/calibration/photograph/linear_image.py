@@ -86,8 +86,7 @@ class LinearImage:
             ) from None
         if values.ndim != 2 or values.dtype.kind not in "uif":
             raise ArgumentError(f"values must be numbers of shape (height, width), got {values.dtype} {values.shape}")
-        if self.channel not in CHANNELS:
-            raise ArgumentError(f"channel must be one of {', '.join(map(repr, CHANNELS))}, got {self.channel!r}")
+        checks.choice("channel", self.channel, CHANNELS)
         if self.saturated is not None and np.shape(self.saturated) != values.shape:
             raise ArgumentError(
                 f"saturated must have the shape of values, {values.shape}, got {np.shape(self.saturated)}"
@@ -143,6 +142,10 @@ class LinearImage:
             >>> plane.values.shape, plane.corner, round(float(plane.values[0, 0]), 3)
             ((18, 16), (4, 2), 0.503)
         """
+        if channel is not None:
+            checks.choice("channel", channel, CHANNELS)
+        if cfa is not None:
+            checks.choice("cfa", cfa, MOSAICS)
         if isinstance(image, LinearImage):
             own = is_linear(tone) or (isinstance(tone, str) and tone == "auto")
             if channel is not None or cfa is not None or not own:
@@ -160,9 +163,7 @@ class LinearImage:
         if codes.ndim == 3:
             if mosaic is not None:
                 _refuse_colour_picture(photograph.values.shape)
-            channel = channel or "Y"
-            if channel not in ("R", "G", "B", "Y"):
-                raise ArgumentError(f"channel must be one of 'R', 'G', 'B', 'Y', got {channel!r}")
+            channel = checks.choice("channel", channel or "Y", ("R", "G", "B", "Y"))
         elif mosaic is None:
             if channel not in (None, "grey"):
                 raise ArgumentError(
@@ -345,8 +346,7 @@ def sites_of(cfa: str, channel: str | None) -> np.ndarray:
 
     ArgumentError for what is no mosaic.
     """
-    if cfa not in MOSAICS:
-        raise ArgumentError(f"cfa must be one of {', '.join(map(repr, MOSAICS))}, got {cfa!r}")
+    checks.choice("cfa", cfa, MOSAICS)
     if channel not in ("R", "G", "B"):
         raise ArgumentError(f"channel must be one of 'R', 'G', 'B' with a mosaic, got {channel!r}")
     return np.array(list(cfa)).reshape(2, 2) == channel

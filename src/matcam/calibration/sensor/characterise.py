@@ -17,7 +17,6 @@ from matcam.calibration.sensor.exposure_statistics import (
 )
 from matcam.calibration.sensor.photon_transfer import Transfer, fit_gain, is_clipped, measure_transfer
 from matcam.core import checks
-from matcam.core.errors import ArgumentError
 from matcam.core.registry import CFAS
 from matcam.core.remark import Remark
 from matcam.files.capture_settings import Stated
@@ -71,8 +70,7 @@ def characterise_sensor(
     """
     if cfa is not None:
         checks.choice("cfa", cfa, CFAS)
-    if bits is not None and (type(bits) is not int or not 1 <= bits <= 32):
-        raise ArgumentError(f"bits must be a whole number in [1, 32] or None, got {bits!r}")
+    checks.whole_number("bits", bits, 1, 32, optional=True)
     series = read_exposure_series(source)
     reader = FrameReader(cfa)
     found, remarks = measure_exposures(series, reader, progress or (lambda step, done, total: None))

@@ -251,7 +251,7 @@ class Optics(Module):
         Raises:
             ArgumentError: a frequency is not finite.
         """
-        return self.mtf(plane_length(checks.number("fx", fx), checks.number("fy", fy)))
+        return self.mtf(plane_length(*checks.broadcastable(fx=fx, fy=fy)))
 
     @abstractmethod
     def band(self) -> float:
@@ -310,7 +310,7 @@ def lsf_by_quadrature(optics: Optics, x: ArrayLike) -> jax.Array:
 
 def psf_by_quadrature(optics: Optics, x: ArrayLike, y: ArrayLike) -> jax.Array:
     """Integrate the point spread function of a lens, 1/px^2, over its MTF."""
-    x, y = checks.number("x", x), checks.number("y", y)
+    x, y = checks.broadcastable(x=x, y=y)
     reach, band = reach_of(xp.hypot(x, y)), optics.band()
     rule = optics.frequency_rule(panels_for(reach, band))
     return plane_kernel(rule, lambda f, _: optics.mtf(f), x, y, turns_for(reach, band))

@@ -78,7 +78,7 @@ class DiffractionOptics(Optics):
 
         (pi cutoff^2 / 4) [2 J1(v) / v]^2, v = pi cutoff r.
         """
-        r = plane_length(checks.number("x", x), checks.number("y", y))
+        r = plane_length(*checks.broadcastable(x=x, y=y))
         return xp.pi / 4 * self.cutoff**2 * jinc(xp.pi * self.cutoff * r, np.pi * reach_of(r) * self.band()) ** 2
 
     def lsf(self, x: ArrayLike) -> jax.Array:

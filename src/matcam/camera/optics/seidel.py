@@ -104,7 +104,7 @@ class SeidelOptics(VaryingOptics):
         Raises:
             ArgumentError: the aberrations are too large there, or a place is not a finite number.
         """
-        terms = checks.number("x", x), checks.number("y", y)
+        terms = checks.broadcastable(x=x, y=y)
         found = self.terms_at(*(checks.scalar(name, one) for name, one in zip("xy", terms, strict=True)))
         check_phase(found)
         lens = replaced(self.axial, "defocus", found[0])

@@ -136,7 +136,7 @@ class ZernikeOptics(Optics):
         Raises:
             ArgumentError: a place is not finite.
         """
-        return wavefront(self.terms, *xp.broadcast_arrays(checks.number("x", x), checks.number("y", y)))
+        return wavefront(self.terms, *xp.broadcast_arrays(*checks.broadcastable(x=x, y=y)))
 
     def psf(self, x: ArrayLike, y: ArrayLike) -> jax.Array:
         """Return the point spread function, 1/px^2; optics only.
@@ -150,7 +150,7 @@ class ZernikeOptics(Optics):
         Raises:
             ArgumentError: a place is not finite, or too far away.
         """
-        right, up = xp.broadcast_arrays(checks.number("x", x), checks.number("y", y))
+        right, up = xp.broadcast_arrays(*checks.broadcastable(x=x, y=y))
         scale = self.cutoff / 2
         reach = reach_of(right, up) * self.band() / 2
         if reach > _FARTHEST:
@@ -169,7 +169,7 @@ class ZernikeOptics(Optics):
             x: distance from the line's image, px; broadcasts with angle.
             angle: direction of the line's normal, from +x towards +y, rad. Default: 0, a line along y.
         """
-        at, direction = checks.number("x", x), checks.number("angle", angle)
+        at, direction = checks.broadcastable(x=x, angle=angle)
         rule = self.frequency_rule(panels_for(reach_of(at), self.band()))
         return line_kernel(rule, self._along, at, direction)
 
@@ -180,7 +180,7 @@ class ZernikeOptics(Optics):
             f: frequency, cycles/px; broadcasts with angle.
             angle: direction of the wave, from +x towards +y, rad. Default: 0.
         """
-        return xp.abs(self._along(checks.number("f", f), checks.number("angle", angle)))
+        return xp.abs(self._along(*checks.broadcastable(f=f, angle=angle)))
 
     def otf(self, fx: ArrayLike, fy: ArrayLike) -> jax.Array:
         """Return the transfer function in the plane, complex; optics only.
@@ -188,7 +188,7 @@ class ZernikeOptics(Optics):
         It is the integral of psf(x, y) exp(-2 pi i (fx x + fy y)): the autocorrelation of the pupil function, by Gauss-Legendre
         over the overlap of two shifted discs. Its error is below 1e-8, or 1e-6 for many frequencies.
         """
-        right, up = xp.broadcast_arrays(checks.number("fx", fx), checks.number("fy", fy))
+        right, up = xp.broadcast_arrays(*checks.broadcastable(fx=fx, fy=fy))
         nu = xp.hypot(right, up) / self.cutoff
         inside = nu < 1
         end = xp.arccos(xp.where(inside, nu, 0.5)).ravel()

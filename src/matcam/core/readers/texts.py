@@ -15,8 +15,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from matcam.core.errors import FileFormatError
-from matcam.core.io import printable, reading
+from matcam.core.io import reading
 from matcam.core.readers.apart import read_apart
+from matcam.core.readers.names import printable
 
 if TYPE_CHECKING:
     from pydantic import ValidationError

@@ -69,7 +69,7 @@ def peak_response(
     if not isinstance(ndf, SlopeDistribution):
         raise ArgumentError(f"ndf must be an NDF such as GGX(0.1), got {type(ndf).__name__}")
     flat = xp.reshape(theta, -1)
-    if exact:
+    if checks.flag("exact", exact):
         if dims != 2:
             raise ArgumentError("exact=True is a real sample's: dims must be 2, got 1")
         from matcam.forward.peaks.exact_peak import exact_response

@@ -129,6 +129,7 @@ class Correction:
         checks.choice("ndf", ndf, (AUTO, *FAMILIES))
         checks.choice("masking", masking, MASKINGS)
         checks.within("glare", glare, 0, 0.5)
+        checks.flag("anyway", anyway)
         workspace = checks.instance("workspace", default_workspace() if workspace is None else workspace, Workspace)
         sampling, located = sampling_of(brdf), located_rig(rig, brdf)
         setup = first_setup(brdf, located.rig, masking=masking, noise=noise, workspace=workspace)

@@ -145,10 +145,10 @@ class FitSetup:
         checks.choice("ndf", self.ndf, (*FAMILIES, STUDENT, TWO_LOBES))
         checks.choice("fresnel", self.fresnel, tuple(FRESNEL_MODELS))
         checks.choice("masking", self.masking, MASKINGS)
-        if type(self.every) is not int or not 1 <= self.every <= 30:
-            raise ArgumentError(f"every must be a whole number in [1, 30], got {self.every!r}")
+        checks.whole_number("every", self.every, 1, 30)
         checks.scalar("bend", checks.within("bend", self.bend, 0, 10))
-        checks.choice("per_channel", self.per_channel, (True, False))
+        for name in ("diffuse", "per_channel", "nearby", "lens_shape", "free_masking"):
+            checks.flag(name, getattr(self, name))
         checks.instance("workspace", default_workspace() if self.workspace is None else self.workspace, Workspace)
         if self.noise is not None:
             checks.instance("noise", self.noise, PixelNoise).check()

@@ -1,0 +1,105 @@
+"""Decode Zemax's BSDF Data Interchange files, apart: what runs in a process of its own (core/readers/apart.py).
+
+zemax.py describes the format. This file imports neither xarray nor JAX, which the process would have to load.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from matcam.core.errors import FileFormatError
+
+_LARGEST = 256 << 20
+"""Bytes of a file; a thousand times a measurement of one wavelength."""
+AXES = ("SampleRotation", "AngleOfIncidence", "ScatterAzimuth", "ScatterRadial")
+_CHANNELS = {"Monochrome": "Y", "TristimulusX": "X", "TristimulusY": "Y", "TristimulusZ": "Z"}
+_MOST = 100_000
+"""Angles along one axis, at most: more are damage."""
+
+
+def decode_zemax(path: Path) -> dict[str, Any]:
+    """Read the angles of each axis, in degrees, the names of the channels, and `values`.
+
+    Values have the shape (channels, incidence, azimuth, radial).
+    """
+    if path.stat().st_size > _LARGEST:
+        raise FileFormatError(f"{path}: {path.stat().st_size} bytes is too large for a BSDF of Zemax")
+    words = re.sub(r"#[^\n]*", "", path.read_text(encoding="latin-1")).split()
+    settings, axes, start = _head(path, words)
+    for key, allowed in (
+        ("Symmetry", ("PlaneSymmetrical",)),
+        ("ScatterType", ("BRDF",)),
+        ("SpectralContent", ("Monochrome", "XYZ")),
+    ):
+        if settings.get(key) not in allowed:
+            found = settings.get(key, "nothing")
+            raise FileFormatError(f"{path}: {key} {found} is not read: it must be {' or '.join(allowed)}")
+    if len(axes["SampleRotation"]) > 1:
+        raise FileFormatError(
+            f"{path}: has {len(axes['SampleRotation'])} sample rotations: one is read, of isotropic samples"
+        )
+    shape = (len(axes["AngleOfIncidence"]), len(axes["ScatterAzimuth"]), len(axes["ScatterRadial"]))
+    names, values = _blocks(path, words[start:], shape)
+    return {**axes, "names": names, "values": values}
+
+
+def _head(path: Path, words: list[str]) -> tuple[dict[str, str], dict[str, np.ndarray], int]:
+    """Read settings and axes up to the first block of data; also its index among the words."""
+    settings: dict[str, str] = {}
+    axes: dict[str, np.ndarray] = {"SampleRotation": np.zeros(1)}
+    at = 0
+    while at + 1 < len(words):
+        key = words[at]
+        if key in _CHANNELS and words[at + 1] == "DataBegin":
+            break
+        if key in AXES:
+            try:
+                count = int(words[at + 1])
+                axes[key] = np.array([float(word) for word in words[at + 2 : at + 2 + count]])
+            except ValueError:
+                count = -1
+            if not 0 < count <= _MOST or len(axes.get(key, ())) != count or not np.isfinite(axes[key]).all():
+                raise FileFormatError(f"{path}: {key} must be a count and as many angles in degrees")
+            at += 2 + count
+        elif key in ("Source", "Symmetry", "SpectralContent", "ScatterType"):
+            settings[key] = words[at + 1]
+            at += 2
+        else:
+            at += 1
+    missing = [name for name in AXES if name not in axes]
+    if missing or at + 1 >= len(words):
+        raise FileFormatError(f"{path}: is no whole BSDF of Zemax: it lacks {', '.join(missing) or 'its data'}")
+    return settings, axes, at
+
+
+def _blocks(path: Path, words: list[str], shape: tuple[int, int, int]) -> tuple[list[str], np.ndarray]:
+    """Read the values of every channel, (channels, incidence, azimuth, radial)."""
+    size = shape[1] * shape[2]
+    names: list[str] = []
+    blocks: list[np.ndarray] = []
+    at = 0
+    while at < len(words):
+        key = words[at]
+        if key in _CHANNELS:
+            names.append(_CHANNELS[key])
+        elif key == "TIS":
+            try:
+                values = np.array([float(word) for word in words[at + 2 : at + 2 + size]])
+            except ValueError:
+                values = np.zeros(0)
+            if len(values) != size or not np.isfinite(values).all() or (values < 0).any():
+                raise FileFormatError(
+                    f"{path}: block {len(blocks) + 1} must hold {shape[1]} rows of {shape[2]} values, 0 or more"
+                )
+            blocks.append(values)
+            at += 1 + size
+        at += 1
+    if len(blocks) != shape[0] * len(names) or len(set(names)) != len(names):
+        raise FileFormatError(
+            f"{path}: has {len(blocks)} blocks of values; {shape[0]} angles of incidence need as many a channel"
+        )
+    return names, np.array(blocks).reshape(len(names), *shape)
