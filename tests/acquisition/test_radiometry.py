@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from matcam.acquisition.bracket_sample import noise_correlation
 from matcam.acquisition.darkness import dark_of, pair_correlation
 from matcam.acquisition.exposure_ratios import ExposureRatios
 from matcam.acquisition.merging import bracket_misfit, merge, misfit_remark
@@ -331,3 +332,12 @@ def test_fixed_pattern_and_hot_pixels_of_dark_frames():
     plain = dark_of([np.round(500 + 2 * rng.standard_normal((60, 70))) for _ in range(2)])
     assert plain.level == pytest.approx(500, abs=0.1)
     assert not plain.hot.any()
+
+
+def test_faint_light_is_not_taken_for_sharpening():
+    """Raw noise about light that fades through the level at which pixels count as dark."""
+    random = np.random.default_rng(3)
+    faint = np.linspace(0, 6, 400) * np.ones((300, 1))
+    for _ in range(20):
+        correlation, std = noise_correlation(faint + 1.5 * random.standard_normal(faint.shape), 1.5)
+        assert abs(correlation) < 0.015 + 3 * std

@@ -9,11 +9,15 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from scipy.ndimage import uniform_filter
 
 MOST = 30_000
 """Pixels of one lamp position that are used at most."""
 _FAR = 4
 """Distance, px, at which the noise of sharpened or demosaiced frames no longer correlates: a Gaussian of 1 px leaves 2 %."""
+_SURROUNDINGS = 9
+"""Side, px, of the square whose mean says whether a pixel is dark. A choice by few neighbours, the other pixel of a
+pair among them, would prefer noise of opposite signs."""
 
 
 class BracketSample(NamedTuple):
@@ -82,16 +86,16 @@ def same_colour_neighbours(light: np.ndarray, step: int) -> np.ndarray:
     return np.asarray(total)
 
 
-def noise_correlation(light: np.ndarray, around: np.ndarray, noise: float) -> tuple[float, float]:
+def noise_correlation(light: np.ndarray, noise: float) -> tuple[float, float]:
     """Return the correlation of neighbouring pixels' noise where a frame is dark, and its standard deviation.
 
     Raw pixels have none. Sharpening makes it negative, demosaicing and smoothing positive.
 
     Args:
         light: frame without dark, (height, width), DN.
-        around: its pixels' neighbours' mean, same shape.
         noise: read noise, DN.
     """
+    around = uniform_filter(light, _SURROUNDINGS)
     dark = (np.abs(around) < 1.5 * max(noise, 0.3)) & (np.abs(light) < 6 * max(noise, 0.3))
     products, squares, count = 0.0, 0.0, 0
     for axis in (0, 1):

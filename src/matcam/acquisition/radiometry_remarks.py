@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from matcam.acquisition.bracket_sample import BracketSample, noise_correlation, same_colour_neighbours
+from matcam.acquisition.bracket_sample import BracketSample, noise_correlation
 from matcam.acquisition.exposure_ratios import ClipLevel, ExposureRatios
 from matcam.core.remark import Remark, gathered
 from matcam.files.capture_settings import Stated
@@ -117,16 +117,15 @@ def clip_remarks(clip: ClipLevel, names: Sequence[str], samples: Sequence[Bracke
     return found + gathered(peaks)
 
 
-def correlation_remarks(path: Path, light: np.ndarray, step: int, noise: float) -> list[Remark]:
+def correlation_remarks(path: Path, light: np.ndarray, noise: float) -> list[Remark]:
     """Return whether a frame's noise shows that it was sharpened or smoothed.
 
     Args:
         path: the frame's file.
         light: the frame without dark, DN.
-        step: distance of the nearest pixel of the same colour, px.
         noise: read noise, DN.
     """
-    return processing_remarks(str(path), *noise_correlation(light, same_colour_neighbours(light, step), noise))
+    return processing_remarks(str(path), *noise_correlation(light, noise))
 
 
 def processing_remarks(where: str, correlation: float, std: float) -> list[Remark]:

@@ -111,7 +111,7 @@ class BracketReading:
         if number == 0:
             frame, codes = bracket[0]
             light = codes - np.asarray(self.darkness[frame.exposure].level, np.float32)
-            remarks += correlation_remarks(self.capture.folder / frame.file, light, self._step, self.noise)
+            remarks += correlation_remarks(self.capture.folder / frame.file, light, self.noise)
         largest, smallest = max(_most(codes) for _, codes in bracket), min(float(codes.min()) for _, codes in bracket)
         return ReadBracket(tuple(f for f, _ in bracket), lacking, sample, largest, smallest, tuple(remarks))
 
