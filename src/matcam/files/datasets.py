@@ -18,7 +18,7 @@ import numpy as np
 import xarray as xr
 
 from matcam.core import checks
-from matcam.core.errors import ArgumentError, FileFormatError, OutputError
+from matcam.core.errors import ArgumentError, FileFormatError
 from matcam.core.io import reading, replacing, uninterrupted
 from matcam.core.readers.apart import read_apart
 from matcam.core.readers.names import is_folder
@@ -57,21 +57,19 @@ def write_netcdf(path: str | Path, data: xr.Dataset, *, force: bool = False, com
     _check_dataset(data)
     checks.flag("compress", compress)
     with replacing(path, force=force) as temporary:
-        try:
-            with uninterrupted():  # xarray's lock stays shut where it is interrupted, and closing the file waits for it
-                stored = with_short_deviations(data)
-                _write(temporary, stored, _compressed(stored) if compress else {})
-                if compress and not _readable(temporary, stored):
-                    _write(temporary, stored, {})
-        except RuntimeError as error:  # what the library makes of a full disk
-            raise OutputError(f"output {path} cannot be written: {one_line(error)} (disk full?)") from error
+        with uninterrupted():  # xarray's lock stays shut where it is interrupted, and closing the file waits for it
+            stored = with_short_deviations(data)
+            _write(temporary, stored, _compressed(stored) if compress else {})
+            if compress and not _readable(temporary, stored):
+                _write(temporary, stored, {})
 
 
 _Encoding = dict[str, dict[str, Any]]
 
 
 def _write(path: Path, data: xr.Dataset, encoding: _Encoding) -> None:
-    data.to_netcdf(path, engine="netcdf4", format="NETCDF4", encoding=encoding)
+    # in memory first: HDF5 crashes on a full disk
+    path.write_bytes(data.to_netcdf(engine="h5netcdf", format="NETCDF4", encoding=encoding))
 
 
 def with_short_deviations(data: xr.Dataset) -> xr.Dataset:
