@@ -15,7 +15,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from matcam.core.errors import ArgumentError
-from matcam.core.io import plain, write_columns, write_json
+from matcam.core.io import check_output, plain, write_columns, write_json
 
 _COVERAGE = 0.9545
 """Probability of +-2 standard deviations of a normal distribution."""
@@ -198,7 +198,7 @@ def write_budgets(path: str | Path, budgets: Sequence[UncertaintyBudget], *, for
         ArgumentError: the name ends otherwise, or there is no budget.
         OutputError: the file cannot be written, or exists and `force` is False.
     """
-    check_budget_name(path)
+    _check_name(path)
     if not budgets:
         raise ArgumentError("there is no uncertainty to write: give at least one budget")
     if Path(path).suffix.lower() == ".json":
@@ -208,7 +208,17 @@ def write_budgets(path: str | Path, budgets: Sequence[UncertaintyBudget], *, for
     write_columns(path, {name: [cell for part in parts for cell in part[name]] for name in parts[0]}, force=force)
 
 
-def check_budget_name(path: str | Path) -> None:
+def check_budget(path: str | Path, *, force: bool, inputs: Sequence[str | Path] = ()) -> None:
+    """Refuse a file that `write_budgets` could not write, before any work.
+
+    inputs: files that are read, which must not be replaced.
+    ArgumentError where the name ends neither in .json nor in .csv; OutputError where the file cannot be written.
+    """
+    _check_name(path)
+    check_output(path, force=force, inputs=inputs)
+
+
+def _check_name(path: str | Path) -> None:
     """Refuse a budget's file whose ending is neither .json nor .csv (ArgumentError)."""
     if Path(path).suffix.lower() not in (".json", ".csv"):
         raise ArgumentError(f"{path}: a budget's name must end in .json or .csv")

@@ -248,11 +248,13 @@ class NamedParameters(NamedTuple):
         names: "alpha", "n[G]", "optics.sigma_px", ...; of a bent lobe what `lobe_readings` says instead of its coefficients.
         values: in the parameters' own units.
         covariance: of the values.
+        slopes: (names, coordinates), derivatives of the values.
     """
 
     names: list[str]
     values: np.ndarray
     covariance: np.ndarray
+    slopes: np.ndarray
 
 
 def named_parameters(solution: Solution) -> NamedParameters:
@@ -287,7 +289,7 @@ def named_parameters(solution: Solution) -> NamedParameters:
             values.append(value)
             slopes.append(one_each[place] * slope)
     by_p = np.array(slopes).reshape(-1, layout.size)
-    return NamedParameters(names, np.array(values), by_p @ solution.covariance @ by_p.T)
+    return NamedParameters(names, np.array(values), by_p @ solution.covariance @ by_p.T, by_p)
 
 
 def fitted_materials(solution: Solution, strength: np.ndarray) -> tuple[Microfacet, ...]:
