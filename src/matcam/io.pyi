@@ -8,6 +8,7 @@ from .files.samples import read_samples, write_samples
 from .files.sidecar import read_sidecar, sidecar_path, write_sidecar
 from .files.utia import read_utia
 from .files.zemax import read_zemax
+from .numerics.budget import write_budgets
 
 __all__ = [
     "example_table",
@@ -25,6 +26,7 @@ __all__ = [
     "sidecar_path",
     "write",
     "write_bird",
+    "write_budgets",
     "write_exr",
     "write_float_tiff",
     "write_netcdf",

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from matcam import fit
+from matcam import fit, fresnel
 from matcam.core.errors import ArgumentError
+from matcam.inverse import fresnel_budget
 from tests.inverse import recorded
 from tests.oracle import sphere_cells as oracle
 from tests.oracle.merl_lobe import conductor
@@ -72,3 +73,53 @@ def test_estimated_noise_is_type_a(table):
     estimated = fit(table, recorded.rig(std=0.004), every=EVERY, camera_parameters="prior")
     readings = estimated.uncertainty_budget("alpha").sources[0]
     assert (readings.kind, readings.degrees) == ("A", estimated.freedom)
+
+
+GAUSSIAN = oracle.EPD(0.002 * np.sqrt(2), 1.0)  # half a pixel wide
+
+
+def noisy_gaussian():
+    shot = recorded.pictures(6)
+    ways = shot.rule.ways(GAUSSIAN) * conductor(shot.cells.theta_d, *recorded.CHROMIUM)[:, None, None]
+    return shot.table(shot.rule.noisy(ways, np.random.default_rng(11), gain=0.0))
+
+
+def check_fresnel(term):
+    seen = np.isfinite(term["corrected"].values[:, 0])
+    assert seen.sum() > 8
+    for theta_d, value, std in zip(
+        term["theta_d"].values[seen], term["corrected"].values[seen, 0], term["corrected_std"].values[seen, 0], strict=True
+    ):
+        budget = fresnel_budget(term, theta_d, "G")
+        assert budget.value == value
+        assert budget.combined == pytest.approx(std, rel=1e-6)
+    return {one.name: one for one in fresnel_budget(term, recorded.SEVENTY_FIVE).sources}
+
+
+def test_a_budget_of_the_fresnel_term_is_its_stated_uncertainty():
+    term = fresnel(noisy_gaussian(), recorded.rig(std=0.02), ndf="epd", every=6)
+    sources = check_fresnel(term)
+    assert sources[LENS].kind == "B"
+    assert sources[LENS].value == 0.5
+    assert sources[LENS].uncertainty == pytest.approx(0.02, rel=0.05)
+    assert "gains of the pictures" in sources
+    step = 0.005
+    high, low = (
+        fresnel(noisy_gaussian(), recorded.rig(0.5 + sign * step, std=0.02), ndf="epd", every=6) for sign in (1, -1)
+    )
+    at = {"theta_d": recorded.SEVENTY_FIVE, "method": "nearest"}
+    moved = float((high["corrected"] - low["corrected"]).sel(**at).item()) / (2 * step)
+    assert abs(sources[LENS].sensitivity) == pytest.approx(abs(moved), rel=0.1)
+    with pytest.raises(ArgumentError, match="channel must be"):
+        fresnel_budget(term, 0.5, "R")
+    with pytest.raises(ArgumentError, match="it has no budget_std"):
+        fresnel_budget(term.drop_dims("source"), 0.5)
+
+
+@pytest.mark.slow
+def test_other_explanations_are_sources_of_the_fresnel_term():
+    """A lens that contradicts the data, and several lobes."""
+    term = fresnel(noisy_gaussian(), recorded.rig(0.47, std=0.002), every=6)
+    sources = check_fresnel(term)
+    assert {one.kind for one in sources.values()} == {"A", "B"}
+    print(sources)

@@ -23,7 +23,7 @@ _STEP = 1e-3
 """Share of a standard uncertainty by which a source is moved for a numerical sensitivity; its square is the relative error."""
 
 
-class Source(NamedTuple):
+class UncertaintySource(NamedTuple):
     """One source of uncertainty.
 
     Attributes:
@@ -35,7 +35,7 @@ class Source(NamedTuple):
         degrees: degrees of freedom of the uncertainty, no unit. Default: infinite.
 
     Example:
-        >>> Source("length, m", 1.0, 0.001, 2.0, "B").contribution
+        >>> UncertaintySource("length, m", 1.0, 0.001, 2.0, "B").contribution
         0.002
     """
 
@@ -65,14 +65,18 @@ class UncertaintyBudget:
         ArgumentError: there is no source, an uncertainty is negative, or this is no correlation.
 
     Example:
-        >>> sources = [Source("a", 1.0, 0.3, 1.0, "A", 9), Source("b", 2.0, 0.4, 1.0, "B")]
+        >>> sources = [UncertaintySource("a", 1.0, 0.3, 1.0, "A", 9), UncertaintySource("b", 2.0, 0.4, 1.0, "B")]
         >>> budget = UncertaintyBudget("a + b", 3.0, sources)
         >>> budget.combined, round(budget.coverage_factor, 2)
         (0.5, 2.03)
     """
 
     def __init__(
-        self, name: str, value: float, sources: Sequence[Source], correlation: Sequence[Sequence[float]] | None = None
+        self,
+        name: str,
+        value: float,
+        sources: Sequence[UncertaintySource],
+        correlation: Sequence[Sequence[float]] | None = None,
     ):
         self.name, self.value, self.sources = name, float(value), tuple(sources)
         n = len(self.sources)
@@ -98,7 +102,7 @@ class UncertaintyBudget:
         cls,
         name: str,
         function: Callable[..., float],
-        sources: Sequence[Source],
+        sources: Sequence[UncertaintySource],
         correlation: Sequence[Sequence[float]] | None = None,
     ) -> UncertaintyBudget:
         """Build the budget of a function of its sources.
@@ -173,7 +177,12 @@ class UncertaintyBudget:
         Returns:
             Values by name of the column.
         """
-        rows = [
+        names = ("source", "type", "value", "standard_uncertainty", "sensitivity", "contribution", "degrees_of_freedom")
+        return dict(zip(names, map(list, zip(*self.rows(), strict=True)), strict=True))
+
+    def rows(self) -> list[list[Any]]:
+        """List the rows of `columns`: name, type, value, standard uncertainty, sensitivity, contribution, degrees."""
+        rows: list[list[Any]] = [
             [one.name, one.kind, one.value, one.uncertainty, one.sensitivity, one.contribution, one.degrees]
             for one in self.sources
         ]
@@ -182,8 +191,7 @@ class UncertaintyBudget:
         rows.append(
             [f"{self.name}, expanded (k = {self.coverage_factor:.3g})", "", self.value, self.expanded, nan, nan, nan]
         )
-        names = ("source", "type", "value", "standard_uncertainty", "sensitivity", "contribution", "degrees_of_freedom")
-        return dict(zip(names, map(list, zip(*rows, strict=True)), strict=True))
+        return rows
 
 
 def write_budgets(path: str | Path, budgets: Sequence[UncertaintyBudget], *, force: bool = False) -> None:
@@ -232,7 +240,7 @@ def fit_budget(name: str, value: float, std: float) -> UncertaintyBudget:
         value: estimate.
         std: standard uncertainty, in the same unit.
     """
-    source = Source(f"{name}: noise and departures of the fit", float(value), float(std), 1.0, "A")
+    source = UncertaintySource(f"{name}: noise and departures of the fit", float(value), float(std), 1.0, "A")
     return UncertaintyBudget(name, value, [source])
 
 

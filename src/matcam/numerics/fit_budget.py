@@ -15,7 +15,7 @@ import numpy as np
 from scipy.linalg import block_diag
 from scipy.sparse.csgraph import connected_components
 
-from matcam.numerics.budget import Source, UncertaintyBudget
+from matcam.numerics.budget import UncertaintyBudget, UncertaintySource
 from matcam.numerics.linalg import scaled_inverse
 
 _UNCORRELATED = 1e-9
@@ -60,17 +60,17 @@ class Statement(NamedTuple):
         moved = slopes @ covariance
         return np.einsum("...p,pq,...q->...", moved, self.information, moved)
 
-    def sources(self, slope: np.ndarray, covariance: np.ndarray) -> tuple[list[Source], np.ndarray]:
+    def sources(self, slope: np.ndarray, covariance: np.ndarray) -> tuple[list[UncertaintySource], np.ndarray]:
         """List the sources of one result, and their correlation. Arguments as of `variance`."""
         if not self.stated:
-            std = math.sqrt(max(float(self.variance(slope, covariance)), 0.0))
-            return [Source(self.name, 0.0, std, 1.0, "B")], np.eye(1)
+            whole = math.sqrt(max(float(self.variance(slope, covariance)), 0.0))
+            return [UncertaintySource(self.name, 0.0, whole, 1.0, "B")], np.eye(1)
         places = [one.place for one in self.stated]
         prior = scaled_inverse(self.information[np.ix_(places, places)])
         moved = (self.information @ (covariance @ slope))[places]
         std = np.sqrt(np.diag(prior))
         found = [
-            Source(one.name, one.value, abs(one.slope) * own, float(by / one.slope), "B")
+            UncertaintySource(one.name, one.value, abs(one.slope) * own, float(by / one.slope), "B")
             for one, own, by in zip(self.stated, std.tolist(), moved.tolist(), strict=True)
         ]
         signs = np.sign([one.slope for one in self.stated])
@@ -116,12 +116,14 @@ class Part(NamedTuple):
         """Multiply the variances by a factor."""
         return self._replace(variance=self.variance * factor)
 
-    def source(self, at: Any) -> Source:
+    def source(self, at: Any) -> UncertaintySource:
         """Return the source of one of the results. at: its index."""
         std = math.sqrt(max(float(self.variance[at]), 0.0))
         if not self.uncertainty:
-            return Source(self.name, self.value, std, 1.0, self.kind, self.degrees)
-        return Source(self.name, self.value, self.uncertainty, std / self.uncertainty, self.kind, self.degrees)
+            return UncertaintySource(self.name, self.value, std, 1.0, self.kind, self.degrees)
+        return UncertaintySource(
+            self.name, self.value, self.uncertainty, std / self.uncertainty, self.kind, self.degrees
+        )
 
 
 def scaled_parts(parts: Sequence[Part], factor: np.ndarray | float) -> tuple[Part, ...]:
@@ -171,7 +173,7 @@ def posterior_budget(
     covariance: np.ndarray,
     statements: Sequence[Statement],
     readings: Readings,
-    more: Sequence[Source] = (),
+    more: Sequence[UncertaintySource] = (),
 ) -> UncertaintyBudget:
     """Build the budget of a result that is linear in the parameters of a fit with priors.
 
@@ -192,7 +194,7 @@ def posterior_budget(
             blocks.append(correlation)
             stated += float(one.variance(slope, covariance))
     own = math.sqrt(max(float(slope @ covariance @ slope) - stated, 0.0))
-    first = Source(readings.name, float(value), own, 1.0, readings.kind, readings.degrees)
+    first = UncertaintySource(readings.name, float(value), own, 1.0, readings.kind, readings.degrees)
     correlation = block_diag(*blocks, np.eye(len(more)))
     return UncertaintyBudget(name, value, [first, *sources, *more], correlation)
 

@@ -55,11 +55,13 @@ class Strengths(NamedTuple):
         value: (u, s), F.
         noise_covariance: (u, s, s), of pixel noise, the rig exact.
         rig_covariance: (u, s, s), of the rig's uncertain parameters.
+        slopes: (u, s, p), derivatives of F by the fit's coordinates.
     """
 
     value: np.ndarray
     noise_covariance: np.ndarray
     rig_covariance: np.ndarray
+    slopes: np.ndarray
 
 
 class LinearisedFit(NamedTuple):
@@ -116,7 +118,8 @@ def strengths_with_covariance(solution: Solution) -> Strengths:
     by_noise, by_rig = (
         np.einsum("pus,pq,qut->ust", slope, part, slope) for part in (solution.covariance - added, added)
     )
-    return Strengths(np.where(seen, solution.model.strength, np.nan), diagonal + by_noise, by_rig)
+    value = np.where(seen, solution.model.strength, np.nan)
+    return Strengths(value, diagonal + by_noise, by_rig, -np.moveaxis(slope, 0, -1))
 
 
 def strength_curves(solution: Solution) -> tuple[np.ndarray, np.ndarray]:
