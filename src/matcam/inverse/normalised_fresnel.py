@@ -36,7 +36,7 @@ class NormalisedFresnel:
 
         there = np.isfinite(strength)
         divisor = np.where(there, strength, np.inf)
-        noise, camera = (c / divisor[:, :, None] / divisor[:, None, :] for c in strengths[1:])
+        noise, camera = (c / divisor[:, :, None] / divisor[:, None, :] for c in strengths[1:3])
         self.relative = noise + camera
 
         # normalising subtracts the mean's own change
