@@ -71,8 +71,8 @@ GRID_SIZES = (
 """Grids among which a file of a given error is sought. Angles of the light that the peak needs are added to each. The first two
 take 0.2 to 1 MB, the last one 36 to 70 MB."""
 _PEAK_TO, _PEAK_STEP = 45.5, 0.5
-"""Largest angle of the light up to which the peak is followed, degrees, and the spacing of the candidates. These are the centres
-and the edges of the cells of a MERL table, between which the table is linear."""
+"""Largest angle of the light up to which the peak is followed, degrees, and the spacing of the candidates. These are the
+centres and the edges of the cells of a MERL table, between which the table is linear."""
 _SAME = np.radians(0.75)
 """Distance of two angles of the light below which one of them suffices, rad: less than a cell of a MERL table."""
 _THETA_NODES = 181

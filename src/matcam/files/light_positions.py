@@ -92,8 +92,8 @@ def write_light_positions(path: str | Path, positions: Sequence[LightPosition], 
         >>> with tempfile.TemporaryDirectory() as folder:
         ...     path = pathlib.Path(folder, "lamps.lp")
         ...     matcam.io.write_light_positions(path, [at])
-        ...     path.read_text()
-        '1\\nIMG_1.tif 0.0 0.6 0.8\\n'
+        ...     path.read_text().splitlines()
+        ['1', 'IMG_1.tif 0.0 0.6 0.8']
     """
     if not len(positions):
         raise ArgumentError("a light position file needs at least one position")
