@@ -37,7 +37,19 @@ CAMERAS = [
     Camera(
         DefocusOptics(8, 550e-9, 4.73e-6, 1.5),
         BoxPixel(0.5),
-        Sensor(4.73e-6, 2e4, 2.5, 0.7, 14, "RGGB", prnu=0.01, dark_current=3.0, dark_nonuniformity=0.1, dsnu=1.5, pattern_seed=7),
+        Sensor(
+            4.73e-6,
+            2e4,
+            2.5,
+            0.7,
+            14,
+            "RGGB",
+            prnu=0.01,
+            dark_current=3.0,
+            dark_nonuniformity=0.1,
+            dsnu=1.5,
+            pattern_seed=7,
+        ),
     ),
     Camera(
         GaussianOptics(0.6),
