@@ -16,10 +16,10 @@ Parameters are named by their place: "optics.sigma_px", "optics.mtf[3]", "optics
 parameters and where they come from travel with the camera, because a kernel without its uncertainty cannot correct anything
 honestly.
 
-Version 4, which knows no DSNU, version 3, which knows no "zernike", "colour" and "seidel", version 2, which knows no field, and version 1, which knows neither
-"defocus" nor "halo" nor sensors, are read as well. A published version never changes: what is new goes into the next one. The
-published schemas are docs/camera-profile-v1.schema.json to -v5 (`profile_schemas.py`). pydantic validates JSON; the parameters
-live in the camera's objects.
+Version 4, which knows no DSNU, version 3, which knows no "zernike", "colour" and "seidel", version 2, which knows no field, and
+version 1, which knows neither "defocus" nor "halo" nor sensors, are read as well. A published version never changes: what is
+new goes into the next one. The published schemas are docs/camera-profile-v1.schema.json to -v5 (`profile_schemas.py`). pydantic
+validates JSON; the parameters live in the camera's objects.
 """
 
 from __future__ import annotations

@@ -322,18 +322,22 @@ def fresnel_budget(result: xr.Dataset, theta_d: float, channel: str | None = Non
         >>> matcam.inverse.fresnel_budget(xr.Dataset(), 0.5)
         Traceback (most recent call last):
         ...
-        matcam.core.errors.ArgumentError: result must be a Dataset from matcam.fresnel: it has no budget_std
+        matcam.core.errors.ArgumentError: result must be a Dataset from matcam.fresnel with budget_std, got []
     """
     checks.instance("result", result, xr.Dataset)
     if "budget_std" not in result:
-        raise ArgumentError("result must be a Dataset from matcam.fresnel: it has no budget_std")
+        raise ArgumentError(
+            f"result must be a Dataset from matcam.fresnel with budget_std, got {list(result.data_vars)}"
+        )
     names = [str(name) for name in result["channel"].values]
     channel = names[len(names) // 2] if channel is None else channel
     checks.choice("channel", channel, tuple(names))
     at = int(np.argmin(np.abs(result["theta_d"].values - theta_d))), names.index(channel)
     value, degrees = float(result["corrected"].values[at]), float(np.degrees(result["theta_d"].values[at[0]]))
     if not np.isfinite(value):
-        raise ArgumentError(f"the result has no F at theta_d = {degrees:.1f} degrees in channel {channel}")
+        raise ArgumentError(
+            f"the result has no F at theta_d = {degrees:.1f} degrees in channel {channel}: choose an angle where it has"
+        )
     return parts_budget(f"F({degrees:.1f} deg), {channel}", value, budget_parts(result), at)
 
 

@@ -376,12 +376,10 @@ def _of_curve(fit: SphereFit, curve: ReflectanceCurve, channel: int, value: floa
     """Return a value that is read off the curve of a channel. row: its derivatives by the coefficients."""
     pick = np.arange(fit.layout.pictures) * fit.layout.channels + channel
     slope = row @ curve.gain @ fit.strengths_rows()[pick]
-    parts = ((curve.by_scale, "scale of F", "B"), (curve.by_misfit, "departures of F from its curve", "A"))
+    by_scale, by_misfit = (float(np.sqrt(max(row @ part @ row, 0.0))) for part in (curve.by_scale, curve.by_misfit))
     degrees = max(float(fit.layout.pictures - len(row)), 1.0)
-    more = [
-        UncertaintySource(
-            name, 0.0, float(np.sqrt(max(row @ part @ row, 0.0))), 1.0, kind, degrees if kind == "A" else np.inf
-        )  # type: ignore[arg-type]
-        for part, name, kind in parts
-    ]
+    more = (
+        UncertaintySource("scale of F", 0.0, by_scale, 1.0, "B"),
+        UncertaintySource("departures of F from its curve", 0.0, by_misfit, 1.0, "A", degrees),
+    )
     return Reading(value, slope, tuple(source for source in more if source.uncertainty > 0))

@@ -110,7 +110,8 @@ class SensorCharacteristics:
 
         `picture`, `simulate` and `reconstruct` use it.
 
-        Its PRNU is `prnu_pixel`: the pattern of independent pixels. Its DSNU is the part of `dsnu` that does not grow with time.
+        Its PRNU is `prnu_pixel`: the pattern of independent pixels. Its DSNU is the part of `dsnu` that does not grow with
+        time.
 
         Args:
             pitch: distance of the pixels, m.

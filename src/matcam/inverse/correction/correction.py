@@ -199,12 +199,18 @@ class Correction:
         Example:
             >>> done.uncertainty_budget(np.radians(45.0)).expanded  # doctest: +SKIP
         """
-        channel = self.table["brdf"].shape[-1] // 2 if channel is None else channel
-        at = self._peak(theta_d)
+        count = self.table["brdf"].shape[-1]
+        channel = count // 2 if channel is None else channel
+        if type(channel) is not int or not 0 <= channel < count:
+            raise ArgumentError(f"channel must be a whole number from 0 to {count - 1}, got {channel!r}")
+        at = self._peak(float(checks.scalar("theta_d", checks.within("theta_d", theta_d, 0, np.pi / 2, "rad"))))
         value, std = (float(self.table[name].values[at][channel]) for name in ("brdf", "brdf_std"))
         label, degrees = self._channel_names[channel], np.degrees(theta_d)
         if not np.isfinite(std):
-            raise ArgumentError(f"the table states no standard deviation of the peak at {degrees:.1f} degrees, {label}")
+            raise ArgumentError(
+                f"the table states no standard deviation of the peak at {degrees:.1f} degrees, {label}: choose an angle "
+                "where it holds a value"
+            )
         return parts_budget(f"peak at {degrees:.1f} deg, {label}, 1/sr", value, self.peak_parts, (int(at[1]), channel))
 
     def uncertainty_budgets(self) -> list[UncertaintyBudget]:
