@@ -319,10 +319,10 @@ def fresnel_budget(result: xr.Dataset, theta_d: float, channel: str | None = Non
     Example:
         >>> found = matcam.fresnel(table, matcam.rigs.merl())  # doctest: +SKIP
         >>> matcam.inverse.fresnel_budget(found, np.radians(75)).expanded  # doctest: +SKIP
-        >>> matcam.inverse.fresnel_budget(xr.Dataset(), 0.5)
+        >>> matcam.inverse.fresnel_budget(np.ones(3), 0.5)
         Traceback (most recent call last):
         ...
-        matcam.core.errors.ArgumentError: result must be a Dataset from matcam.fresnel with budget_std, got []
+        matcam.core.errors.ArgumentError: result must be a Dataset, got array([1., 1., 1.])
     """
     checks.instance("result", result, xr.Dataset)
     if "budget_std" not in result:

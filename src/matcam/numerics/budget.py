@@ -35,7 +35,7 @@ class UncertaintySource(NamedTuple):
         degrees: degrees of freedom of the uncertainty, no unit. Default: infinite.
 
     Example:
-        >>> UncertaintySource("length, m", 1.0, 0.001, 2.0, "B").contribution
+        >>> matcam.UncertaintySource("length, m", 1.0, 0.001, 2.0, "B").contribution
         0.002
     """
 
@@ -65,10 +65,11 @@ class UncertaintyBudget:
         ArgumentError: there is no source, an uncertainty is negative, or this is no correlation.
 
     Example:
-        >>> sources = [UncertaintySource("a", 1.0, 0.3, 1.0, "A", 9), UncertaintySource("b", 2.0, 0.4, 1.0, "B")]
-        >>> budget = UncertaintyBudget("a + b", 3.0, sources)
+        >>> one = matcam.UncertaintySource("a", 1.0, 0.3, 1.0, "A", 9)
+        >>> other = matcam.UncertaintySource("b", 2.0, 0.4, 1.0, "B")
+        >>> budget = matcam.UncertaintyBudget("a + b", 3.0, [one, other])
         >>> budget.combined, round(budget.coverage_factor, 2)
-        (0.5, 2.03)
+        (0.5, 2.04)
     """
 
     def __init__(
@@ -172,7 +173,9 @@ class UncertaintyBudget:
         )
 
     def columns(self) -> dict[str, list[Any]]:
-        """List the sources as columns, the combined and the expanded uncertainty in the last rows.
+        """List the sources as columns.
+
+        The combined and the expanded uncertainty are the last two rows.
 
         Returns:
             Values by name of the column.
@@ -181,7 +184,12 @@ class UncertaintyBudget:
         return dict(zip(names, map(list, zip(*self.rows(), strict=True)), strict=True))
 
     def rows(self) -> list[list[Any]]:
-        """List the rows of `columns`: name, type, value, standard uncertainty, sensitivity, contribution, degrees."""
+        """List the rows of the table.
+
+        Returns:
+            Name, type, value, standard uncertainty, sensitivity, contribution and degrees of freedom of each source, and of the
+            combined and the expanded uncertainty.
+        """
         rows: list[list[Any]] = [
             [one.name, one.kind, one.value, one.uncertainty, one.sensitivity, one.contribution, one.degrees]
             for one in self.sources
@@ -205,6 +213,15 @@ def write_budgets(path: str | Path, budgets: Sequence[UncertaintyBudget], *, for
     Raises:
         ArgumentError: the name ends otherwise, or there is no budget.
         OutputError: the file cannot be written, or exists and `force` is False.
+
+    Example:
+        >>> import tempfile, pathlib
+        >>> source = matcam.UncertaintySource("length, m", 1.0, 0.001, 1.0, "B")
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     path = pathlib.Path(folder, "budget.csv")
+        ...     matcam.io.write_budgets(path, [matcam.UncertaintyBudget("length, m", 1.0, [source])])
+        ...     path.read_text().splitlines()[1]
+        '"length, m",B,1,0.001,1,0.001,inf'
     """
     _check_name(path)
     if not budgets:

@@ -214,7 +214,11 @@ class Correction:
         return parts_budget(f"peak at {degrees:.1f} deg, {label}, 1/sr", value, self.peak_parts, (int(at[1]), channel))
 
     def uncertainty_budgets(self) -> list[UncertaintyBudget]:
-        """Return the uncertainty budgets of the peaks at 5, 45 and 75 degrees in each channel, where they are known (GUM)."""
+        """Return the uncertainty budgets of some peaks (GUM).
+
+        Returns:
+            Those at 5, 45 and 75 degrees of each channel, where the table holds a value.
+        """
         angles = np.radians(_ANGLES)
         known = np.isfinite(self.table["brdf_std"].values[self._peak(angles)])
         return [
