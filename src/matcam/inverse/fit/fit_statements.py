@@ -32,10 +32,17 @@ def rig_statements(axes: Sequence[Axis], information: np.ndarray, first: int, si
     own = slice(first, first + len(axes))
     whole[own, own] = information
     stated = [
-        Stated(place, axis.name, axis.value(0.0), axis.slope(0.0, 1 / math.sqrt(max(whole[place, place], _LEAST))))
+        Stated(place, axis.name, axis.value(0.0), _slope(axis, float(whole[place, place])))
         for place, axis in enumerate(axes, first)
     ]
     return stated_parameters(RIG, whole, stated, least=_LEAST)
+
+
+def _slope(axis: Axis, information: float) -> float:
+    """Return d value / d coordinate, as a secant from one stated standard deviation below the base to one above."""
+    std = 1 / math.sqrt(max(information, _LEAST))
+    low, high = max(-std, axis.low), min(std, axis.high)
+    return (axis.value(high) - axis.value(low)) / (high - low)
 
 
 def fit_statements(solution: Solution) -> list[Statement]:
