@@ -20,9 +20,12 @@ from tests.inverse import recorded
 
 @pytest.fixture(scope="module")
 def merl_file(tmp_path_factory):
-    """A GGX lobe in the cells that a fit of every sixth slice reads, the rest missing."""
+    """A GGX lobe in the cells that a fit of every sixth slice reads, and at all azimuths of the peak, the rest missing."""
     cells, operator = lobe_operator(recorded.rig(), "centre", 6)
     one = recorded.table_of(cells, np.asarray(operator.record(GGX(0.004), "smith", ())) * 0.6).values
+    ring = one[0].copy()
+    seen = np.isfinite(ring).any(axis=1)[..., 0]
+    one[0][seen] = np.nanmean(ring[seen], axis=1, keepdims=True)
     path = tmp_path_factory.mktemp("merl") / "metal.binary"
     write_merl(path, brdf_table(np.repeat(one, 3, axis=3), "centre"))
     return path

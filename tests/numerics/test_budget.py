@@ -79,6 +79,8 @@ def test_files(tmp_path):
     lines = (tmp_path / "a.csv").read_text().splitlines()
     assert lines[0].startswith("source,type,value,standard_uncertainty,sensitivity,contribution")
     assert len(lines) == 11
+    write_budgets(tmp_path / "none.csv", [])
+    assert (tmp_path / "none.csv").read_text().splitlines() == lines[:1]
 
 
 def test_wrong_budgets_are_refused(tmp_path):

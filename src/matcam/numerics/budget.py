@@ -19,6 +19,7 @@ from matcam.core.io import check_output, plain, write_columns, write_json
 
 _COVERAGE = 0.9545
 """Probability of +-2 standard deviations of a normal distribution."""
+_COLUMNS = ("source", "type", "value", "standard_uncertainty", "sensitivity", "contribution", "degrees_of_freedom")
 _STEP = 1e-3
 """Share of a standard uncertainty by which a source is moved for a numerical sensitivity; its square is the relative error."""
 
@@ -180,8 +181,7 @@ class UncertaintyBudget:
         Returns:
             Values by name of the column.
         """
-        names = ("source", "type", "value", "standard_uncertainty", "sensitivity", "contribution", "degrees_of_freedom")
-        return dict(zip(names, map(list, zip(*self.rows(), strict=True)), strict=True))
+        return dict(zip(_COLUMNS, map(list, zip(*self.rows(), strict=True)), strict=True))
 
     def rows(self) -> list[list[Any]]:
         """List the rows of the table.
@@ -207,11 +207,11 @@ def write_budgets(path: str | Path, budgets: Sequence[UncertaintyBudget], *, for
 
     Args:
         path: file to write; its ending decides: .json or .csv.
-        budgets: one a result.
+        budgets: one a result; without any, the file has none.
         force: replace an existing file. Default: False.
 
     Raises:
-        ArgumentError: the name ends otherwise, or there is no budget.
+        ArgumentError: the name ends otherwise.
         OutputError: the file cannot be written, or exists and `force` is False.
 
     Example:
@@ -224,13 +224,11 @@ def write_budgets(path: str | Path, budgets: Sequence[UncertaintyBudget], *, for
         '"length, m",B,1,0.001,1,0.001,inf'
     """
     _check_name(path)
-    if not budgets:
-        raise ArgumentError("there is no uncertainty to write: give at least one budget")
     if Path(path).suffix.lower() == ".json":
         write_json(path, {"budgets": [one.to_dict() for one in budgets]}, force=force)
         return
     parts = [one.columns() for one in budgets]
-    write_columns(path, {name: [cell for part in parts for cell in part[name]] for name in parts[0]}, force=force)
+    write_columns(path, {name: [cell for part in parts for cell in part[name]] for name in _COLUMNS}, force=force)
 
 
 def check_budget(path: str | Path, *, force: bool, inputs: Sequence[str | Path] = ()) -> None:

@@ -18,6 +18,8 @@ from scipy.sparse.csgraph import connected_components
 from matcam.numerics.budget import UncertaintyBudget, UncertaintySource
 from matcam.numerics.linalg import scaled_inverse
 
+_EFFECT = 1e-6
+"""Share of the combined uncertainty up to which a source has no effect: its share of the variance is that of rounding, 1e-12."""
 _UNCORRELATED = 1e-9
 """Share of the information about two parameters up to which what is known of them is independent: rounding."""
 
@@ -161,9 +163,10 @@ def statement_parts(
 
 
 def parts_budget(name: str, value: float, parts: Sequence[Part], at: Any = ()) -> UncertaintyBudget:
-    """Build the budget of one of several results. at: its index among the results; sources without effect are left out."""
+    """Build the budget of one of several results; sources without effect are left out. at: its index among the results."""
     sources = [part.source(at) for part in parts]
-    return UncertaintyBudget(name, value, [one for one in sources if one.contribution > 0] or sources[:1])
+    least = _EFFECT * math.sqrt(sum(one.contribution**2 for one in sources))
+    return UncertaintyBudget(name, value, [one for one in sources if one.contribution > least] or sources[:1])
 
 
 def posterior_budget(
