@@ -19,7 +19,7 @@ from matcam.numerics.budget import UncertaintyBudget, UncertaintySource
 from matcam.numerics.linalg import scaled_inverse
 
 _EFFECT = 1e-6
-"""Share of the combined uncertainty up to which a source has no effect: its share of the variance is that of rounding, 1e-12."""
+"""Share of the combined uncertainty up to which a source has no effect: 1e-12 of the variance is rounding."""
 _UNCORRELATED = 1e-9
 """Share of the information about two parameters up to which what is known of them is independent: rounding."""
 
