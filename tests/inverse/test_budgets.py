@@ -56,6 +56,7 @@ def test_a_stated_lens_moves_the_result_by_its_sensitivity(table, found, name):
     assert lens.sensitivity == pytest.approx((moved[0] - moved[1]) / (2 * step), rel=0.02)
 
 
+@pytest.mark.slow
 def test_the_readings_move_the_result_by_their_contribution(found):
     """The same light with other noise, the stated lens unchanged."""
     shot = recorded.made(EVERY, oracle.Setup())
