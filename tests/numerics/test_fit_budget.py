@@ -12,10 +12,10 @@ import pytest
 from docs_claims import limit
 from matcam.numerics.budget import UncertaintySource
 from matcam.numerics.fit_budget import (
-    Part,
     Readings,
-    Stated,
+    StatedParameter,
     Statement,
+    VariancePart,
     parts_budget,
     posterior_budget,
     stated_parameters,
@@ -37,7 +37,7 @@ UNIT = 3.0  # of the stated parameters, of one of the coordinates
 def statements(case):
     if case == "smooth":
         return [Statement("smooth", PRIORS[case])]
-    stated = [Stated(i, f"p{i}", UNIT * 1.5, UNIT) for i in range(4)]
+    stated = [StatedParameter(i, f"p{i}", UNIT * 1.5, UNIT) for i in range(4)]
     return stated_parameters("stated", PRIORS[case], stated)
 
 
@@ -117,7 +117,7 @@ def test_sources_of_several_results():
     slopes, cov = np.stack([SLOPE, [0, 1, 0, 1.0]]), covariance("independent")
     variance = np.einsum("rp,pq,rq->r", slopes, cov, slopes)
     parts = statement_parts(statements("independent"), slopes, cov, variance, Readings("readings", "A", 8))
-    parts = (*parts, Part("model", "B", np.array([0.01, 0.0])))
+    parts = (*parts, VariancePart("model", "B", np.array([0.01, 0.0])))
     for at in (0, 1):
         found = parts_budget("result", 1.0, parts, at)
         more = [UncertaintySource("model", 0.0, 0.1, 1.0, "B")] if at == 0 else []

@@ -53,7 +53,7 @@ def convert(
             that an RGL file is resampled to has the same. Default: "centre"; loaders of MERL files disagree.
         square: nodes along each side of the square of an RGL file that is made, see `adaptive_grid`. Default: 192; fewer
             make a smaller file.
-        error: error of an RGL file that is made, no unit: the smallest of six grids (0.2 to 70 MB) is taken whose median
+        error: error of an RGL file that is made, no unit: the first of eight grids (0.2 to 70 MB) is taken whose median
             differences at random pairs and at the peak are at most this; `square` has no effect then. Default: None, `square`.
         force: True to replace an existing output. Default: False.
 

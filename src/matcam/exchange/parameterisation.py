@@ -63,13 +63,15 @@ _FINEST = GridSize((36, 8), SQUARE, 65, 0)
 GRID_SIZES = (
     GridSize((12, 4), 20, 9, 46),
     GridSize((12, 4), 30, 9, 46),
+    GridSize((12, 4), 36, 9, 46),
     GridSize((22, 8), 40, 9, 61),
+    GridSize((12, 4), 44, 9, 46),
     GridSize((24, 8), 64, 17, 91),
     GridSize((28, 8), 96, 33, 181),
     _FINEST,
 )
 """Grids among which a file of a given error is sought. Angles of the light that the peak needs are added to each. The first two
-take 0.2 to 1 MB, the last one 36 to 70 MB."""
+take 0.2 to 1 MB, the first five 2 MB at most, the last one 36 to 70 MB."""
 _PEAK_TO, _PEAK_STEP = 45.5, 0.5
 """Largest angle of the light up to which the peak is followed, degrees, and the spacing of the candidates. These are the
 centres and the edges of the cells of a MERL table, between which the table is linear."""

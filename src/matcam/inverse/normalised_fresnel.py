@@ -10,7 +10,7 @@ import xarray as xr
 from matcam.core.errors import FitError
 from matcam.inverse.fit.fit_statements import fit_readings_source, fit_statements
 from matcam.inverse.fit.material_fit import MaterialFit
-from matcam.numerics.fit_budget import Part, statement_parts
+from matcam.numerics.fit_budget import VariancePart, statement_parts
 
 GAIN = "gains of the pictures"
 OTHER_LOBES = "other lobes that explain the table"
@@ -67,7 +67,7 @@ class NormalisedFresnel:
         one = gain**2 * np.eye(self.normalised.shape[1])
         own = self._normalised_std(np.broadcast_to(one, self.relative.shape))
         self.std_noise = np.hypot(self.std_noise, own)
-        self.parts = (*self.parts, Part(GAIN, "A", own**2, degrees=max(self.used.shape[-1] - 1, 1)))
+        self.parts = (*self.parts, VariancePart(GAIN, "A", own**2, degrees=max(self.used.shape[-1] - 1, 1)))
         self.absolute_std = np.hypot(self.absolute_std, gain * self.absolute)
         return self
 
@@ -95,7 +95,7 @@ def averaged(
     camera.normalised, camera.absolute = camera.normalised + shift, camera.absolute + moved
     camera.std_camera = np.sqrt(camera.std_camera**2 + spread - shift**2)
     if members:
-        camera.parts = (*camera.parts, Part(OTHER_LOBES, "B", spread - shift**2))
+        camera.parts = (*camera.parts, VariancePart(OTHER_LOBES, "B", spread - shift**2))
     camera.absolute_std = np.sqrt(camera.absolute_std**2 + scatter - moved**2)
     result = blind[0] if held_back else camera
     variance = result.std_camera**2
@@ -103,13 +103,13 @@ def averaged(
     for name, other, share in others:
         own = (share * (other.normalised - camera.normalised)) ** 2
         variance = variance + own
-        result.parts = (*result.parts, Part(f"{name} left free", "B", own))
+        result.parts = (*result.parts, VariancePart(f"{name} left free", "B", own))
         absolute = absolute + (share * np.nan_to_num(other.absolute - camera.absolute)) ** 2
     if blind:
         share = 1.0 if held_back else weight * (1 - weight)
         apart = blind[0].normalised - camera.normalised
         variance = variance + share * apart**2
-        result.parts = (*result.parts, Part(NO_CAMERA, "B", share * apart**2))
+        result.parts = (*result.parts, VariancePart(NO_CAMERA, "B", share * apart**2))
         absolute = absolute + share * np.nan_to_num(blind[0].absolute - camera.absolute) ** 2
         if not held_back:
             result.normalised = camera.normalised + weight * apart
@@ -136,10 +136,10 @@ def budget_variables(term: NormalisedFresnel) -> dict[str, tuple[Any, ...]]:
     }
 
 
-def budget_parts(result: xr.Dataset) -> list[Part]:
+def budget_parts(result: xr.Dataset) -> list[VariancePart]:
     """Read the sources back from a Dataset with `budget_variables`."""
     return [
-        Part(
+        VariancePart(
             str(one["source"].item()),
             "A" if one["budget_type"].item() == "A" else "B",
             one["budget_std"].values ** 2,

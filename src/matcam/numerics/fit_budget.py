@@ -24,7 +24,7 @@ _UNCORRELATED = 1e-9
 """Share of the information about two parameters up to which what is known of them is independent: rounding."""
 
 
-class Stated(NamedTuple):
+class StatedParameter(NamedTuple):
     """Value that a source beside the data states of one parameter of a fit.
 
     Attributes:
@@ -41,7 +41,7 @@ class Stated(NamedTuple):
 
 
 class Statement(NamedTuple):
-    """What is known of the parameters of a fit beside its data (type B).
+    """Knowledge of the parameters of a fit beside its data (type B).
 
     Attributes:
         name: of the source.
@@ -52,7 +52,7 @@ class Statement(NamedTuple):
 
     name: str
     information: np.ndarray
-    stated: tuple[Stated, ...] = ()
+    stated: tuple[StatedParameter, ...] = ()
 
     def variance(self, slopes: np.ndarray, covariance: np.ndarray) -> np.ndarray:
         """Compute the variance of results by this source.
@@ -95,7 +95,7 @@ class Readings(NamedTuple):
     degrees: float = math.inf
 
 
-class Part(NamedTuple):
+class VariancePart(NamedTuple):
     """Variances of several results by one source.
 
     Attributes:
@@ -128,7 +128,7 @@ class Part(NamedTuple):
         )
 
 
-def scaled_parts(parts: Sequence[Part], factor: np.ndarray | float) -> tuple[Part, ...]:
+def scaled_parts(parts: Sequence[VariancePart], factor: np.ndarray | float) -> tuple[VariancePart, ...]:
     """Multiply the variances of all sources by a factor."""
     return tuple(part.scaled(factor) for part in parts)
 
@@ -139,7 +139,7 @@ def statement_parts(
     covariance: np.ndarray,
     variance: np.ndarray,
     readings: Readings,
-) -> tuple[Part, ...]:
+) -> tuple[VariancePart, ...]:
     """Split the variances of a fit's results into what is stated beside the data, and the readings.
 
     Args:
@@ -155,14 +155,14 @@ def statement_parts(
         if len(one.stated) == 1:
             (stated,) = one.stated
             std = abs(stated.slope) / math.sqrt(one.information[stated.place, stated.place])
-            parts.append(Part(stated.name, "B", own, stated.value, std))
+            parts.append(VariancePart(stated.name, "B", own, stated.value, std))
         else:
-            parts.append(Part(one.name, "B", own))
+            parts.append(VariancePart(one.name, "B", own))
     rest = np.maximum(variance - sum((part.variance for part in parts), np.zeros_like(variance)), 0.0)
-    return (Part(readings.name, readings.kind, rest, degrees=readings.degrees), *parts)
+    return (VariancePart(readings.name, readings.kind, rest, degrees=readings.degrees), *parts)
 
 
-def parts_budget(name: str, value: float, parts: Sequence[Part], at: Any = ()) -> UncertaintyBudget:
+def parts_budget(name: str, value: float, parts: Sequence[VariancePart], at: Any = ()) -> UncertaintyBudget:
     """Build the budget of one of several results; sources without effect are left out. at: its index among the results."""
     sources = [part.source(at) for part in parts]
     least = _EFFECT * math.sqrt(sum(one.contribution**2 for one in sources))
@@ -203,7 +203,7 @@ def posterior_budget(
 
 
 def stated_parameters(
-    name: str, information: np.ndarray, stated: Sequence[Stated], *, least: float = 0.0
+    name: str, information: np.ndarray, stated: Sequence[StatedParameter], *, least: float = 0.0
 ) -> list[Statement]:
     """State what is known of some parameters: each correlated group of them is one statement.
 

@@ -14,7 +14,7 @@ import numpy as np
 from matcam.inverse.fit.fit_parameters import LobeKind, readable_value
 from matcam.inverse.fit.lobe_readings import HALF_WIDTH, half_maximum, lobe_readings
 from matcam.numerics.budget import UncertaintyBudget, UncertaintySource
-from matcam.numerics.fit_budget import Readings, Stated, Statement, posterior_budget
+from matcam.numerics.fit_budget import Readings, StatedParameter, Statement, posterior_budget
 from matcam.reconstruction.picture_model import SCENE
 from matcam.reconstruction.reflectance_curve import ReflectanceCurve
 from matcam.reconstruction.rig.field_change import FIELD
@@ -224,7 +224,7 @@ def inseparable(fit: SphereFit) -> tuple[Inseparable, ...]:
     return tuple(found)
 
 
-class Reading(NamedTuple):
+class FitReading(NamedTuple):
     """Value that is read off a joint fit.
 
     Attributes:
@@ -245,7 +245,7 @@ class Reading(NamedTuple):
 
 def parameter_readings(
     fit: SphereFit, curves: Sequence[ReflectanceCurve], units: Sequence[Known]
-) -> dict[str, Reading]:
+) -> dict[str, FitReading]:
     """Read lobe, lens, n and k, and diffuse parts off a fit, by the names that users see.
 
     curves: F of each channel. units: of each channel, value of the pictures per radiance under unit irradiance.
@@ -255,20 +255,20 @@ def parameter_readings(
     width = float(fit.scene.camera.parameters().get("optics.sigma_px", np.nan))
     lens, name = (width, "sigma_px") if np.isfinite(width) else (1.0, "lens_scale")
     lens *= float(np.exp(p[layout.scene][0]))
-    found[name] = Reading(lens, lens * unity[layout.scene.start])
+    found[name] = FitReading(lens, lens * unity[layout.scene.start])
     for index, (channel, curve) in enumerate(zip(fit.channels, curves, strict=True)):
         for name, (value, row) in curve.parameters().items():
             found[f"{name}_{channel}"] = _of_curve(fit, curve, index, value, row)
         place = layout.diffuse.start + index
         if not fit.solution.problem.fixed[place]:
             unit = units[index].value
-            found[f"diffuse_{channel}"] = Reading(float(p[place]) / unit, unity[place] / unit)
+            found[f"diffuse_{channel}"] = FitReading(float(p[place]) / unit, unity[place] / unit)
     return found
 
 
 def reflectance_readings(
     fit: SphereFit, curves: Sequence[ReflectanceCurve], units: Sequence[Known], theta_d: float
-) -> dict[str, Reading]:
+) -> dict[str, FitReading]:
     """Read F of each channel at an angle over its mean from 10 to 45 degrees, and that mean where F is absolute.
 
     curves, units: as of `parameter_readings`. theta_d: rad.
@@ -293,7 +293,7 @@ def reflectance_readings(
     return found
 
 
-def length_readings(fit: SphereFit) -> dict[str, Reading]:
+def length_readings(fit: SphereFit) -> dict[str, FitReading]:
     """Read the outline's radius, px, and the distances of camera and lamp, radii of the sample, off a fit.
 
     A distance beyond what the pictures determine is left out.
@@ -301,15 +301,15 @@ def length_readings(fit: SphereFit) -> dict[str, Reading]:
     scene, unity = fit.layout.scene, np.eye(fit.layout.size)
     p = fit.solution.p[scene]
     place = {name: scene.start + index for index, name in enumerate(SCENE)}
-    found = {"outline_radius_px": Reading(float(p[SCENE.index("radius")]), unity[place["radius"]])}
+    found = {"outline_radius_px": FitReading(float(p[SCENE.index("radius")]), unity[place["radius"]])}
     for name in ("camera", "lamp"):
         nearness = float(p[SCENE.index(name)])
         if nearness > 0:
-            found[f"{name}_distance_radii"] = Reading(1 / nearness, -unity[place[name]] / nearness**2)
+            found[f"{name}_distance_radii"] = FitReading(1 / nearness, -unity[place[name]] / nearness**2)
     return found
 
 
-def reading_budget(fit: SphereFit, name: str, reading: Reading) -> UncertaintyBudget:
+def reading_budget(fit: SphereFit, name: str, reading: FitReading) -> UncertaintyBudget:
     """Build the uncertainty budget of a value that is read off a fit (GUM). name: of the value, with its unit."""
     solution = fit.solution
     unstated = float(reading.slope @ (solution.covariance - solution.fitted) @ reading.slope)
@@ -333,10 +333,10 @@ def _statements(fit: SphereFit) -> list[Statement]:
     sigma = float(scene.camera.parameters().get("optics.sigma_px", np.nan))
     radius = np.nan if scene.sample_radius is None else scene.sample_radius.value
     named = {
-        "lens": Stated(layout.scene.start, "lens: optics.sigma_px", sigma, sigma)
+        "lens": StatedParameter(layout.scene.start, "lens: optics.sigma_px", sigma, sigma)
         if np.isfinite(sigma)
-        else Stated(layout.scene.start, "lens: scale of its kernel", 1.0, 1.0),
-        "sample radius": Stated(layout.sample_radius, "sample radius, mm", radius, radius),
+        else StatedParameter(layout.scene.start, "lens: scale of its kernel", 1.0, 1.0),
+        "sample radius": StatedParameter(layout.sample_radius, "sample radius, mm", radius, radius),
     }
     found = []
     for source in dict.fromkeys(problem.prior_sources):
@@ -345,15 +345,15 @@ def _statements(fit: SphereFit) -> list[Statement]:
     return found
 
 
-def _lobe_readings(fit: SphereFit) -> dict[str, Reading]:
+def _lobe_readings(fit: SphereFit) -> dict[str, FitReading]:
     """Read the parameters of the lobe; of a bent lobe what it has instead of a family's, else half widths, rad, too."""
     kind, size = fit.kind, fit.layout.size
     q = fit.solution.p[: kind.size]
 
-    def reading(value: float, slope: np.ndarray, first: int = 0) -> Reading:
+    def reading(value: float, slope: np.ndarray, first: int = 0) -> FitReading:
         row = np.zeros(size)
         row[first : first + len(slope)] = slope
-        return Reading(value, row)
+        return FitReading(value, row)
 
     read = lobe_readings(kind, q)
     if kind.bends:
@@ -372,7 +372,7 @@ def _lobe_readings(fit: SphereFit) -> dict[str, Reading]:
     return found
 
 
-def _of_curve(fit: SphereFit, curve: ReflectanceCurve, channel: int, value: float, row: np.ndarray) -> Reading:
+def _of_curve(fit: SphereFit, curve: ReflectanceCurve, channel: int, value: float, row: np.ndarray) -> FitReading:
     """Return a value that is read off the curve of a channel. row: its derivatives by the coefficients."""
     pick = np.arange(fit.layout.pictures) * fit.layout.channels + channel
     slope = row @ curve.gain @ fit.strengths_rows()[pick]
@@ -382,4 +382,4 @@ def _of_curve(fit: SphereFit, curve: ReflectanceCurve, channel: int, value: floa
         UncertaintySource("scale of F", 0.0, by_scale, 1.0, "B"),
         UncertaintySource("departures of F from its curve", 0.0, by_misfit, 1.0, "A", degrees),
     )
-    return Reading(value, slope, tuple(source for source in more if source.uncertainty > 0))
+    return FitReading(value, slope, tuple(source for source in more if source.uncertainty > 0))

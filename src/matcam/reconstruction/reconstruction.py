@@ -19,9 +19,9 @@ from matcam.numerics.budget import UncertaintyBudget
 from matcam.reconstruction.chosen_lobe import FitOfPictures, chosen_fit
 from matcam.reconstruction.cylinder.anisotropic_table import anisotropic_table
 from matcam.reconstruction.error_budget import (
+    FitReading,
     Inseparable,
     Ratio,
-    Reading,
     channel_covariance,
     error_budget,
     inseparable,
@@ -125,7 +125,7 @@ class Reconstruction:
         return [reading_budget(self.fit, name, one) for name, one in self._readings.items()]
 
     @property
-    def _readings(self) -> dict[str, Reading]:
+    def _readings(self) -> dict[str, FitReading]:
         """Values that have a budget, by name: parameters, F, lengths."""
         judged = min(_JUDGED, self.measured_range[1])
         return {

@@ -15,7 +15,7 @@ from matcam.inverse.correction.other_body import other_body
 from matcam.inverse.correction.response_lattice import seen_cells
 from matcam.inverse.fit.material_fit import MaterialFit
 from matcam.inverse.normalised_fresnel import GAIN
-from matcam.numerics.fit_budget import Part
+from matcam.numerics.fit_budget import VariancePart
 
 SUPPORTED = 0.05
 """Relative standard deviation of the correction up to which an entry is supported."""
@@ -45,7 +45,7 @@ def corrected_table(
     ratio_of_lobes: LobeRatio,
     scattered: FarthestGlare,
     glare: float,
-) -> tuple[xr.Dataset, EnergyLimit, tuple[Part, ...]]:
+) -> tuple[xr.Dataset, EnergyLimit, tuple[VariancePart, ...]]:
     """Correct a table; the energy limit says whether and how it acted; the parts are the sources of the peaks' variance.
 
     noise_share: of a pixel's variance, in each entry. scattered: most light of the highlight that glare adds to it.
@@ -58,15 +58,15 @@ def corrected_table(
     ratio = np.where(seen, np.exp(ratio_of_lobes.log), 1.0)
     corrected, camera_std = np.empty_like(data), np.empty_like(data)
     bodies = other_body(sampling)
-    parts: list[Part] = []
+    parts: list[VariancePart] = []
     for rows in ROWS:
         above, factor = data[rows] - body, ratio[rows, ..., None]
         corrected[rows] = body + above * factor
         variance = (above * factor * ratio_of_lobes.std[rows, ..., None]) ** 2
         added = (
-            Part("glare", "B", (scattered.of(rows) ** 2 + (glare * data[rows]) ** 2) * factor**2),
-            Part("Lambertian part", "A", body_std**2 * (factor - 1) ** 2, degrees=max(found.freedom, 1)),
-            Part("shape of the body", "B", (body * bodies[rows, ..., None]) ** 2 * (factor - 1) ** 2),
+            VariancePart("glare", "B", (scattered.of(rows) ** 2 + (glare * data[rows]) ** 2) * factor**2),
+            VariancePart("Lambertian part", "A", body_std**2 * (factor - 1) ** 2, degrees=max(found.freedom, 1)),
+            VariancePart("shape of the body", "B", (body * bodies[rows, ..., None]) ** 2 * (factor - 1) ** 2),
         )
         for part in added:
             variance += part.variance
@@ -87,7 +87,7 @@ def corrected_table(
             corrected[rows] = limit.of(rows, recorded, wanted, np.nan_to_num(camera))
             camera = np.hypot(camera, wanted - corrected[rows])
             if rows.start == 0:
-                parts.append(Part("energy limit", "B", (wanted - corrected[rows])[PEAK] ** 2))
+                parts.append(VariancePart("energy limit", "B", (wanted - corrected[rows])[PEAK] ** 2))
         corrected[rows] = np.maximum(corrected[rows], 0.0)
         pixels = noise_share[rows, ..., None] * (
             (noise.relative * recorded) ** 2 + (noise.floor * peak[None, :, None, :]) ** 2
@@ -95,8 +95,8 @@ def corrected_table(
         gains = (noise.picture_gain * recorded) ** 2 * factor**2
         if rows.start == 0:
             kind: Any = "B" if found.noise_given else "A"
-            parts.append(Part("noise of the pixels of the entry", kind, (pixels * factor**2)[PEAK]))
-            parts.append(Part(GAIN, kind, gains[PEAK]))
+            parts.append(VariancePart("noise of the pixels of the entry", kind, (pixels * factor**2)[PEAK]))
+            parts.append(VariancePart(GAIN, kind, gains[PEAK]))
         pixels = pixels * factor**2 + gains
         camera, noise_std[rows] = (np.where(known, std, np.nan) for std in (camera, np.sqrt(pixels)))
         with np.errstate(invalid="ignore", divide="ignore", over="ignore"):

@@ -39,7 +39,7 @@ from matcam.inverse.operator.rig_axes import known_lens
 from matcam.inverse.picture_gain import gain_remarks, strengths_gain
 from matcam.material.masking import MASKINGS, Masking
 from matcam.numerics.budget import UncertaintyBudget
-from matcam.numerics.fit_budget import Part, parts_budget
+from matcam.numerics.fit_budget import VariancePart, parts_budget
 from matcam.rigs import Rig
 
 _MATTERS = 0.01
@@ -91,7 +91,7 @@ class Correction:
     without_camera: MaterialFit
     no_camera: float
     withheld: bool = False
-    peak_parts: tuple[Part, ...] = ()
+    peak_parts: tuple[VariancePart, ...] = ()
 
     @classmethod
     def of(

@@ -18,7 +18,7 @@ from scipy.sparse import csr_matrix
 from matcam.core.grid import GRID_SHAPE, Sampling, merl_grid
 from matcam.core.remark import Remark
 from matcam.inverse.normalised_fresnel import NO_CAMERA
-from matcam.numerics.fit_budget import Part, scaled_parts
+from matcam.numerics.fit_budget import VariancePart, scaled_parts
 
 ROWS = tuple(slice(start, start + 10) for start in range(0, GRID_SHAPE[0], 10))
 """Rows of a table that are worked on at a time: all at once would need several times the table's memory."""
@@ -46,9 +46,9 @@ class LobeRatio(NamedTuple):
     log: np.ndarray
     std: np.ndarray
     recorded: np.ndarray | None = None
-    parts: tuple[Part, ...] = ()
+    parts: tuple[VariancePart, ...] = ()
 
-    def parts_with(self, name: str, added: np.ndarray, factor: np.ndarray | float = 1.0) -> tuple[Part, ...]:
+    def parts_with(self, name: str, added: np.ndarray, factor: np.ndarray | float = 1.0) -> tuple[VariancePart, ...]:
         """Return the sources after a change of the variance.
 
         name: of a source that is added. added: its variance, (90, 90, 180). factor: by which the others are multiplied.
@@ -56,7 +56,7 @@ class LobeRatio(NamedTuple):
         if not self.parts:
             return ()
         factor = factor if isinstance(factor, float) else factor[PEAK]
-        return (*scaled_parts(self.parts, factor), Part(name, "B", added[PEAK]))
+        return (*scaled_parts(self.parts, factor), VariancePart(name, "B", added[PEAK]))
 
 
 def withheld(ratio: LobeRatio) -> LobeRatio:

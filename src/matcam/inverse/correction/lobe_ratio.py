@@ -32,7 +32,7 @@ from matcam.inverse.fit.slopes_by_slice import slopes_by_slice
 from matcam.inverse.normalised_fresnel import OTHER_LOBES
 from matcam.inverse.operator.rig_axes import Axis, axis_selection
 from matcam.inverse.operator.sample_view import sample_view
-from matcam.numerics.fit_budget import Part, scaled_parts, statement_parts
+from matcam.numerics.fit_budget import VariancePart, scaled_parts, statement_parts
 from matcam.rigs import Rig
 
 
@@ -121,7 +121,7 @@ def lobe_ratio(
         change = _at(coarse, there) - (here if from_ is at else _at(coarse, from_))
         added = (weight * on_table(change, coarse)) ** 2
         variance += added
-        parts = (*parts, Part(name, "B", added[PEAK]))
+        parts = (*parts, VariancePart(name, "B", added[PEAK]))
     shift, spread = np.zeros(log.shape), np.zeros(log.shape)
     apart, others, share = np.zeros(log.shape[1]), np.zeros(log.shape[1]), 0.0
     for other in fits.others:
@@ -136,14 +136,14 @@ def lobe_ratio(
         others, share = others + other.probability * own[PEAK], share + other.probability
     log, variance = log + shift, variance + spread - shift**2  # mean and variance of the mixture
     if fits.others:
-        own_errors = Part("errors of the other lobes", "A", others)
-        parts = (*scaled_parts(parts, 1 - share), own_errors, Part(OTHER_LOBES, "B", apart - shift[PEAK] ** 2))
+        own_errors = VariancePart("errors of the other lobes", "A", others)
+        parts = (*scaled_parts(parts, 1 - share), own_errors, VariancePart(OTHER_LOBES, "B", apart - shift[PEAK] ** 2))
     pixels = grid_of(rig)
     if pixels is not None:
         lattices = Lattices(fine, coarse, fitted)
         moved, by_phase = pixel_log_ratio(lattices, at, pixels, sample_view(rig).radius, phase_std)
         log, variance = log + moved, variance + by_phase
-        parts = (*parts, Part("phase of the pixels", "B", np.broadcast_to(by_phase, log.shape)[PEAK]))
+        parts = (*parts, VariancePart("phase of the pixels", "B", np.broadcast_to(by_phase, log.shape)[PEAK]))
     return LobeRatio(log, np.sqrt(variance), recorded, parts)
 
 
@@ -213,7 +213,7 @@ def _variance(columns: np.ndarray, shape: ShapeUncertainty) -> np.ndarray:
 
 def _peak_parts(
     columns: np.ndarray, found: MaterialFit, shape: ShapeUncertainty, where: ResponseLattice, variance: np.ndarray
-) -> tuple[Part, ...]:
+) -> tuple[VariancePart, ...]:
     """Split the variance of the ratio at the peak of each slice into its sources.
 
     The share of a source is that on the lattice, interpolated linearly, so that the shares of all sources add up to 1.

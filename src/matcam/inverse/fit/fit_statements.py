@@ -9,7 +9,7 @@ import numpy as np
 
 from matcam.inverse.fit.search import Solution
 from matcam.inverse.operator.rig_axes import Axis
-from matcam.numerics.fit_budget import Readings, Stated, Statement, stated_parameters
+from matcam.numerics.fit_budget import Readings, StatedParameter, Statement, stated_parameters
 
 RIG = "camera and rig, as stated"
 """Source of the stated parameters of the rig, where they are correlated."""
@@ -32,7 +32,7 @@ def rig_statements(axes: Sequence[Axis], information: np.ndarray, first: int, si
     own = slice(first, first + len(axes))
     whole[own, own] = information
     stated = [
-        Stated(place, axis.name, axis.value(0.0), _slope(axis, float(whole[place, place])))
+        StatedParameter(place, axis.name, axis.value(0.0), _slope(axis, float(whole[place, place])))
         for place, axis in enumerate(axes, first)
     ]
     return stated_parameters(RIG, whole, stated, least=_LEAST)
