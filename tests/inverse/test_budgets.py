@@ -128,7 +128,7 @@ def test_a_budget_of_the_fresnel_term_is_its_stated_uncertainty():
     high, low = (fresnel(noisy_gaussian(), recorded.rig(0.5 + sign * step, std=0.002), **given) for sign in (1, -1))
     at = {"theta_d": recorded.SEVENTY_FIVE, "method": "nearest"}
     moved = float((high["corrected"] - low["corrected"]).sel(**at).item()) / (2 * step)
-    # width and lens compensate to a hundredth of either; the derivative of free strengths neglects the noise (Kaufman 1975)
+    # width and lens nearly compensate each other; the derivative of free strengths neglects the noise (Kaufman 1975)
     assert abs(sources[LENS].sensitivity) == pytest.approx(abs(moved), rel=0.2)
     with pytest.raises(ArgumentError, match="channel must be"):
         fresnel_budget(term, 0.5, "R")
