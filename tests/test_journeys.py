@@ -39,7 +39,7 @@ PAGES = [
 COMMANDS = commands()
 QUICK = {"predict", "chart", "inspect", "edge"}
 """Commands that take seconds; the others are run by the slow tests."""
-OUTPUTS = ("-o", "--output", "--map", "--capture")
+OUTPUTS = ("-o", "--output", "--map", "--capture", "--budget")
 """Options whose value is an output."""
 NOT_RUN = {
     "data": "it downloads from the network",

@@ -34,6 +34,7 @@ from .material.ndf.ggx import GGX
 from .material.ndf.power_lobes import EPD, SGD
 from .material.optical_constants import metal
 from .material.reflectance import Conductor, Dielectric, Schlick, fresnel_conductor
+from .numerics.budget import UncertaintyBudget, UncertaintySource
 from .reconstruction.from_capture import reconstruct
 from .rigs import Rig
 from .sample.curved import Cylinder, Sphere
@@ -67,6 +68,8 @@ __all__ = [
     "SeidelOptics",
     "Sensor",
     "Sphere",
+    "UncertaintyBudget",
+    "UncertaintySource",
     "WindowedGaussianPixel",
     "ZernikeOptics",
     "batch",

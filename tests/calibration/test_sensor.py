@@ -129,6 +129,7 @@ def test_the_sensor_goes_into_a_profile(found, tmp_path):
     assert float(again.gain) == found.gain.value
     assert float(again.saturation) == pytest.approx(found.full_well.value, rel=0.02)
     assert (again.bits, again.cfa) == (12, None)
+    assert float(again.dsnu) == pytest.approx(exposures.DSNU, rel=0.1)
 
 
 def test_a_series_that_ends_early_gives_a_lower_limit(tmp_path):

@@ -18,7 +18,7 @@ def camera(**changes):
 def _merged():
     """A step wedge: a row for each radiance, 1e-3 to 200; the longest exposure saturates at 0.7, the shortest at 280."""
     truth = np.geomspace(1e-3, 200, 24)
-    sensor = camera(prnu=0.01, dark_current=10.0, dark_nonuniformity=0.2)
+    sensor = camera(prnu=0.01, dark_current=10.0, dark_nonuniformity=0.2, dsnu=1.0)
     scene = np.broadcast_to(truth[:, None], (truth.size, 3000))
     pictures = expose_bracket(sensor, scene, EXPOSURES, 11, TIMES)
     return truth, sensor, pictures, merge_bracket(sensor, pictures, EXPOSURES, TIMES)

@@ -37,7 +37,19 @@ CAMERAS = [
     Camera(
         DefocusOptics(8, 550e-9, 4.73e-6, 1.5),
         BoxPixel(0.5),
-        Sensor(4.73e-6, 2e4, 2.5, 0.7, 14, "RGGB", prnu=0.01, dark_current=3.0, dark_nonuniformity=0.1, pattern_seed=7),
+        Sensor(
+            4.73e-6,
+            2e4,
+            2.5,
+            0.7,
+            14,
+            "RGGB",
+            prnu=0.01,
+            dark_current=3.0,
+            dark_nonuniformity=0.1,
+            dsnu=1.5,
+            pattern_seed=7,
+        ),
     ),
     Camera(
         GaussianOptics(0.6),
@@ -120,6 +132,17 @@ def test_version_3_is_still_read_and_knows_no_aberrations(tmp_path):
             Camera.load(path)
 
 
+def test_version_4_is_still_read_and_knows_no_dsnu(tmp_path):
+    path = tmp_path / "old.json"
+    path.write_text(json.dumps(changed(version=4, sensor=sensor())))
+    assert float(Camera.load(path).sensor.dsnu) == 0
+    path.write_text(json.dumps(changed(version=4, sensor=sensor(dsnu_electrons=1.0))))
+    with pytest.raises(FileFormatError, match="dsnu_electrons"):
+        Camera.load(path)
+    path.write_text(json.dumps(changed(version=5, sensor=sensor(dsnu_electrons=1.0))))
+    assert float(Camera.load(path).sensor.dsnu) == 1
+
+
 def test_existing_profile_is_not_replaced_unasked(tmp_path):
     path = tmp_path / "camera.json"
     CAMERAS[0].save(path)
@@ -189,7 +212,7 @@ def nested(depth):
 @pytest.mark.parametrize(
     ("document", "words"),
     [
-        (changed(version=5), "version 5 is unknown"),
+        (changed(version=6), "version 6 is unknown"),
         (changed(version=3, field=field(unit_px=0.0)), "unit_px must lie in (0, inf) px"),
         (changed(version=3, field=field(k1=[0.1])), "field field.k1"),
         (changed(version=3, field=field(k1=[-0.4, 0.1])), "fold the picture"),

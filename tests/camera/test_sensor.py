@@ -107,6 +107,17 @@ def test_dark_electrons_and_their_pattern():
     assert np.all(np.asarray(sensor.expected_electrons(night, 1.0)) == 0)
 
 
+def test_offsets_of_the_pixels_stay_with_time_and_frames():
+    sensor = plain(dsnu=4.0, read_noise=1.0)
+    night = np.zeros((100, 100))
+    frames = [np.asarray(sensor.electrons(sensor.expose(night, 1.0, seed=s, time=t))) for s, t in ((1, 0.0), (2, 5.0))]
+    assert np.cov(*map(np.ravel, frames))[0, 1] == pytest.approx(16, rel=0.1)
+    assert (frames[0] - frames[1]).var() == pytest.approx(2, rel=0.1)
+    assert np.all(np.asarray(sensor.expected_electrons(night, 1.0)) == 0)
+    colour = np.asarray(sensor.electrons(sensor.expose(np.zeros((100, 100, 3)), 1.0, seed=1)))
+    np.testing.assert_allclose(colour.mean(axis=-1), frames[0], atol=6)
+
+
 def test_rounding_and_range():
     coarse = plain(gain=0.02, read_noise=0.0, bits=8)  # 50 electrons to a DN
     scene = np.linspace(0, 15_000, 10_000).reshape(100, 100)

@@ -126,9 +126,18 @@ def test_json_is_alone_on_standard_output_and_profiles_are_used(matcam, measured
     )
     result = matcam(
         "fresnel", measured, "--camera", "c.json", "--masking", "none", "--ndf", "gaussian", "--every", 6, "--json",
-        "-o", "out/f.svg",
+        "-o", "out/f.svg", "--budget", "out/b.json",
     )  # fmt: skip
     found = json.loads(result.stdout)
+    assert found["files"][-1] == "out/b.json"
+    budgets = {one["result"]: one for one in json.loads((tmp_path / "out" / "b.json").read_text())["budgets"]}
+    at = int(np.argmin(np.abs(np.array(found["theta_d_deg"]) - 75)))
+    stated = found["corrected_std"]["G"][at]
+    budget = budgets[f"F({found['theta_d_deg'][at]:.1f} deg), G"]
+    assert budget["combined_standard_uncertainty"] == pytest.approx(stated, rel=1e-6)
+    with xr.open_dataset(tmp_path / "out" / "f.nc") as data:
+        assert "optics.sigma_px" in data["source"].values
+        assert data["budget_std"].dims == ("source", "theta_d", "channel")
     assert found["camera_uncertainty"] == "stated"
     # the record is the tangent plane's, the fit the sphere's
     assert found["width"] == pytest.approx(0.002, rel=1e-2)

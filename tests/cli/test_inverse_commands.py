@@ -1,5 +1,6 @@
 """`fit`, `correct` and `limits` as commands: what they write, and what they refuse, in one process."""
 
+import csv
 import json
 import re
 
@@ -11,7 +12,7 @@ from typer.testing import CliRunner
 
 from matcam import read_merl, write_merl
 from matcam.cli.app import app
-from matcam.core.grid import brdf_table
+from matcam.core.grid import brdf_table, merl_grid
 from matcam.inverse.operator.lobe_operator import lobe_operator
 from matcam.material.ndf.ggx import GGX
 from tests.inverse import recorded
@@ -19,9 +20,12 @@ from tests.inverse import recorded
 
 @pytest.fixture(scope="module")
 def merl_file(tmp_path_factory):
-    """A GGX lobe in the cells that a fit of every sixth slice reads, the rest missing."""
+    """A GGX lobe in the cells that a fit of every sixth slice reads, and at all azimuths of the peak, the rest missing."""
     cells, operator = lobe_operator(recorded.rig(), "centre", 6)
     one = recorded.table_of(cells, np.asarray(operator.record(GGX(0.004), "smith", ())) * 0.6).values
+    ring = one[0].copy()
+    seen = np.isfinite(ring).any(axis=1)[..., 0]
+    one[0][seen] = np.nanmean(ring[seen], axis=1, keepdims=True)
     path = tmp_path_factory.mktemp("merl") / "metal.binary"
     write_merl(path, brdf_table(np.repeat(one, 3, axis=3), "centre"))
     return path
@@ -33,14 +37,21 @@ def run(*arguments):
 
 def test_fit_prints_and_writes(merl_file, tmp_path):
     out = tmp_path / "fit.json"
-    done = run("fit", merl_file, "--every", 18, "--fresnel", "schlick", "-o", out, "--json")
+    budget = tmp_path / "budget.csv"
+    done = run("fit", merl_file, "--every", 18, "--fresnel", "schlick", "-o", out, "--budget", budget, "--json")
     assert done.exit_code == 0, done.output
     document = json.loads(done.stdout)
+    with budget.open() as file:
+        combined = {row["source"]: row for row in csv.DictReader(file) if row["source"].endswith(", combined")}
+    assert set(combined) == {f"{name}, combined" for name in (*document["params"], "hwhm_rad")}
+    for name, std in document["std"].items():
+        assert float(combined[f"{name}, combined"]["standard_uncertainty"]) == pytest.approx(std, rel=1e-8)
     assert document["params"]["alpha"] == pytest.approx(0.004, rel=1e-3)
     assert document.pop("schema") == "matcam-fit-1"
     assert json.loads(out.read_text()) == document
     again = run("fit", merl_file, "--every", 18, "-o", out)
     assert "--force" in str(again.exception)
+    assert "must end in .json or .csv" in str(run("fit", merl_file, "--budget", tmp_path / "b.txt").exception)
     assert "contradict" in str(run("fit", merl_file, "--no-camera", "--lens", "free").exception)
 
 
@@ -57,10 +68,13 @@ def test_fit_sets_the_camera_against_free_shadowing(merl_file, tmp_path):
 @pytest.mark.slow
 def test_correct_writes_four_files(merl_file, tmp_path):
     out = tmp_path / "corrected.binary"
-    done = run("correct", merl_file, "--ndf", "ggx", "-o", out, "--layers", tmp_path / "l.exr", "--json")
+    more = "--layers", tmp_path / "l.exr", "--budget", tmp_path / "b.json"
+    done = run("correct", merl_file, "--ndf", "ggx", "-o", out, *more, "--json")
     assert done.exit_code == 0, done.output
     document = json.loads(done.stdout)
-    assert len(document["files"]) == 5
+    assert len(document["files"]) == 6
+    budgets = json.loads((tmp_path / "b.json").read_text())["budgets"]
+    assert [one["result"] for one in budgets][-1].startswith("peak at 75.0 deg, B")
     layers = OpenEXR.File(str(tmp_path / "l.exr"), separate_channels=True).channels()
     names = {f"{layer}.{c}" for layer in ("recorded", "corrected", "std") for c in "RGB"} | {"supported.Y"}
     assert set(layers) == names
@@ -72,14 +86,21 @@ def test_correct_writes_four_files(merl_file, tmp_path):
     assert peaks[1] > 2 * peaks[0]
     page = out.with_suffix(".html").read_text()
     assert page.count("data:image/png;base64,") == 3
+    assert page.count("<h3>peak at") == len(budgets) == 6  # of 45 and 75 degrees: 5 is missing
     assert not re.search(r"(src|href)=['\"]http", page)
     with xr.open_dataset(out.with_suffix(".nc")) as stored:
         assert set(stored.data_vars) == {"brdf", "brdf_std", "correction_std", "noise_std", "supported", "response"}
         assert stored.attrs["ndf"] == "ggx"
+        at = (*merl_grid("centre").index(theta_h=0.0, theta_d=np.radians(75), phi_d=np.pi / 2), 2)
+        assert budgets[-1]["combined_standard_uncertainty"] == pytest.approx(
+            float(stored["brdf_std"].values[at]), rel=1e-5
+        )
     assert json.loads(out.with_suffix(".json").read_text())["fit"]["params"]["alpha"] == pytest.approx(0.004, rel=2e-3)
 
 
 def test_correct_refuses(merl_file, tmp_path):
+    said = str(run("correct", merl_file, "-o", tmp_path / "run", "--budget", tmp_path / "b.json").exception)
+    assert "--budget is for one table" in said
     for arguments, words in (
         (("-o", tmp_path / "out.exr"), "must end in .binary"),
         (("-o", merl_file), "is the input itself"),

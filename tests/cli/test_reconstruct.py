@@ -37,9 +37,11 @@ def test_from_photographs_to_the_material(matcam, tmp_path):
     the pinhole's table lacks what the lens took."""
     drawn = draw(Surface("ggx", ALPHA, 1.0, *METALS["Cr"], (0.0,)), VIEW, ANGLES, azimuth=0.4, sensor=Sensor(), seed=5)
     drawn.write(tmp_path / "shots")
-    done = matcam("reconstruct", tmp_path / "shots", "--ndf", "ggx", "-o", "chrome.binary")
+    done = matcam(
+        "reconstruct", tmp_path / "shots", "--ndf", "ggx", "-o", "chrome.binary", "--budget", "chrome-budget.json"
+    )
     assert {path.name for path in tmp_path.glob("chrome*")} == {
-        "chrome.binary", "chrome-pinhole.binary", "chrome.nc", "chrome.json", "chrome.html"
+        "chrome.binary", "chrome-pinhole.binary", "chrome.nc", "chrome.json", "chrome.html", "chrome-budget.json"
     }  # fmt: skip
     found = json.loads((tmp_path / "chrome.json").read_text())
     rig = read_rig(tmp_path / "chrome.json")  # which checks the document against its schema
@@ -95,6 +97,13 @@ def test_from_photographs_to_the_material(matcam, tmp_path):
         np.testing.assert_array_equal(np.sign(left[np.isfinite(residual)]), np.sign(residual[np.isfinite(residual)]))
     page = (tmp_path / "chrome.html").read_text()
     assert "Error budget" in page
+    budgets = json.loads((tmp_path / "chrome-budget.json").read_text())["budgets"]
+    combined = {one["result"]: one["combined_standard_uncertainty"] for one in budgets}
+    assert set(found["parameters"]) < set(combined)
+    for name, (_, std) in found["parameters"].items():
+        assert combined[name] == pytest.approx(std, rel=1e-6)
+    assert combined["outline_radius_px"] == pytest.approx(found["geometry"]["radius_px"][1], rel=1e-6)
+    assert page.count("<h3>") == len(budgets)
     # page, terminal and JSON agree
     for picture in found["pictures"]:
         assert f"<td>{picture['name']}</td>" in page

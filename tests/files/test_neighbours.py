@@ -170,6 +170,20 @@ def test_light_positions_come_back(tmp_path):
     np.testing.assert_array_equal([one.position for one in again], [one.position for one in positions])
 
 
+def test_wrong_light_positions_are_not_written(tmp_path):
+    for name, position, message in (
+        ("a.jpg", [0, 0, 0], "three finite numbers"),
+        ("a.jpg", [0, np.nan, 1], "three finite numbers"),
+        ("a.jpg", [0, 1], "three finite numbers"),
+        ("a\nb.jpg", [0, 0, 1], "a name of one line"),
+    ):
+        with pytest.raises(ArgumentError, match=message):
+            write_light_positions(tmp_path / "a.lp", [LightPosition(name, np.array(position, float))])
+    with pytest.raises(ArgumentError, match="at least one position"):
+        write_light_positions(tmp_path / "a.lp", [])
+    assert not (tmp_path / "a.lp").exists()
+
+
 def test_what_is_only_read_is_not_offered_for_writing(tmp_path):
     assert {form.name for form in FORMATS if form.reader and not form.written} == {"zemax", "utia", "picture sidecar"}
     with pytest.raises(ArgumentError, match="the name must end in one of"):

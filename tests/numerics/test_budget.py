@@ -8,12 +8,12 @@ import pytest
 
 from docs_claims import limit
 from matcam.core.errors import ArgumentError
-from matcam.numerics.budget import Source, UncertaintyBudget, write_budgets
+from matcam.numerics.budget import UncertaintyBudget, UncertaintySource, write_budgets
 
 A, B, C = (
-    Source("a", 2.0, 0.03, 1.0, "A", 7.0),
-    Source("b", 3.0, 0.02, 1.0, "B"),
-    Source("c", 0.5, 0.01, 1.0, "A", 12.0),
+    UncertaintySource("a", 2.0, 0.03, 1.0, "A", 7.0),
+    UncertaintySource("b", 3.0, 0.02, 1.0, "B"),
+    UncertaintySource("c", 0.5, 0.01, 1.0, "A", 12.0),
 )
 CORRELATED = [[1, 0.6, 0], [0.6, 1, -0.2], [0, -0.2, 1]]
 CASES = {
@@ -60,8 +60,8 @@ def test_the_expanded_uncertainty_covers_95_percent():
         readings = random.normal(5.0, 0.2, 10)
         offset = random.normal(0.0, 0.05)  # of a certificate that states 0.05
         sources = [
-            Source("readings", readings.mean(), readings.std(ddof=1) / math.sqrt(10), 1.0, "A", 9),
-            Source("certificate", 0.0, 0.05, 1.0, "B"),
+            UncertaintySource("readings", readings.mean(), readings.std(ddof=1) / math.sqrt(10), 1.0, "A", 9),
+            UncertaintySource("certificate", 0.0, 0.05, 1.0, "B"),
         ]
         budget = UncertaintyBudget("length", readings.mean() + offset, sources)
         covered += abs(budget.value - 5.0) < budget.expanded
@@ -79,6 +79,8 @@ def test_files(tmp_path):
     lines = (tmp_path / "a.csv").read_text().splitlines()
     assert lines[0].startswith("source,type,value,standard_uncertainty,sensitivity,contribution")
     assert len(lines) == 11
+    write_budgets(tmp_path / "none.csv", [])
+    assert (tmp_path / "none.csv").read_text().splitlines() == lines[:1]
 
 
 def test_wrong_budgets_are_refused(tmp_path):

@@ -121,3 +121,7 @@ def test_the_reference_divides_the_pictures(tmp_path):
     assert abs(alpha - STAND.alpha) < 4 * std < 0.1 * STAND.alpha
     assert found.misfit == pytest.approx(1, abs=0.1)
     assert found.gains[:, 1].max() < 0.005  # 20 % were stated
+    for name, (value, std) in found.parameters.items():
+        budget = found.uncertainty_budget(name)
+        assert (budget.value, budget.combined) == (value, std)
+        assert {source.kind for source in budget.sources} == {"A", "B"}

@@ -23,6 +23,7 @@ from matcam.exchange.contents import read_table
 from matcam.files.datasets import write_netcdf
 from matcam.files.merl import write_merl
 from matcam.inverse.correction.corrected_table import supported_values
+from matcam.numerics.budget import write_budgets
 
 _WRITING = threading.Lock()
 """Files of materials side by side are written one after the other: HDF5 and Matplotlib's styles are not thread-safe."""
@@ -39,6 +40,7 @@ class Job:
         force: whether to replace what is there.
         key: key of the run's settings; None outside a run. A run also gets a thumbnail (.png) for its index.
         row: row of the run's Zarr to fill, if the run has one.
+        budget: uncertainty budget to write (.json, .csv). Default: None, not written.
     """
 
     source: Path
@@ -47,6 +49,7 @@ class Job:
     force: bool = False
     key: str | None = None
     row: StoreRow | None = None
+    budget: Path | None = None
 
     @property
     def name(self) -> str:
@@ -66,6 +69,7 @@ class Job:
         return [
             self.output,
             *(self.output.with_suffix(suffix) for suffix in (".nc", *page, *thumbnail)),
+            *([self.budget] if self.budget else []),
             self.record,
         ]
 
@@ -173,6 +177,8 @@ def write_corrected(job: Job, workspace: Workspace | None = None) -> dict[str, A
         write_netcdf(job.output.with_suffix(".nc"), done.table, force=job.force, compress=job.recipe.compress)
         if job.recipe.page:
             done.write_page(job.output.with_suffix(".html"), job.source.name, job.force)
+        if job.budget is not None:
+            write_budgets(job.budget, done.budgets, force=job.force)
         if job.key is not None:
             from matcam.figures.spheres import write_thumbnail
 

@@ -28,6 +28,7 @@ from matcam.inverse.correction.correction import Correction
 from matcam.inverse.fit.fit_setup import candidate_fits, free_setup, likeliest
 from matcam.inverse.operator.rig_axes import LENS, known_lens
 from matcam.material.masking import Masking
+from matcam.numerics.budget import UncertaintyBudget
 from matcam.rigs import Rig
 
 SETTINGS_FORMAT = "matcam run"
@@ -62,11 +63,13 @@ class CorrectedTable(NamedTuple):
         table: Dataset (brdf, brdf_std, correction_std, noise_std, supported, response).
         document: what a record says of the table, as plain numbers and texts.
         write_page: function (path, name, force) that writes the page to read.
+        budgets: uncertainty budgets of the peaks. Default: none.
     """
 
     table: xr.Dataset
     document: dict[str, Any]
     write_page: Callable[[Path, str, bool], None]
+    budgets: tuple[UncertaintyBudget, ...] = ()
 
 
 Corrector = Callable[[xr.DataArray, Rig, Options], CorrectedTable]
@@ -91,7 +94,7 @@ def correct_table(table: xr.DataArray, rig: Rig, options: Options) -> CorrectedT
 
         write_correction_page(path, table, done, name, force=force)
 
-    return CorrectedTable(done.table, document, write_page)
+    return CorrectedTable(done.table, document, write_page, tuple(done.uncertainty_budgets()))
 
 
 @dataclass(frozen=True)

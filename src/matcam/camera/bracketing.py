@@ -131,6 +131,7 @@ def merge_bracket(
     # patterns are the same in all pictures: averaging does not help against them
     common = (sensor.prnu * radiance) ** 2
     common += (sensor.dark_nonuniformity * jnp.sum(weight * dark / exposure, axis=0)) ** 2
+    common += (sensor.dsnu * jnp.sum(weight / exposure, axis=0)) ** 2
     std = jnp.sqrt(jnp.sum(weight**2 * _variance(sensor, radiance, exposure, dark), axis=0) + common)
     return RadianceEstimate(radiance, std, saturated)
 

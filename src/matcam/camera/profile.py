@@ -1,7 +1,7 @@
 """A camera's profile: the JSON file that ships with a data set, whose format lives here and nowhere else.
 
     {
-      "format": "matcam camera profile",  "version": 4,
+      "format": "matcam camera profile",  "version": 5,
       "optics": {"model": "gaussian", "sigma_px": 0.5},
       "pixel": {"model": "box", "half_width_px": 0.5},
       "sensor": {"pitch_m": 4.73e-6, "full_well_electrons": 2e4, ...},     or null: not stated
@@ -16,10 +16,10 @@ Parameters are named by their place: "optics.sigma_px", "optics.mtf[3]", "optics
 parameters and where they come from travel with the camera, because a kernel without its uncertainty cannot correct anything
 honestly.
 
-Version 3, which knows no "zernike", "colour" and "seidel", version 2, which knows no field, and version 1, which knows neither
-"defocus" nor "halo" nor sensors, are read as well. A published version never changes: what is new goes into the next one. The
-published schemas are docs/camera-profile-v1.schema.json to -v4 (`profile_schemas.py`). pydantic validates JSON; the parameters
-live in the camera's objects.
+Version 4, which knows no DSNU, version 3, which knows no "zernike", "colour" and "seidel", version 2, which knows no field, and
+version 1, which knows neither "defocus" nor "halo" nor sensors, are read as well. A published version never changes: what is
+new goes into the next one. The published schemas are docs/camera-profile-v1.schema.json to -v5 (`profile_schemas.py`). pydantic
+validates JSON; the parameters live in the camera's objects.
 """
 
 from __future__ import annotations
@@ -117,7 +117,13 @@ def from_document(document: Any, where: str | Path) -> dict[str, Any]:
             "optics": _from_json(profile.optics),
             "pixel": _from_json(profile.pixel),
             "sensor": getattr(profile, "sensor", None)  # version 1 has none
-            and Sensor(**{attribute: getattr(profile.sensor, field) for field, attribute in SENSOR_FIELDS.items()}),
+            and Sensor(
+                **{
+                    attribute: getattr(profile.sensor, field)
+                    for field, attribute in SENSOR_FIELDS.items()
+                    if field in type(profile.sensor).model_fields  # version 4 has no DSNU
+                }
+            ),
             "field": None if getattr(profile, "field", None) is None else field_from(profile.field),
             "uncertainty": profile.uncertainty
             and Uncertainty(profile.uncertainty.parameters, np.array(profile.uncertainty.covariance)),

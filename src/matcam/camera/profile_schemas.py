@@ -85,8 +85,13 @@ class _Sensor(_Strict):
     pattern_seed: int
 
 
+class _Sensor5(_Sensor):
+    model_config = ConfigDict(title="_Sensor")
+    dsnu_electrons: FiniteFloat
+
+
 SENSOR_FIELDS = {
-    field: re.sub(r"_(m|electrons|dn|dn_per_electron|electrons_per_s)$", "", field) for field in _Sensor.model_fields
+    field: re.sub(r"_(m|electrons|dn|dn_per_electron|electrons_per_s)$", "", field) for field in _Sensor5.model_fields
 }
 """Attribute of `Sensor` by its name with the unit."""
 
@@ -158,9 +163,20 @@ class _Profile4(_Strict):
     provenance: _Provenance
 
 
-VERSION = 4
+class _Profile5(_Strict):
+    format: Literal["matcam camera profile"]
+    version: Literal[5]
+    optics: _Optics4
+    pixel: _Pixel
+    sensor: _Sensor5 | None = None
+    field: _LensField | None = None
+    uncertainty: _Uncertainty | None
+    provenance: _Provenance
+
+
+VERSION = 5
 """The version that is written."""
-VERSIONS: dict[int, type[BaseModel]] = {1: _Profile1, 2: _Profile2, 3: _Profile3, 4: _Profile4}
+VERSIONS: dict[int, type[BaseModel]] = {1: _Profile1, 2: _Profile2, 3: _Profile3, 4: _Profile4, 5: _Profile5}
 
 
 def json_schema(version: int = VERSION) -> dict[str, Any]:

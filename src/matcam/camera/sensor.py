@@ -1,7 +1,7 @@
 """The sensor behind the lens: from radiance in the pixels to the values in a raw file (EMVA Standard 1288, release 4).
 
     radiance --exposure--> expected electrons --fixed-pattern gain--> + dark electrons --Poisson--> --full well-->
-    + read noise --gain, black level--> --rounding, range--> DN
+    + read noise + offset pattern --gain, black level--> --rounding, range--> DN
 
 Fixed-pattern gain comes before the photons are counted: a more sensitive pixel counts more of them, noise included.
 The well fills before it is read, so read noise sits on top of saturated pixels too.
@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 
 _CHANNELS = "RGB"
 _DEEPEST = 32  # bits
+_OFFSETS = 2
+"""Number of the pattern of offsets; the patterns of sensitivity and dark current are the first two."""
 
 if TYPE_CHECKING:
     Seed = int | jax.Array
@@ -75,7 +77,8 @@ class PixelNoise(NamedTuple):
 class Sensor(Module):
     """Simulate the noise and the mosaic of a camera's sensor.
 
-    Both fixed patterns are log-normal: their mean is 1 exactly, and no pixel is negative.
+    The fixed patterns of sensitivity and dark current are log-normal: their mean is 1 exactly, and no pixel is negative. The
+    pattern of offsets is Gaussian.
 
     Args:
         pitch: distance of the pixels, m.
@@ -90,6 +93,8 @@ class Sensor(Module):
         dark_nonuniformity: relative standard deviation of the pixels' dark currents, no unit. Default: 0.
         black_level: value of an empty pixel, DN. None: as many whole DN as keep six standard deviations of read noise
             above 0.
+        dsnu: dark signal non-uniformity that does not grow with time, the standard deviation of the pixels' offsets, e-.
+            Default: 0.
         pattern_seed: which individual sensor this is; pictures of one shape share its patterns. Default: 0.
 
     Raises:
@@ -114,6 +119,7 @@ class Sensor(Module):
     dark_current: jax.Array
     dark_nonuniformity: jax.Array
     black_level: jax.Array
+    dsnu: jax.Array
     pattern_seed: int = static_field()
 
     def __init__(
@@ -129,6 +135,7 @@ class Sensor(Module):
         dark_current: ArrayLike = 0.0,
         dark_nonuniformity: ArrayLike = 0.0,
         black_level: ArrayLike | None = None,
+        dsnu: ArrayLike = 0.0,
         pattern_seed: int = 0,
     ):
         def number(name: str, value: ArrayLike, low: float, high: float, unit: str = "", open_low: bool = False):  # type: ignore[no-untyped-def]
@@ -148,6 +155,7 @@ class Sensor(Module):
         if black_level is None:
             black_level = xp.ceil(6 * self.read_noise * self.gain)
         self.black_level = number("black_level", black_level, 0, 2.0**_DEEPEST, "DN")
+        self.dsnu = number("dsnu", dsnu, 0, 1e6, "e-")
         self.pattern_seed = pattern_seed
         if bits is not None and is_concrete(self.black_level) and float(self.black_level) >= 2**bits - 1:
             raise ArgumentError(f"black_level must lie below {2**bits - 1} DN ({bits} bits), got {self.black_level:g}")
@@ -228,6 +236,8 @@ class Sensor(Module):
         countable = xp.where(missing, 0.0, xp.minimum(expected, 2 * self.full_well + 100))
         charge = xp.minimum(jax.random.poisson(shot, countable).astype(xp.float64), self.full_well)
         charge = charge + self.read_noise * jax.random.normal(read, charge.shape)
+        offset = self.dsnu * self._offsets(charge.shape[:2])
+        charge = charge + (offset if charge.ndim == 2 else offset[..., None])
         digital = self.gain * charge + self.black_level
         if self.bits is not None:
             digital = xp.clip(xp.round(digital), 0, 2**self.bits - 1)
@@ -268,12 +278,17 @@ class Sensor(Module):
         gain, dark = jax.random.split(jax.random.key(self.pattern_seed))
         return _log_normal(gain, shape, self.prnu), _log_normal(dark, shape, self.dark_nonuniformity)
 
+    def _offsets(self, shape: tuple[int, ...]) -> jax.Array:
+        from matcam.core.jax import jax
+
+        return jax.random.normal(jax.random.fold_in(jax.random.key(self.pattern_seed), _OFFSETS), shape)
+
     def __repr__(self) -> str:
         return (
             f"Sensor(pitch={self.pitch!s}, full_well={self.full_well!s}, read_noise={self.read_noise!s}, "
             f"gain={self.gain!s}, bits={self.bits!r}, cfa={self.cfa!r}, prnu={self.prnu!s}, "
             f"dark_current={self.dark_current!s}, dark_nonuniformity={self.dark_nonuniformity!s}, "
-            f"black_level={self.black_level!s}, pattern_seed={self.pattern_seed!r})"
+            f"black_level={self.black_level!s}, dsnu={self.dsnu!s}, pattern_seed={self.pattern_seed!r})"
         )
 
 

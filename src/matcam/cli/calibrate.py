@@ -104,12 +104,11 @@ def command(
     Example: `matcam calibrate chart-1.dng chart-2.dng -o camera.json`
     """
     from matcam.core.io import check_output, check_picture
-    from matcam.numerics.budget import check_budget_name
+    from matcam.numerics.budget import check_budget
 
     files = _files(pictures)
     if budget:
-        check_budget_name(budget)
-        check_output(budget, force=force, inputs=files)
+        check_budget(budget, force=force, inputs=files)
     figure = figure or output.with_suffix(".png")
     table = output.with_name(f"{output.stem}-edges.csv")
     check_output(output, force=force, inputs=files)

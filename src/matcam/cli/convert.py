@@ -33,7 +33,7 @@ def command(
         typer.Option(
             "--error",
             metavar="SHARE",
-            help="Make the smallest .bsdf (0.4 to 36 MB) whose median differences are at most this, such as 0.01.",
+            help="Make the smallest .bsdf (0.2 to 70 MB) whose median differences are at most this, such as 0.01.",
         ),
     ] = None,
     metadata: Annotated[

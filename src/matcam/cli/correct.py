@@ -12,6 +12,7 @@ from matcam.cli.fit import print_fit
 from matcam.cli.options import (
     Anyway,
     AsJson,
+    Budget,
     CameraProfile,
     Device,
     Distance,
@@ -118,6 +119,7 @@ def command(
             "half angle to the right, difference angle down.",
         ),
     ] = None,
+    budget: Budget = None,
     anyway: Anyway = False,
     force: Force = False,
     json: AsJson = False,
@@ -141,6 +143,8 @@ def command(
         raise ArgumentError(
             "--workers, --cluster, --zarr and --fit-camera are for a run: name an output folder with -o"
         )
+    if budget and not alone:
+        raise ArgumentError("--budget is for one table: give one file, and no output folder")
     if layers and (not alone or layers.suffix.lower() != ".exr"):
         raise ArgumentError(f"--layers is for one table, and its name must end in .exr, got {layers}")
     if not alone and (output is None or output.suffix.lower() == ".binary"):
@@ -174,9 +178,12 @@ def command(
         from matcam.batch.job import Job, write_corrected
         from matcam.batch.recipe import Options, Recipe
         from matcam.core.io import check_output
+        from matcam.numerics.budget import check_budget
 
         target = output or Path(f"{paths[0].stem}-corrected.binary")
-        job = Job(paths[0], target, Recipe(rig, Options(**how), sampling, pages, compress), force=force)
+        job = Job(paths[0], target, Recipe(rig, Options(**how), sampling, pages, compress), force=force, budget=budget)
+        if budget:
+            check_budget(budget, force=force, inputs=[paths[0]])
         for path in [*job.files, *([layers] if layers else [])]:
             check_output(path, force=force, inputs=[paths[0], *([camera] if camera else [])])
         with show.working(f"{paths[0]}: correcting"):

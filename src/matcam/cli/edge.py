@@ -79,7 +79,7 @@ def command(
     """
     from matcam.core import checks
     from matcam.core.io import check_output, check_picture
-    from matcam.numerics.budget import check_budget_name
+    from matcam.numerics.budget import check_budget
 
     if output:
         check_picture(output, force=force, inputs=[picture])
@@ -89,8 +89,7 @@ def command(
     if sfr:
         check_output(sfr, force=force, inputs=[picture])
     if budget:
-        check_budget_name(budget)
-        check_output(budget, force=force, inputs=[picture])
+        check_budget(budget, force=force, inputs=[picture])
     with show.working(f"{picture}: measuring the edge"):
         from matcam.calibration.edge.edge import edge_mtf
         from matcam.files.photographs import open_photograph

@@ -11,6 +11,7 @@ import typer
 from matcam.cli import show
 from matcam.cli.options import (
     AsJson,
+    Budget,
     CameraProfile,
     Distance,
     Family,
@@ -74,6 +75,7 @@ def command(
     output: Annotated[
         Path | None, typer.Option("--output", "-o", metavar="FILE", help="JSON file of the result to write.")
     ] = None,
+    budget: Budget = None,
     force: Force = False,
     json: AsJson = False,
 ) -> None:
@@ -83,13 +85,17 @@ def command(
     """
     from matcam.core.errors import ArgumentError
     from matcam.core.io import check_output
+    from matcam.numerics.budget import check_budget, write_budgets
 
     if blind and lens != "auto":
         raise ArgumentError("--no-camera and --lens contradict each other: give one of them")
     if rival and (blind or len(files) > 1):
         raise ArgumentError("--rival sets one table's camera against free shadowing: give one file, and a camera")
+    inputs = [*files, *([camera] if camera else [])]
     if output:
-        check_output(output, force=force, inputs=[*files, *([camera] if camera else [])])
+        check_output(output, force=force, inputs=inputs)
+    if budget:
+        check_budget(budget, force=force, inputs=inputs)
     from matcam.core.jax import use_compilation_cache
     from matcam.core.workspace import Workspace
 
@@ -126,14 +132,17 @@ def command(
         from matcam.core.io import plain, write_json
 
         write_json(output, plain(document), force=force)
+    if budget:
+        write_budgets(budget, found.uncertainty_budgets(), force=force)
     if json:
         show.as_json(document)
     else:
         print_fit(found.to_dict(), ", ".join(file.name for file in files))
         if rival:
             show.say(f"note: {document['rival']['verdict']}")
-        if output:
-            show.say(f"written: {output}")
+        written = [str(path) for path in (output, budget) if path]
+        if written:
+            show.say(f"written: {', '.join(written)}")
 
 
 def _rival(file: Path, rig: Any, ndf: str, sampling: Any, every: int) -> dict[str, Any]:

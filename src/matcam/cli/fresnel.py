@@ -12,6 +12,7 @@ from matcam.cli import show
 from matcam.cli.options import (
     Anyway,
     AsJson,
+    Budget,
     CameraProfile,
     Distance,
     FamilyOrAuto,
@@ -74,6 +75,7 @@ def command(
             help="Picture to write (.png, .pdf, .svg); .csv and .nc go beside it. Default: FILE-fresnel.png here.",
         ),
     ] = None,
+    budget: Budget = None,
     anyway: Anyway = False,
     force: Force = False,
     json: AsJson = False,
@@ -85,6 +87,7 @@ def command(
     from matcam.core.errors import ArgumentError
     from matcam.core.io import check_output, check_picture
     from matcam.core.threads import import_behind
+    from matcam.numerics.budget import check_budget
 
     low, high = normalise
     if not 0 <= low < high < 90:
@@ -94,6 +97,8 @@ def command(
     check_picture(output, force=force, inputs=inputs)
     for path in (output.with_suffix(".csv"), output.with_suffix(".nc")):
         check_output(path, force=force, inputs=inputs)
+    if budget:
+        check_budget(budget, force=force, inputs=inputs)
     with show.working(f"{file}: fitting the lobe through the camera"):
         from matcam.core.jax import use_compilation_cache
         from matcam.core.workspace import Workspace
@@ -127,10 +132,30 @@ def command(
         )
         tables = tabulated_fresnel(result, metal)
         _write(result, tables, output, force, channel)
+        if budget:
+            _write_budget(result, budget, force)
+    files = [output, output.with_suffix(".csv"), output.with_suffix(".nc"), *([budget] if budget else [])]
     if json:
-        show.as_json(_document(result, tables, output))
+        show.as_json(_document(result, tables, files))
     else:
-        _print(result, tables, output, channel)
+        _print(result, tables, files, channel)
+
+
+def _write_budget(result: Any, path: Path, force: bool) -> None:
+    """Write the budget of F at every angle that is printed, in each channel that has an F there."""
+    import numpy as np
+
+    from matcam.inverse.fresnel_term import fresnel_budget
+    from matcam.numerics.budget import write_budgets
+
+    near = result.sel(theta_d=np.radians(_ANGLES), method="nearest")
+    budgets = [
+        fresnel_budget(result, float(angle), str(channel))
+        for channel in result["channel"].values
+        for angle in np.unique(near["theta_d"].values)
+        if np.isfinite(float(result["corrected"].sel(theta_d=angle, channel=channel)))
+    ]
+    write_budgets(path, budgets, force=force)
 
 
 def _write(result: Any, tables: Any, output: Path, force: bool, channel: str) -> None:
@@ -141,11 +166,11 @@ def _write(result: Any, tables: Any, output: Path, force: bool, channel: str) ->
 
     place = result["channel"].values.tolist().index(channel)
     write_netcdf(output.with_suffix(".nc"), result, force=force)
-    write_columns(output.with_suffix(".csv"), result, force=force)
+    write_columns(output.with_suffix(".csv"), result.drop_dims("source"), force=force)
     save(fresnel_figure(result, tables, channel=place), output, force=force)
 
 
-def _document(result: Any, tables: Any, output: Path) -> dict[str, Any]:
+def _document(result: Any, tables: Any, files: list[Path]) -> dict[str, Any]:
     import numpy as np
 
     from matcam.core.remark import from_attribute
@@ -174,11 +199,11 @@ def _document(result: Any, tables: Any, output: Path) -> dict[str, Any]:
             }
             for t in tables["table"].values
         },
-        "files": [str(output), str(output.with_suffix(".csv")), str(output.with_suffix(".nc"))],
+        "files": [str(path) for path in files],
     }
 
 
-def _print(result: Any, tables: Any, output: Path, channel: str) -> None:
+def _print(result: Any, tables: Any, files: list[Path], channel: str) -> None:
     import numpy as np
 
     from matcam.core.remark import from_attribute
@@ -223,4 +248,4 @@ def _print(result: Any, tables: Any, output: Path, channel: str) -> None:
     for i in order:
         name, after, before = str(rms["table"].values[i]), float(rms["rms_corrected"][i]), float(rms["rms_raw"][i])
         show.say(f"against {name}: rms difference {before:.1%} raw, {after:.1%} corrected")
-    show.say(f"written: {output}, {output.with_suffix('.csv')}, {output.with_suffix('.nc')}")
+    show.say(f"written: {', '.join(str(path) for path in files)}")

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from matcam.cli import show
-from matcam.cli.options import AsJson, FamilyOrAuto, Force, Masking
+from matcam.cli.options import AsJson, Budget, FamilyOrAuto, Force, Masking
 
 _SOME_FAILED = 1
 
@@ -47,6 +47,7 @@ def command(
             min=1,
         ),
     ] = None,
+    budget: Budget = None,
     force: Force = False,
     json: AsJson = False,
 ) -> int:
@@ -61,6 +62,7 @@ def command(
     """
     from matcam.core.errors import ArgumentError
     from matcam.core.io import check_output, plain, user_cache_folder
+    from matcam.numerics.budget import check_budget, write_budgets
 
     target = output or Path(f"{capture.resolve().name}-reconstructed.binary")
     if target.suffix.lower() != ".binary":
@@ -74,6 +76,8 @@ def command(
     }
     for path in files.values():
         check_output(path, force=force)
+    if budget:
+        check_budget(budget, force=force)
     from matcam.core.jax import use_compilation_cache
 
     use_compilation_cache()
@@ -91,11 +95,15 @@ def command(
             keep=user_cache_folder() / "captures",
         )
     files = {name: path for name, path in files.items() if name in _files_of(result)}
+    if budget:
+        files["budget"] = budget
     document = plain({**result.to_dict(), "files": [str(path) for path in files.values()]})
     if result.sample == "flat":
         _write_maps(result, document, files, force)
     else:
         _write(result, document, files, capture, force)
+    if budget:
+        write_budgets(budget, result.uncertainty_budgets(), force=force)
     if json:
         show.as_json(document)
     else:

@@ -54,7 +54,7 @@ def convert(
             that an RGL file is resampled to has the same. Default: "centre"; loaders of MERL files disagree.
         square: nodes along each side of the square of an RGL file that is made, see `adaptive_grid`. Default: 192; fewer
             make a smaller file.
-        error: error of an RGL file that is made, no unit: the smallest of six grids (0.4 to 36 MB) is taken whose median
+        error: error of an RGL file that is made, no unit: the first of eight grids (0.2 to 70 MB) is taken whose median
             differences at random pairs and at the peak are at most this; `square` has no effect then. Default: None, `square`.
         force: True to replace an existing output. Default: False.
 
@@ -187,7 +187,7 @@ def _smallest_grid(material: Material, error: float, description: str) -> tuple[
     """Resample to the smallest grid of a given error, or the finest; also the error."""
     checks.positive("error", error)
     for size in GRID_SIZES:
-        fields = resampled_grid(material, size, description)
+        fields = resampled_grid(material, size, description, peak_error=error)
         found = resampling_error(material, Adaptive(fields))
         if max(found["median"], found["peak"]) <= error:
             break

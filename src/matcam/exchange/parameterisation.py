@@ -61,14 +61,22 @@ SQUARE = 192
 """Nodes of the tabulated square along each side; the file is 36 MB."""
 _FINEST = GridSize((36, 8), SQUARE, 65, 0)
 GRID_SIZES = (
-    GridSize((12, 4), 32, 17, 91),
-    GridSize((16, 6), 40, 17, 91),
+    GridSize((12, 4), 20, 9, 46),
+    GridSize((12, 4), 30, 9, 46),
+    GridSize((12, 4), 36, 9, 46),
     GridSize((22, 8), 40, 9, 61),
+    GridSize((12, 4), 44, 9, 46),
     GridSize((24, 8), 64, 17, 91),
     GridSize((28, 8), 96, 33, 181),
     _FINEST,
 )
-"""Grids among which a file of a given error is sought: 0.4, 0.7, 0.9, 2.3, 6.2 and 36 MB."""
+"""Grids among which a file of a given error is sought. Angles of the light that the peak needs are added to each. The first two
+take 0.2 to 1 MB, the first five 2 MB at most, the last one 36 to 70 MB."""
+_PEAK_TO, _PEAK_STEP = 45.5, 0.5
+"""Largest angle of the light up to which the peak is followed, degrees, and the spacing of the candidates. These are the
+centres and the edges of the cells of a MERL table, between which the table is linear."""
+_SAME = np.radians(0.75)
+"""Distance of two angles of the light below which one of them suffices, rad: less than a cell of a MERL table."""
 _THETA_NODES = 181
 _VISIBLE_SHARE, _LOGARITHMIC_SHARE, _EVEN_SHARE = 0.4, 0.3, 0.3
 _FAINTEST = 1e-9  # of the peak of D: nothing is divided by less
@@ -112,9 +120,19 @@ def adaptive_grid(material: Material, *, description: str = "", square: int = SQ
     return resampled_grid(material, _FINEST._replace(square=square), description)
 
 
-def resampled_grid(material: Material, size: GridSize, description: str = "") -> xr.Dataset:
-    """Resample a material, checked by `adaptive_grid`, to a grid of this size."""
+def resampled_grid(
+    material: Material, size: GridSize, description: str = "", *, peak_error: float | None = None
+) -> xr.Dataset:
+    """Resample a material, checked by `adaptive_grid`, to a grid of this size.
+
+    peak_error: largest relative error of the peak between two angles of the light up to 45 degrees; angles are added where it
+        is exceeded. None: no angle is added.
+    """
     square, light_angles = size.square, _light_angles(*size.angles)
+    if peak_error is not None:
+        needed = peak_angles(material, peak_error)
+        apart = np.abs(light_angles[:, None] - needed).min(axis=1) > _SAME
+        light_angles = np.sort(np.concatenate([needed, light_angles[apart]]))
     u = np.linspace(0, 1, _nodes(material))
     facets = _facets(material, u)
     area = _projected_area(u, facets, u**2 * _HALF_PI)
@@ -148,6 +166,37 @@ def resampled_grid(material: Material, size: GridSize, description: str = "") ->
         coords={"phi_i": np.zeros(1, dtype=np.float32), "theta_i": light_angles.astype(np.float32)},
         attrs={"missing_share": missing},
     )
+
+
+def peak_angles(material: Material, error: float) -> np.ndarray:
+    """Choose angles of the light between which the peak is linear, rad.
+
+    The interval with the largest deviation is divided there until none exceeds the error (Douglas and Peucker 1973).
+
+    Args:
+        material: isotropic material.
+        error: largest deviation relative to the peak, no unit.
+    """
+    angle = np.radians(np.arange(0, _PEAK_TO + _PEAK_STEP / 2, _PEAK_STEP))
+    peak = np.asarray(material.brdf(np.zeros_like(angle), angle, np.full_like(angle, _HALF_PI)))
+    peak = peak.reshape(angle.size, -1)
+    known = np.isfinite(peak).all(axis=1) & (peak > 0).any(axis=1)
+    if known.sum() < 2:
+        return angle[[0, -1]]
+    peak = np.stack([np.interp(angle, angle[known], row[known]) for row in peak.T], axis=1)
+    scale = np.maximum(np.abs(peak), _FAINTEST * np.abs(peak).max())
+    chosen, open_ = {0, angle.size - 1}, [(0, angle.size - 1)]
+    while open_:
+        first, last = open_.pop()
+        inner = slice(first + 1, last)
+        share = ((angle[inner] - angle[first]) / (angle[last] - angle[first]))[:, None]
+        line = peak[first] + (peak[last] - peak[first]) * share
+        deviation = np.max(np.abs(line - peak[inner]) / scale[inner], axis=1, initial=0.0)
+        if deviation.size and deviation.max() > error:
+            worst = first + 1 + int(np.argmax(deviation))
+            chosen.add(worst)
+            open_ += [(first, worst), (worst, last)]
+    return angle[sorted(chosen)]
 
 
 def _nodes(material: Material) -> int:

@@ -70,6 +70,7 @@ def write_correction_page(
             *([] if "hwhm_rad" in found.params else [(_READ_AS["hwhm_rad"], found.hwhm, found.hwhm_std)]),
         ],
         "figures": [(title, inline_png(figure)) for title, figure in figures],
+        "uncertainty": [(one.name, one.rows()) for one in done.uncertainty_budgets()],
     }
     write_page(path, "correction_page.html", content, force=force)
 

@@ -71,6 +71,7 @@ def write_reconstruction_page(
         "lobes": list(result.tried.items()),
         "not_determined": [(*one.names, one.correlation) for one in result.not_determined],
         "exposures": exposures,
+        "uncertainty": [(one.name, one.rows()) for one in result.uncertainty_budgets()],
         "figures": [(title, inline_png(figure)) for title, figure in figures],
     }
     write_page(path, "reconstruction_page.html", content, force=force)

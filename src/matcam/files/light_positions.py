@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from matcam.core.errors import FileFormatError
+from matcam.core.errors import ArgumentError, FileFormatError
 from matcam.core.io import replacing
 from matcam.core.readers.texts import read_lines
 
@@ -28,6 +28,11 @@ class LightPosition(NamedTuple):
     Attributes:
         file: name of the photograph, without folders.
         position: x, y, z from the sample's centre, in the file's unit (3,).
+
+    Example:
+        >>> at = matcam.io.LightPosition("IMG_1.tif", np.array([0.0, 0.5, 0.5]))
+        >>> np.degrees(at.angles)
+        array([45., 90.])
     """
 
     file: str
@@ -35,7 +40,7 @@ class LightPosition(NamedTuple):
 
     @property
     def angles(self) -> tuple[float, float]:
-        """Angle from the optical axis and azimuth from +x towards +y, rad."""
+        """Angle from the optical axis and azimuth from +x to +y, rad."""
         x, y, z = self.position
         return math.atan2(math.hypot(x, y), z), math.atan2(y, x)
 
@@ -51,6 +56,10 @@ def read_light_positions(path: str | Path) -> list[LightPosition]:
 
     Raises:
         FileFormatError: the file is missing, or a line is wrong; the message names the line.
+
+    Example:
+        >>> positions = matcam.io.read_light_positions("lamps.lp")  # doctest: +SKIP
+        >>> positions[0].file, np.degrees(positions[0].angles)  # doctest: +SKIP
     """
     path = Path(path)
     lines = read_lines(path, "a light position file")
@@ -74,8 +83,28 @@ def write_light_positions(path: str | Path, positions: Sequence[LightPosition], 
         force: replace an existing file. Default: False.
 
     Raises:
+        ArgumentError: there is no position, a position is not three finite numbers, or a name has a line break.
         OutputError: the file cannot be written, or exists and `force` is False.
+
+    Example:
+        >>> import tempfile, pathlib
+        >>> at = matcam.io.LightPosition("IMG_1.tif", np.array([0.0, 0.6, 0.8]))
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     path = pathlib.Path(folder, "lamps.lp")
+        ...     matcam.io.write_light_positions(path, [at])
+        ...     path.read_text().splitlines()
+        ['1', 'IMG_1.tif 0.0 0.6 0.8']
     """
+    if not len(positions):
+        raise ArgumentError("a light position file needs at least one position")
+    for one in positions:
+        vector = np.asarray(one.position, dtype=float)
+        if vector.shape != (3,) or not np.isfinite(vector).all() or not vector.any():
+            raise ArgumentError(f"position of {one.file} must be three finite numbers, not all 0, got {one.position}")
+        if len(one.file.splitlines()) != 1 or one.file != one.file.strip():
+            raise ArgumentError(
+                f"file of a light position must be a name of one line without blanks about it, got {one.file!r}"
+            )
     lines = [f"{one.file} {' '.join(repr(float(axis)) for axis in one.position)}" for one in positions]
     with replacing(path, force=force) as temporary:
         temporary.write_text("\n".join([str(len(lines)), *lines]) + "\n", encoding="utf-8")

@@ -22,7 +22,13 @@ from matcam.forward.peaks.peak import peak_response
 from matcam.inverse.correction.explanation import explain, first_setup
 from matcam.inverse.fit.fit_setup import AUTO, SEARCH_EVERY
 from matcam.inverse.fit.material_fit import MaterialFit
-from matcam.inverse.normalised_fresnel import NormalisedFresnel, averaged, nothing_to_normalise_by
+from matcam.inverse.normalised_fresnel import (
+    NormalisedFresnel,
+    averaged,
+    budget_parts,
+    budget_variables,
+    nothing_to_normalise_by,
+)
 from matcam.inverse.operator.chosen_cells import peak_cells
 from matcam.inverse.operator.lobe_operator import check_rig, operator_in, point_operator, rig_key
 from matcam.inverse.operator.pixel_phase import located_rig
@@ -35,6 +41,8 @@ from matcam.material.ndf.distribution import NDF
 from matcam.material.optical_constants import metal as metal_index
 from matcam.material.optical_constants import metals
 from matcam.material.reflectance import fresnel_conductor
+from matcam.numerics.budget import UncertaintyBudget
+from matcam.numerics.fit_budget import parts_budget
 from matcam.rigs import Rig
 
 SUPPORTED_STD = 0.05
@@ -99,6 +107,8 @@ def fresnel(
         - `supported_angle`: last theta_d, rad, up to which corrected_std stays under 5 % of corrected.
         - `width`, `width_std`: width of the lobe, as its NDF defines it; of a bent lobe its half width, rad.
         - `hwhm`, `hwhm_std`: half width of the lobe at half its maximum, rad, whatever its shape.
+        - `budget_std`: part of each source in corrected_std, over (source, theta_d, channel); the sum of the squares is that of
+          corrected_std. Along `source` are the type, value, standard uncertainty and degrees of freedom (`fresnel_budget`).
 
         `corrected` and `corrected_peak` have mean 1 over the range. `raw` is corrected_peak times the relative loss.
         The attribute `picture_gain` is the standard deviation of a picture's gain, as far as F is rougher than its noise; and
@@ -149,7 +159,7 @@ def fresnel(
     for doubt in explained.doubts:
         if doubt.contradicts and doubt.counted:  # what `correct` does not support is not stated here
             free = explained.setup.with_(every=every, also=(doubt.axis.name,)).solve(start=doubt.fit)
-            others.append((NormalisedFresnel(free, normalise), doubt.counted))
+            others.append((doubt.axis.name, NormalisedFresnel(free, normalise), doubt.counted))
     lobe, theta_d = found.ndf, found.theta_d
     term = averaged(terms, members, others, weight, held_back=held_back)
     gain = picture_gain(theta_d, term.normalised, term.relative)
@@ -190,6 +200,7 @@ def fresnel(
             "width_std": ((), found.std[width] if found.resolved else np.inf, {"long_name": "its standard deviation"}),
             "hwhm": ((), found.hwhm, {"units": "rad", "long_name": "half width of the lobe at half its maximum"}),
             "hwhm_std": ((), found.hwhm_std, {"units": "rad", "long_name": "its standard deviation"}),
+            **budget_variables(term),
         },
         coords={
             "theta_d": ("theta_d", theta_d, {"units": "rad", "long_name": "difference angle"}),
@@ -302,6 +313,45 @@ def tabulated_fresnel(
         },
         attrs={"wavelengths_m": list(wavelengths)},
     )
+
+
+def fresnel_budget(result: xr.Dataset, theta_d: float, channel: str | None = None) -> UncertaintyBudget:
+    """Return the uncertainty budget of the corrected F at an angle (GUM).
+
+    Its combined uncertainty is `corrected_std`. Sources are the readings, the gains of the pictures, the stated camera, and the
+    other explanations of the table.
+
+    Args:
+        result: Dataset as from `fresnel`.
+        theta_d: difference angle, rad; the nearest slice of the result is taken.
+        channel: name of the channel. Default: None, the middle one.
+
+    Raises:
+        ArgumentError: the result has no such channel, or no F at this angle.
+
+    Example:
+        >>> found = matcam.fresnel(table, matcam.rigs.merl())  # doctest: +SKIP
+        >>> matcam.inverse.fresnel_budget(found, np.radians(75)).expanded  # doctest: +SKIP
+        >>> matcam.inverse.fresnel_budget(np.ones(3), 0.5)
+        Traceback (most recent call last):
+        ...
+        matcam.core.errors.ArgumentError: result must be a Dataset, got array([1., 1., 1.])
+    """
+    checks.instance("result", result, xr.Dataset)
+    if "budget_std" not in result:
+        raise ArgumentError(
+            f"result must be a Dataset from matcam.fresnel with budget_std, got {list(result.data_vars)}"
+        )
+    names = [str(name) for name in result["channel"].values]
+    channel = names[len(names) // 2] if channel is None else channel
+    checks.choice("channel", channel, tuple(names))
+    at = int(np.argmin(np.abs(result["theta_d"].values - theta_d))), names.index(channel)
+    value, degrees = float(result["corrected"].values[at]), float(np.degrees(result["theta_d"].values[at[0]]))
+    if not np.isfinite(value):
+        raise ArgumentError(
+            f"the result has no F at theta_d = {degrees:.1f} degrees in channel {channel}: choose an angle where it has"
+        )
+    return parts_budget(f"F({degrees:.1f} deg), {channel}", value, budget_parts(result), at)
 
 
 def _fitted_rig(rig: Rig, found: MaterialFit) -> Rig:

@@ -1,15 +1,27 @@
-"""The Fresnel term over its own mean, with errors, and its average over the explanations of a table."""
+"""The Fresnel term over its own mean, with errors and their sources, and its average over the explanations of a table."""
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
+import xarray as xr
 
 from matcam.core.errors import FitError
+from matcam.inverse.fit.fit_statements import fit_readings_source, fit_statements
 from matcam.inverse.fit.material_fit import MaterialFit
+from matcam.numerics.fit_budget import VariancePart, statement_parts
+
+GAIN = "gains of the pictures"
+OTHER_LOBES = "other lobes that explain the table"
+NO_CAMERA = "no camera, rather than this one"
 
 
 class NormalisedFresnel:
-    """Hold the strengths of a fit with their errors, over their mean. Arrays of shape (channels, slices)."""
+    """Hold the strengths of a fit with their errors, over their mean. Arrays of shape (channels, slices).
+
+    `parts` are the sources of the normalised term's variance; their sum is that of `std_noise` and `std_camera`.
+    """
 
     def __init__(self, found: MaterialFit, normalise: tuple[float, float]):
         theta_d, strengths = found.theta_d, found.strengths()
@@ -24,13 +36,22 @@ class NormalisedFresnel:
 
         there = np.isfinite(strength)
         divisor = np.where(there, strength, np.inf)
-        noise, camera = (c / divisor[:, :, None] / divisor[:, None, :] for c in strengths[1:])
+        noise, camera = (c / divisor[:, :, None] / divisor[:, None, :] for c in strengths[1:3])
         self.relative = noise + camera
 
         # normalising subtracts the mean's own change
         share = np.where(used, strength, 0) / (count * mean)
         self._off_mean = np.eye(theta_d.size) - share[:, None, :]
         self.std_noise, self.std_camera = (self._normalised_std(c) for c in (noise, camera))
+        divided = strengths.slopes / divisor[..., None]
+        slopes = self.normalised[..., None] * np.einsum("cst,ctp->csp", self._off_mean, divided)
+        self.parts = statement_parts(
+            fit_statements(found._solution),
+            np.nan_to_num(slopes),
+            found._solution.covariance,
+            self.std_noise**2 + self.std_camera**2,
+            fit_readings_source(found.freedom, noise_given=found.noise_given),
+        )
         std = np.sqrt(np.einsum("uss->us", strengths.noise_covariance + strengths.rig_covariance))
         resolved = there & found.resolved
         self.absolute = np.where(resolved, strength, np.nan)
@@ -44,7 +65,9 @@ class NormalisedFresnel:
     def with_gain(self, gain: float) -> NormalisedFresnel:
         """Add the gain of each picture to the noise."""
         one = gain**2 * np.eye(self.normalised.shape[1])
-        self.std_noise = np.hypot(self.std_noise, self._normalised_std(np.broadcast_to(one, self.relative.shape)))
+        own = self._normalised_std(np.broadcast_to(one, self.relative.shape))
+        self.std_noise = np.hypot(self.std_noise, own)
+        self.parts = (*self.parts, VariancePart(GAIN, "A", own**2, degrees=max(self.used.shape[-1] - 1, 1)))
         self.absolute_std = np.hypot(self.absolute_std, gain * self.absolute)
         return self
 
@@ -52,7 +75,7 @@ class NormalisedFresnel:
 def averaged(
     terms: list[NormalisedFresnel],
     members: list[tuple[NormalisedFresnel, float]],
-    others: list[tuple[NormalisedFresnel, float]],
+    others: list[tuple[str, NormalisedFresnel, float]],
     weight: float,
     *,
     held_back: bool,
@@ -60,8 +83,8 @@ def averaged(
     """Average F over the explanations of a table.
 
     terms: F by the most probable lobe through the camera and, if it counts, without a camera. members: other lobes and their
-        probabilities. others: alternatives whose difference is uncertainty, each with its factor. weight: probability of no
-        camera. held_back: whether the correction is withheld, so that F is that without a camera.
+        probabilities. others: alternatives whose difference is uncertainty, each with its name and factor. weight: probability
+        of no camera. held_back: whether the correction is withheld, so that F is that without a camera.
     """
     camera, *blind = terms
     shift, spread, moved, scatter = (np.zeros_like(camera.normalised) for _ in range(4))
@@ -71,22 +94,61 @@ def averaged(
         moved, scatter = moved + share * aside, scatter + share * aside**2
     camera.normalised, camera.absolute = camera.normalised + shift, camera.absolute + moved
     camera.std_camera = np.sqrt(camera.std_camera**2 + spread - shift**2)
+    if members:
+        camera.parts = (*camera.parts, VariancePart(OTHER_LOBES, "B", spread - shift**2))
     camera.absolute_std = np.sqrt(camera.absolute_std**2 + scatter - moved**2)
     result = blind[0] if held_back else camera
     variance = result.std_camera**2
     absolute = result.absolute_std**2
-    for other, share in others:
-        variance = variance + (share * (other.normalised - camera.normalised)) ** 2
+    for name, other, share in others:
+        own = (share * (other.normalised - camera.normalised)) ** 2
+        variance = variance + own
+        result.parts = (*result.parts, VariancePart(f"{name} left free", "B", own))
         absolute = absolute + (share * np.nan_to_num(other.absolute - camera.absolute)) ** 2
     if blind:
         share = 1.0 if held_back else weight * (1 - weight)
         apart = blind[0].normalised - camera.normalised
         variance = variance + share * apart**2
+        result.parts = (*result.parts, VariancePart(NO_CAMERA, "B", share * apart**2))
         absolute = absolute + share * np.nan_to_num(blind[0].absolute - camera.absolute) ** 2
         if not held_back:
             result.normalised = camera.normalised + weight * apart
     result.std_camera, result.absolute_std = np.sqrt(variance), np.sqrt(absolute)
     return result
+
+
+def budget_variables(term: NormalisedFresnel) -> dict[str, tuple[Any, ...]]:
+    """Return the sources of a term as variables of a Dataset over (source, theta_d, channel)."""
+    parts = term.parts
+    std = np.sqrt(np.stack([np.maximum(part.variance, 0.0) for part in parts]))
+    own = [np.nan if part.uncertainty is None else part.uncertainty for part in parts]
+    return {
+        "source": ("source", [part.name for part in parts], {"long_name": "source of uncertainty"}),
+        "budget_std": (("source", "theta_d", "channel"), std.swapaxes(1, 2), {"long_name": "part in corrected_std"}),
+        "budget_type": ("source", [part.kind for part in parts], {"long_name": "type of evaluation (GUM)"}),
+        "budget_value": ("source", [part.value for part in parts], {"long_name": "value of the source"}),
+        "budget_uncertainty": (
+            "source",
+            own,
+            {"long_name": "its standard uncertainty; NaN: in the unit of the result"},
+        ),
+        "budget_degrees": ("source", [float(part.degrees) for part in parts], {"long_name": "degrees of freedom"}),
+    }
+
+
+def budget_parts(result: xr.Dataset) -> list[VariancePart]:
+    """Read the sources back from a Dataset with `budget_variables`."""
+    return [
+        VariancePart(
+            str(one["source"].item()),
+            "A" if one["budget_type"].item() == "A" else "B",
+            one["budget_std"].values ** 2,
+            float(one["budget_value"]),
+            float(one["budget_uncertainty"]) if np.isfinite(one["budget_uncertainty"]) else None,
+            float(one["budget_degrees"]),
+        )
+        for one in (result.isel(source=index) for index in range(result.sizes["source"]))
+    ]
 
 
 def nothing_to_normalise_by(normalise: tuple[float, float]) -> FitError:

@@ -15,15 +15,16 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from matcam.core.errors import ArgumentError
-from matcam.core.io import plain, write_columns, write_json
+from matcam.core.io import check_output, plain, write_columns, write_json
 
 _COVERAGE = 0.9545
 """Probability of +-2 standard deviations of a normal distribution."""
+_COLUMNS = ("source", "type", "value", "standard_uncertainty", "sensitivity", "contribution", "degrees_of_freedom")
 _STEP = 1e-3
 """Share of a standard uncertainty by which a source is moved for a numerical sensitivity; its square is the relative error."""
 
 
-class Source(NamedTuple):
+class UncertaintySource(NamedTuple):
     """One source of uncertainty.
 
     Attributes:
@@ -35,7 +36,7 @@ class Source(NamedTuple):
         degrees: degrees of freedom of the uncertainty, no unit. Default: infinite.
 
     Example:
-        >>> Source("length, m", 1.0, 0.001, 2.0, "B").contribution
+        >>> matcam.UncertaintySource("length, m", 1.0, 0.001, 2.0, "B").contribution
         0.002
     """
 
@@ -65,14 +66,19 @@ class UncertaintyBudget:
         ArgumentError: there is no source, an uncertainty is negative, or this is no correlation.
 
     Example:
-        >>> sources = [Source("a", 1.0, 0.3, 1.0, "A", 9), Source("b", 2.0, 0.4, 1.0, "B")]
-        >>> budget = UncertaintyBudget("a + b", 3.0, sources)
+        >>> one = matcam.UncertaintySource("a", 1.0, 0.3, 1.0, "A", 9)
+        >>> other = matcam.UncertaintySource("b", 2.0, 0.4, 1.0, "B")
+        >>> budget = matcam.UncertaintyBudget("a + b", 3.0, [one, other])
         >>> budget.combined, round(budget.coverage_factor, 2)
-        (0.5, 2.03)
+        (0.5, 2.04)
     """
 
     def __init__(
-        self, name: str, value: float, sources: Sequence[Source], correlation: Sequence[Sequence[float]] | None = None
+        self,
+        name: str,
+        value: float,
+        sources: Sequence[UncertaintySource],
+        correlation: Sequence[Sequence[float]] | None = None,
     ):
         self.name, self.value, self.sources = name, float(value), tuple(sources)
         n = len(self.sources)
@@ -98,7 +104,7 @@ class UncertaintyBudget:
         cls,
         name: str,
         function: Callable[..., float],
-        sources: Sequence[Source],
+        sources: Sequence[UncertaintySource],
         correlation: Sequence[Sequence[float]] | None = None,
     ) -> UncertaintyBudget:
         """Build the budget of a function of its sources.
@@ -168,12 +174,23 @@ class UncertaintyBudget:
         )
 
     def columns(self) -> dict[str, list[Any]]:
-        """List the sources as columns, the combined and the expanded uncertainty in the last rows.
+        """List the sources as columns.
+
+        The combined and the expanded uncertainty are the last two rows.
 
         Returns:
             Values by name of the column.
         """
-        rows = [
+        return dict(zip(_COLUMNS, map(list, zip(*self.rows(), strict=True)), strict=True))
+
+    def rows(self) -> list[list[Any]]:
+        """List the rows of the table.
+
+        Returns:
+            Name, type, value, standard uncertainty, sensitivity, contribution and degrees of freedom of each source, and of the
+            combined and the expanded uncertainty.
+        """
+        rows: list[list[Any]] = [
             [one.name, one.kind, one.value, one.uncertainty, one.sensitivity, one.contribution, one.degrees]
             for one in self.sources
         ]
@@ -182,8 +199,7 @@ class UncertaintyBudget:
         rows.append(
             [f"{self.name}, expanded (k = {self.coverage_factor:.3g})", "", self.value, self.expanded, nan, nan, nan]
         )
-        names = ("source", "type", "value", "standard_uncertainty", "sensitivity", "contribution", "degrees_of_freedom")
-        return dict(zip(names, map(list, zip(*rows, strict=True)), strict=True))
+        return rows
 
 
 def write_budgets(path: str | Path, budgets: Sequence[UncertaintyBudget], *, force: bool = False) -> None:
@@ -191,24 +207,41 @@ def write_budgets(path: str | Path, budgets: Sequence[UncertaintyBudget], *, for
 
     Args:
         path: file to write; its ending decides: .json or .csv.
-        budgets: one a result.
+        budgets: one a result; without any, the file has none.
         force: replace an existing file. Default: False.
 
     Raises:
-        ArgumentError: the name ends otherwise, or there is no budget.
+        ArgumentError: the name ends otherwise.
         OutputError: the file cannot be written, or exists and `force` is False.
+
+    Example:
+        >>> import tempfile, pathlib
+        >>> source = matcam.UncertaintySource("length, m", 1.0, 0.001, 1.0, "B")
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     path = pathlib.Path(folder, "budget.csv")
+        ...     matcam.io.write_budgets(path, [matcam.UncertaintyBudget("length, m", 1.0, [source])])
+        ...     path.read_text().splitlines()[1]
+        '"length, m",B,1,0.001,1,0.001,inf'
     """
-    check_budget_name(path)
-    if not budgets:
-        raise ArgumentError("there is no uncertainty to write: give at least one budget")
+    _check_name(path)
     if Path(path).suffix.lower() == ".json":
         write_json(path, {"budgets": [one.to_dict() for one in budgets]}, force=force)
         return
     parts = [one.columns() for one in budgets]
-    write_columns(path, {name: [cell for part in parts for cell in part[name]] for name in parts[0]}, force=force)
+    write_columns(path, {name: [cell for part in parts for cell in part[name]] for name in _COLUMNS}, force=force)
 
 
-def check_budget_name(path: str | Path) -> None:
+def check_budget(path: str | Path, *, force: bool, inputs: Sequence[str | Path] = ()) -> None:
+    """Refuse a file that `write_budgets` could not write, before any work.
+
+    inputs: files that are read, which must not be replaced.
+    ArgumentError where the name ends neither in .json nor in .csv; OutputError where the file cannot be written.
+    """
+    _check_name(path)
+    check_output(path, force=force, inputs=inputs)
+
+
+def _check_name(path: str | Path) -> None:
     """Refuse a budget's file whose ending is neither .json nor .csv (ArgumentError)."""
     if Path(path).suffix.lower() not in (".json", ".csv"):
         raise ArgumentError(f"{path}: a budget's name must end in .json or .csv")
@@ -222,7 +255,7 @@ def fit_budget(name: str, value: float, std: float) -> UncertaintyBudget:
         value: estimate.
         std: standard uncertainty, in the same unit.
     """
-    source = Source(f"{name}: noise and departures of the fit", float(value), float(std), 1.0, "A")
+    source = UncertaintySource(f"{name}: noise and departures of the fit", float(value), float(std), 1.0, "A")
     return UncertaintyBudget(name, value, [source])
 
 

@@ -1,16 +1,25 @@
-"""Where the uncertainty of a joint fit comes from, and which parameters its pictures cannot tell apart."""
+"""Where the uncertainty of a joint fit comes from, and which parameters its pictures cannot tell apart.
+
+Two budgets answer different questions. `error_budget` states what would be gained if a source were exact. `reading_budget` is
+that of the GUM: variances of independent sources, whose sum is the variance of the result.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from matcam.inverse.fit.lobe_readings import lobe_readings
+from matcam.inverse.fit.fit_parameters import LobeKind, readable_value
+from matcam.inverse.fit.lobe_readings import HALF_WIDTH, half_maximum, lobe_readings
+from matcam.numerics.budget import UncertaintyBudget, UncertaintySource
+from matcam.numerics.fit_budget import Readings, StatedParameter, Statement, posterior_budget
 from matcam.reconstruction.picture_model import SCENE
 from matcam.reconstruction.reflectance_curve import ReflectanceCurve
 from matcam.reconstruction.rig.field_change import FIELD
 from matcam.reconstruction.sphere_fit import SphereFit
+from matcam.reconstruction.sphere_scene import Known
 
 NOISE = "noise"
 """What is left where everything that was stated is exact: photons, read noise, and what the model does not explain."""
@@ -90,13 +99,18 @@ def reflectance_ratio(fit: SphereFit, curve: ReflectanceCurve, covariance: np.nd
         covariance: of that channel's strengths.
         theta_d: angle, rad.
     """
+    ratio, row = _ratio(fit, curve, theta_d)
+    variance = row @ (curve.gain @ covariance @ curve.gain.T + curve.own) @ row
+    return Ratio(theta_d, ratio, float(np.sqrt(max(variance, 0.0))))
+
+
+def _ratio(fit: SphereFit, curve: ReflectanceCurve, theta_d: float) -> tuple[float, np.ndarray]:
+    """Return F at an angle over its mean from 10 to 45 degrees, and its derivatives by the coefficients of the curve."""
     at = np.append(_normal_angles(fit), theta_d)
     value, slopes = curve.at(at), curve.slopes(at)
     mean = value[:-1].mean()
     ratio = value[-1] / mean
-    row = ratio * (slopes[-1] / value[-1] - slopes[:-1].mean(axis=0) / mean)
-    variance = row @ (curve.gain @ covariance @ curve.gain.T + curve.own) @ row
-    return Ratio(theta_d, float(ratio), float(np.sqrt(max(variance, 0.0))))
+    return float(ratio), ratio * (slopes[-1] / value[-1] - slopes[:-1].mean(axis=0) / mean)
 
 
 def mean_level_std(fit: SphereFit, curve: ReflectanceCurve, covariance: np.ndarray) -> float:
@@ -208,3 +222,164 @@ def inseparable(fit: SphereFit) -> tuple[Inseparable, ...]:
         # what is as good as free drags everything else along
         found += sorted(apart, key=lambda one: -abs(one.correlation))[:1]
     return tuple(found)
+
+
+class FitReading(NamedTuple):
+    """Value that is read off a joint fit.
+
+    Attributes:
+        value: the value, in its unit.
+        slope: (size,), derivatives by the parameters of the fit.
+        more: sources of uncertainty beside the parameters.
+    """
+
+    value: float
+    slope: np.ndarray
+    more: tuple[UncertaintySource, ...] = ()
+
+    def std(self, covariance: np.ndarray) -> float:
+        """Return the standard deviation of the value. covariance: of the parameters of the fit."""
+        own = sum(source.contribution**2 for source in self.more)
+        return float(np.sqrt(max(float(self.slope @ covariance @ self.slope) + own, 0.0)))
+
+
+def parameter_readings(
+    fit: SphereFit, curves: Sequence[ReflectanceCurve], units: Sequence[Known]
+) -> dict[str, FitReading]:
+    """Read lobe, lens, n and k, and diffuse parts off a fit, by the names that users see.
+
+    curves: F of each channel. units: of each channel, value of the pictures per radiance under unit irradiance.
+    """
+    p, layout, unity = fit.solution.p, fit.layout, np.eye(fit.layout.size)
+    found = _lobe_readings(fit)
+    width = float(fit.scene.camera.parameters().get("optics.sigma_px", np.nan))
+    lens, name = (width, "sigma_px") if np.isfinite(width) else (1.0, "lens_scale")
+    lens *= float(np.exp(p[layout.scene][0]))
+    found[name] = FitReading(lens, lens * unity[layout.scene.start])
+    for index, (channel, curve) in enumerate(zip(fit.channels, curves, strict=True)):
+        for name, (value, row) in curve.parameters().items():
+            found[f"{name}_{channel}"] = _of_curve(fit, curve, index, value, row)
+        place = layout.diffuse.start + index
+        if not fit.solution.problem.fixed[place]:
+            unit = units[index].value
+            found[f"diffuse_{channel}"] = FitReading(float(p[place]) / unit, unity[place] / unit)
+    return found
+
+
+def reflectance_readings(
+    fit: SphereFit, curves: Sequence[ReflectanceCurve], units: Sequence[Known], theta_d: float
+) -> dict[str, FitReading]:
+    """Read F of each channel at an angle over its mean from 10 to 45 degrees, and that mean where F is absolute.
+
+    curves, units: as of `parameter_readings`. theta_d: rad.
+    """
+    found = {}
+    at = _normal_angles(fit)
+    for index, (channel, curve, unit) in enumerate(zip(fit.channels, curves, units, strict=True)):
+        found[f"F({np.degrees(theta_d):.0f} deg) / F(10 to 45 deg), {channel}"] = _of_curve(
+            fit, curve, index, *_ratio(fit, curve, theta_d)
+        )
+        if np.isfinite(unit.std):
+            level = float(curve.at(at).mean()) / unit.value
+            one = _of_curve(fit, curve, index, level, curve.slopes(at).mean(axis=0) / unit.value)
+            source = UncertaintySource(
+                f"{REFERENCE}: value of the pictures for F = 1",
+                unit.value,
+                unit.std * unit.value,
+                -level / unit.value,
+                "B",
+            )
+            found[f"F(10 to 45 deg), {channel}"] = one._replace(more=(*one.more, source))
+    return found
+
+
+def length_readings(fit: SphereFit) -> dict[str, FitReading]:
+    """Read the outline's radius, px, and the distances of camera and lamp, radii of the sample, off a fit.
+
+    A distance beyond what the pictures determine is left out.
+    """
+    scene, unity = fit.layout.scene, np.eye(fit.layout.size)
+    p = fit.solution.p[scene]
+    place = {name: scene.start + index for index, name in enumerate(SCENE)}
+    found = {"outline_radius_px": FitReading(float(p[SCENE.index("radius")]), unity[place["radius"]])}
+    for name in ("camera", "lamp"):
+        nearness = float(p[SCENE.index(name)])
+        if nearness > 0:
+            found[f"{name}_distance_radii"] = FitReading(1 / nearness, -unity[place[name]] / nearness**2)
+    return found
+
+
+def reading_budget(fit: SphereFit, name: str, reading: FitReading) -> UncertaintyBudget:
+    """Build the uncertainty budget of a value that is read off a fit (GUM). name: of the value, with its unit."""
+    solution = fit.solution
+    unstated = float(reading.slope @ (solution.covariance - solution.fitted) @ reading.slope)
+    more = list(reading.more)
+    if solution.problem.unstated:
+        k1 = solution.problem.unstated[0].field.k1
+        more.append(
+            UncertaintySource(
+                "distortion of the lens k1, not stated", k1.value, k1.std, np.sqrt(max(unstated, 0.0)) / k1.std, "B"
+            )
+        )
+    pixels = sum(int(one.used.sum()) for one in solution.problem.pixels)
+    degrees = max(float(pixels - (~solution.problem.fixed).sum()), 1.0)
+    readings = Readings("pixels: noise and unexplained light", "A", degrees)
+    return posterior_budget(name, reading.value, reading.slope, solution.fitted, _statements(fit), readings, more)
+
+
+def _statements(fit: SphereFit) -> list[Statement]:
+    """Return what is stated of the parameters beside the pictures; a source of one parameter by its own name and unit."""
+    problem, layout, scene = fit.solution.problem, fit.layout, fit.scene
+    sigma = float(scene.camera.parameters().get("optics.sigma_px", np.nan))
+    radius = np.nan if scene.sample_radius is None else scene.sample_radius.value
+    named = {
+        "lens": StatedParameter(layout.scene.start, "lens: optics.sigma_px", sigma, sigma)
+        if np.isfinite(sigma)
+        else StatedParameter(layout.scene.start, "lens: scale of its kernel", 1.0, 1.0),
+        "sample radius": StatedParameter(layout.sample_radius, "sample radius, mm", radius, radius),
+    }
+    found = []
+    for source in dict.fromkeys(problem.prior_sources):
+        single = problem.prior_sources.count(source) == 1 and source in named
+        found.append(Statement(source, problem.information_of(source), (named[source],) if single else ()))
+    return found
+
+
+def _lobe_readings(fit: SphereFit) -> dict[str, FitReading]:
+    """Read the parameters of the lobe; of a bent lobe what it has instead of a family's, else half widths, rad, too."""
+    kind, size = fit.kind, fit.layout.size
+    q = fit.solution.p[: kind.size]
+
+    def reading(value: float, slope: np.ndarray, first: int = 0) -> FitReading:
+        row = np.zeros(size)
+        row[first : first + len(slope)] = slope
+        return FitReading(value, row)
+
+    read = lobe_readings(kind, q)
+    if kind.bends:
+        rows = zip(read.names, read.values.tolist(), read.slopes, strict=True)
+        return {name: reading(value, slope) for name, value, slope in rows}
+    found = {}
+    for index, name in enumerate(kind.family_names):
+        value, slope = readable_value(name, float(q[index]))
+        found[name] = reading(value, np.array([slope]), index)
+    if not kind.stretched:
+        return found | {HALF_WIDTH: reading(*half_maximum(kind, q))}
+    # along an axis of the slopes the lobe is the isotropic one of that axis's roughness
+    plain = LobeKind(kind.family, kind.masking)
+    for axis, index in (("x", 0), ("y", 1)):
+        found[f"hwhm_{axis}_rad"] = reading(*half_maximum(plain, q[index : index + 1]), index)
+    return found
+
+
+def _of_curve(fit: SphereFit, curve: ReflectanceCurve, channel: int, value: float, row: np.ndarray) -> FitReading:
+    """Return a value that is read off the curve of a channel. row: its derivatives by the coefficients."""
+    pick = np.arange(fit.layout.pictures) * fit.layout.channels + channel
+    slope = row @ curve.gain @ fit.strengths_rows()[pick]
+    by_scale, by_misfit = (float(np.sqrt(max(row @ part @ row, 0.0))) for part in (curve.by_scale, curve.by_misfit))
+    degrees = max(float(fit.layout.pictures - len(row)), 1.0)
+    more = (
+        UncertaintySource("scale of F", 0.0, by_scale, 1.0, "B"),
+        UncertaintySource("departures of F from its curve", 0.0, by_misfit, 1.0, "A", degrees),
+    )
+    return FitReading(value, slope, tuple(source for source in more if source.uncertainty > 0))

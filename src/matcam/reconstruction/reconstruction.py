@@ -11,20 +11,25 @@ import xarray as xr
 
 from matcam.acquisition.merged_picture import MergedPicture
 from matcam.camera.profile import field_document
+from matcam.core.errors import ArgumentError
 from matcam.core.remark import Remark
-from matcam.inverse.fit.fit_parameters import LobeKind, readable_value
 from matcam.inverse.fit.fit_setup import AUTO
-from matcam.inverse.fit.lobe_readings import half_maximum_angle, lobe_readings
 from matcam.material.masking import Masking
+from matcam.numerics.budget import UncertaintyBudget
 from matcam.reconstruction.chosen_lobe import FitOfPictures, chosen_fit
 from matcam.reconstruction.cylinder.anisotropic_table import anisotropic_table
 from matcam.reconstruction.error_budget import (
+    FitReading,
     Inseparable,
     Ratio,
     channel_covariance,
     error_budget,
     inseparable,
+    length_readings,
+    parameter_readings,
+    reading_budget,
     reflectance_ratio,
+    reflectance_readings,
 )
 from matcam.reconstruction.material_table import material_table
 from matcam.reconstruction.picture_model import SCENE
@@ -90,29 +95,44 @@ class Reconstruction:
 
         Lobe, lens, n and k, diffuse part. A bent lobe has a half width, a tail exponent and a haze share alone.
         """
-        fit, p = self.fit, self.fit.solution.p
-        std = np.sqrt(np.maximum(np.diag(fit.solution.covariance), 0))
-        found: dict[str, tuple[float, float]] = {}
-        for index, name in enumerate(fit.kind.family_names):
-            if not fit.kind.bends:  # of a bent lobe they say nothing
-                value, slope = readable_value(name, float(p[index]))
-                found[name] = value, slope * float(std[index])
-        found |= _bent_lobe(fit) if fit.kind.bends else _half_widths(fit)
-        width = float(fit.scene.camera.parameters().get("optics.sigma_px", np.nan))
-        scale = float(np.exp(p[fit.layout.scene][0]))
-        scale_std = scale * float(std[fit.layout.scene][0])
-        if np.isfinite(width):
-            found["sigma_px"] = width * scale, width * scale_std
-        else:
-            found["lens_scale"] = scale, scale_std
-        for index, (channel, curve) in enumerate(zip(fit.channels, self.curves, strict=True)):
-            for name, pair in curve.parameters(channel_covariance(fit, index)).items():
-                found[f"{name}_{channel}"] = pair
-            place = fit.layout.diffuse.start + index
-            if not fit.solution.problem.fixed[place]:
-                unit = self.units[index].value
-                found[f"diffuse_{channel}"] = float(p[place]) / unit, float(std[place]) / unit
-        return found
+        covariance = self.fit.solution.covariance
+        found = parameter_readings(self.fit, self.curves, self.units)
+        return {name: (one.value, one.std(covariance)) for name, one in found.items()}
+
+    def uncertainty_budget(self, name: str) -> UncertaintyBudget:
+        """Return the uncertainty budget of a result (GUM).
+
+        Its combined uncertainty is the standard deviation of the result. Sources are the pixels and what is stated of lens,
+        lamps, distances, outline, gains and reference. They add up; `budget` states what would be gained by each.
+
+        Args:
+            name: name of the result: one of `parameters`, of the lengths in radii or px, or of F, as `uncertainty_budgets`
+                lists them.
+
+        Raises:
+            ArgumentError: there is no result of this name.
+
+        Example:
+            >>> found.uncertainty_budget("alpha").expanded  # doctest: +SKIP
+        """
+        known = self._readings
+        if name not in known:
+            raise ArgumentError(f"the reconstruction has no result {name!r}; it has {', '.join(known)}")
+        return reading_budget(self.fit, name, known[name])
+
+    def uncertainty_budgets(self) -> list[UncertaintyBudget]:
+        """Return the uncertainty budgets of parameters, F and lengths (GUM)."""
+        return [reading_budget(self.fit, name, one) for name, one in self._readings.items()]
+
+    @property
+    def _readings(self) -> dict[str, FitReading]:
+        """Values that have a budget, by name: parameters, F, lengths."""
+        judged = min(_JUDGED, self.measured_range[1])
+        return {
+            **parameter_readings(self.fit, self.curves, self.units),
+            **reflectance_readings(self.fit, self.curves, self.units, judged),
+            **length_readings(self.fit),
+        }
 
     @property
     def geometry(self) -> dict[str, Any]:
@@ -385,23 +405,3 @@ def reconstructed(
         tried=chosen.tried,
         remarks=tuple(every),
     )
-
-
-def _bent_lobe(fit: SphereFit) -> dict[str, tuple[float, float]]:
-    """Return what a bent lobe has instead of a family's parameters, each with its standard deviation."""
-    lobe = slice(0, fit.kind.size)
-    read = lobe_readings(fit.kind, fit.solution.p[lobe])
-    std = np.sqrt(np.einsum("np,pq,nq->n", read.slopes, fit.solution.covariance[lobe, lobe], read.slopes))
-    return dict(zip(read.names, zip(read.values.tolist(), std.tolist(), strict=True), strict=True))
-
-
-def _half_widths(fit: SphereFit) -> dict[str, tuple[float, float]]:
-    """Return the half width at half maximum of the lobe, rad; of one with two roughnesses along x and y."""
-    q, covariance = fit.solution.p, fit.solution.covariance
-    if not fit.kind.stretched:
-        lobe = slice(0, fit.kind.size)
-        return {"hwhm_rad": half_maximum_angle(fit.kind, q[lobe], covariance[lobe, lobe])}
-    # along an axis of the slopes the lobe is the isotropic one of that axis's roughness
-    plain = LobeKind(fit.kind.family, fit.kind.masking)
-    axes = (("x", slice(0, 1)), ("y", slice(1, 2)))
-    return {f"hwhm_{name}_rad": half_maximum_angle(plain, q[one], covariance[one, one]) for name, one in axes}

@@ -33,8 +33,8 @@ class ReflectanceCurve:
         model: "conductor", or "smooth" where n and k do not explain the strengths.
         coefficients: of the curve.
         gain: derivatives of the coefficients by the strengths, (coefficients, pictures).
-        own: covariance of the coefficients beside that of the strengths: what is known of the scale, and what the curve leaves
-            unexplained.
+        by_scale: covariance of the coefficients by what is known of the scale.
+        by_misfit: covariance of the coefficients by what the curve leaves unexplained.
         misfit: mean squared residual, in standard deviations.
         scale: strength that stands for F = 1, in the curve's own terms.
     """
@@ -42,8 +42,14 @@ class ReflectanceCurve:
     model: str
     coefficients: np.ndarray
     gain: np.ndarray
-    own: np.ndarray
+    by_scale: np.ndarray
+    by_misfit: np.ndarray
     misfit: float
+
+    @property
+    def own(self) -> np.ndarray:
+        """Covariance of the coefficients beside that of the strengths."""
+        return self.by_scale + self.by_misfit
 
     def at(self, theta: np.ndarray) -> np.ndarray:
         """Return F at angles, rad."""
@@ -53,15 +59,16 @@ class ReflectanceCurve:
         """Return the derivatives of F by the coefficients, (angles, coefficients)."""
         return _slopes(self.model, self.coefficients, theta)
 
-    def parameters(self, covariance: np.ndarray) -> dict[str, tuple[float, float]]:
-        """Return n and k with their standard deviations; empty for a smooth curve. covariance: of the strengths."""
+    def parameters(self) -> dict[str, tuple[float, np.ndarray]]:
+        """Return n and k with their derivatives by the coefficients; empty for a smooth curve."""
         if self.model != "conductor":
             return {}
-        std = np.sqrt(np.maximum(np.diag(self.gain @ covariance @ self.gain.T + self.own), 0))
         found = {}
-        for name, coordinate, one in zip(("n", "k"), self.coefficients, std, strict=False):
+        for index, (name, coordinate) in enumerate(zip(("n", "k"), self.coefficients, strict=False)):
             value, slope = readable_value(name, float(coordinate))
-            found[name] = value, slope * float(one)
+            row = np.zeros(len(self.coefficients))
+            row[index] = slope
+            found[name] = value, row
         return found
 
 
@@ -129,8 +136,8 @@ def _with_gain(
     inverse = scaled_inverse(slopes.T @ slopes + prior, undetermined=1e14)
     whitener = white(np.eye(len(theta)))
     misfit = float(residual @ residual / max(len(theta) - len(coefficients), 1))
-    own = inverse @ prior @ inverse + max(misfit - 1, 0.0) * inverse
-    return ReflectanceCurve(model, coefficients, inverse @ slopes.T @ whitener, own, misfit)
+    by_scale, by_misfit = inverse @ prior @ inverse, max(misfit - 1, 0.0) * inverse
+    return ReflectanceCurve(model, coefficients, inverse @ slopes.T @ whitener, by_scale, by_misfit, misfit)
 
 
 def _curve(model: str, coefficients: np.ndarray, theta: np.ndarray) -> np.ndarray:

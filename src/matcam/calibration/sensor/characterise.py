@@ -116,6 +116,7 @@ def characterise_sensor(
         prnu=patterns.response(),
         prnu_pixel=patterns.response(own=True),
         dsnu=dsnu,
+        dsnu_time=float(shade.exposure.time),
         linearity_error=(float(judged.min()), float(judged.max())) if judged.size else (math.nan, math.nan),
         quantum_efficiency=_quantum_efficiency(planes, gain) if series.light_unit == "photons" else _UNKNOWN,
         bits=bits,

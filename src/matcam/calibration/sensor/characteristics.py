@@ -39,6 +39,7 @@ class SensorCharacteristics:
             own variation, no unit.
         prnu_pixel: the same without what whole rows and columns share, no unit: the sensor's own pattern.
         dsnu: dark signal non-uniformity, standard deviation of the pixels' dark signals, e-.
+        dsnu_time: exposure time of the dark frames that show it, s.
         linearity_error: smallest and largest departure from a straight line between 5 and 95 % of saturation, no unit.
         quantum_efficiency: electrons per photon, no unit; NaN: the photons are not stated.
         bits: depth of the codes; None: floats.
@@ -78,6 +79,7 @@ class SensorCharacteristics:
     prnu: Stated
     prnu_pixel: Stated
     dsnu: Stated
+    dsnu_time: float
     linearity_error: tuple[float, float]
     quantum_efficiency: Stated
     bits: int | None
@@ -108,8 +110,8 @@ class SensorCharacteristics:
 
         `picture`, `simulate` and `reconstruct` use it.
 
-        Its PRNU is `prnu_pixel`: the pattern of independent pixels. What a `Sensor` does not have stays out: the non-uniformity
-        of the dark signal that does not grow with time.
+        Its PRNU is `prnu_pixel`: the pattern of independent pixels. Its DSNU is the part of `dsnu` that does not grow with
+        time.
 
         Args:
             pitch: distance of the pixels, m.
@@ -128,7 +130,15 @@ class SensorCharacteristics:
             dark_current=max(_or_zero(self.dark_current.value), 0.0),
             dark_nonuniformity=min(_or_zero(self.dark_nonuniformity.value), 10.0),
             black_level=max(self.black_level.value, 0.0),
+            dsnu=self._offset_nonuniformity,
         )
+
+    @property
+    def _offset_nonuniformity(self) -> float:
+        """Standard deviation of the pixels' offsets, e-: `dsnu` without what the dark currents add in its exposure time."""
+        current, relative = max(_or_zero(self.dark_current.value), 0.0), _or_zero(self.dark_nonuniformity.value)
+        grown = relative * current * self.dsnu_time
+        return math.sqrt(max(self.dsnu.value**2 - grown**2, 0.0))
 
     def snr(self, signal: np.ndarray) -> np.ndarray:
         """Compute signal over noise by gain and read noise, no unit.

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import xarray as xr
 
 from matcam.camera.sensor import PixelNoise
 from matcam.core.grid import Sampling, sampling_of
 from matcam.inverse.correction.farthest_glare import FarthestGlare
-from matcam.inverse.correction.harmless import ROWS, EnergyLimit, LobeRatio, above_noise, energy_limit
+from matcam.inverse.correction.harmless import PEAK, ROWS, EnergyLimit, LobeRatio, above_noise, energy_limit
 from matcam.inverse.correction.other_body import other_body
 from matcam.inverse.correction.response_lattice import seen_cells
 from matcam.inverse.fit.material_fit import MaterialFit
+from matcam.inverse.normalised_fresnel import GAIN
+from matcam.numerics.fit_budget import VariancePart
 
 SUPPORTED = 0.05
 """Relative standard deviation of the correction up to which an entry is supported."""
@@ -41,8 +45,8 @@ def corrected_table(
     ratio_of_lobes: LobeRatio,
     scattered: FarthestGlare,
     glare: float,
-) -> tuple[xr.Dataset, EnergyLimit]:
-    """Correct a table; the energy limit says whether and how it acted.
+) -> tuple[xr.Dataset, EnergyLimit, tuple[VariancePart, ...]]:
+    """Correct a table; the energy limit says whether and how it acted; the parts are the sources of the peaks' variance.
 
     noise_share: of a pixel's variance, in each entry. scattered: most light of the highlight that glare adds to it.
     """
@@ -54,12 +58,22 @@ def corrected_table(
     ratio = np.where(seen, np.exp(ratio_of_lobes.log), 1.0)
     corrected, camera_std = np.empty_like(data), np.empty_like(data)
     bodies = other_body(sampling)
+    parts: list[VariancePart] = []
     for rows in ROWS:
         above, factor = data[rows] - body, ratio[rows, ..., None]
         corrected[rows] = body + above * factor
         variance = (above * factor * ratio_of_lobes.std[rows, ..., None]) ** 2
-        variance += (scattered.of(rows) ** 2 + (glare * data[rows]) ** 2) * factor**2
-        variance += (body_std**2 + (body * bodies[rows, ..., None]) ** 2) * (factor - 1) ** 2
+        added = (
+            VariancePart("glare", "B", (scattered.of(rows) ** 2 + (glare * data[rows]) ** 2) * factor**2),
+            VariancePart("Lambertian part", "A", body_std**2 * (factor - 1) ** 2, degrees=max(found.freedom, 1)),
+            VariancePart("shape of the body", "B", (body * bodies[rows, ..., None]) ** 2 * (factor - 1) ** 2),
+        )
+        for part in added:
+            variance += part.variance
+        if not parts:
+            scale = ((above * factor)[PEAK]) ** 2
+            parts = [one._replace(variance=one.variance[:, None] * scale) for one in ratio_of_lobes.parts]
+            parts += [part._replace(variance=np.broadcast_to(part.variance, above.shape)[PEAK]) for part in added]
         camera_std[rows] = np.where(seen[rows, ..., None], np.sqrt(variance), np.nan)
     limit = energy_limit(data, corrected, camera_std, sampling)
 
@@ -72,11 +86,18 @@ def corrected_table(
             wanted = corrected[rows].copy()
             corrected[rows] = limit.of(rows, recorded, wanted, np.nan_to_num(camera))
             camera = np.hypot(camera, wanted - corrected[rows])
+            if rows.start == 0:
+                parts.append(VariancePart("energy limit", "B", (wanted - corrected[rows])[PEAK] ** 2))
         corrected[rows] = np.maximum(corrected[rows], 0.0)
         pixels = noise_share[rows, ..., None] * (
             (noise.relative * recorded) ** 2 + (noise.floor * peak[None, :, None, :]) ** 2
         )
-        pixels = (pixels + (noise.picture_gain * recorded) ** 2) * factor**2
+        gains = (noise.picture_gain * recorded) ** 2 * factor**2
+        if rows.start == 0:
+            kind: Any = "B" if found.noise_given else "A"
+            parts.append(VariancePart("noise of the pixels of the entry", kind, (pixels * factor**2)[PEAK]))
+            parts.append(VariancePart(GAIN, kind, gains[PEAK]))
+        pixels = pixels * factor**2 + gains
         camera, noise_std[rows] = (np.where(known, std, np.nan) for std in (camera, np.sqrt(pixels)))
         with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
             supported[rows] = known & (camera < SUPPORTED * corrected[rows])
@@ -100,7 +121,7 @@ def corrected_table(
         coords=brdf.coords,
         attrs={"body": body.tolist()},
     )
-    return table, limit
+    return table, limit, tuple(parts)
 
 
 def _noise_floor(found: MaterialFit, noise: PixelNoise, peak: np.ndarray, sampling: Sampling) -> np.ndarray:

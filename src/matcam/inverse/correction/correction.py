@@ -31,12 +31,15 @@ from matcam.inverse.correction.lobe_ratio import CorrectionFits, lattices_ahead,
 from matcam.inverse.correction.other_maskings import other_maskings
 from matcam.inverse.fit.fit_setup import AUTO
 from matcam.inverse.fit.material_fit import MaterialFit
+from matcam.inverse.normalised_fresnel import NO_CAMERA
 from matcam.inverse.operator.chosen_cells import noise_shares
 from matcam.inverse.operator.lobe_operator import check_rig
 from matcam.inverse.operator.pixel_phase import located_rig
 from matcam.inverse.operator.rig_axes import known_lens
 from matcam.inverse.picture_gain import gain_remarks, strengths_gain
 from matcam.material.masking import MASKINGS, Masking
+from matcam.numerics.budget import UncertaintyBudget
+from matcam.numerics.fit_budget import VariancePart, parts_budget
 from matcam.rigs import Rig
 
 _MATTERS = 0.01
@@ -70,12 +73,13 @@ class Correction:
             colour where nothing less explains the data.
         no_camera: probability (no unit) that no camera, rather than this one, made the table.
         withheld: whether the table stays as it is, because rig and data contradict each other. Default: False.
+        peak_parts: sources of the variance of brdf at the peak of each slice, (90, channels) each. Default: none.
 
     Example:
         >>> done = matcam.inverse.Correction.of(table, matcam.rigs.merl())  # doctest: +SKIP
         >>> print(done.verdict)  # doctest: +SKIP
         >>> list(matcam.inverse.Correction.__dataclass_fields__)
-        ['table', 'recorded', 'fit', 'doubts', 'shape', 'remarks', 'without_camera', 'no_camera', 'withheld']
+        ['table', 'recorded', 'fit', 'doubts', 'shape', 'remarks', 'without_camera', 'no_camera', 'withheld', 'peak_parts']
     """
 
     table: xr.Dataset
@@ -87,6 +91,7 @@ class Correction:
     without_camera: MaterialFit
     no_camera: float
     withheld: bool = False
+    peak_parts: tuple[VariancePart, ...] = ()
 
     @classmethod
     def of(
@@ -145,7 +150,8 @@ class Correction:
         held_back = found.contradicts and not anyway
         said = held_back and _matters(fitted)
         if anyway:
-            ratio = fitted._replace(std=np.sqrt(fitted.std**2 + found.no_camera * fitted.log**2))
+            added = found.no_camera * fitted.log**2
+            ratio = fitted._replace(std=np.sqrt(fitted.std**2 + added), parts=fitted.parts_with(NO_CAMERA, added))
         else:
             ratio = withheld(fitted) if held_back or found.undecided else shrunk(fitted, found.no_camera)
         scattered = farthest_glare(glare, sampling, rig, best, workspace)
@@ -153,9 +159,9 @@ class Correction:
         left, lit = (found.without_camera.noise, found.blind) if blind else (found.shape.noise, best)
         if noise is None:  # a fit with F free says nothing of the pictures' gains: the roughness of F does
             lit = found.scattering(lit)
-            left = left._replace(picture_gain=strengths_gain(lit.theta_d, *lit.strengths()))
+            left = left._replace(picture_gain=strengths_gain(lit.theta_d, *lit.strengths()[:3]))
         shares = noise_shares(located.rig, sampling)
-        table, limit = corrected_table(brdf, best, left, shares, ratio, scattered, glare)
+        table, limit, parts = corrected_table(brdf, best, left, shares, ratio, scattered, glare)
         if said:  # what the rejected rig would have changed is uncertain everywhere
             table["supported"].values[:] = False
         remarks = found.remarks
@@ -174,7 +180,59 @@ class Correction:
             sampling=sampling, source=str(brdf.attrs.get("source", "")), remarks=to_attribute(remarks),
             camera_uncertainty=known_lens(rig.camera).words, withheld=int(said),
         )  # fmt: skip
-        return cls(table, brdf, best, found.doubts, found.shape, remarks, found.without_camera, found.no_camera, said)
+        return cls(
+            table, brdf, best, found.doubts, found.shape, remarks, found.without_camera, found.no_camera, said, parts
+        )
+
+    def uncertainty_budget(self, theta_d: float, channel: int | None = None) -> UncertaintyBudget:
+        """Return the uncertainty budget of the corrected peak at an angle (GUM).
+
+        Its combined uncertainty is `brdf_std` of the entry at theta_h = 0, phi_d = 90 degrees. Sources are the readings, the
+        stated camera, the other explanations of the table, glare, the body, and the noise of the entry.
+
+        Args:
+            theta_d: difference angle, rad. The slice that contains it answers.
+            channel: index of the channel, no unit. Default: None, the middle one.
+
+        Raises:
+            ArgumentError: the table states no standard deviation there.
+
+        Example:
+            >>> done.uncertainty_budget(np.radians(45.0)).expanded  # doctest: +SKIP
+        """
+        count = self.table["brdf"].shape[-1]
+        channel = count // 2 if channel is None else channel
+        if type(channel) is not int or not 0 <= channel < count:
+            raise ArgumentError(f"channel must be a whole number from 0 to {count - 1}, got {channel!r}")
+        at = self._peak(float(checks.scalar("theta_d", checks.within("theta_d", theta_d, 0, np.pi / 2, "rad"))))
+        value, std = (float(self.table[name].values[at][channel]) for name in ("brdf", "brdf_std"))
+        label, degrees = self._channel_names[channel], np.degrees(theta_d)
+        if not np.isfinite(std):
+            raise ArgumentError(
+                f"the table states no standard deviation of the peak at {degrees:.1f} degrees, {label}: choose an angle "
+                "where it holds a value"
+            )
+        return parts_budget(f"peak at {degrees:.1f} deg, {label}, 1/sr", value, self.peak_parts, (int(at[1]), channel))
+
+    def uncertainty_budgets(self) -> list[UncertaintyBudget]:
+        """Return the uncertainty budgets of some peaks (GUM).
+
+        Returns:
+            Those at 5, 45 and 75 degrees of each channel, where the table holds a value.
+        """
+        angles = np.radians(_ANGLES)
+        known = np.isfinite(self.table["brdf_std"].values[self._peak(angles)])
+        return [
+            self.uncertainty_budget(float(angle), channel)
+            for channel in range(known.shape[1])
+            for angle, there in zip(angles, known[:, channel], strict=True)
+            if there
+        ]
+
+    @property
+    def _channel_names(self) -> list[str]:
+        brdf = self.table["brdf"]
+        return [str(c) for c in (brdf["channel"].values if "channel" in brdf.coords else range(brdf.shape[-1]))]
 
     def peak_loss(self, theta_d: ArrayLike) -> np.ndarray:
         """Return the share of the highlight's peak that the camera lost.

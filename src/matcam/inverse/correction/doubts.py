@@ -25,12 +25,14 @@ from matcam.inverse.fit.fit_data import cell_variance, estimate_noise, huber_wei
 from matcam.inverse.fit.fit_parameters import LobeKind
 from matcam.inverse.fit.fit_readings import LinearisedFit
 from matcam.inverse.fit.fit_setup import FitSetup
+from matcam.inverse.fit.fit_statements import SMOOTH_LOBE, fit_statements, rig_statements
 from matcam.inverse.fit.material_fit import MaterialFit
 from matcam.inverse.operator.lobe_operator import LobeOperator
 from matcam.inverse.operator.rig_axes import LAMP, LENS, Axis, is_guess, known_lens, widths_of
 from matcam.material.lambda_table import quick_table
 from matcam.material.ndf.free_lobe import KNOTS, bend_smoothness, bend_sums
 from matcam.numerics.approximation import smoothness
+from matcam.numerics.fit_budget import Statement
 from matcam.numerics.linalg import scaled_inverse
 from matcam.rigs import Rig
 
@@ -177,11 +179,13 @@ class ShapeUncertainty(NamedTuple):
         covariance: of (lobe, rig, b), the first two in the fit's coordinates.
         scale: standard deviation of the second differences of b that the data ask for.
         noise: of a pixel, as estimated with b free, or as given.
+        statements: what is known of (lobe, rig, b) beside the data. Default: none.
     """
 
     covariance: np.ndarray
     scale: float
     noise: PixelNoise
+    statements: tuple[Statement, ...] = ()
 
     @property
     def family_fails(self) -> bool:
@@ -241,14 +245,21 @@ def shape_uncertainty(found: MaterialFit, noise: PixelNoise | None) -> ShapeUnce
         penalty[shapes, shapes] = differences.T @ differences / scale**2
         covariance = scaled_inverse(information + penalty)
         result = covariance @ right
-    inner = np.r_[0 : shapes.stop]
-    return ShapeUncertainty(covariance[np.ix_(inner, inner)], scale, assumed)
+    inner = slice(0, shapes.stop)
+    statements = rig_statements(at.axes, linear.rig_information, rig.start, shapes.stop)
+    smooth = Statement(SMOOTH_LOBE, penalty[inner, inner])
+    return ShapeUncertainty(covariance[inner, inner], scale, assumed, (*statements, smooth))
 
 
 def known_shape(found: MaterialFit, scale: float) -> ShapeUncertainty:
     """Return the uncertainty of a fit's own parameters, which hold its shape already. scale: that its family had asked for."""
-    padded = np.pad(found.coordinates.covariance, (0, KNOTS))
-    return ShapeUncertainty(padded, scale, found.noise)
+    covariance = found.coordinates.covariance
+    own = slice(0, len(covariance))
+    statements = tuple(
+        one._replace(information=np.pad(one.information[own, own], (0, KNOTS)))
+        for one in fit_statements(found._solution)
+    )
+    return ShapeUncertainty(np.pad(covariance, (0, KNOTS)), scale, found.noise, statements)
 
 
 def _columns(linear: LinearisedFit) -> np.ndarray:

@@ -17,9 +17,13 @@ from scipy.sparse import csr_matrix
 
 from matcam.core.grid import GRID_SHAPE, Sampling, merl_grid
 from matcam.core.remark import Remark
+from matcam.inverse.normalised_fresnel import NO_CAMERA
+from matcam.numerics.fit_budget import VariancePart, scaled_parts
 
 ROWS = tuple(slice(start, start + 10) for start in range(0, GRID_SHAPE[0], 10))
 """Rows of a table that are worked on at a time: all at once would need several times the table's memory."""
+PEAK = (0, slice(None), GRID_SHAPE[2] // 2)
+"""Index of the peak of every slice across the plane of incidence, whose sources of uncertainty are kept."""
 _AZIMUTHS = 72
 _MOST_STEPS = 2.0
 """Standard deviations by which the energy limit lowers an entry at most: the 95 % bound. Beyond it the table's absolute scale
@@ -36,18 +40,32 @@ class LobeRatio(NamedTuple):
         std: standard deviation of the ratio over its value: fitted parameters, shape, rig and doubts.
         recorded: recorded lobe over the largest one of its slice (no unit): where it is below the noise, a ratio that
             multiplies the data means nothing. Default: None, not known.
+        parts: sources of the variance `std`^2 at the peak of each slice, (90,). Default: none.
     """
 
     log: np.ndarray
     std: np.ndarray
     recorded: np.ndarray | None = None
+    parts: tuple[VariancePart, ...] = ()
+
+    def parts_with(self, name: str, added: np.ndarray, factor: np.ndarray | float = 1.0) -> tuple[VariancePart, ...]:
+        """Return the sources after a change of the variance.
+
+        name: of a source that is added. added: its variance, (90, 90, 180). factor: by which the others are multiplied.
+        """
+        if not self.parts:
+            return ()
+        factor = factor if isinstance(factor, float) else factor[PEAK]
+        return (*scaled_parts(self.parts, factor), VariancePart(name, "B", added[PEAK]))
 
 
 def withheld(ratio: LobeRatio) -> LobeRatio:
     """Return no correction: what it would have been is uncertainty."""
+    change, factor = np.expm1(ratio.log), np.maximum(np.exp(ratio.log), 1)
     return ratio._replace(
         log=np.zeros_like(ratio.log),
-        std=np.hypot(np.expm1(ratio.log), np.maximum(np.exp(ratio.log), 1) * ratio.std),
+        std=np.hypot(change, factor * ratio.std),
+        parts=ratio.parts_with("correction that is withheld", change**2, factor**2),
     )
 
 
@@ -58,7 +76,9 @@ def shrunk(ratio: LobeRatio, no_camera: float) -> LobeRatio:
     known = ~(variance >= mean**2)  # what is missing stays missing
     share = 1 - np.divide(variance, mean**2, out=np.ones_like(mean), where=known)
     lost = np.expm1(mean * (1 - share))
-    return ratio._replace(log=mean * share, std=np.sqrt(variance + lost**2))
+    parts = ratio.parts_with(NO_CAMERA, no_camera * (1 - no_camera) * ratio.log**2, 1 - no_camera)
+    parts = ratio._replace(parts=parts).parts_with("correction that its error does not support", lost**2)
+    return ratio._replace(log=mean * share, std=np.sqrt(variance + lost**2), parts=parts)
 
 
 def above_noise(ratio: LobeRatio, floor: np.ndarray) -> LobeRatio:
@@ -72,7 +92,9 @@ def above_noise(ratio: LobeRatio, floor: np.ndarray) -> LobeRatio:
     assert ratio.recorded is not None
     share = ratio.recorded**2 / (ratio.recorded**2 + floor[:, None] ** 2)
     log = share * ratio.log
-    return ratio._replace(log=log, std=np.hypot(ratio.std, np.abs(np.expm1(ratio.log - log))))
+    lost = np.expm1(ratio.log - log)
+    parts = ratio.parts_with("correction of what is below the noise", lost**2)
+    return ratio._replace(log=log, std=np.hypot(ratio.std, np.abs(lost)), parts=parts)
 
 
 class EnergyLimit(NamedTuple):

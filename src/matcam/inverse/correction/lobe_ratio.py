@@ -13,7 +13,7 @@ from matcam.core.programs import kept_program
 from matcam.core.workspace import Workspace
 from matcam.forward.pixel_grid import grid_of
 from matcam.inverse.correction.doubts import Doubt, OtherLobe, ShapeUncertainty, known_shape, shape_records
-from matcam.inverse.correction.harmless import LobeRatio
+from matcam.inverse.correction.harmless import PEAK, LobeRatio
 from matcam.inverse.correction.other_maskings import OtherMasking
 from matcam.inverse.correction.real_pixels import Lattices, pixel_log_ratio
 from matcam.inverse.correction.response_lattice import (
@@ -26,10 +26,13 @@ from matcam.inverse.correction.response_lattice import (
 )
 from matcam.inverse.fit.fit_parameters import LobeKind
 from matcam.inverse.fit.fit_readings import FitCoordinates
+from matcam.inverse.fit.fit_statements import fit_readings_source
 from matcam.inverse.fit.material_fit import MaterialFit
 from matcam.inverse.fit.slopes_by_slice import slopes_by_slice
+from matcam.inverse.normalised_fresnel import OTHER_LOBES
 from matcam.inverse.operator.rig_axes import Axis, axis_selection
 from matcam.inverse.operator.sample_view import sample_view
+from matcam.numerics.fit_budget import VariancePart, scaled_parts, statement_parts
 from matcam.rigs import Rig
 
 
@@ -55,12 +58,19 @@ class CorrectionFits(NamedTuple):
     expected: tuple[Axis, ...] = ()
 
     @property
-    def alternatives(self) -> list[tuple[FitCoordinates, FitCoordinates, float]]:
-        """Return from where to where the ratio may change, and how often that counts."""
+    def alternatives(self) -> list[tuple[str, FitCoordinates, FitCoordinates, float]]:
+        """Return what may change the ratio, from where to where, and how often that counts."""
         at, base = self.fit.coordinates, self.base.coordinates
         return [
-            *((base, doubt.fit.coordinates, doubt.counted) for doubt in self.doubts if doubt.counted),
-            *((at, other.coordinates, other.weight) for other in self.maskings),
+            *(
+                (f"{doubt.axis.name} left free", base, doubt.fit.coordinates, doubt.counted)
+                for doubt in self.doubts
+                if doubt.counted
+            ),
+            *(
+                (f"masking: {other.coordinates.kind.masking}", at, other.coordinates, other.weight)
+                for other in self.maskings
+            ),
         ]
 
     @property
@@ -68,7 +78,7 @@ class CorrectionFits(NamedTuple):
         """Return the parameters of the rig that any of the fits has, or may be expected to have."""
         fitted = (
             self.fit.coordinates,
-            *(there for _, there, _ in self.alternatives),
+            *(there for _, _, there, _ in self.alternatives),
             *(other.fit.coordinates for other in self.others),
         )
         return tuple(dict.fromkeys((*self.expected, *(axis for one in fitted for axis in one.axes))))
@@ -104,25 +114,37 @@ def lobe_ratio(
     here = _plain(coarse, at, fitted)
     if fitted.any():
         log += on_table(here - _plain(coarse, at, np.zeros(len(axes))), coarse)
-    variance = np.maximum(on_table(_variance(coarse, at, fits.shape, fitted), coarse), 0.0)
-    for from_, there, weight in fits.alternatives:
+    columns = _columns(coarse, at, fits.shape, fitted)
+    variance = np.maximum(on_table(_variance(columns, fits.shape), coarse), 0.0)
+    parts = _peak_parts(columns, fits.fit, fits.shape, coarse, variance[PEAK])
+    for name, from_, there, weight in fits.alternatives:
         change = _at(coarse, there) - (here if from_ is at else _at(coarse, from_))
-        variance += (weight * on_table(change, coarse)) ** 2
+        added = (weight * on_table(change, coarse)) ** 2
+        variance += added
+        parts = (*parts, VariancePart(name, "B", added[PEAK]))
     shift, spread = np.zeros(log.shape), np.zeros(log.shape)
+    apart, others, share = np.zeros(log.shape[1]), np.zeros(log.shape[1]), 0.0
     for other in fits.others:
         there = other.fit.coordinates
         moved = there.rig @ axis_selection(there.axes, axes)
         change = on_table(_plain(coarse, there, moved) - here, coarse)
-        own = on_table(_variance(coarse, there, known_shape(other.fit, 0.0), moved), coarse)
+        shape = known_shape(other.fit, 0.0)
+        own = np.maximum(on_table(_variance(_columns(coarse, there, shape, moved), shape), coarse), 0.0)
         shift += other.probability * change
-        spread += other.probability * (change**2 + np.maximum(own, 0.0) - variance)
+        spread += other.probability * (change**2 + own - variance)
+        apart += other.probability * change[PEAK] ** 2
+        others, share = others + other.probability * own[PEAK], share + other.probability
     log, variance = log + shift, variance + spread - shift**2  # mean and variance of the mixture
+    if fits.others:
+        own_errors = VariancePart("errors of the other lobes", "A", others)
+        parts = (*scaled_parts(parts, 1 - share), own_errors, VariancePart(OTHER_LOBES, "B", apart - shift[PEAK] ** 2))
     pixels = grid_of(rig)
     if pixels is not None:
         lattices = Lattices(fine, coarse, fitted)
         moved, by_phase = pixel_log_ratio(lattices, at, pixels, sample_view(rig).radius, phase_std)
         log, variance = log + moved, variance + by_phase
-    return LobeRatio(log, np.sqrt(variance), recorded)
+        parts = (*parts, VariancePart("phase of the pixels", "B", np.broadcast_to(by_phase, log.shape)[PEAK]))
+    return LobeRatio(log, np.sqrt(variance), recorded, parts)
 
 
 @kept_program
@@ -174,12 +196,39 @@ def _lobes_and_shares(
     return [(lobe, np.asarray(parts) / lobe) for (_, parts), lobe in zip(pairs, lobes, strict=True)]
 
 
-def _variance(where: ResponseLattice, at: FitCoordinates, shape: ShapeUncertainty, shifts: np.ndarray) -> np.ndarray:
-    """Return the variance of the ratio, by the covariance of lobe, rig and shape."""
+def _columns(where: ResponseLattice, at: FitCoordinates, shape: ShapeUncertainty, shifts: np.ndarray) -> np.ndarray:
+    """Return the derivatives of the ratio by lobe, rig and shape, (coordinates, slices, cells)."""
     (_, by_recorded), (_, by_true) = _lobes_and_shares(where, at, shifts)
     slopes = np.asarray(_log_slopes(where, at.kind, placed(at.lobe), placed(shifts)))
     own = len(at.lobe)
     by_rig = np.tensordot(axis_selection(at.axes, where.recorded.axes), slopes[own:], 1)
     columns = np.concatenate([slopes[:own], by_rig, by_true - by_recorded])
-    columns = np.where(where.cells.valid, columns, 0.0)
+    return np.where(where.cells.valid, columns, 0.0)
+
+
+def _variance(columns: np.ndarray, shape: ShapeUncertainty) -> np.ndarray:
+    """Return the variance of the ratio, by the covariance of lobe, rig and shape."""
     return np.einsum("psn,pq,qsn->sn", columns, shape.covariance, columns)
+
+
+def _peak_parts(
+    columns: np.ndarray, found: MaterialFit, shape: ShapeUncertainty, where: ResponseLattice, variance: np.ndarray
+) -> tuple[VariancePart, ...]:
+    """Split the variance of the ratio at the peak of each slice into its sources.
+
+    The share of a source is that on the lattice, interpolated linearly, so that the shares of all sources add up to 1.
+
+    columns: from `_columns`. variance: of the ratio at the peaks, (90,).
+    """
+    rings, slices, azimuths = where.spacing
+    place = int(np.argmin(np.abs(np.array(rings)))) * len(azimuths) + int(np.argmin(np.abs(np.array(azimuths) - 90)))
+    at_peaks = columns[:, :, place].T
+    whole = np.einsum("sp,pq,sq->s", at_peaks, shape.covariance, at_peaks)
+    readings = fit_readings_source(found.freedom, noise_given=found.noise_given)
+    parts = statement_parts(shape.statements, at_peaks, shape.covariance, whole, readings)
+    total = sum((part.variance for part in parts), np.zeros_like(whole))
+    found_parts = []
+    for index, part in enumerate(parts):
+        share = np.where(total > 0, part.variance / np.where(total > 0, total, 1.0), float(index == 0))
+        found_parts.append(part._replace(variance=variance * np.interp(np.arange(variance.size), slices, share)))
+    return tuple(found_parts)

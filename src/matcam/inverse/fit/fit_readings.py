@@ -55,11 +55,13 @@ class Strengths(NamedTuple):
         value: (u, s), F.
         noise_covariance: (u, s, s), of pixel noise, the rig exact.
         rig_covariance: (u, s, s), of the rig's uncertain parameters.
+        slopes: (u, s, p), derivatives of F by the fit's coordinates.
     """
 
     value: np.ndarray
     noise_covariance: np.ndarray
     rig_covariance: np.ndarray
+    slopes: np.ndarray
 
 
 class LinearisedFit(NamedTuple):
@@ -116,7 +118,8 @@ def strengths_with_covariance(solution: Solution) -> Strengths:
     by_noise, by_rig = (
         np.einsum("pus,pq,qut->ust", slope, part, slope) for part in (solution.covariance - added, added)
     )
-    return Strengths(np.where(seen, solution.model.strength, np.nan), diagonal + by_noise, by_rig)
+    value = np.where(seen, solution.model.strength, np.nan)
+    return Strengths(value, diagonal + by_noise, by_rig, -np.moveaxis(slope, 0, -1))
 
 
 def strength_curves(solution: Solution) -> tuple[np.ndarray, np.ndarray]:
@@ -248,11 +251,13 @@ class NamedParameters(NamedTuple):
         names: "alpha", "n[G]", "optics.sigma_px", ...; of a bent lobe what `lobe_readings` says instead of its coefficients.
         values: in the parameters' own units.
         covariance: of the values.
+        slopes: (names, coordinates), derivatives of the values.
     """
 
     names: list[str]
     values: np.ndarray
     covariance: np.ndarray
+    slopes: np.ndarray
 
 
 def named_parameters(solution: Solution) -> NamedParameters:
@@ -287,7 +292,7 @@ def named_parameters(solution: Solution) -> NamedParameters:
             values.append(value)
             slopes.append(one_each[place] * slope)
     by_p = np.array(slopes).reshape(-1, layout.size)
-    return NamedParameters(names, np.array(values), by_p @ solution.covariance @ by_p.T)
+    return NamedParameters(names, np.array(values), by_p @ solution.covariance @ by_p.T, by_p)
 
 
 def fitted_materials(solution: Solution, strength: np.ndarray) -> tuple[Microfacet, ...]:

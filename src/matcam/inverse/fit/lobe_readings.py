@@ -15,6 +15,8 @@ from matcam.core.programs import kept_program
 from matcam.inverse.fit.fit_parameters import LobeKind, readable_value
 from matcam.material.ndf.free_lobe import shadow_basis
 
+HALF_WIDTH = "hwhm_rad"
+"""Name of the half width at half maximum of a lobe, rad."""
 _NARROWEST_ANGLE, _WIDEST_ANGLE = 1e-9, 1.5
 """rad; where half a lobe's maximum is looked for."""
 _HALVINGS = 60
@@ -51,7 +53,7 @@ def lobe_readings(kind: LobeKind, q: np.ndarray) -> LobeReadings:
         pairs = np.array([readable_value(name, one) for name, one in zip(kind.names, q, strict=True)])
         return LobeReadings(kind.names, pairs[:, 0], np.diag(pairs[:, 1]))
     angle, by_q = half_maximum(kind, q)
-    names, values, slopes = ["hwhm_rad"], [angle], [by_q]
+    names, values, slopes = [HALF_WIDTH], [angle], [by_q]
     if _TAIL[0] * angle < _TAIL_BEGINS:
         both, by_lobe, by_angle = (np.asarray(one) for one in _tail(kind, placed(q), jnp.asarray(angle)))
         names += ["tail_exponent", "haze_share"]

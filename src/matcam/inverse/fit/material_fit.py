@@ -31,10 +31,13 @@ from matcam.inverse.fit.fit_readings import (
     strength_curves,
     strengths_with_covariance,
 )
-from matcam.inverse.fit.lobe_readings import half_maximum_angle
+from matcam.inverse.fit.fit_statements import fit_readings_source, fit_statements
+from matcam.inverse.fit.lobe_readings import HALF_WIDTH, half_maximum, half_maximum_angle
 from matcam.inverse.fit.search import Solution
 from matcam.material.microfacet import Microfacet
 from matcam.material.ndf.distribution import NDF
+from matcam.numerics.budget import UncertaintyBudget
+from matcam.numerics.fit_budget import posterior_budget
 
 
 @dataclass(frozen=True)
@@ -61,6 +64,7 @@ class MaterialFit:
         log_likelihood: logarithm of the likelihood, for comparing families on the same data.
         freedom: degrees of freedom.
         remarks: what a reader should know of the fit.
+        noise_given: whether `noise` was given; otherwise it is estimated from the residuals.
         _solution: the solved problem; for this package only.
 
     Example:
@@ -87,6 +91,7 @@ class MaterialFit:
     log_likelihood: float
     freedom: int
     remarks: tuple[Remark, ...]
+    noise_given: bool
     _solution: Solution = field(repr=False)
 
     @property
@@ -159,6 +164,51 @@ class MaterialFit:
                 raise ArgumentError(f"the fit has no parameter {name!r}; it has {', '.join(names)}")
         i, j = names.index(first), names.index(second)
         return float(self.covariance[i, j] / np.sqrt(self.covariance[i, i] * self.covariance[j, j]))
+
+    def uncertainty_budget(self, name: str) -> UncertaintyBudget:
+        """Return the uncertainty budget of a parameter (GUM).
+
+        Its combined uncertainty is the standard deviation of the parameter. Sources are the readings and the stated values of
+        the camera and the rig.
+
+        Args:
+            name: name of the parameter, as in `params`, or "hwhm_rad".
+
+        Raises:
+            ArgumentError: the fit has no parameter of this name.
+
+        Example:
+            >>> found.uncertainty_budget("alpha").expanded  # doctest: +SKIP
+        """
+        return self.uncertainty_budgets(name)[0]
+
+    def uncertainty_budgets(self, *names: str) -> list[UncertaintyBudget]:
+        """Return the uncertainty budgets of parameters.
+
+        Args:
+            *names: as of `uncertainty_budget`. Default: all of `params`, and "hwhm_rad".
+
+        Raises:
+            ArgumentError: the fit has no parameter of this name.
+        """
+        solution = self._solution
+        named = named_parameters(solution)
+        known = {n: (float(v), s) for n, v, s in zip(named.names, named.values, named.slopes, strict=True)}
+        if HALF_WIDTH not in known:
+            angle, by_lobe = half_maximum(self.coordinates.kind, self.coordinates.lobe)
+            slope = np.zeros(solution.p.size)
+            slope[solution.problem.layout.lobe(0)] = by_lobe
+            known[HALF_WIDTH] = (angle, slope)
+        wrong = [name for name in names if name not in known]
+        if wrong:
+            raise ArgumentError(f"the fit has no parameter {wrong[0]!r}; it has {', '.join(known)}")
+        statements = fit_statements(solution)
+        readings = fit_readings_source(self.freedom, noise_given=self.noise_given)
+        return [
+            posterior_budget(name, *known[name], solution.covariance, statements, readings)
+            for name in (names or known)
+            if np.isfinite(known[name][1]).all()
+        ]
 
     def fresnel(self, theta: float, unit: int = 0) -> tuple[float, float]:
         """Return F and its standard deviation at an angle.
@@ -321,5 +371,6 @@ def material_fit(solution: Solution, camera: Camera | None, *, noise_given: bool
         log_likelihood=float(likelihood),
         freedom=solution.freedom,
         remarks=fit_remarks(solution, camera, verdict, noise_given),
+        noise_given=noise_given,
         _solution=solution,
     )

@@ -20,7 +20,9 @@ from matcam.core.remark import Remark
 from matcam.files.capture import Capture
 from matcam.inverse.fit.fit_setup import AUTO
 from matcam.material.masking import Masking
-from matcam.reconstruction.flat.flat_roughness import FlatRoughness, LobeShares, fit_roughness, mean_maps
+from matcam.numerics.budget import UncertaintyBudget, UncertaintySource
+from matcam.numerics.fit_budget import Readings, Statement, posterior_budget
+from matcam.reconstruction.flat.flat_roughness import FlatRoughness, LobeShares, MeanMaps, fit_roughness, mean_maps
 from matcam.reconstruction.flat.flat_stack import MARGIN, FlatPicture, FlatStack, flat_stack, usable
 from matcam.reconstruction.flat.texture_posterior import TexturePosterior, texture_posterior
 from matcam.reconstruction.stated.captured_scene import INCOMPLETE, Progress
@@ -52,6 +54,7 @@ class FlatReconstruction:
         misfit: mean squared residual of the coarse frequencies, in standard deviations of the noise.
         left_out: lamp positions that could not be used.
         remarks: what a reader should know.
+        budgets: uncertainty budgets of `parameters`.
 
     Example:
         >>> found = matcam.reconstruct("slab/")  # doctest: +SKIP
@@ -68,8 +71,30 @@ class FlatReconstruction:
     misfit: float
     left_out: tuple[str, ...]
     remarks: tuple[Remark, ...]
+    budgets: tuple[UncertaintyBudget, ...]
 
     sample = "flat"
+
+    def uncertainty_budget(self, name: str) -> UncertaintyBudget:
+        """Return the uncertainty budget of a parameter (GUM).
+
+        Args:
+            name: name of the parameter, as in `parameters`.
+
+        Raises:
+            ArgumentError: there is no parameter of this name.
+
+        Example:
+            >>> found.uncertainty_budget("alpha").expanded  # doctest: +SKIP
+        """
+        known = {one.name: one for one in self.budgets}
+        if name not in known:
+            raise ArgumentError(f"the reconstruction has no result {name!r}; it has {', '.join(known)}")
+        return known[name]
+
+    def uncertainty_budgets(self) -> list[UncertaintyBudget]:
+        """Return the uncertainty budgets of all parameters (GUM)."""
+        return list(self.budgets)
 
     @property
     def complete(self) -> bool:
@@ -222,19 +247,17 @@ def reconstructed_flat(
         )
     stack = flat_stack(pictures, camera)
     fitted = fit_roughness(stack, shares, np.array([one.gain_std for one in pictures]))
-    means, covariance = mean_maps(stack, fitted)
+    mean = mean_maps(stack, fitted)
+    means = mean.value
     posterior = texture_posterior(stack, fitted.weights, lens_std)
     alpha = float(np.exp(fitted.log_alpha))
     unit = max(float(means.max()), 1e-300)
-    std = np.sqrt(np.maximum(np.diag(covariance), 0.0)) / unit
+    budgets = _budgets(fitted, mean, alpha, unit)
     said = [*remarks, *_remarks(fitted, shares)]
     gain_std = np.sqrt(np.maximum(np.diag(fitted.covariance)[1:], 0.0))
     return FlatReconstruction(
         maps=_maps(stack, posterior, means, unit, mm_per_px),
-        parameters={
-            "alpha": (alpha, alpha * float(np.sqrt(fitted.covariance[0, 0]))),
-            **{f"mean_{name}": (float(m / unit), float(s)) for name, m, s in zip(MAPS, means, std, strict=True)},
-        },
+        parameters={one.name: (one.value, one.combined) for one in budgets},
         cutoffs={name: posterior.cutoff(stack.frequency, i) for i, name in enumerate(MAPS)},
         mm_per_px=None if mm_per_px is None else float(mm_per_px[0]),
         family=family,
@@ -243,7 +266,24 @@ def reconstructed_flat(
         misfit=fitted.misfit,
         left_out=left_out,
         remarks=tuple(dict.fromkeys(said)),
+        budgets=budgets,
     )
+
+
+def _budgets(fitted: FlatRoughness, mean: MeanMaps, alpha: float, unit: float) -> tuple[UncertaintyBudget, ...]:
+    """Return the budgets of the roughness and of the mean of both maps. unit: value that both maps are relative to."""
+    stated = [Statement("gains of the pictures, as stated", fitted.stated)]
+    readings = Readings("pictures: texture of coarse frequencies", "A", fitted.freedom)
+    by_alpha = np.zeros(len(fitted.covariance))
+    by_alpha[0] = alpha
+    budgets = [posterior_budget("alpha", alpha, by_alpha, fitted.covariance, stated, readings)]
+    for i, name in enumerate(MAPS):
+        noise = UncertaintySource(
+            "noise of the means of the pictures", 0.0, float(np.sqrt(mean.by_noise[i, i])) / unit, 1.0, "A"
+        )
+        value, slope = float(mean.value[i] / unit), mean.by_shared[i] / unit
+        budgets.append(posterior_budget(f"mean_{name}", value, slope, fitted.covariance, stated, readings, [noise]))
+    return tuple(budgets)
 
 
 def _remarks(fitted: FlatRoughness, shares: LobeShares) -> list[Remark]:

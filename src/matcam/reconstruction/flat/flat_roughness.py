@@ -35,6 +35,8 @@ class FlatRoughness(NamedTuple):
         weights: light of each picture's diffuse and specular part for a map of 1, gains included, (pictures, 2).
         weights_slope: derivatives of `weights` by log_alpha and gains, (pictures, 2, 1 + pictures).
         misfit: mean squared residual, in standard deviations of the noise.
+        stated: information of what is stated of the gains, as `covariance`.
+        freedom: degrees of freedom, no unit.
     """
 
     log_alpha: float
@@ -43,6 +45,8 @@ class FlatRoughness(NamedTuple):
     weights: np.ndarray
     weights_slope: np.ndarray
     misfit: float
+    stated: np.ndarray
+    freedom: int
 
 
 class LobeShares:
@@ -111,11 +115,27 @@ def fit_roughness(stack: FlatStack, shares: LobeShares, gain_std: np.ndarray) ->
     slopes[:, 1, 0] = np.exp(p[1:]) * slope
     slopes[np.arange(count), :, 1 + np.arange(count)] = weights(p)
     freedom = coarse.sum() * max(count - 2, 1)  # of a complex spectrum, each wave and its mirror image
-    return FlatRoughness(float(p[0]), p[1:], covariance, weights(p), slopes, float(2 * found.cost / freedom))
+    stated = np.diag(np.concatenate([[0.0], 1 / prior**2]))
+    misfit = float(2 * found.cost / freedom)
+    return FlatRoughness(float(p[0]), p[1:], covariance, weights(p), slopes, misfit, stated, int(freedom))
 
 
-def mean_maps(stack: FlatStack, fitted: FlatRoughness) -> tuple[np.ndarray, np.ndarray]:
-    """Return the mean of both maps and its covariance, with that of roughness and gains, (2,) and (2, 2)."""
+class MeanMaps(NamedTuple):
+    """Means of both maps.
+
+    Attributes:
+        value: (2,).
+        by_noise: (2, 2), covariance with roughness and gains exact.
+        by_shared: (2, 1 + pictures), derivatives by roughness and gains.
+    """
+
+    value: np.ndarray
+    by_noise: np.ndarray
+    by_shared: np.ndarray
+
+
+def mean_maps(stack: FlatStack, fitted: FlatRoughness) -> MeanMaps:
+    """Return the mean of both maps with its errors."""
     std = np.hypot(stack.mean_std, _EXACT * np.abs(stack.mean))
     ways = fitted.weights / std[:, None]
     inverse = np.linalg.pinv(ways.T @ ways)
@@ -123,7 +143,7 @@ def mean_maps(stack: FlatStack, fitted: FlatRoughness) -> tuple[np.ndarray, np.n
     means = reading @ stack.mean
     # what a change of the shares does, with the means held against the pictures
     by_shared = -np.einsum("ik,kjp,j->ip", reading, fitted.weights_slope, means)
-    return means, inverse + by_shared @ fitted.covariance @ by_shared.T
+    return MeanMaps(means, inverse, by_shared)
 
 
 def _left_behind(data: np.ndarray, transfer: np.ndarray, ways: np.ndarray) -> np.ndarray:

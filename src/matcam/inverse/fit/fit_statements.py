@@ -1,0 +1,68 @@
+"""What a fit is told beside its data, and its readings: the sources of its uncertainty budget."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from matcam.inverse.fit.search import Solution
+from matcam.inverse.operator.rig_axes import Axis
+from matcam.numerics.fit_budget import Readings, StatedParameter, Statement, stated_parameters
+
+RIG = "camera and rig, as stated"
+"""Source of the stated parameters of the rig, where they are correlated."""
+SMOOTH_LOBE = "smoothness of the lobe"
+"""Source of the prior on the correction of a lobe."""
+_LEAST = 1e-3
+"""Information on a coordinate up to which nothing is stated of it: a standard deviation of 30, in logarithms of widths."""
+
+
+def rig_statements(axes: Sequence[Axis], information: np.ndarray, first: int, size: int) -> list[Statement]:
+    """Return what is stated of the parameters of a rig.
+
+    Args:
+        axes: the parameters that are fitted.
+        information: (axes, axes), of their coordinates, as stated.
+        first: index of the first axis among the coordinates of the fit.
+        size: number of these coordinates.
+    """
+    whole = np.zeros((size, size))
+    own = slice(first, first + len(axes))
+    whole[own, own] = information
+    stated = [
+        StatedParameter(place, axis.name, axis.value(0.0), _slope(axis, float(whole[place, place])))
+        for place, axis in enumerate(axes, first)
+    ]
+    return stated_parameters(RIG, whole, stated, least=_LEAST)
+
+
+def _slope(axis: Axis, information: float) -> float:
+    """Return d value / d coordinate, as a secant from one stated standard deviation below the base to one above."""
+    std = 1 / math.sqrt(max(information, _LEAST))
+    low, high = max(-std, axis.low), min(std, axis.high)
+    return (axis.value(high) - axis.value(low)) / (high - low)
+
+
+def fit_statements(solution: Solution) -> list[Statement]:
+    """Return all that a fit is told beside its data: the stated rig, and the smoothness of the lobe."""
+    problem, layout = solution.problem, solution.problem.layout
+    prior = problem.prior
+    found = rig_statements(prior.axes, prior.rig_information(), layout.rig.start, layout.size)
+    smooth = prior.rows(layout)[len(prior.root) :]
+    if smooth.any():
+        found.append(Statement(SMOOTH_LOBE, smooth.T @ smooth))
+    return found
+
+
+def fit_readings_source(freedom: int, *, noise_given: bool) -> Readings:
+    """Return the readings of a fit as a source.
+
+    Args:
+        freedom: degrees of freedom of the fit.
+        noise_given: whether the noise of a pixel is given, or estimated from the residuals.
+    """
+    if noise_given:
+        return Readings("readings of the pixels (noise as given)", "B")
+    return Readings("readings of the pixels (noise from the residuals)", "A", max(float(freedom), 1.0))

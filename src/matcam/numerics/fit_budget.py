@@ -1,0 +1,235 @@
+"""Uncertainty budgets of the results of fits, read from the covariance of the fit (JCGM 100:2008, 5).
+
+A least-squares fit with priors is linear at its solution: p = C (J' W y + L m), where C is the covariance of the parameters, W
+the weights of the readings y, and m the stated values of information L. The readings and the stated values are independent
+sources, and their variances C J' W J C and C L C add up to C. So a budget is a reading of the covariance that a fit has.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any, Literal, NamedTuple, Self
+
+import numpy as np
+from scipy.linalg import block_diag
+from scipy.sparse.csgraph import connected_components
+
+from matcam.numerics.budget import UncertaintyBudget, UncertaintySource
+from matcam.numerics.linalg import scaled_inverse
+
+_EFFECT = 1e-6
+"""Share of the combined uncertainty up to which a source has no effect: 1e-12 of the variance is rounding."""
+_UNCORRELATED = 1e-9
+"""Share of the information about two parameters up to which what is known of them is independent: rounding."""
+
+
+class StatedParameter(NamedTuple):
+    """Value that a source beside the data states of one parameter of a fit.
+
+    Attributes:
+        place: index of the parameter.
+        name: what it is, with its unit.
+        value: stated value, in its unit.
+        slope: derivative of the value by the fit's coordinate, in its unit.
+    """
+
+    place: int
+    name: str
+    value: float
+    slope: float
+
+
+class Statement(NamedTuple):
+    """Knowledge of the parameters of a fit beside its data (type B).
+
+    Attributes:
+        name: of the source.
+        information: (n, n), of the fit's coordinates.
+        stated: the parameters, each of which becomes a source of its own, with their correlation. Default: none, one source
+            in the unit of the result.
+    """
+
+    name: str
+    information: np.ndarray
+    stated: tuple[StatedParameter, ...] = ()
+
+    def variance(self, slopes: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+        """Compute the variance of results by this source.
+
+        slopes: (..., n), derivatives of the results by the coordinates. covariance: (n, n), of the coordinates.
+        """
+        moved = slopes @ covariance
+        return np.einsum("...p,pq,...q->...", moved, self.information, moved)
+
+    def sources(self, slope: np.ndarray, covariance: np.ndarray) -> tuple[list[UncertaintySource], np.ndarray]:
+        """List the sources of one result, and their correlation. Arguments as of `variance`."""
+        if not self.stated:
+            whole = math.sqrt(max(float(self.variance(slope, covariance)), 0.0))
+            return [UncertaintySource(self.name, 0.0, whole, 1.0, "B")], np.eye(1)
+        places = [one.place for one in self.stated]
+        prior = scaled_inverse(self.information[np.ix_(places, places)])
+        moved = (self.information @ (covariance @ slope))[places]
+        std = np.sqrt(np.diag(prior))
+        found = [
+            UncertaintySource(one.name, one.value, abs(one.slope) * own, float(by / one.slope), "B")
+            for one, own, by in zip(self.stated, std.tolist(), moved.tolist(), strict=True)
+        ]
+        signs = np.sign([one.slope for one in self.stated])
+        correlation = prior / np.outer(std, std) * np.outer(signs, signs)
+        np.fill_diagonal(correlation, 1.0)
+        return found, correlation
+
+
+class Readings(NamedTuple):
+    """The readings of a fit, which are one source of its uncertainty.
+
+    Attributes:
+        name: what they are.
+        kind: "A" where their noise is estimated from them, "B" where it is given.
+        degrees: degrees of freedom, no unit. Default: infinite.
+    """
+
+    name: str
+    kind: Literal["A", "B"]
+    degrees: float = math.inf
+
+
+class VariancePart(NamedTuple):
+    """Variances of several results by one source.
+
+    Attributes:
+        name: of the source.
+        kind: type of the source, "A" or "B".
+        variance: of the results, in their unit squared.
+        value: of the source, in its unit. Default: 0, a correction whose estimate is 0.
+        uncertainty: standard uncertainty of the source, in its unit. Default: None, the source has the unit of the result.
+        degrees: degrees of freedom, no unit. Default: infinite.
+    """
+
+    name: str
+    kind: Literal["A", "B"]
+    variance: np.ndarray
+    value: float = 0.0
+    uncertainty: float | None = None
+    degrees: float = math.inf
+
+    def scaled(self, factor: np.ndarray | float) -> Self:
+        """Multiply the variances by a factor."""
+        return self._replace(variance=self.variance * factor)
+
+    def source(self, at: Any) -> UncertaintySource:
+        """Return the source of one of the results. at: its index."""
+        std = math.sqrt(max(float(self.variance[at]), 0.0))
+        if not self.uncertainty:
+            return UncertaintySource(self.name, self.value, std, 1.0, self.kind, self.degrees)
+        return UncertaintySource(
+            self.name, self.value, self.uncertainty, std / self.uncertainty, self.kind, self.degrees
+        )
+
+
+def scaled_parts(parts: Sequence[VariancePart], factor: np.ndarray | float) -> tuple[VariancePart, ...]:
+    """Multiply the variances of all sources by a factor."""
+    return tuple(part.scaled(factor) for part in parts)
+
+
+def statement_parts(
+    statements: Sequence[Statement],
+    slopes: np.ndarray,
+    covariance: np.ndarray,
+    variance: np.ndarray,
+    readings: Readings,
+) -> tuple[VariancePart, ...]:
+    """Split the variances of a fit's results into what is stated beside the data, and the readings.
+
+    Args:
+        statements: what is known beside the data.
+        slopes: (..., n), derivatives of the results by the fit's coordinates.
+        covariance: (n, n), of the coordinates.
+        variance: (...), of the results.
+        readings: the source that has the remaining variance.
+    """
+    parts = []
+    for one in statements:
+        own = one.variance(slopes, covariance)
+        if len(one.stated) == 1:
+            (stated,) = one.stated
+            std = abs(stated.slope) / math.sqrt(one.information[stated.place, stated.place])
+            parts.append(VariancePart(stated.name, "B", own, stated.value, std))
+        else:
+            parts.append(VariancePart(one.name, "B", own))
+    rest = np.maximum(variance - sum((part.variance for part in parts), np.zeros_like(variance)), 0.0)
+    return (VariancePart(readings.name, readings.kind, rest, degrees=readings.degrees), *parts)
+
+
+def parts_budget(name: str, value: float, parts: Sequence[VariancePart], at: Any = ()) -> UncertaintyBudget:
+    """Build the budget of one of several results; sources without effect are left out. at: its index among the results."""
+    sources = [part.source(at) for part in parts]
+    least = _EFFECT * math.sqrt(sum(one.contribution**2 for one in sources))
+    return UncertaintyBudget(name, value, [one for one in sources if one.contribution > least] or sources[:1])
+
+
+def posterior_budget(
+    name: str,
+    value: float,
+    slope: np.ndarray,
+    covariance: np.ndarray,
+    statements: Sequence[Statement],
+    readings: Readings,
+    more: Sequence[UncertaintySource] = (),
+) -> UncertaintyBudget:
+    """Build the budget of a result that is linear in the parameters of a fit with priors.
+
+    Args:
+        name: of the result, with its unit.
+        value: estimate.
+        slope: (n,), derivatives of the result by the fit's coordinates.
+        covariance: (n, n), of the coordinates.
+        statements: what is known of them beside the data.
+        readings: the source that has the variance that no statement has.
+        more: sources beside the fit. Default: none.
+    """
+    sources, blocks, stated = [], [np.eye(1)], 0.0
+    for one in statements:
+        found, correlation = one.sources(slope, covariance)
+        if any(source.contribution > 0 for source in found):
+            sources += found
+            blocks.append(correlation)
+            stated += float(one.variance(slope, covariance))
+    own = math.sqrt(max(float(slope @ covariance @ slope) - stated, 0.0))
+    first = UncertaintySource(readings.name, float(value), own, 1.0, readings.kind, readings.degrees)
+    correlation = block_diag(*blocks, np.eye(len(more)))
+    return UncertaintyBudget(name, value, [first, *sources, *more], correlation)
+
+
+def stated_parameters(
+    name: str, information: np.ndarray, stated: Sequence[StatedParameter], *, least: float = 0.0
+) -> list[Statement]:
+    """State what is known of some parameters: each correlated group of them is one statement.
+
+    Args:
+        name: of the sources together.
+        information: (n, n), of the fit's coordinates.
+        stated: the parameters; those of which nothing is known are left out.
+        least: information up to which nothing is known. Default: 0.
+    """
+    known = [one for one in stated if information[one.place, one.place] > least]
+    if not known:
+        return []
+    places = [one.place for one in known]
+    _, group = connected_components(
+        np.abs(information[np.ix_(places, places)]) > _UNCORRELATED * _scale(information, places)
+    )
+    found = []
+    for index in range(max(group) + 1):
+        inside = [one for one, own in zip(known, group, strict=True) if own == index]
+        own = [one.place for one in inside]
+        part = np.zeros_like(information)
+        part[np.ix_(own, own)] = information[np.ix_(own, own)]
+        found.append(Statement(name if len(inside) > 1 else inside[0].name, part, tuple(inside)))
+    return found
+
+
+def _scale(information: np.ndarray, places: list[int]) -> np.ndarray:
+    root = np.sqrt(np.diag(information)[places])
+    return np.outer(root, root)
