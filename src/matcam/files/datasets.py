@@ -56,12 +56,12 @@ def write_netcdf(path: str | Path, data: xr.Dataset, *, force: bool = False, com
     """
     _check_dataset(data)
     checks.flag("compress", compress)
-    with replacing(path, force=force) as temporary:
-        with uninterrupted():  # xarray's lock stays shut where it is interrupted, and closing the file waits for it
-            stored = with_short_deviations(data)
-            _write(temporary, stored, _compressed(stored) if compress else {})
-            if compress and not _readable(temporary, stored):
-                _write(temporary, stored, {})
+    # uninterrupted: xarray's lock stays shut where it is interrupted, and closing the file waits for it
+    with replacing(path, force=force) as temporary, uninterrupted():
+        stored = with_short_deviations(data)
+        _write(temporary, stored, _compressed(stored) if compress else {})
+        if compress and not _readable(temporary, stored):
+            _write(temporary, stored, {})
 
 
 _Encoding = dict[str, dict[str, Any]]
