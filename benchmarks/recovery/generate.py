@@ -46,11 +46,11 @@ def _of_cells(case, terms):
 
 
 def _of_pixels(case, kept):
-    """Recorded and clean table, of cells that are looked up in photographs."""
+    """Recorded and clean table, of cells that are looked up in photographs; NaN in slices without records."""
     recorded, clean = np.full((90, 90, 180, 3), np.nan), np.full((90, 90, 180, 3), np.nan)
     random = np.random.default_rng(zlib.crc32(case.name.encode()))
     factors = [term.factor(THETA_D) for term in case.table.terms]
-    for j in range(90):
+    for j in (j for j in range(90) if f"pixels-{j}" in kept):
         share, number, _ = records.pixels(case, j)
         own = sum(terms[:, None] * factor[j] for terms, factor in zip(kept[f"pixels-{j}"], factors, strict=True))
         e = random.standard_normal((2, *own.shape))
