@@ -11,7 +11,7 @@ from benchmarks.recovery import entries, generate, page, run, summary
 from matcam.core.grid import brdf_table
 from tests.recovery.synthetic import CASE, table
 
-FEW = ("do nothing", "peak over its loss", "table deconvolution")
+FEW = ("do nothing", "peak over its loss")
 
 
 @pytest.fixture
@@ -23,13 +23,13 @@ def made(monkeypatch):
 
 
 def test_a_second_run_computes_what_is_missing(tmp_path, made, monkeypatch):
-    first = run.scores([CASE], FEW[:2], tmp_path, say=lambda line: None)
+    first = run.scores([CASE], FEW[:1], tmp_path, say=lambda line: None)
     assert made == ["synthetic"]
-    assert run.scores([CASE], FEW[:2], tmp_path, say=lambda line: None) == first
+    assert run.scores([CASE], FEW[:1], tmp_path, say=lambda line: None) == first
     assert made == ["synthetic"]
     more = run.scores([CASE], FEW, tmp_path, say=lambda line: None)
     assert made == ["synthetic"] * 2
-    assert {m: more[m] for m in FEW[:2]} == first
+    assert {m: more[m] for m in FEW[:1]} == first
     # another case of this name is another score
     other = CASE._replace(table=CASE.table._replace(relative=0.5))
     assert not run.score_path(other, FEW[0], tmp_path).exists()

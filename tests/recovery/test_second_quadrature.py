@@ -9,7 +9,7 @@ from tests.oracle.merl_lobe import PHI_D, THETA_D, THETA_H
 from tests.oracle.real_pixels import RealTable
 from tests.oracle.whole_tables import finest
 
-SLICES = (0, 9, 18, 27, 36, 45, 54, 63, 72, 79)
+SLICES = (0, 9, 18, 27, 36, 45, 54, 63, 71, 77)
 EACH = 20
 """Random cells in each slice."""
 
