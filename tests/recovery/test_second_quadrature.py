@@ -10,8 +10,8 @@ from tests.oracle.real_pixels import RealTable
 from tests.oracle.whole_tables import finest
 
 SLICES = (0, 9, 18, 27, 36, 45, 54, 63, 71, 77)
-EACH = 20
-"""Random cells in each slice."""
+EACH = 24
+"""Random cells in each slice: at least 200 of all remain, without those that interpolate pixels at the limb."""
 
 
 class AnyLight(sphere_cells.Cells):
@@ -62,8 +62,9 @@ def test_random_cells(case):
     i, k = drawn_cells(case.name)
     found, right = (of_cells if case.rule == "centre" else of_pixels)(case, i, k)
     assert found.shape == right.shape == (len(case.table.terms), len(SLICES), EACH)
-    assert np.isfinite(right).all()
-    error, peak = np.abs(found - right), right.max(-1, keepdims=True)
-    off = np.minimum(error / right, 1e3 * error / peak)
-    print(f"{case.name}: {off.max():.1e} of the value, or 1000 times the error over the peak")
+    there = np.isfinite(right).all(0)
+    assert there.sum() >= 200
+    # an error of 1e-7 of the largest value of the slice is allowed, too
+    off = (np.abs(found - right) / np.maximum(right, 1e-3 * np.nanmax(right, axis=-1, keepdims=True)))[:, there]
+    print(f"{case.name}: {off.max():.1e} of the value in {there.sum()} cells")
     assert (off <= 1e-4).all(), (case.name, off.max())
