@@ -1,6 +1,7 @@
 """Commands of the benchmark, from the root of the checkout: PYTHONPATH=. python -m benchmarks.recovery COMMAND."""
 
 import argparse
+import importlib.util
 import json
 import os
 import sys
@@ -106,6 +107,10 @@ def _run(options):
     unknown = set(methods) - set(run.METHODS)
     if unknown:
         raise entries.EntryError(f"no method is named {', '.join(sorted(unknown))}; there are {', '.join(run.METHODS)}")
+    if set(methods) & set(run.PHOTOGRAPHS) and importlib.util.find_spec("skimage") is None:
+        raise entries.EntryError(
+            f"{' and '.join(run.PHOTOGRAPHS)} need scikit-image: pip install '.[benchmark]', or choose others by --methods"
+        )
     scores = run.scores(there, methods, generate.FOLDER, options.workers, lambda line: print(line, flush=True))
     whole = not options.seeds and len(there) == len(cases.PUBLIC) and tuple(methods) == run.METHODS
     target = RESULTS if whole else generate.FOLDER / "partial.json"

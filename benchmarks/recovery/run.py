@@ -24,7 +24,8 @@ from benchmarks.recovery.entries import Answer
 METHODS = (*baselines.BASELINES, "matcam", "matcam, true lens")
 """All methods that `make benchmark` runs; the last two are the package."""
 OWN = "matcam"
-_PHOTOGRAPHS = ("Wiener", "Richardson-Lucy")
+PHOTOGRAPHS = ("Wiener", "Richardson-Lucy")
+"""Methods that need scikit-image."""
 _HERE = Path(__file__).resolve().parent
 _PAUSE = 0.05
 """Time between two readings of the memory in use, s."""
@@ -75,7 +76,7 @@ def _sources(method):
     texts = [(_HERE / "generate.py").read_bytes()]
     if method in baselines.BASELINES:
         texts.append((_HERE / "baselines.py").read_bytes())
-        texts.append(metadata.version("scikit-image").encode() if method in _PHOTOGRAPHS else b"")
+        texts.append(metadata.version("scikit-image").encode() if method in PHOTOGRAPHS else b"")
     else:
         texts.append((_HERE / "package.py").read_bytes())
         texts += [path.read_bytes() for path in sorted((generate.ROOT / "src" / "matcam").rglob("*.py"))]

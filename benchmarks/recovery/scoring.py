@@ -41,7 +41,7 @@ def score(table, value, std=None, supported=None, floor=0.0):
         with np.errstate(invalid="ignore"):
             supported = std < SUPPORTED * value
     true, judged = table.true, table.judged[..., None] & np.isfinite(table.recorded) & (table.true > DARKEST)
-    with np.errstate(invalid="ignore", divide="ignore"):
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         share = true / np.nanmax(true[:1], axis=2, keepdims=True)
         relative, predicted = value / true - 1, std / true
         pull = np.abs(value - true) / std
