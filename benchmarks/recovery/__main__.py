@@ -35,6 +35,8 @@ def main(arguments=None):
     one = command("run", _run, "run all baselines and the package")
     one.add_argument("--workers", type=int, default=2, help="processes. Default: 2")
     one.add_argument("--methods", nargs="+", metavar="NAME", help="only these methods")
+    one = command("publish", _publish, "write results.json, the page and the README from the scores that exist")
+    one.add_argument("--methods", nargs="+", metavar="NAME", help="only these methods")
     commands.add_parser("page", help="write the documentation page from results.json").set_defaults(call=_page)
     options = parser.parse_args(arguments)
     try:
@@ -103,23 +105,40 @@ def _score(options):
 def _run(options):
     from benchmarks.recovery import page, run
 
-    there, methods = chosen(options), options.methods or run.METHODS
-    unknown = set(methods) - set(run.METHODS)
-    if unknown:
-        raise entries.EntryError(f"no method is named {', '.join(sorted(unknown))}; there are {', '.join(run.METHODS)}")
+    there, methods = chosen(options), chosen_methods(options)
     if set(methods) & set(run.PHOTOGRAPHS) and importlib.util.find_spec("skimage") is None:
         raise entries.EntryError(
             f"{' and '.join(run.PHOTOGRAPHS)} need scikit-image: pip install '.[benchmark]', or choose others by --methods"
         )
     scores = run.scores(there, methods, generate.FOLDER, options.workers, lambda line: print(line, flush=True))
-    whole = not options.seeds and len(there) == len(cases.PUBLIC) and tuple(methods) == run.METHODS
-    target = RESULTS if whole else generate.FOLDER / "partial.json"
-    run.write(target, {"benchmark": 1, "scores": scores})
+    whole = not options.seeds and len(there) == len(cases.PUBLIC) and methods == run.METHODS
+    run.write(generate.FOLDER / "scores.json", {"benchmark": 1, "scores": scores})
     text = page.html_page("Recovery benchmark", scores, facts(there))
     (generate.FOLDER / "page.html").write_text(text, encoding="utf-8")
-    print(f"written: {target}, {generate.FOLDER / 'page.html'}")
+    print(f"written: {generate.FOLDER / 'scores.json'}, {generate.FOLDER / 'page.html'}")
     if whole:
-        _page(options)
+        _publish(options)
+
+
+def chosen_methods(options):
+    """Methods that the options select. Raises EntryError where a name is wrong."""
+    from benchmarks.recovery import run
+
+    unknown = set(options.methods or ()) - set(run.METHODS)
+    if unknown:
+        raise entries.EntryError(f"no method is named {', '.join(sorted(unknown))}; there are {', '.join(run.METHODS)}")
+    return tuple(m for m in run.METHODS if m in (options.methods or run.METHODS))
+
+
+def _publish(options):
+    from benchmarks.recovery import run
+
+    scores = run.kept_scores(cases.PUBLIC, chosen_methods(options), generate.FOLDER)
+    if not scores.get(run.OWN):
+        raise entries.EntryError(f"{generate.FOLDER}: no case has a score of every method; run the methods first")
+    run.write(RESULTS, {"benchmark": 1, "scores": scores})
+    _page(options)
+    print(f"written: {RESULTS}, {PAGE}, {README}")
 
 
 def _page(options):

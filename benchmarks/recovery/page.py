@@ -5,6 +5,7 @@ import io
 
 import numpy as np
 from benchmarks.recovery import scoring, summary
+from benchmarks.recovery.cases import PUBLIC
 from benchmarks.recovery.run import OWN, describe
 
 from matcam.figures.style import BLACK, CYCLE, GREY, ORANGE, VERMILION, styled
@@ -86,6 +87,7 @@ def verdict(scores):
     found = summary.comparison(scores, OWN, rivals(scores))
     of_cases, covered = scores[OWN], summary.coverage(scores[OWN])
     rows = [
+        ["public cases with a score of every method", str(len(PUBLIC)), str(len(of_cases))],
         ["rows in which no baseline has a smaller error", "-", f"{found['best']} of {found['rows']}"],
         [
             "rows in which `matcam` is best, or within its stated error of the best",

@@ -34,17 +34,23 @@ _PAUSE = 0.05
 def scores(chosen, methods, folder, workers=1, say=print):
     """Scores {method: {case: score}} of methods on cases, read where they exist and computed where not."""
     todo = [one for one in chosen if any(not score_path(one, m, folder).exists() for m in methods)]
-    # the tables that take longest start first
-    todo.sort(key=lambda one: -len(one.table.setup.lens) - 50 * (one.rule != "centre"))
     if workers == 1:
         for one in todo:
             say(_run_case(one, methods, folder))
     else:
+        # the tables that take longest start first
+        todo.sort(key=lambda one: -len(one.table.setup.lens) - 50 * (one.rule != "centre"))
         with ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn")) as pool:
             for line in pool.map(_run_case, todo, [methods] * len(todo), [folder] * len(todo)):
                 say(line)
+    return kept_scores(chosen, methods, folder)
+
+
+def kept_scores(chosen, methods, folder):
+    """Scores {method: {case: score}} that exist, of the cases that have a score of each method."""
+    whole = [one for one in chosen if all(score_path(one, m, folder).exists() for m in methods)]
     return {
-        m: {one.name: json.loads(score_path(one, m, folder).read_text(encoding="utf-8")) for one in chosen}
+        m: {one.name: json.loads(score_path(one, m, folder).read_text(encoding="utf-8")) for one in whole}
         for m in methods
     }
 
