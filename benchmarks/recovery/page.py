@@ -36,7 +36,7 @@ def rivals(scores):
 
 def methods(scores):
     """What each method does."""
-    return [f"- **{method}**: {_lower(describe(method))}" for method in scores]
+    return [f"- **{method}**. {describe(method)}" for method in scores]
 
 
 def errors(scores):
@@ -196,10 +196,6 @@ def _mean_peak(score):
 
 def _cost(value, unit):
     return "-" if value is None else f"{value:.0f} {unit}"
-
-
-def _lower(text):
-    return text if text[:1] != text[:1].upper() or text[1:2].isupper() else text[0].lower() + text[1:]
 
 
 def figure(case, scores, facts):

@@ -13,7 +13,8 @@ BANDS = {"0-30": (0, 30), "30-60": (30, 60), "60-80": (60, 80)}
 DARKEST = 1e-9
 """True value, 1/sr, below which an entry is not judged: relative errors mean nothing there."""
 MEASURABLE = 3.0
-"""Clean record over the floor noise of a pixel above which an error counts in a row: no method can restore less."""
+"""True value and clean record over the floor noise of a pixel, above which an error counts in a row: no method can determine
+less."""
 FEWEST = 100
 """Entries below which a row is left out."""
 FALSE = 3.0
@@ -45,7 +46,8 @@ def score(table, value, std=None, supported=None, floor=0.0):
         share = true / np.nanmax(true[:1], axis=2, keepdims=True)
         relative, predicted = value / true - 1, std / true
         pull = np.abs(value - true) / std
-        signal = table.clean > MEASURABLE * floor * np.nanmax(table.clean, axis=(0, 2), keepdims=True)
+        noise = floor * np.nanmax(table.clean, axis=(0, 2), keepdims=True)
+        signal = np.minimum(table.clean, true) > MEASURABLE * noise
         harmed = np.abs(value - true) > np.abs(table.recorded - true) + 2 * np.nan_to_num(std) + 0.01 * true
     rows, coverage = [], {}
     for kind, (low, high) in CLASSES.items():
