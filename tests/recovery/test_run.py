@@ -6,7 +6,7 @@ import re
 import numpy as np
 import pytest
 from benchmarks.recovery import __main__ as command
-from benchmarks.recovery import entries, generate, page, run, summary
+from benchmarks.recovery import cases, entries, generate, page, run, scoring, summary
 
 from matcam.core.grid import brdf_table
 from tests.recovery.synthetic import CASE, table
@@ -106,6 +106,45 @@ def test_blocks_are_replaced_between_their_marks():
     assert page.with_blocks(text, {"x": ["new"]}) == "a\n<!-- x -->\nnew\n<!-- end of x -->\nb\n"
     with pytest.raises(ValueError, match="no marks of the block y"):
         page.with_blocks(text, {"y": []})
+
+
+def invented(names):
+    """Scores of three methods in some cases, of one row each: the package is best, and within its error of the best, in turn."""
+
+    def score(rms, predicted):
+        rows = [{"quantity": "peak", "theta_d": band, "rms": rms, "predicted": predicted} for band in scoring.BANDS]
+        covered = {"peak": {"entries": 100, "within 1": 0.7, "within 2": 0.95}}
+        return {
+            "rows": rows, "coverage": covered if predicted else {}, "harm": 0.0, "supported peaks": None, "false support": None,
+            "seconds": 1.0, "memory_mib": 100,
+        }  # fmt: skip
+
+    return {
+        "do nothing": {name: score(0.4, None) for name in names},
+        "Wiener": {name: score(0.2, None) for name in names},
+        run.OWN: {name: score(0.21 if n % 2 else 0.1, 0.05) for n, name in enumerate(names)},
+    }
+
+
+def test_the_page_of_all_cases_gives_the_counts():
+    scores = invented([case.name for case in cases.PUBLIC])
+    found = {name: "\n".join(lines) for name, lines in page.blocks(scores).items()}
+    assert "| rows in which no baseline has a smaller error | - | 36 of 72 |" in found["verdict"]
+    assert "| ≥ 95 % | 72 of 72 (100.0 %) |" in found["verdict"]
+    assert "Incomplete" not in found["verdict"]
+    assert found["beaten"].count("(Wiener) | yes |") == 36
+    assert "| peak | 60-80 | 40 % | 20 % | **16 %** |" in found["errors"].replace("15.5 %", "16 %").replace(
+        "15 %", "16 %"
+    )
+    text = " ".join(page.readme(scores))
+    assert "40 % as recorded, 20 % by the best baseline (Wiener)" in text
+    assert "in 72 of 72 rows. It harms 0 of 24 tables." in text
+
+
+def test_an_incomplete_result_file_is_called_so():
+    scores = invented(["coma", "disc"])
+    assert page.verdict(scores)[0].startswith("**Incomplete**: the result file holds 2 of 24 cases.")
+    assert "%" not in " ".join(page.readme(scores))
 
 
 def test_rivals_do_not_contain_the_package():
