@@ -113,7 +113,8 @@ def _kept_answer(case, method, folder, recorded, facts):
             return Answer(file["value"], file["std"], file["supported"]), float(file["seconds"]), float(file["memory"])
     answer, seconds, memory = measured(lambda: answer_of(method, recorded, case, facts))
     if method not in baselines.BASELINES:
-        answer = Answer(np.float32(answer.value), np.float32(answer.std), answer.supported)
+        std = np.minimum(answer.std, np.finfo(np.float32).max)
+        answer = Answer(np.float32(answer.value), np.float32(std), answer.supported)
         path.parent.mkdir(parents=True, exist_ok=True)
         temporary = path.with_name(f"{path.stem}.{os.getpid()}.partial.npz")
         np.savez(temporary, **answer._asdict(), seconds=seconds, memory=memory)
