@@ -7,7 +7,7 @@ PIP_FLAGS =
 VENV := .venv
 RUN := $(VENV)/bin/python -m
 
-.PHONY: demo fuzz test test-all test-oldest test-versions pytest-test pytest-test-all lint format bench docs clean
+.PHONY: demo fuzz test test-all test-oldest test-versions pytest-test pytest-test-all lint format bench benchmark docs clean
 
 demo: $(VENV)/.installed
 	$(RUN) matcam demo --output demo --force
@@ -66,6 +66,10 @@ bench: $(VENV)/.installed-test
 	for script in benchmarks/bench_*.py; do PYTHONPATH=. $(VENV)/bin/python $$script || exit 1; done
 	$(VENV)/bin/python benchmarks/results.py
 
+# Methods against each other on 24 tables of known truth (docs/validation/recovery.md). Continues where it was stopped
+benchmark: $(VENV)/.installed-benchmark
+	OPENBLAS_NUM_THREADS=1 PYTHONPATH=. $(RUN) benchmarks.recovery run --workers 2
+
 # Every example is executed; warnings, bad links and what would be loaded from outside are errors
 docs: $(VENV)/.installed-docs
 	rm -rf build/site docs/gallery docs/tutorials docs/reference/api docs/reference/commands
@@ -87,6 +91,10 @@ $(VENV)/.installed: $(VENV)/.made pyproject.toml
 
 $(VENV)/.installed-docs: $(VENV)/.made pyproject.toml
 	$(RUN) pip install --quiet $(PIP_FLAGS) --editable '.[docs]'
+	touch $(VENV)/.installed $@
+
+$(VENV)/.installed-benchmark: $(VENV)/.made pyproject.toml
+	$(RUN) pip install --quiet $(PIP_FLAGS) --editable '.[benchmark]'
 	touch $(VENV)/.installed $@
 
 $(VENV)/.installed-test: $(VENV)/.made pyproject.toml

@@ -64,6 +64,7 @@ WIDE = (
     "reference/supported",
     "understand/trust",
     "validation/index",
+    "validation/recovery",
     *(f"validation/{name}" for name in docs_results.pages()),
     *(f"reference/commands/{docs_commands.file_of(words)}" for words in docs_commands.commands()),
 )

@@ -221,7 +221,7 @@ def _tests():
 def _sources():
     kinds = (
         "src/**/*.py",
-        "benchmarks/*.py",
+        "benchmarks/**/*.py",
         "docs/_ext/*.py",
         "docs/*.json",
         "docs/conf.py",

@@ -1,0 +1,1 @@
+"""Public benchmark: recovering reflectance that a camera has blurred. docs/validation/recovery.md explains it."""

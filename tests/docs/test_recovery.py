@@ -1,0 +1,54 @@
+"""The page of the recovery benchmark and the README say what its result file says."""
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+import yaml
+from benchmarks.recovery import __main__ as command
+from benchmarks.recovery import cases, page, run
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.fixture(scope="module")
+def scores():
+    return json.loads(command.RESULTS.read_text(encoding="utf-8"))["scores"]
+
+
+def test_the_page_is_that_of_its_results(scores):
+    text = command.PAGE.read_text(encoding="utf-8")
+    assert page.with_blocks(text, page.blocks(scores)) == text, "write it again: python -m benchmarks.recovery page"
+
+
+def test_the_readme_is_that_of_the_results(scores):
+    text = command.README.read_text(encoding="utf-8")
+    blocks = {"benchmark": page.readme(scores)}
+    assert page.with_blocks(text, blocks) == text, "write it again: python -m benchmarks.recovery page"
+
+
+def test_every_method_has_a_score_of_the_same_public_cases(scores):
+    names = [case.name for case in cases.PUBLIC]
+    assert set(scores) <= set(run.METHODS)
+    assert {*run.METHODS[:-1]} <= set(scores)
+    for of_cases in scores.values():
+        assert list(of_cases) == [name for name in names if name in scores[run.OWN]]
+    assert f"| public cases with a score of every method | 24 | {len(scores[run.OWN])} |" in command.PAGE.read_text()
+
+
+def test_the_page_names_every_case(scores):
+    text = command.PAGE.read_text(encoding="utf-8")
+    assert [name for name in scores[run.OWN] if f"| `{name}` |" not in text] == []
+
+
+def test_the_hash_of_the_hidden_seeds_is_published():
+    assert re.fullmatch(r"[0-9a-f]{64}  24 seeds, one in each line\n", command.HASH.read_text())
+
+
+def test_the_citation_is_valid():
+    citation = yaml.safe_load((ROOT / "benchmarks" / "recovery" / "CITATION.cff").read_text())
+    whole = yaml.safe_load((ROOT / "CITATION.cff").read_text())
+    assert citation["type"] == "dataset"
+    for field in ("cff-version", "version", "license", "authors", "references"):
+        assert citation[field] == whole[field]
