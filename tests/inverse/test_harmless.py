@@ -23,7 +23,7 @@ from matcam.inverse.correction.harmless import (
     withheld,
 )
 from matcam.inverse.operator.lobe_operator import lobe_operator
-from matcam.inverse.operator.rig_axes import LENS, SHAPE, known_lens, shape_axis
+from matcam.inverse.operator.rig_axes import LENS, SHAPE, known_lens, shape_axes
 from tests.inverse import recorded
 from tests.oracle import sphere_cells as oracle
 from tests.oracle.merl_lobe import conductor
@@ -188,7 +188,7 @@ def test_a_guess_may_be_no_lens_at_all_and_a_lens_without_a_statement_is_asked_o
 def test_the_shape_of_a_lens_goes_towards_a_disc():
     """-1 along the axis of the lens's shape is what a disc of the same variance does to a lobe, to half of it."""
     shot = recorded.made(EVERY, oracle.disc())
-    _, operator = lobe_operator(rigs.merl(), "centre", EVERY, (shape_axis(),))
+    _, operator = lobe_operator(rigs.merl(), "centre", EVERY, shape_axes(rigs.merl())[0][:1])
     assert operator.axes[0].name == SHAPE
     lobe = oracle.GGX(0.006)
     truth = shot.rule.ways(lobe).mean(-1)
