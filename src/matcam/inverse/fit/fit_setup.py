@@ -88,7 +88,7 @@ class FitSetup:
         nearby: whether a lamp in `also` is followed about the rig's value alone. Default: False.
         doubted: names of the rig's parameters that a later fit has in `also`, nearby: their rules are made with this one's.
             Default: ().
-        lens_shape: whether the shape of the lens's kernel is fitted, too: between a disc's and one with long tails. Default:
+        lens_shape: whether shape and stretch of the lens's kernel are fitted, too (`rig_axes.shape_axes`). Default:
             False.
         bend: how far ln D may leave its family (no unit). Default: 0, not at all.
         stiff_below: slope (no unit) below which a bend is ten times stiffer; below a pixel it always is. Default: 0.
