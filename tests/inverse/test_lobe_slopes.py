@@ -8,7 +8,7 @@ from matcam.core.jax import jax
 from matcam.inverse.fit.fit_parameters import LobeKind
 from matcam.inverse.fit.lobe_slopes import record_and_slopes
 from matcam.inverse.operator.lobe_operator import lobe_operator
-from matcam.inverse.operator.rig_axes import free_axis, shape_axis
+from matcam.inverse.operator.rig_axes import free_axis, shape_axes
 from matcam.material.ndf.free_lobe import KNOTS
 
 
@@ -24,9 +24,9 @@ def test_slopes_are_differences_of_the_record(kind, lobe):
 
     Lambda's table moves with the roughness, and is right to 1e-6.
     """
-    axes = (free_axis("optics.sigma_px", rigs.merl()), shape_axis())
+    axes = (free_axis("optics.sigma_px", rigs.merl()), *shape_axes(rigs.merl())[0])
     _, operator = lobe_operator(rigs.merl(), "centre", 30, axes)
-    q = np.array([*lobe, 0.1, -0.2])
+    q = np.array([*lobe, 0.1, -0.2, 0.3])
     record = jax.jit(lambda q: operator.record(kind.ndf(q[: kind.size]), kind.masking, q[kind.size :]))
     value, slopes = record_and_slopes(operator, kind, q)
     np.testing.assert_allclose(value, record(q), rtol=1e-12, atol=1e-15 * np.abs(value).max())

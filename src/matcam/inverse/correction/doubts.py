@@ -132,7 +132,7 @@ def rig_doubts(setup: FitSetup, rig: Rig, found: MaterialFit, names: Sequence[st
 def _followed_doubt(free: FitSetup, found: MaterialFit, name: str) -> Doubt:
     """Return the doubt of a parameter that is free, followed nearby, and farther where the data ask for it."""
     doubt = _free_doubt(free.with_(nearby=True).solve(start=found, weights="start"), name)
-    axis, whole = doubt.axis, free.prior.axes[-1 - free.lens_shape]
+    axis, whole = doubt.axis, next(axis for axis in free.prior.axes if axis.name == name)
     ends = [own for own, far in ((axis.low, whole.low), (axis.high, whole.high)) if own != far]
     if all(abs(doubt.coordinate) < _INSIDE * abs(end) or doubt.coordinate * end < 0 for end in ends):
         return doubt

@@ -15,6 +15,7 @@ from typing import Any, Literal
 
 import numpy as np
 import xarray as xr
+from scipy.linalg import block_diag
 
 from matcam.camera.parameters import Uncertainty
 from matcam.camera.sensor import PixelNoise
@@ -47,7 +48,7 @@ from matcam.inverse.operator.rig_axes import (
     is_guess,
     known_lens,
     prior_axis,
-    shape_axis,
+    shape_axes,
 )
 from matcam.inverse.operator.sample_view import FAR_AWAY, SampleView, rig_behind, sample_view
 from matcam.material.masking import MASKINGS, Masking
@@ -87,7 +88,7 @@ class FitSetup:
         nearby: whether a lamp in `also` is followed about the rig's value alone. Default: False.
         doubted: names of the rig's parameters that a later fit has in `also`, nearby: their rules are made with this one's.
             Default: ().
-        lens_shape: whether the shape of the lens's kernel is fitted, too: between a disc's and one with long tails. Default:
+        lens_shape: whether shape and stretch of the lens's kernel are fitted, too (`rig_axes.shape_axes`). Default:
             False.
         bend: how far ln D may leave its family (no unit). Default: 0, not at all.
         stiff_below: slope (no unit) below which a bend is ten times stiffer; below a pixel it always is. Default: 0.
@@ -305,8 +306,8 @@ class FitSetup:
             axes = (*axes, *(free_axis(name, self.rig, nearby=self.nearby) for name in self.also))
             root = np.pad(root, ((0, 0), (0, len(self.also))))
         if self.lens_shape:
-            axes, root = (*axes, shape_axis()), np.pad(root, (0, 1))
-            root[-1, -1] = 1.0
+            shapes, stds = shape_axes(self.rig)
+            axes, root = (*axes, *shapes), block_diag(root, np.diag(1 / np.array(stds)))
         finest = 2 * float(self.rig.camera.pixel.half_width) / sample_view(self.rig).radius
         return Prior(axes, root, self.bend, max(finest, self.stiff_below), self.learned_bend)
 

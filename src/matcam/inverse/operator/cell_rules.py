@@ -21,7 +21,7 @@ from matcam.inverse.operator.circle_arcs import SpherePixels
 from matcam.inverse.operator.cylinder_rule import CylinderRule, LinePixels, cylinder_rule, line_window
 from matcam.inverse.operator.lamp_lines import LampDisc, lamp_discs
 from matcam.inverse.operator.line_rule import ARMS, ImagePlaces, line_rule
-from matcam.inverse.operator.rig_axes import SHAPE, SHAPE_SHARE, SHAPE_SPREAD, Axis, rig_with
+from matcam.inverse.operator.rig_axes import SHAPE, SHAPE_SHARE, SHAPE_SPREAD, STRETCH, STRETCH_SPREAD, Axis, rig_with
 from matcam.inverse.operator.sample_view import SampleView, sample_view
 from matcam.inverse.operator.sphere_rule import Kernel, SphereRule, kernel_reach, sphere_range, sphere_rule
 from matcam.inverse.operator.theta_nodes import (
@@ -96,8 +96,9 @@ def rule_arrays(rig: Rig, cells: ChosenCells, axes: tuple[Axis, ...]) -> dict[st
     else:
         lamp_angle = padded(view.lamp_angles(cells.theta_h, cells.theta_d[:, None], cells.phi_d).ravel()[flat])
     own = blur_of(rig, in_discs=True, whole=not view.line)
-    moved = [(blur, axis.by_variance) for axis in axes for blur in _blurs_along(rig, own, axis)]
-    blurs, rough = [own, *(blur for blur, _ in moved)], [False, *(by_variance for _, by_variance in moved)]
+    moved = [(blur, axis) for axis in axes for blur in _blurs_along(rig, own, axis)]
+    blurs, rough = [own, *(blur for blur, _ in moved)], [False, *(axis.by_variance for _, axis in moved)]
+    added = _added(own, [axis for _, axis in moved])
     lamps = [float(blur.lamp_radius) for blur in blurs]
 
     def full(part: np.ndarray) -> np.ndarray:
@@ -114,9 +115,9 @@ def rule_arrays(rig: Rig, cells: ChosenCells, axes: tuple[Axis, ...]) -> dict[st
     for terms in groups:
         parts = [blur.only(terms) for blur in blurs]
         if parts[0].rest is not None:
-            widths.append(_rest_blurs(view, rig, parts, (x, y, lamp_angle)))
+            widths.append(_rest_blurs(view, rig, parts, (x, y, lamp_angle), added))
         else:
-            widths.append(_gaussian_blurs(view, rig, parts, (x, y, lamp_angle), sharpest, rough))
+            widths.append(_gaussian_blurs(view, rig, parts, (x, y, lamp_angle), sharpest, rough, added))
     widths.sort(key=lambda through: np.max(through.reaches[0]))
     for together in [[through] for through in widths] if view.line else _on_the_same_nodes(widths):
         for rules in _in_pieces(view, (x, y, theta_d, lamp_angle, factor), together, _finest(view, widths)):
@@ -139,12 +140,13 @@ def _gaussian_blurs(
     pixels: tuple[np.ndarray, np.ndarray, np.ndarray],
     lenses: list[float],
     rough: list[bool],
+    added: np.ndarray,
 ) -> _Blurs:
     """Return Gaussians of one width under a lamp's disc: it is one itself where they, or the lenses, are wide enough.
 
     pixels: x, y and the lamp's angle. lenses: standard deviation of each blur's whole lens, px: its Gaussians may be
     narrower, and of either sign, but what they add up to is no sharper. rough: for each blur, whether its disc is a Gaussian
-    wherever it is.
+    wherever it is. added: what stretches each blur along x and y, (blurs, 2), px^2.
     """
     x, y, lamp_angle = pixels
     lamps = [float(blur.lamp_radius) for blur in blurs]
@@ -158,9 +160,9 @@ def _gaussian_blurs(
         blurs, chords = [blur if one else blur.of_point() for blur, one in zip(blurs, rough, strict=True)], 0
     elif view.azimuth and any(float(blur.lamp_radius) > 0 for blur in blurs):
         chords = 0  # what a small lamp adds is a Gaussian along turned axes: so is what focus adds
-    if any(blur.varies for blur in exact):  # one program for all; one variance for all nodes takes half the time
+    if added.any() or any(blur.varies for blur in exact):  # one program for all; one variance for all nodes takes half the time
         blurs = [dataclasses.replace(blur, varies=True, chords=chords) for blur in blurs]
-    spreads = [_variances(view, rig, blur, pixels) for blur in blurs]
+    spreads = [_variances(view, rig, blur, pixels, more) for blur, more in zip(blurs, added, strict=True)]
     half_width = float(rig.camera.pixel.half_width)
     widest = [np.asarray(blur.stds).max() for blur in blurs]
     reaches = [
@@ -174,15 +176,15 @@ def _gaussian_blurs(
 
 
 def _rest_blurs(
-    view: SampleView, rig: Rig, blurs: list[Blur], pixels: tuple[np.ndarray, np.ndarray, np.ndarray]
+    view: SampleView, rig: Rig, blurs: list[Blur], pixels: tuple[np.ndarray, np.ndarray, np.ndarray], more: np.ndarray
 ) -> _Blurs:
     """Return the residuals of the lenses beyond their Gaussians. They are small: lamp and focus widen them as Gaussians.
 
-    How those change along an axis is left out. pixels: x, y and the lamp's angle.
+    How those change along an axis is left out. pixels: x, y and the lamp's angle. more: as `added` of `_gaussian_blurs`.
     """
     variances, reaches = [], []
-    for blur in blurs:
-        added = _variances(view, rig, blurs[0] if blur.rest is blurs[0].rest else blur, pixels)
+    for blur, stretch in zip(blurs, more, strict=True):
+        added = _variances(view, rig, blurs[0] if blur.rest is blurs[0].rest else blur, pixels, stretch)
         variances.append(added)
         reaches.append(blur.rest.reach_through(np.stack(added)))  # type: ignore[union-attr]
     varies = any(np.any(added) for added in variances)
@@ -191,12 +193,12 @@ def _rest_blurs(
 
 
 def _variances(
-    view: SampleView, rig: Rig, blur: Blur, pixels: tuple[np.ndarray, np.ndarray, np.ndarray]
+    view: SampleView, rig: Rig, blur: Blur, pixels: tuple[np.ndarray, np.ndarray, np.ndarray], more: np.ndarray
 ) -> tuple[np.ndarray, ...]:
-    """Return the variances that lamp and focus add along x and y, px^2."""
+    """Return the variances that lamp, focus and a stretch add along x and y, px^2. more: those of the stretch, (2,)."""
     x, y, lamp_angle = pixels
     spread = blur.spread(rig.sample, view.normals(x, y)[2], lamp_angle, rig.lamp.nearness)  # type: ignore[arg-type]
-    return tuple(np.broadcast_to(v, x.shape) for v in spread[:2])
+    return tuple(np.broadcast_to(v, x.shape) + one for v, one in zip(spread[:2], more, strict=True))
 
 
 def _finest(view: SampleView, widths: list[_Blurs]) -> float:
@@ -414,6 +416,8 @@ _PIXEL_NODES = ((1.7, 5), (5.0, 10), (np.inf, 20))
 
 def _blurs_along(rig: Rig, own: Blur, axis: Axis) -> list[Blur]:
     """Return the blurs whose rules an axis needs. own: that of the rig."""
+    if axis.name == STRETCH:
+        return [own, own]
     if axis.name == SHAPE:
         scales = (1 + SHAPE_SPREAD, 1 - SHAPE_SPREAD)
         return [dataclasses.replace(own, stds=own.stds * np.sqrt(scale)) for scale in scales]
@@ -421,6 +425,14 @@ def _blurs_along(rig: Rig, own: Blur, axis: Axis) -> list[Blur]:
     # rings that come and go with a lens's numbers are small of the small
     rest = own.rest if own.rest is not None and own.rest.even else None
     return [blur_of(one, in_discs=True, whole=own.rest is not None, rest=rest) for one in moved]
+
+
+def _added(own: Blur, axes: list[Axis]) -> np.ndarray:
+    """Return what stretches the rig's own blur and each of `_blurs_along`, (blurs, 2), px^2. axes: of the latter."""
+    added = np.zeros((1 + len(axes), 2))
+    stretched = [n for n, axis in enumerate(axes, start=1) if axis.name == STRETCH]
+    added[stretched] = np.diag([STRETCH_SPREAD * own.std_of_half**2] * 2)[: len(stretched)]
+    return added
 
 
 def _along(axes: tuple[Axis, ...], name: str, along: str, values: Sequence[np.ndarray]) -> dict[str, np.ndarray]:
@@ -439,6 +451,8 @@ def _changes_along(axes: tuple[Axis, ...], weight: np.ndarray, others: list[np.n
     for axis in axes:
         if axis.name == SHAPE:
             along.append([0 * weight, SHAPE_SHARE * (next(changes) + next(changes))])
+        elif axis.name == STRETCH:
+            along.append([0 * weight, (next(changes) - next(changes)) / (2 * STRETCH_SPREAD)])
         else:
             along.append([next(changes) if point else 0 * weight for point in axis.points])
     return along

@@ -27,6 +27,10 @@ LAMP, APERTURE = "lamp_radius", "aperture"
 SHAPE = "lens shape"
 """Name of the shape of the lens's kernel, its variance unchanged: 0 as the rig says, -1 as flat as a disc, above 0 with longer
 tails."""
+STRETCH = "lens stretch"
+"""Name of the difference of the variances of the lens's kernel along the pixels' rows and columns, over its variance."""
+SHAPES = (SHAPE, STRETCH)
+"""Changes of the lens's kernel at its variance, linear in their coordinates."""
 WIDTHS = (LAMP, "jitter", APERTURE)
 """Fields of `Rig` that widen a highlight."""
 
@@ -53,6 +57,11 @@ SHAPE_SPREAD = 0.55
 SHAPE_SHARE = 1 / (6 * SHAPE_SPREAD**2)
 """of both, less twice the lens itself, gives a Gaussian the fourth moment of a disc of its variance, and half its centre."""
 _SHAPES = (-1.5, 4.0)
+STRETCH_SPREAD = 0.3
+"""Variance that is added along either axis, over the lens's: half the difference of the two kernels over it is the change."""
+_STRETCHES = (-1.5, 1.5)
+_STRETCH_STD = 0.5
+"""Standard deviation of the stretch: coma, of which all light goes to one side, has 1."""
 _COUNTS = ((0.03, 3), (0.15, 5), (np.inf, 9))
 """Half range of an axis -> number of its points."""
 
@@ -81,7 +90,7 @@ class Axis(NamedTuple):
 
     def value(self, coordinate: float) -> float:
         """Return the parameter at a coordinate."""
-        if self.name == SHAPE:
+        if self.name in SHAPES:
             return coordinate
         return float(np.sqrt(self.square(coordinate, 0.0)[0]))
 
@@ -95,15 +104,20 @@ class Axis(NamedTuple):
 
         At a width of 0 the derivative is infinite.
         """
-        if self.name == SHAPE:
+        if self.name in SHAPES:
             return 1.0
         step = max(std, 1e-6)
         return (self.value(coordinate + step) - self.value(coordinate)) / step
 
 
-def shape_axis() -> Axis:
-    """Return the axis of the shape of the lens's kernel, which is linear in its coordinate."""
-    return Axis(SHAPE, 0.0, 0.0, *_SHAPES, (0.0, 1.0))
+def shape_axes(rig: Rig) -> tuple[tuple[Axis, ...], tuple[float, ...]]:
+    """Return the axes of what may be unknown of the lens's kernel at its variance, and their standard deviations.
+
+    A cylinder's pictures show one direction of the kernel.
+    """
+    axes = Axis(SHAPE, 0.0, 0.0, *_SHAPES, (0.0, 1.0)), Axis(STRETCH, 0.0, 0.0, *_STRETCHES, (0.0, 1.0))
+    count = 1 if isinstance(rig.sample, Cylinder) else 2
+    return axes[:count], (1.0, _STRETCH_STD)[:count]
 
 
 class KnownLens(NamedTuple):
