@@ -256,9 +256,7 @@ def fit_camera(evidence: Evidence, channel: str, request: CameraRequest) -> Came
     start = np.asarray(lens.start(jnp.asarray(np.log(_SIGMA if table is None else np.median(table.sigma)))))
     precision = np.array([0.0, 0.0, KURTOSIS**-2]) if separable else np.zeros(start.size)
     unknowns = Unknowns(start, lens.longest, precision)
-    fitted, strangers = _without_strangers(measurements, unknowns, request.half_width or 0.5)
-    if problem := fitted.contradiction(measurements.groups):
-        raise FitError(f"contradictory measurements, channel {channel}: {problem}")
+    fitted, strangers = _without_strangers(measurements, unknowns, request.half_width or 0.5, channel)
     covariance = fitted.observed_covariance()
     parameters = _within_the_pitch(fitted.parameters, covariance) if separable else fitted.parameters
     found = _FittedLens(lens, parameters, covariance, float(request.half_width or 0.5))
@@ -294,30 +292,65 @@ def fit_camera(evidence: Evidence, channel: str, request: CameraRequest) -> Came
             for name in dict.fromkeys(measurements.groups)
             if name not in strangers
         },
-        remarks=tuple(
-            Remark(
-                "target-disagrees",
-                f"{channel}: {name} sees a blur {off:+.0%} against that of the edges, and is left out",
-            )
-            for name, off in strangers.items()
-        ),
+        remarks=_strangers_remarks(strangers, channel),
     )
 
 
 def _without_strangers(
-    measurements: Measurements, unknowns: Unknowns, half_width: float
+    measurements: Measurements, unknowns: Unknowns, half_width: float, channel: str
 ) -> tuple[JointFit, dict[str, float]]:
-    """Return the fit, without those targets of a chart that its edges contradict; and by how much each of them does.
+    """Fit without those targets of a chart that its edges contradict.
 
-    half_width: px, of the pixel.
+    Args:
+        measurements: all measurements of one colour.
+        unknowns: parameters to fit.
+        half_width: half width of the pixel, px.
+        channel: name of the colour, for messages.
+
+    Returns:
+        The fit, and the relative difference of the blur for each target that was left out.
+
+    Raises:
+        FitError: measurements contradict one another, and edges do not decide which are wrong.
     """
     strangers: dict[str, float] = {}
     while True:
         fitted = fit_jointly(measurements.without(strangers), unknowns, half_width)
         more = fitted.strangers(measurements.groups, measurements.replaceable - strangers.keys())
         if not more:
-            return fitted, strangers
+            worst = fitted.contradiction(measurements.groups)
+            if worst is None:
+                return fitted, strangers
+            if worst.name not in measurements.replaceable or worst.name in strangers:
+                raise FitError(f"contradictory measurements, channel {channel}: {worst}")
+            more = {worst.name: worst.difference}
         strangers |= more
+
+
+def _strangers_remarks(strangers: Mapping[str, float], channel: str) -> tuple[Remark, ...]:
+    """Name the targets that were left out, one remark for each kind of target.
+
+    strangers: relative difference of the blur by name, which ends in the kind in brackets.
+    """
+    kinds: dict[str, dict[str, float]] = {}
+    for name, off in strangers.items():
+        kinds.setdefault(name.rpartition(" (")[2].rstrip(")"), {})[name] = off
+    remarks = []
+    for kind, names in kinds.items():
+        low, high = (_as_share(end) for end in (min(names.values()), max(names.values())))
+        first = next(iter(names))
+        if len(names) == 1:
+            text = f"{first} sees a blur {low} against that of the edges, and is left out"
+        else:
+            text = f"{len(names)} targets of one kind ({kind}) see a blur {low} to {high} against that of the edges"
+            text += f", and are left out: {first} and {len(names) - 1} more"
+        remarks.append(Remark("target-disagrees", f"{channel}: {text}"))
+    return tuple(remarks)
+
+
+def _as_share(difference: float) -> str:
+    """Write a relative difference as text; beyond 100 % its linear estimate has no meaning."""
+    return f"{difference:+.0%}" if abs(difference) <= 1 else f"of more than {np.sign(difference):+.0f}00%"
 
 
 class _FittedLens:

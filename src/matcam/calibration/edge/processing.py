@@ -42,8 +42,12 @@ _PER_OVERSHOOT = 12.0  # of MTF50, by the overshoot that an unsharp mask leaves
 _OVERSHOOT, _SURE = 0.003, 3.5  # of the step; standard deviations of both signs of sharpening together
 _PILED, _LEAST_PILE = 2.0, 0.05  # times the next level's share; share of the dark side at the very lowest one
 _CRUSHED = 0.01  # of MTF50, at least
-_COARSE, _FINE = 0.6, 1e-3  # noise in levels; of the step, below which levels are fine enough
 _MOST_LEVELS = 2000
+"""Different values above which a picture is not a picture of coarse codes."""
+_PER_LEVEL = 0.2
+"""Relative error of MTF50 by the distance of two levels in units of the step: rms of 12 to 512 levels without noise."""
+_SMALL_DOUBT = 1e-3
+"""Relative error of MTF50 below which it is not remarked on."""
 _TAILS, _FADING = 0.08, 0.6  # of MTF50, where the blur reaches the border; blurs over which that fades
 _SURER = 0.1  # of that, of a lens model
 _JUMP = 1.5  # times its standard deviation: what the slope of the MTF does not tell
@@ -122,7 +126,8 @@ def _traces(stack: EdgeStack, i: int, rows: EdgeRegions, k: int, clear: float) -
     if clear > CLEAR:
         one = value if rows.step == 1 else None
         found += _sharpened(stack, i, noise) or _slightly_sharpened(stack, i, noise, one, (dark, bright))
-    found += _crushed(stack, i, crushed_share(value[dark], value[bright])) or _coarse(value[dark | bright], noise, step)
+    found += _crushed(stack, i, crushed_share(value[dark], value[bright]))
+    found += _coarse(value, (dark, bright), noise, step)
     share = float(np.hypot.reduce([0.0, *(share for _, share in found)]))
     narrow, free = _narrow(clear, blur)
     veiled, glare = _veiled(stack, i, rows.step * (value.shape[1] - 1))
@@ -261,16 +266,29 @@ def _crushed(stack: EdgeStack, i: int, piled: float) -> list[tuple[Remark, float
     return [(Remark("crushed", text), share)]
 
 
-def _coarse(flat: FloatArray, noise: FlatNoise, step: float) -> list[tuple[Remark, float]]:
-    """Return what levels further apart than the noise say."""
-    levels = np.unique(flat)
-    if not 2 <= levels.size <= _MOST_LEVELS:
+def _coarse(
+    value: FloatArray, sides: tuple[np.ndarray, np.ndarray], noise: FlatNoise, step: float
+) -> list[tuple[Remark | None, float]]:
+    """Return what rounding to levels may do, where noise does not average over them.
+
+    The mean of rounded values errs by at most (level / pi) exp(-2 pi^2 noise^2 / level^2) (Widrow & Kollar, Quantization
+    Noise, 2008, ch. 9).
+
+    value: region (height, width), linear. sides: its flat parts, dark and bright, bool. step: bright less dark.
+    """
+    levels = np.unique(value[np.isfinite(value)])
+    if not 2 <= levels.size <= _MOST_LEVELS or not all(side.any() for side in sides):
         return []
-    apart = float(np.diff(levels).min())
-    if apart < _FINE * step or np.sqrt(min(noise.variance)) > _COARSE * apart:
-        return []
-    text = f"levels are coarse: {step / apart:.0f} of them from dark to bright, and less noise than one"
-    return [(Remark("quantised", f"{text}; MTF50 may be wrong by {apart / step:.1%}"), apart / step)]
+    gaps, errors = np.diff(levels), []
+    for side, variance in zip(sides, noise.variance, strict=True):
+        at = int(np.searchsorted(levels, np.median(value[side])))
+        apart = float(gaps[max(at - 1, 0) : at + 1].min())
+        errors.append(apart * np.exp(-2 * np.pi**2 * max(variance - apart**2 / 12, 0.0) / apart**2))
+    share = _PER_LEVEL * float(np.hypot(*errors)) / step
+    count = step / max(gaps.min(), 1e-300)
+    text = f"levels are coarse: {count:.0f} of them from dark to bright, and less noise than one"
+    text += f"; MTF50 may be wrong by {share:.1%}"
+    return [(Remark("quantised", text) if share > _SMALL_DOUBT else None, share)]
 
 
 def _effect_of_gamma(stack: EdgeStack, i: int) -> float:
