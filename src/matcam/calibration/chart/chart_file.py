@@ -121,7 +121,8 @@ def is_description_of(path: Path, chart: Chart) -> bool:
         found = read_json(path, _WHAT)
     except FileFormatError:
         return False
-    return found == json.loads(json.dumps(_document(chart))) | {"software": found.get("software")}
+    expected = json.loads(json.dumps(_document(chart)))
+    return isinstance(found, dict) and {**found, "software": expected["software"]} == expected
 
 
 def description_path(page: str | Path) -> Path:

@@ -7,7 +7,7 @@ errors: as an unknown scale of frequency, relative, which leaves an MTF of 1 at 
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -21,6 +21,7 @@ from matcam.calibration.edge.free_fit import VEIL
 from matcam.calibration.edge.maximum_likelihood import ADDED, SHIFT
 from matcam.calibration.edge.measurement import EdgeFits
 from matcam.calibration.edge.rows import CLEAR, EdgeRegions, clearance
+from matcam.calibration.edge.uneven_light import LightField
 from matcam.calibration.photograph.flat_noise import BENT_DOUBT, FlatNoise, flat_noise, smoothing_doubt
 from matcam.calibration.photograph.slight_sharpening import (
     AMOUNT,
@@ -51,6 +52,8 @@ _SMALL_DOUBT = 1e-3
 _TAILS, _FADING = 0.08, 0.6  # of MTF50, where the blur reaches the border; blurs over which that fades
 _SURER = 0.1  # of that, of a lens model
 _JUMP = 1.5  # times its standard deviation: what the slope of the MTF does not tell
+_SURE_GLARE = 0.005
+"""Relative error of MTF50 below which a doubt on glare is not remarked on."""
 _BY_GLARE = 0.72  # of MTF50 by the share of glare, where the MTF is one half
 _PER_BORDER, _HARMLESS, _MOST_BY_BLOCKS = 0.006, 3.0, 0.05  # of MTF50 by how much JPEG's borders stand out
 _LEAST_NOISE = 2e-4  # of the step
@@ -73,9 +76,16 @@ class Traces(NamedTuple):
     glare: float = 0.0
 
 
-def with_traces(stack: EdgeStack, regions: Iterable[EdgeRegions]) -> EdgeStack:
-    """Return results whose remarks and errors contain what software has done to their pictures."""
+def with_traces(stack: EdgeStack, regions: Iterable[EdgeRegions], lights: Sequence[LightField | None]) -> EdgeStack:
+    """Add to results what light and software may have done to their pictures: remarks, and wider errors.
+
+    Where glare and light cannot be told apart, the MTF is that of the lens without glare.
+
+    stack: results of n edges. regions: their rows, in even light. lights: uneven light of each, None where there is none.
+    """
     shares, given = np.zeros((3, len(stack))), list(stack.given or [()] * len(stack))
+    core = np.array([light is not None and light.is_taken_for_glare for light in lights])
+    stack = _with_core_as_total(stack, core)
     first = 0
     for rows in regions:
         part = slice(first, first + len(rows.value))
@@ -83,7 +93,7 @@ def with_traces(stack: EdgeStack, regions: Iterable[EdgeRegions]) -> EdgeStack:
         for k in range(len(rows.value)):
             i = first + k
             if stack.problems[i] is None:
-                traces = _traces(stack, i, rows, k, float(clear[k]))
+                traces = _traces(stack, i, rows, k, float(clear[k]), lights[i])
                 shares[:, i] = traces.share, traces.free, traces.glare
                 given[i] = given[i] + traces.remarks
         first += len(rows.value)
@@ -103,10 +113,20 @@ def crushed_share(dark: FloatArray, bright: FloatArray) -> float:
     return float(count[0]) if piled else 0.0
 
 
-def _traces(stack: EdgeStack, i: int, rows: EdgeRegions, k: int, clear: float) -> Traces:
+def _with_core_as_total(stack: EdgeStack, which: np.ndarray) -> EdgeStack:
+    """Take the MTF without glare for the MTF of some edges. which: (n,) bool."""
+
+    def of(total: np.ndarray, core: np.ndarray) -> np.ndarray:
+        return np.where(which.reshape(-1, *[1] * (total.ndim - 1)), core, total)
+
+    names = ("mtf", "mtf_std", "mtf50", "mtf50_std")
+    return replace(stack, **{name: of(getattr(stack, name), getattr(stack, f"core_{name}")) for name in names})
+
+
+def _traces(stack: EdgeStack, i: int, rows: EdgeRegions, k: int, clear: float, light: LightField | None) -> Traces:
     """Return what is found in the region of edge i, the k-th of its regions.
 
-    clear: how far it stands off the borders, in standard deviations of its blur.
+    clear: how far it stands off the borders, in standard deviations of its blur. light: uneven light that was found in it.
     """
     value, fits = rows.value[k], stack.fits
     y, start = (np.broadcast_to(a, (len(rows.value), value.shape[0]))[k] for a in (rows.y, rows.start))
@@ -130,7 +150,7 @@ def _traces(stack: EdgeStack, i: int, rows: EdgeRegions, k: int, clear: float) -
     found += _coarse(value, (dark, bright), noise, step)
     share = float(np.hypot.reduce([0.0, *(share for _, share in found)]))
     narrow, free = _narrow(clear, blur)
-    veiled, glare = _veiled(stack, i, rows.step * (value.shape[1] - 1))
+    veiled, glare = _veiled(stack, i, rows.step * (value.shape[1] - 1), light)
     remarks = (*(remark for remark, _ in found), narrow, veiled, _ghost(stack, i))
     return Traces(tuple(remark for remark in remarks if remark), float(np.hypot(share, free * _SURER)), free, glare)
 
@@ -148,14 +168,23 @@ def _narrow(clear: float, blur: float) -> tuple[Remark | None, float]:
     ), share
 
 
-def _veiled(stack: EdgeStack, i: int, width: float) -> tuple[Remark | None, float]:
-    """Return what glare as wide as the region leaves unsure: uneven light looks like it."""
+def _veiled(stack: EdgeStack, i: int, width: float, light: LightField | None) -> tuple[Remark | None, float]:
+    """Return what cannot be told apart from glare: uneven light, and glare as wide as the region.
+
+    width: px, of the region.
+    """
     glare, radius = float(stack.glare_fraction[i]), float(stack.glare_radius[i])
-    if not (glare > 0 and radius > VEIL * width):
+    if light is not None and light.is_taken_for_glare:
+        text = f"uneven light of {light.amplitude:.1%}, beyond levels and a plane, was taken out"
+        if glare > 0:
+            text += f"; glare of {glare:.1%} over {radius:.0f} px may be its remainder: the MTF is that without glare"
+        return Remark("uneven-light", text), 0.0
+    if not glare > 0:
         return None, 0.0
-    share = _BY_GLARE * glare
+    doubt = 0.0 if light is None else np.sqrt(light.glare_probability * (1 - light.glare_probability))
+    share = _BY_GLARE * glare * max(doubt, float(radius > VEIL * width))
     text = f"glare of {glare:.1%} over {radius:.0f} px may be uneven light: MTF50 with it may be too low by {share:.0%}"
-    return Remark("wide-glare", text), share
+    return Remark("wide-glare", text) if share > _SURE_GLARE else None, share
 
 
 def _ghost(stack: EdgeStack, i: int) -> Remark | None:

@@ -1,0 +1,254 @@
+"""Uneven light that no polynomial describes: a Gaussian process over the flat sides of an edge, and whether glare is light.
+
+Each side of the edge is averaged over bins of some px. What the bins differ by from two levels and a plane is light that
+multiplies the scene (banding, a penumbra, a near lamp), light that adds to it (a glint), or glare of the lens, which depends on
+the distance from the edge alone. All are terms of one Gaussian model. Their scales, and the probability that there is glare,
+follow from its marginal likelihood (Rasmussen & Williams, Gaussian Processes for Machine Learning, 2006, ch. 5).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.special import ndtr
+
+from matcam.calibration.edge.free_curve import GLARE
+from matcam.calibration.edge.geometry import edge_distance
+from matcam.calibration.edge.maximum_likelihood import Noise
+from matcam.calibration.edge.measurement import EdgeFits
+from matcam.calibration.edge.rows import EdgeRegions
+from matcam.core.arrays import FloatArray
+
+_BINS, _SMALLEST_BIN = 220, 4.0
+"""Number of bins of a region; least side of a bin, px. Their eigenvalues are computed in 10 ms."""
+_REACH = (3.5, 1.5)
+"""Distance from the edge within which a pixel belongs to no bin: in standard deviations of the blur, and in px besides."""
+_LENGTHS = (8.0, 20.0, 50.0)
+"""Correlation lengths of the light that are tried, px."""
+_AMPLITUDES = 1e-3 * 2.0 ** np.arange(9)
+"""Standard deviations of the light that are tried, relative: 0.1 to 25 %."""
+_GLARE = 0.1
+"""Standard deviation of the share of light in glare, before the picture is seen."""
+_GLARE_PROBABILITY = 0.1
+"""Probability of glare before the picture is seen."""
+_RADII = 4.0 * 1.5 ** np.arange(9)
+"""Standard deviations of the glare that are tried, px."""
+_SUSPECT = 3.0
+"""Standard deviations by which chi2 of the bins must exceed its expectation before anything is computed."""
+_MISFIT = 2e-4
+"""Standard deviation of a bin that is no noise, in units of the step."""
+_CLIPPED = 3.5
+"""Standard deviations beyond which a pixel does not count in the mean of its bin."""
+_DARKEST = 0.1
+"""Least factor of the light."""
+_WIDEST = 0.1
+"""Largest blur, in units of the region's width, beside which there is a flat side to see light on."""
+_FEWEST_BINS = 24
+"""Bins from which a light field can be estimated."""
+
+
+class LightField(NamedTuple):
+    """Light of a region beyond two levels and a plane.
+
+    Attributes:
+        factor: factor of each pixel (rows, columns).
+        addend: addend of each pixel (rows, columns), in the picture's units.
+        amplitude: standard deviation of the light over the region, relative to the scene or, of what adds, to the step.
+        glare_probability: probability that the lens has glare.
+    """
+
+    factor: FloatArray
+    addend: FloatArray
+    amplitude: float
+    glare_probability: float
+
+    @property
+    def is_taken_for_glare(self) -> bool:
+        """Whether light explains the picture, so that glare found beside it may be a part of it."""
+        return self.amplitude > 0 or self.glare_probability < 0.5
+
+
+class _Bins(NamedTuple):
+    """Means over bins of pixels: x, y, distance from the edge (px), value, level of the side, standard deviation: (n,) each."""
+
+    x: FloatArray
+    y: FloatArray
+    distance: FloatArray
+    value: FloatArray
+    level: FloatArray
+    std: FloatArray
+
+
+class _Model(NamedTuple):
+    """One model of the light, with or without glare.
+
+    Attributes:
+        log_evidence: logarithm of its probability, but for a constant.
+        amplitude: standard deviation of the light, relative.
+        length: correlation length, px.
+        adds: whether the light adds to the scene; else it multiplies it.
+        glares: whether there is glare.
+        weights: weights of the data (p,) in the light's mean.
+    """
+
+    log_evidence: float
+    amplitude: float
+    length: float
+    adds: bool
+    glares: bool
+    weights: FloatArray
+
+
+def in_even_light(rows: EdgeRegions, fits: EdgeFits) -> tuple[EdgeRegions, list[LightField | None]]:
+    """Divide uneven light out of regions.
+
+    Args:
+        rows: n regions.
+        fits: their edges, NumPy arrays with a leading axis of n.
+
+    Returns:
+        The regions in even light, and the light of each; None where two levels and a plane explain it.
+    """
+    value, fields = np.array(rows.value), list[LightField | None]()
+    columns = rows.step * np.arange(value.shape[2])
+    for i, region in enumerate(rows.value):
+        y, start = (np.broadcast_to(a, value.shape[:2])[i] for a in (rows.y, rows.start))
+        x, across = start[:, None] + columns, np.broadcast_to(y[:, None], region.shape)
+        shape, curve = fits.free.shape, np.asarray(fits.curve[i])
+        blur = float(np.hypot(shape.sigma[i], shape.half_width[i] / np.sqrt(3)))
+        field = None
+        if np.isfinite([*curve, blur]).all() and blur < _WIDEST * np.isfinite(region).sum(1).max() * rows.step:
+            distance = np.asarray(edge_distance(curve, x, across))
+            noise = Noise(np.float64(fits.noise.gain[i]), np.float64(fits.noise.read[i]))
+            glare = bool(fits.free.even[i, GLARE] != 0)
+            field = light_field(region, x, across, distance, noise, blur=blur, glare=glare)
+        fields.append(field)
+        if field is not None and field.amplitude:
+            value[i] = (region - field.addend) / field.factor
+    return rows._replace(value=value), fields
+
+
+def light_field(
+    value: FloatArray, x: FloatArray, y: FloatArray, distance: FloatArray, noise: Noise, *, blur: float, glare: bool
+) -> LightField | None:
+    """Estimate the light of a region; None where two levels and a plane explain it.
+
+    Args:
+        value: region (rows, columns), linear, any unit; NaN where there is none.
+        x: positions of the pixels (rows, columns), px.
+        y: positions of the pixels (rows, columns), px.
+        distance: distances from the edge (rows, columns), px; positive on the bright side.
+        noise: noise of a pixel, in the units of `value`.
+        blur: standard deviation of the line spread function, px.
+        glare: whether the fit of the edge has found glare, so that light must be compared with it.
+
+    Returns:
+        The most probable light.
+    """
+    bins = _bins(value, x, y, distance, noise, _REACH[0] * blur + _REACH[1])
+    if bins is None:
+        return None
+    bright = bins.distance > 0
+    step = float(bins.level[bright][0] - bins.level[~bright][0])
+    size = np.abs(bins.y).max() + 1.0
+    plane = [~bright, bright, bins.level * bins.x / size, bins.level * bins.y / size]
+    basis = np.linalg.qr(np.stack(plane, 1) / bins.std[:, None], mode="complete")[0][:, len(plane) :]
+    data = basis.T @ (bins.value / bins.std)
+    if not glare and data @ data < data.size + _SUSPECT * np.sqrt(2 * data.size):
+        return None
+    columns = np.stack([(ndtr(bins.distance / radius) - bright) * step / bins.std for radius in _RADII]) @ basis
+    models = _models(bins, basis, data, columns, step)
+    evidence = np.array([model.log_evidence for model in models])
+    probability = np.exp(evidence - evidence.max())
+    glaring = np.array([model.glares for model in models])
+    of_glare = float(probability[glaring].sum() / probability.sum())
+    # the light is that of the more probable of both hypotheses
+    best = max((model for model in models if model.glares == (of_glare > 0.5)), key=lambda model: model.log_evidence)
+    factor, addend = np.ones_like(value), np.zeros_like(value)
+    if not best.amplitude:
+        return LightField(factor, addend, 0.0, of_glare)
+    scale = step if best.adds else bins.level
+    weights = best.amplitude**2 * scale / bins.std * (basis @ best.weights)
+    field = (_correlation(x.ravel(), y.ravel(), bins, best.length) @ weights).reshape(value.shape)
+    amplitude = float(np.std(field[np.isfinite(value)]))
+    if best.adds:
+        return LightField(factor, field * step, amplitude, of_glare)
+    return LightField(np.maximum(1 + field, _DARKEST), addend, amplitude, of_glare)
+
+
+def _bins(
+    value: FloatArray, x: FloatArray, y: FloatArray, distance: FloatArray, noise: Noise, reach: float
+) -> _Bins | None:
+    """Average the flat sides over bins; None where there are too few."""
+    flat = np.isfinite(value) & (np.abs(distance) > reach)
+    side = max(_SMALLEST_BIN, float(np.sqrt(flat.sum() / _BINS)))
+    rows, columns = (np.floor((a - a.min()) / side).astype(int) for a in (y, x))
+    names = (2 * rows + (distance > 0)) * (columns.max() + 1) + columns
+    _, name = np.unique(names[flat], return_inverse=True)
+    some = value[flat]
+    count = np.bincount(name)
+    mean = np.bincount(name, some) / count
+    std = np.sqrt(np.maximum(noise.variance(mean), 1e-300))
+    # a first guess of each bin is its median, which neither dust nor a hot pixel moves
+    order = np.lexsort((some, name))
+    middle = some[order[np.cumsum(count) - (count + 1) // 2]]
+    used = np.abs(some - middle[name]) < _CLIPPED * std[name] * (1 + 1 / np.sqrt(count[name]))
+    good = np.bincount(name, used) >= np.maximum(0.5 * count, 6)
+    if good.sum() < _FEWEST_BINS:
+        return None
+    n = np.maximum(np.bincount(name, used), 1.0)
+    means = [np.bincount(name, used * a)[good] / n[good] for a in (x[flat], y[flat], distance[flat], some)]
+    bright = means[2] > 0
+    if min(bright.sum(), (~bright).sum()) < _FEWEST_BINS / 4:
+        return None
+    levels = [float(np.median(means[3][part])) for part in (~bright, bright)]
+    std = np.hypot(std[good] / np.sqrt(n[good]), _MISFIT * (levels[1] - levels[0]))
+    return _Bins(*means, np.where(bright, levels[1], levels[0]), std)
+
+
+def _models(bins: _Bins, basis: FloatArray, data: FloatArray, glares: FloatArray, step: float) -> list[_Model]:
+    """Evaluate all models of the light, without glare and with glare of every radius.
+
+    data, glares: what remains of the bins, and of glare of full strength, beside levels and plane: (p,), (radii, p).
+    """
+    models = _with_glare(0 * data, np.eye(data.size), data, glares, (0.0, 0.0, False))
+    cost = np.log(len(_LENGTHS) * _AMPLITUDES.size * 2)
+    for length in _LENGTHS:
+        correlation = _correlation(bins.x, bins.y, bins, length)
+        for adds in (False, True):
+            seen = basis * ((step if adds else bins.level) / bins.std)[:, None]
+            power, vectors = np.linalg.eigh(seen.T @ correlation @ seen)
+            turned, columns = vectors.T @ data, glares @ vectors
+            for amplitude in _AMPLITUDES:
+                light = amplitude**2 * np.maximum(power, 0)
+                some = _with_glare(light, vectors, turned, columns, (float(amplitude), length, adds))
+                models += [model._replace(log_evidence=model.log_evidence - cost) for model in some]
+    return models
+
+
+def _with_glare(
+    light: FloatArray, vectors: FloatArray, data: FloatArray, glares: FloatArray, kind: tuple[float, float, bool]
+) -> list[_Model]:
+    """Evaluate one light without glare, and with glare of every radius.
+
+    light: variances (p,) in the directions of `vectors`, in which data and glares stand. kind: amplitude, length, adds.
+    """
+    precision = 1 / (1 + light)
+    log_evidence = -(data**2 * precision + np.log1p(light)).sum() / 2
+    weighted = glares * precision
+    alone, score = (weighted * glares).sum(1) + _GLARE**-2, np.maximum(weighted @ data, 0.0)
+    gain = (score**2 / alone - np.log(alone * _GLARE**2)) / 2
+    k = int(np.argmax(gain))
+    mean_gain = gain[k] + np.log(np.exp(gain - gain[k]).mean())
+    without, with_it = (precision * d for d in (data, data - score[k] / alone[k] * glares[k]))
+    return [
+        _Model(log_evidence + np.log(1 - _GLARE_PROBABILITY), *kind, False, vectors @ without),
+        _Model(log_evidence + mean_gain + np.log(_GLARE_PROBABILITY), *kind, True, vectors @ with_it),
+    ]
+
+
+def _correlation(x: FloatArray, y: FloatArray, bins: _Bins, length: float) -> FloatArray:
+    """Compute the correlation of light at points and bins (points, n): Matern's of order 3/2."""
+    apart = np.sqrt(3 * ((x[:, None] - bins.x) ** 2 + (y[:, None] - bins.y) ** 2)) / length
+    return np.asarray((1 + apart) * np.exp(-apart))
