@@ -16,13 +16,14 @@ from scipy.optimize import least_squares
 from scipy.special import ndtr
 
 from matcam.calibration.edge.edge_result import SHARPENED, EdgeStack
-from matcam.calibration.edge.free_curve import ghost_of
+from matcam.calibration.edge.free_curve import EVEN, ODD, ghost_of, line_basis, line_width
 from matcam.calibration.edge.free_fit import VEIL
 from matcam.calibration.edge.maximum_likelihood import ADDED, SHIFT
 from matcam.calibration.edge.measurement import EdgeFits
 from matcam.calibration.edge.rows import CLEAR, EdgeRegions, clearance
 from matcam.calibration.edge.uneven_light import LightField
 from matcam.calibration.photograph.flat_noise import BENT_DOUBT, FlatNoise, flat_noise, smoothing_doubt
+from matcam.calibration.photograph.linear_filters import filter_doubt
 from matcam.calibration.photograph.slight_sharpening import (
     AMOUNT,
     APART,
@@ -39,6 +40,10 @@ from matcam.core.remark import Remark
 _REACH, _MORE = 3.0, 2.0  # of the blur, px: beyond both a side is flat
 _BOX = 0.29  # px: standard deviation of a pixel
 _GAMMA = 2.2
+_TONE_REACH, _TONE_SAMPLES = 5.0, 101
+"""Half the length of the line spread function whose symmetry is judged, in standard deviations of it; its samples."""
+_TONE_BEND, _TONE_PROBABILITY, _SURE_TONE = 0.3, 0.05, 0.99
+"""Standard deviation of a tone curve's bend, and the probability of one, before the picture is seen; and to be remarked on."""
 _PER_OVERSHOOT = 12.0  # of MTF50, by the overshoot that an unsharp mask leaves
 _OVERSHOOT, _SURE = 0.003, 3.5  # of the step; standard deviations of both signs of sharpening together
 _PILED, _LEAST_PILE = 2.0, 0.05  # times the next level's share; share of the dark side at the very lowest one
@@ -84,7 +89,7 @@ def with_traces(stack: EdgeStack, regions: Iterable[EdgeRegions], lights: Sequen
     stack: results of n edges. regions: their rows, in even light. lights: uneven light of each, None where there is none.
     """
     shares, given = np.zeros((3, len(stack))), list(stack.given or [()] * len(stack))
-    core = np.array([light is not None and light.is_taken_for_glare for light in lights])
+    core = np.array([light is not None and light.amplitude > 0 for light in lights])
     stack = _with_core_as_total(stack, core)
     first = 0
     for rows in regions:
@@ -139,13 +144,13 @@ def _traces(stack: EdgeStack, i: int, rows: EdgeRegions, k: int, clear: float, l
     dark, bright = there & (distance < -reach), there & (distance > reach)
     step = float(stack.bright[i] - stack.dark[i])
     noise = flat_noise(value, dark, bright, lines=rows.step == 1, least=_LEAST_NOISE * abs(step))
-    found: list[tuple[Remark | None, float]] = [
-        *_smoothed(noise, blur),
-        *_bent(stack, i, noise),
-    ]
+    found = _smoothed(noise, blur)
+    one = value if rows.step == 1 else None
     if clear > CLEAR:
-        one = value if rows.step == 1 else None
         found += _sharpened(stack, i, noise) or _slightly_sharpened(stack, i, noise, one, (dark, bright))
+    if one is not None and not noise.compressed:
+        found += _filtered(stack, i, np.where(there, one, 0.0), (dark, bright), found)
+    found += _bent(stack, i, noise) or _asymmetric(stack, i)
     found += _crushed(stack, i, crushed_share(value[dark], value[bright]))
     found += _coarse(value, (dark, bright), noise, step)
     share = float(np.hypot.reduce([0.0, *(share for _, share in found)]))
@@ -174,16 +179,18 @@ def _veiled(stack: EdgeStack, i: int, width: float, light: LightField | None) ->
     width: px, of the region.
     """
     glare, radius = float(stack.glare_fraction[i]), float(stack.glare_radius[i])
-    if light is not None and light.is_taken_for_glare:
+    if light is not None and light.amplitude > 0:
         text = f"uneven light of {light.amplitude:.1%}, beyond levels and a plane, was taken out"
         if glare > 0:
             text += f"; glare of {glare:.1%} over {radius:.0f} px may be its remainder: the MTF is that without glare"
         return Remark("uneven-light", text), 0.0
     if not glare > 0:
         return None, 0.0
-    doubt = 0.0 if light is None else np.sqrt(light.glare_probability * (1 - light.glare_probability))
-    share = _BY_GLARE * glare * max(doubt, float(radius > VEIL * width))
-    text = f"glare of {glare:.1%} over {radius:.0f} px may be uneven light: MTF50 with it may be too low by {share:.0%}"
+    unsure = glare if radius > VEIL * width else min(glare, 0.0 if light is None else light.possible)
+    share = _BY_GLARE * unsure
+    part = "" if unsure == glare else " in part"
+    text = f"glare of {glare:.1%} over {radius:.0f} px may be uneven light{part}"
+    text += f": MTF50 with it may be too low by {share:.0%}"
     return Remark("wide-glare", text) if share > _SURE_GLARE else None, share
 
 
@@ -197,7 +204,7 @@ def _ghost(stack: EdgeStack, i: int) -> Remark | None:
     return Remark("ghost", f"{text}: a ghost; it is part of the MTF")
 
 
-def _smoothed(noise: FlatNoise, blur: float) -> list[tuple[Remark, float]]:
+def _smoothed(noise: FlatNoise, blur: float) -> list[tuple[Remark | None, float]]:
     """Return what noise says that neighbours share.
 
     blur: px. The wider it is, the less a smoothing of so many px changes it.
@@ -212,11 +219,14 @@ def _smoothed(noise: FlatNoise, blur: float) -> list[tuple[Remark, float]]:
         share = float(np.clip(_PER_BORDER * (noise.grid - _HARMLESS), 0.0, _MOST_BY_BLOCKS))
         more = f"; MTF50 may be wrong by {share:.1%}" if share else ""
         return [(Remark("compressed", text + more), share)]
-    share = smoothing_doubt(blur, denoised=noise.denoised)
-    name = "a denoised" if noise.denoised else "a demosaiced or denoised"
-    seen += ", over several px" if noise.denoised else ""
-    text = f"{seen}: {name} picture, whose MTF is not the lens's; MTF50 may be wrong by {share:.0%}"
-    return [(Remark("denoised" if noise.denoised else "demosaiced", text), share)]
+    if not noise.denoised:
+        text = f"{seen}: a demosaiced picture, or one that was resampled or smoothed, whose MTF is not the lens's"
+        return [(Remark("demosaiced", text), 0.0)]
+    share = smoothing_doubt(blur, denoised=True)
+    text = (
+        f"{seen}, over several px: a denoised picture, whose MTF is not the lens's; MTF50 may be wrong by {share:.0%}"
+    )
+    return [(Remark("denoised", text), share)]
 
 
 def _bent(stack: EdgeStack, i: int, noise: FlatNoise) -> list[tuple[Remark, float]]:
@@ -263,6 +273,26 @@ def _slightly_sharpened(
         f"{gain:.0f} more): a sharpened picture? MTF50 may be too high by {share:.1%}"
     )
     return [(Remark("sharpened", text), share)]
+
+
+def _filtered(
+    stack: EdgeStack,
+    i: int,
+    value: FloatArray,
+    sides: tuple[np.ndarray, np.ndarray],
+    others: list[tuple[Remark | None, float]],
+) -> list[tuple[Remark | None, float]]:
+    """Return what the correlation of the noise adds to other traces of filters.
+
+    value: of the region. sides: its flat parts. others: what was found of smoothing and sharpening.
+    """
+    doubt = filter_doubt(value, sides, stack.frequency, stack.mtf[i])
+    more = np.sqrt(max(doubt.share**2 - sum(share**2 for _, share in others), 0.0))
+    if others or doubt.probability < 0.5:
+        return [(None, float(more))]
+    kind, off = ("smooths", "low") if doubt.smooths else ("sharpens or deconvolves", "high")
+    text = f"the noise of neighbours is correlated as behind a filter that {kind} (probability {doubt.probability:.1%})"
+    return [(Remark("filtered", f"{text}: MTF50 may be too {off} by {doubt.share:.0%}"), float(more))]
 
 
 def _bare(fits: EdgeFits) -> BareEdge:
@@ -327,6 +357,56 @@ def _effect_of_gamma(stack: EdgeStack, i: int) -> float:
     levels = float(stack.dark[i]) + float(stack.bright[i] - stack.dark[i]) * np.clip(response, 0, 1)
     plain, undone = (_half(distance, v) for v in (levels, np.maximum(levels, 0) ** _GAMMA))
     return float(undone / plain - 1) if np.isfinite(undone / plain) else 0.0
+
+
+def _asymmetric(stack: EdgeStack, i: int) -> list[tuple[Remark | None, float]]:
+    """Return what an edge response that is not symmetric leaves unsure: a lens with coma, or a bent tone curve.
+
+    A tone curve v + q v (1 - v) between the levels adds q L (1 - 2 E) to a symmetric line spread function L of response E.
+    """
+    free = tuple_map(lambda a: np.asarray(a[i]), stack.fits.free)
+    if ghost_of(free).share > 0:
+        return []
+    distance = np.linspace(-_TONE_REACH, _TONE_REACH, _TONE_SAMPLES) * float(line_width(free.shape))
+    basis = line_basis(free.shape, distance)
+    line = basis.pilot + free.even @ (basis.even - basis.pilot)
+    response = np.cumsum(line) / line.sum()
+    by_tone = np.stack([line * (1 - 2 * response), np.gradient(line, distance)])
+    towards = np.linalg.pinv(by_tone.T)[0] @ basis.odd.T
+    bend, odd = float(towards @ free.odd), slice(EVEN, EVEN + ODD)
+    variance = float(towards @ free.covariance[odd, odd] @ towards)
+    if not variance > 0:
+        return []
+    prior = _TONE_BEND**2
+    odds = np.exp(min(bend**2 / variance * prior / (prior + variance) / 2, 50.0)) / np.sqrt(1 + prior / variance)
+    probability = _TONE_PROBABILITY * odds / (1 + _TONE_PROBABILITY * (odds - 1))
+    effect = abs(_effect_of_shoulder(stack, i, bend))
+    share = float(np.sqrt(probability)) * effect
+    if probability < _SURE_TONE or share < _SMALL_DOUBT:
+        return [(None, share)]
+    text = (
+        "the edge response is not symmetric: coma of the lens, or a tone curve that bends, such as a highlight shoulder"
+    )
+    return [(Remark("asymmetric", f"{text}; MTF50 may be wrong by {share:.1%}"), share)]
+
+
+def _effect_of_shoulder(stack: EdgeStack, i: int, bend: float) -> float:
+    """Return by how much a shoulder tanh(b v) that bends by so much changes MTF50, relative.
+
+    bend: q of `_asymmetric`; negative: a shoulder in the dark.
+    """
+    distance = np.linspace(-40, 40, 1601)
+    response = np.clip(np.asarray(stack[i].esf(distance).value), 0, 1)
+    lowest = float(np.clip(stack.dark[i] / stack.bright[i], 0.0, 0.9))
+    if bend < 0:
+        response, lowest = 1 - response[::-1], 0.0
+    shoulders = np.linspace(0.05, 3.0, 60)
+    ends, middle = np.tanh(shoulders * lowest), np.tanh(shoulders * (1 + lowest) / 2)
+    bends = 4 * ((middle - ends) / (np.tanh(shoulders) - ends) - 0.5)
+    b = float(np.interp(abs(bend), bends, shoulders))
+    light = np.arctanh(np.tanh(b * lowest) + (np.tanh(b) - np.tanh(b * lowest)) * response) / b
+    seen, undone = (_half(distance, levels) for levels in (response, light))
+    return float(seen / undone - 1) if np.isfinite(seen / undone) else 0.0
 
 
 def _half(distance: FloatArray, levels: FloatArray) -> float:

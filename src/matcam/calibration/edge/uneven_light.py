@@ -34,6 +34,8 @@ _GLARE_PROBABILITY = 0.1
 """Probability of glare before the picture is seen."""
 _RADII = 4.0 * 1.5 ** np.arange(9)
 """Standard deviations of the glare that are tried, px."""
+_NOISES = (1.0, 1.5, 2.5, 4.0)
+"""Variances of the bins that are tried, in units of those of independent noise: filters correlate it."""
 _SUSPECT = 3.0
 """Standard deviations by which chi2 of the bins must exceed its expectation before anything is computed."""
 _MISFIT = 2e-4
@@ -55,18 +57,13 @@ class LightField(NamedTuple):
         factor: factor of each pixel (rows, columns).
         addend: addend of each pixel (rows, columns), in the picture's units.
         amplitude: standard deviation of the light over the region, relative to the scene or, of what adds, to the step.
-        glare_probability: probability that the lens has glare.
+        possible: the same, rms over all models of the light by their probabilities.
     """
 
     factor: FloatArray
     addend: FloatArray
     amplitude: float
-    glare_probability: float
-
-    @property
-    def is_taken_for_glare(self) -> bool:
-        """Whether light explains the picture, so that glare found beside it may be a part of it."""
-        return self.amplitude > 0 or self.glare_probability < 0.5
+    possible: float
 
 
 class _Bins(NamedTuple):
@@ -78,6 +75,10 @@ class _Bins(NamedTuple):
     value: FloatArray
     level: FloatArray
     std: FloatArray
+
+
+_Kind = tuple[float, float, bool]
+"""Amplitude of a light, correlation length in px, and whether it adds to the scene."""
 
 
 class _Model(NamedTuple):
@@ -165,16 +166,17 @@ def light_field(
     of_glare = float(probability[glaring].sum() / probability.sum())
     # the light is that of the more probable of both hypotheses
     best = max((model for model in models if model.glares == (of_glare > 0.5)), key=lambda model: model.log_evidence)
+    possible = float(np.sqrt(probability @ np.array([m.amplitude for m in models]) ** 2 / probability.sum()))
     factor, addend = np.ones_like(value), np.zeros_like(value)
     if not best.amplitude:
-        return LightField(factor, addend, 0.0, of_glare)
+        return LightField(factor, addend, 0.0, possible) if glare else None
     scale = step if best.adds else bins.level
     weights = best.amplitude**2 * scale / bins.std * (basis @ best.weights)
     field = (_correlation(x.ravel(), y.ravel(), bins, best.length) @ weights).reshape(value.shape)
     amplitude = float(np.std(field[np.isfinite(value)]))
     if best.adds:
-        return LightField(factor, field * step, amplitude, of_glare)
-    return LightField(np.maximum(1 + field, _DARKEST), addend, amplitude, of_glare)
+        return LightField(factor, field * step, amplitude, possible)
+    return LightField(np.maximum(1 + field, _DARKEST), addend, amplitude, possible)
 
 
 def _bins(
@@ -212,8 +214,17 @@ def _models(bins: _Bins, basis: FloatArray, data: FloatArray, glares: FloatArray
 
     data, glares: what remains of the bins, and of glare of full strength, beside levels and plane: (p,), (radii, p).
     """
-    models = _with_glare(0 * data, np.eye(data.size), data, glares, (0.0, 0.0, False))
-    cost = np.log(len(_LENGTHS) * _AMPLITUDES.size * 2)
+    models: list[_Model] = []
+
+    def add(power: FloatArray, vectors: FloatArray, turned: FloatArray, columns: FloatArray, kind: _Kind) -> None:
+        """Add the models of one light, for every noise. power: variances (p,) of the light in the directions `vectors`."""
+        for noise in _NOISES:
+            scale = np.sqrt(noise)
+            some = _with_glare(power / noise, vectors, turned / scale, columns / scale, kind)
+            cost = data.size * np.log(scale) + np.log(2 * len(_LENGTHS) * _AMPLITUDES.size if kind[0] else 1.0)
+            models.extend(m._replace(log_evidence=m.log_evidence - cost, weights=m.weights / scale) for m in some)
+
+    add(0 * data, np.eye(data.size), data, glares, (0.0, 0.0, False))
     for length in _LENGTHS:
         correlation = _correlation(bins.x, bins.y, bins, length)
         for adds in (False, True):
@@ -221,14 +232,12 @@ def _models(bins: _Bins, basis: FloatArray, data: FloatArray, glares: FloatArray
             power, vectors = np.linalg.eigh(seen.T @ correlation @ seen)
             turned, columns = vectors.T @ data, glares @ vectors
             for amplitude in _AMPLITUDES:
-                light = amplitude**2 * np.maximum(power, 0)
-                some = _with_glare(light, vectors, turned, columns, (float(amplitude), length, adds))
-                models += [model._replace(log_evidence=model.log_evidence - cost) for model in some]
+                add(amplitude**2 * np.maximum(power, 0), vectors, turned, columns, (float(amplitude), length, adds))
     return models
 
 
 def _with_glare(
-    light: FloatArray, vectors: FloatArray, data: FloatArray, glares: FloatArray, kind: tuple[float, float, bool]
+    light: FloatArray, vectors: FloatArray, data: FloatArray, glares: FloatArray, kind: _Kind
 ) -> list[_Model]:
     """Evaluate one light without glare, and with glare of every radius.
 
