@@ -40,6 +40,8 @@ from matcam.core.remark import Remark
 _REACH, _MORE = 3.0, 2.0  # of the blur, px: beyond both a side is flat
 _BOX = 0.29  # px: standard deviation of a pixel
 _GAMMA = 2.2
+_LOWEST_BY_GHOST, _FLATTEST = 0.05, 1e-3
+"""Frequency below which a ghost 10 px away changes an MTF ever less, cycles/px; least slope of an MTF at one half, px."""
 _TONE_REACH, _TONE_SAMPLES = 5.0, 101
 """Half the length of the line spread function whose symmetry is judged, in standard deviations of it; its samples."""
 _TONE_BEND, _TONE_PROBABILITY, _SURE_TONE = 0.3, 0.05, 0.99
@@ -102,7 +104,8 @@ def with_traces(stack: EdgeStack, regions: Iterable[EdgeRegions], lights: Sequen
                 shares[:, i] = traces.share, traces.free, traces.glare
                 given[i] = given[i] + traces.remarks
         first += len(rows.value)
-    return _with_jumps(_widened(replace(stack, given=tuple(given)), shares))
+    ghosts = np.array([0.0 if light is None else light.ghost for light in lights])
+    return _with_jumps(_with_ghosts(_widened(replace(stack, given=tuple(given)), shares), ghosts))
 
 
 def crushed_share(dark: FloatArray, bright: FloatArray) -> float:
@@ -439,6 +442,24 @@ def _effect_of_crushing(stack: EdgeStack, i: int) -> float:
     fits = [least_squares(cut, start, bounds=([-5, 0.05, 0.0], [5, 50, 0.8])) for start in starts]
     best = min(fits, key=lambda fit: fit.cost)
     return float(abs(1 - plain.x[1] / best.x[1]))
+
+
+def _with_ghosts(stack: EdgeStack, shares: np.ndarray) -> EdgeStack:
+    """Widen errors by ghosts far from the edge that may have been taken for light. shares: (n,) of the ghosts."""
+    by = shares[:, None] * np.minimum(stack.frequency / _LOWEST_BY_GHOST, 1.0)
+
+    def half_std(mtf: np.ndarray, half: np.ndarray, std: np.ndarray) -> np.ndarray:
+        slope = np.abs(np.gradient(mtf, stack.frequency, axis=-1))
+        at = np.clip(np.searchsorted(stack.frequency, np.nan_to_num(half)), 0, stack.frequency.size - 1)
+        return np.hypot(std, shares / np.maximum(np.take_along_axis(slope, at[:, None], 1)[:, 0], _FLATTEST))
+
+    return replace(
+        stack,
+        mtf_std=np.hypot(stack.mtf_std, by),
+        mtf50_std=half_std(stack.mtf, stack.mtf50, stack.mtf50_std),
+        core_mtf_std=np.hypot(stack.core_mtf_std, by),
+        core_mtf50_std=half_std(stack.core_mtf, stack.core_mtf50, stack.core_mtf50_std),
+    )
 
 
 def _with_jumps(stack: EdgeStack) -> EdgeStack:

@@ -42,6 +42,8 @@ _MISFIT = 2e-4
 """Standard deviation of a bin that is no noise, in units of the step."""
 _CLIPPED = 3.5
 """Standard deviations beyond which a pixel does not count in the mean of its bin."""
+_STEP_PER_STD, _STEEP = 2.5, 4
+"""Height of a step in units of its standard deviation over a region; power of the fraction of variance that is a ghost's."""
 _DARKEST = 0.1
 """Least factor of the light."""
 _WIDEST = 0.1
@@ -58,12 +60,14 @@ class LightField(NamedTuple):
         addend: addend of each pixel (rows, columns), in the picture's units.
         amplitude: standard deviation of the light over the region, relative to the scene or, of what adds, to the step.
         possible: the same, rms over all models of the light by their probabilities.
+        ghost: share of a ghost that the light may be instead: it depends on the distance from the edge alone.
     """
 
     factor: FloatArray
     addend: FloatArray
     amplitude: float
     possible: float
+    ghost: float = 0.0
 
 
 class _Bins(NamedTuple):
@@ -174,9 +178,25 @@ def light_field(
     weights = best.amplitude**2 * scale / bins.std * (basis @ best.weights)
     field = (_correlation(x.ravel(), y.ravel(), bins, best.length) @ weights).reshape(value.shape)
     amplitude = float(np.std(field[np.isfinite(value)]))
+    ghost = _ghost(field[np.isfinite(value)], distance[np.isfinite(value)])
     if best.adds:
-        return LightField(factor, field * step, amplitude, possible)
-    return LightField(np.maximum(1 + field, _DARKEST), addend, amplitude, possible)
+        return LightField(factor, field * step, amplitude, possible, ghost)
+    return LightField(np.maximum(1 + field, _DARKEST), addend, amplitude, possible, ghost)
+
+
+def _ghost(field: FloatArray, distance: FloatArray) -> float:
+    """Compute the share of a ghost that light may be instead.
+
+    A ghost of share q is a step q along lines parallel to the edge. Light whose variance depends on the distance from the edge
+    by a fraction is a ghost with a probability that falls steeply with the rest.
+
+    field: light of n pixels, relative. distance: their distances from the edge, px.
+    """
+    _, name = np.unique(np.floor(distance / _SMALLEST_BIN), return_inverse=True)
+    count = np.bincount(name)
+    along = np.bincount(name, field) / count
+    variance = float(np.average((along - field.mean()) ** 2, weights=count))
+    return _STEP_PER_STD * float(np.sqrt(variance)) * (variance / max(float(field.var()), 1e-300)) ** _STEEP
 
 
 def _bins(

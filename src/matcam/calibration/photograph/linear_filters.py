@@ -17,7 +17,9 @@ from matcam.core.arrays import FloatArray
 LAGS = ((0, 1), (1, 0), (1, 1), (1, -1), (0, 2), (2, 0), (1, 2), (2, 1), (1, -2), (2, -1), (2, 2), (2, -2))
 """Distances of neighbours whose correlation is compared with that of filters, rows and columns, px."""
 _FAR_LAGS = ((0, 5), (5, 0), (4, 4), (4, -4), (0, 6), (6, 0))
-"""Distances of pixels that no filter correlates, px: what they have in common is light."""
+"""Distances of pixels that no filter correlates, px: their correlation is that of the light."""
+_LIGHT, _LENGTHS = 0.03, (8.0, 20.0, 1e3)
+"""Standard deviation of correlations by light that is not even, and the distances over which they fall, px."""
 _NO_FILTER = 0.95
 """Probability that a picture has been through no filter, before it is seen."""
 _LARGEST = 4.0
@@ -35,7 +37,7 @@ _SHORT = 0.05
 
 
 class Correlations(NamedTuple):
-    """Correlations of the noise of pixels at `LAGS`, less what is common to all lags, and the number of pairs: (12,) each."""
+    """Correlations of the noise of pixels some distances apart, and the number of pairs: (lags,) each."""
 
     value: FloatArray
     pairs: FloatArray
@@ -45,7 +47,7 @@ class FilterDoubt(NamedTuple):
     """What filters may have done to an MTF.
 
     Attributes:
-        share: relative error of MTF50, rms over all filters by their probabilities.
+        share: relative error of MTF50, rms over all filters by their probabilities; less where none is probable.
         probability: probability of any filter.
         smooths: whether the most probable filter lowers MTF50.
     """
@@ -117,19 +119,24 @@ def filter_doubt(
     seen = correlations(value, sides, LAGS + _FAR_LAGS)
     if seen is None:
         return FilterDoubt(0.0, 0.0, False)
-    near, filters = len(LAGS), _filters()
-    common, pairs = seen.value[near:].mean(), seen.pairs[:near]
-    found = seen.value[:near] - common
-    # variance of a correlation behind a filter (Bartlett 1946), and of what all lags have in common
-    spread = 1 + 2 * (filters.correlation**2).sum(1, keepdims=True)
-    variance = spread * (1 / pairs + 1 / seen.pairs[near:].sum())
-    log_likelihood = -((found - filters.correlation) ** 2 / variance + np.log(variance)).sum(1) / 2
+    filters = _filters()
+    expected = np.pad(filters.correlation, ((0, 0), (0, len(_FAR_LAGS))))
+    # variance of a correlation behind a filter (Bartlett 1946), and of what light has left
+    spread = 1 + 2 * (expected**2).sum(1)
+    apart = np.hypot(*np.array(LAGS + _FAR_LAGS).T)
+    light = _LIGHT * np.exp(-apart / np.array(_LENGTHS)[:, None])
+    variance = spread[:, None, None] * np.diag(1 / seen.pairs) + light.T @ light
+    left = seen.value - expected
+    misfit = (left * np.linalg.solve(variance, left[..., None])[..., 0]).sum(1)
+    log_likelihood = -(misfit + np.linalg.slogdet(variance)[1]) / 2
     probability = filters.prior * np.exp(log_likelihood - log_likelihood.max())
     probability /= probability.sum()
     effect = np.array([_effect(frequency, mtf, transfer) for transfer in filters.transfer])
     likeliest = int(np.argmax(probability[1:])) + 1
-    share = float(np.sqrt(probability @ effect**2))
-    return FilterDoubt(share, float(1 - probability[0]), bool(effect[likeliest] < 0))
+    filtered = float(probability[1:].sum())
+    # two standard deviations need not contain what is less probable than 5 %
+    share = filtered**0.75 * np.sqrt(probability[1:] @ effect[1:] ** 2 / max(filtered, 1e-300))
+    return FilterDoubt(float(share), filtered, bool(effect[likeliest] < 0))
 
 
 def _effect(frequency: FloatArray, mtf: FloatArray, transfer: FloatArray) -> float:
