@@ -4,6 +4,8 @@ from .camera.evidence import EdgeTable
 from .camera.lateral_colour import LateralColour
 from .edge.edge_result import EdgeMTF, EdgeSamples, EdgeStack
 from .edge.parametric_result import ParametricEdge, ParametricStack
+from .readings.edge_numbers import Reading, level_frequency, mtf_at, rise_distance
+from .readings.iso12233 import ISOEdge, iso12233_sfr
 from .sensor.characteristics import SensorCharacteristics
 
 __all__ = [
@@ -13,9 +15,15 @@ __all__ = [
     "EdgeSamples",
     "EdgeStack",
     "EdgeTable",
+    "ISOEdge",
     "LateralColour",
     "MeanCurve",
     "ParametricEdge",
     "ParametricStack",
+    "Reading",
     "SensorCharacteristics",
+    "iso12233_sfr",
+    "level_frequency",
+    "mtf_at",
+    "rise_distance",
 ]

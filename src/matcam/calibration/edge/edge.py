@@ -12,17 +12,19 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from matcam.calibration.edge.edge_result import EdgeMTF, EdgeStack, stack_result
+from matcam.calibration.edge.free_curve import GLARE
+from matcam.calibration.edge.geometry import edge_distance
 from matcam.calibration.edge.maximum_likelihood import UNKNOWN_NOISE, Noise
 from matcam.calibration.edge.measurement import EdgeFits, edge_fits, edge_fits_of_stack, lens_fit
 from matcam.calibration.edge.processing import with_traces
 from matcam.calibration.edge.profiles import Gaussian, LensModel, lens_model
 from matcam.calibration.edge.rows import EdgeRegions, RegionFrame, edge_regions, refusals
-from matcam.calibration.edge.uneven_light import LightField, in_even_light
 from matcam.calibration.photograph.linear_image import SMALLEST, LinearImage, flaws, region_of
 from matcam.calibration.photograph.tone import Tone
+from matcam.calibration.photograph.uneven_light import LightField, light_field
 from matcam.calibration.photograph.unnamed_mosaic import refuse_unnamed_mosaic
 from matcam.core import checks
-from matcam.core.arrays import tuple_map
+from matcam.core.arrays import tuple_map, xp
 from matcam.core.errors import ArgumentError, FitError
 from matcam.core.registry import PARAMETRIC_LENSES
 from matcam.core.remark import Remark
@@ -34,6 +36,8 @@ _MANY = 500
 """Edges from which on a program that runs faster is worth the four times longer that it takes to compile."""
 Fit = Callable[[EdgeRegions], EdgeFits]
 """Fit the edges of n regions; arrays of its result have a leading axis of n."""
+_WIDEST = 0.1
+"""Largest blur, in units of the region's width, beside which there is a flat side to see light on."""
 _WHOLE = 0.5  # px: half width of a pixel that is sensitive all over
 
 
@@ -261,11 +265,40 @@ def fits_in_even_light(rows: EdgeRegions, fitted: Fit) -> tuple[EdgeRegions, Edg
         The regions in even light, the fits, and the light of each region.
     """
     fits = fitted(rows)
-    even, lights = in_even_light(rows, fits)
+    even, lights = _in_even_light(rows, fits)
     again = np.array([light is not None and light.amplitude > 0 for light in lights])
     if again.any():
         fits = tuple_map(lambda a, b: np.where(again.reshape(-1, *[1] * (a.ndim - 1)), a, b), fitted(even), fits)
     return even, fits, lights
+
+
+def _in_even_light(rows: EdgeRegions, fits: EdgeFits) -> tuple[EdgeRegions, list[LightField | None]]:
+    """Divide uneven light out of regions.
+
+    Args:
+        rows: n regions.
+        fits: their edges, NumPy arrays with a leading axis of n.
+
+    Returns:
+        The regions in even light, and the light of each; None where two levels and a plane explain it.
+    """
+    value, fields = np.array(rows.value), list[LightField | None]()
+    columns = rows.step * np.arange(value.shape[2])
+    for i, region in enumerate(rows.value):
+        y, start = (np.broadcast_to(a, value.shape[:2])[i] for a in (rows.y, rows.start))
+        x, across = start[:, None] + columns, np.broadcast_to(y[:, None], region.shape)
+        shape, curve = fits.free.shape, xp.asarray(fits.curve[i])
+        blur = float(np.hypot(shape.sigma[i], shape.half_width[i] / np.sqrt(3)))
+        field = None
+        if np.isfinite([*curve, blur]).all() and blur < _WIDEST * np.isfinite(region).sum(1).max() * rows.step:
+            distance = np.asarray(edge_distance(curve, x, across))
+            gain, read = (float(np.asarray(part)[i]) for part in fits.noise)
+            glare = bool(fits.free.even[i, GLARE] != 0)
+            field = light_field(region, x, across, distance, (gain, read), blur=blur, glare=glare)
+        fields.append(field)
+        if field is not None and field.amplitude:
+            value[i] = (region - field.addend) / field.factor
+    return rows._replace(value=value), fields
 
 
 def _stacked(images: ArrayLike | Sequence[LinearImage]) -> tuple[np.ndarray, np.ndarray]:

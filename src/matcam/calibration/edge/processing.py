@@ -21,7 +21,6 @@ from matcam.calibration.edge.free_fit import VEIL
 from matcam.calibration.edge.maximum_likelihood import ADDED, SHIFT
 from matcam.calibration.edge.measurement import EdgeFits
 from matcam.calibration.edge.rows import CLEAR, EdgeRegions, clearance
-from matcam.calibration.edge.uneven_light import LightField
 from matcam.calibration.photograph.flat_noise import BENT_DOUBT, FlatNoise, flat_noise, smoothing_doubt
 from matcam.calibration.photograph.linear_filters import filter_doubt
 from matcam.calibration.photograph.slight_sharpening import (
@@ -34,14 +33,14 @@ from matcam.calibration.photograph.slight_sharpening import (
     noise_gain,
     noise_score,
 )
-from matcam.core.arrays import FloatArray, tuple_map
+from matcam.calibration.photograph.uneven_light import LightField
+from matcam.calibration.readings.wider_errors import widened, with_core_as_total, with_ghosts, with_jumps
+from matcam.core.arrays import FloatArray, tuple_map, xp
 from matcam.core.remark import Remark
 
 _REACH, _MORE = 3.0, 2.0  # of the blur, px: beyond both a side is flat
 _BOX = 0.29  # px: standard deviation of a pixel
 _GAMMA = 2.2
-_LOWEST_BY_GHOST, _FLATTEST = 0.05, 1e-3
-"""Frequency below which a ghost 10 px away changes an MTF ever less, cycles/px; least slope of an MTF at one half, px."""
 _TONE_REACH, _TONE_SAMPLES = 5.0, 101
 """Half the length of the line spread function whose symmetry is judged, in standard deviations of it; its samples."""
 _TONE_BEND, _TONE_PROBABILITY, _SURE_TONE = 0.3, 0.05, 0.99
@@ -58,7 +57,6 @@ _SMALL_DOUBT = 1e-3
 """Relative error of MTF50 below which it is not remarked on."""
 _TAILS, _FADING = 0.08, 0.6  # of MTF50, where the blur reaches the border; blurs over which that fades
 _SURER = 0.1  # of that, of a lens model
-_JUMP = 1.5  # times its standard deviation: what the slope of the MTF does not tell
 _SURE_GLARE = 0.005
 """Relative error of MTF50 below which a doubt on glare is not remarked on."""
 _BY_GLARE = 0.72  # of MTF50 by the share of glare, where the MTF is one half
@@ -92,7 +90,7 @@ def with_traces(stack: EdgeStack, regions: Iterable[EdgeRegions], lights: Sequen
     """
     shares, given = np.zeros((3, len(stack))), list(stack.given or [()] * len(stack))
     core = np.array([light is not None and light.amplitude > 0 for light in lights])
-    stack = _with_core_as_total(stack, core)
+    stack = with_core_as_total(stack, core)
     first = 0
     for rows in regions:
         part = slice(first, first + len(rows.value))
@@ -105,7 +103,7 @@ def with_traces(stack: EdgeStack, regions: Iterable[EdgeRegions], lights: Sequen
                 given[i] = given[i] + traces.remarks
         first += len(rows.value)
     ghosts = np.array([0.0 if light is None else light.ghost for light in lights])
-    return _with_jumps(_with_ghosts(_widened(replace(stack, given=tuple(given)), shares), ghosts))
+    return with_jumps(with_ghosts(widened(replace(stack, given=tuple(given)), shares), ghosts))
 
 
 def crushed_share(dark: FloatArray, bright: FloatArray) -> float:
@@ -119,16 +117,6 @@ def crushed_share(dark: FloatArray, bright: FloatArray) -> float:
     largest = np.unique(bright, return_counts=True)[1].max() / bright.size
     piled = count[0] > max(_LEAST_PILE, _PILED * max(largest, count[1] if count.size > 1 else 0.0))
     return float(count[0]) if piled else 0.0
-
-
-def _with_core_as_total(stack: EdgeStack, which: np.ndarray) -> EdgeStack:
-    """Take the MTF without glare for the MTF of some edges. which: (n,) bool."""
-
-    def of(total: np.ndarray, core: np.ndarray) -> np.ndarray:
-        return np.where(which.reshape(-1, *[1] * (total.ndim - 1)), core, total)
-
-    names = ("mtf", "mtf_std", "mtf50", "mtf50_std")
-    return replace(stack, **{name: of(getattr(stack, name), getattr(stack, f"core_{name}")) for name in names})
 
 
 def _traces(stack: EdgeStack, i: int, rows: EdgeRegions, k: int, clear: float, light: LightField | None) -> Traces:
@@ -371,7 +359,7 @@ def _asymmetric(stack: EdgeStack, i: int) -> list[tuple[Remark | None, float]]:
     if ghost_of(free).share > 0:
         return []
     distance = np.linspace(-_TONE_REACH, _TONE_REACH, _TONE_SAMPLES) * float(line_width(free.shape))
-    basis = line_basis(free.shape, distance)
+    basis = line_basis(free.shape, xp.asarray(distance))
     line = basis.pilot + free.even @ (basis.even - basis.pilot)
     response = np.cumsum(line) / line.sum()
     by_tone = np.stack([line * (1 - 2 * response), np.gradient(line, distance)])
@@ -442,82 +430,3 @@ def _effect_of_crushing(stack: EdgeStack, i: int) -> float:
     fits = [least_squares(cut, start, bounds=([-5, 0.05, 0.0], [5, 50, 0.8])) for start in starts]
     best = min(fits, key=lambda fit: fit.cost)
     return float(abs(1 - plain.x[1] / best.x[1]))
-
-
-def _with_ghosts(stack: EdgeStack, shares: np.ndarray) -> EdgeStack:
-    """Widen errors by ghosts far from the edge that may have been taken for light. shares: (n,) of the ghosts."""
-    by = shares[:, None] * np.minimum(stack.frequency / _LOWEST_BY_GHOST, 1.0)
-
-    def half_std(mtf: np.ndarray, half: np.ndarray, std: np.ndarray) -> np.ndarray:
-        slope = np.abs(np.gradient(mtf, stack.frequency, axis=-1))
-        at = np.clip(np.searchsorted(stack.frequency, np.nan_to_num(half)), 0, stack.frequency.size - 1)
-        return np.hypot(std, shares / np.maximum(np.take_along_axis(slope, at[:, None], 1)[:, 0], _FLATTEST))
-
-    return replace(
-        stack,
-        mtf_std=np.hypot(stack.mtf_std, by),
-        mtf50_std=half_std(stack.mtf, stack.mtf50, stack.mtf50_std),
-        core_mtf_std=np.hypot(stack.core_mtf_std, by),
-        core_mtf50_std=half_std(stack.core_mtf, stack.core_mtf50, stack.core_mtf50_std),
-    )
-
-
-def _with_jumps(stack: EdgeStack) -> EdgeStack:
-    """Return results whose MTF50 is as unsure as the place where the MTF, a standard deviation up or down, is one half.
-
-    A ghost makes the MTF wavy. Where it comes near one half twice, the MTF50 may jump.
-    """
-
-    def std(mtf: np.ndarray, mtf_std: np.ndarray, half: np.ndarray, half_std: np.ndarray) -> np.ndarray:
-        low, high = (_first_half(stack.frequency, mtf + sign * mtf_std) for sign in (-1, 1))
-        reach = np.fmax(half - low, high - half)
-        return np.where(reach > _JUMP * half_std, reach, half_std)
-
-    return replace(
-        stack,
-        mtf50_std=std(stack.mtf, stack.mtf_std, stack.mtf50, stack.mtf50_std),
-        core_mtf50_std=std(stack.core_mtf, stack.core_mtf_std, stack.core_mtf50, stack.core_mtf50_std),
-    )
-
-
-def _first_half(frequency: np.ndarray, mtf: np.ndarray) -> np.ndarray:
-    """Return the first frequency at which curves (n, frequencies) fall to one half; the last one where they do not."""
-    below = mtf < 0.5
-    k = np.where(below.any(1), np.maximum(below.argmax(1), 1), frequency.size - 1)
-    after, before = (np.take_along_axis(mtf, at[:, None], 1)[:, 0] for at in (k, k - 1))
-    share = np.clip((before - 0.5) / np.where(before > after, before - after, 1.0), 0.0, 1.0)
-    return np.asarray(frequency[k - 1] + share * (frequency[k] - frequency[k - 1]))
-
-
-def _widened(stack: EdgeStack, all_shares: np.ndarray) -> EdgeStack:
-    """Return results whose frequencies are unknown by relative shares (3, n), as in `Traces`."""
-    shares, free, glare = all_shares
-    core = np.hypot(shares, free)
-    total = np.hypot(core, glare)
-
-    def curve(mtf: np.ndarray, std: np.ndarray, by: np.ndarray) -> np.ndarray:
-        slope = np.gradient(mtf, stack.frequency, axis=-1)
-        return np.hypot(std, by[:, None] * stack.frequency * np.abs(slope))
-
-    def half(value: np.ndarray, std: np.ndarray, by: np.ndarray) -> np.ndarray:
-        return np.hypot(std, by * value)
-
-    lens = stack.parametric
-    first, box = lens.values[:, 0], lens.half_width**2 / 3
-    # what scales is the blur of lens and pixel together
-    own = shares * (first + box / first if lens.names[0].endswith("sigma_px") else first)
-    covariance = lens.covariance.copy()
-    covariance[:, 0, 0] += own**2
-    return replace(
-        stack,
-        mtf_std=curve(stack.mtf, stack.mtf_std, total),
-        core_mtf_std=curve(stack.core_mtf, stack.core_mtf_std, core),
-        mtf50_std=half(stack.mtf50, stack.mtf50_std, total),
-        core_mtf50_std=half(stack.core_mtf50, stack.core_mtf50_std, core),
-        parametric=replace(
-            lens,
-            covariance=covariance,
-            mtf_std=curve(lens.mtf, lens.mtf_std, shares),
-            mtf50_std=half(lens.mtf50, lens.mtf50_std, shares),
-        ),
-    )

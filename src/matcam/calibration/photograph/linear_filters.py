@@ -172,7 +172,7 @@ def _filters() -> _Filters:
             for w in (0.6, 0.8, 1.0, 1.3, 1.7)
         ],
         [
-            sum((1 - _gaussian(w)) ** k for k in range(n + 1))
+            np.sum([(1 - _gaussian(w)) ** k for k in range(n + 1)], axis=0)
             for w in (0.4, 0.5, 0.6, 0.7, 0.8)
             for n in (1, 2, 3, 4, 5)
         ],

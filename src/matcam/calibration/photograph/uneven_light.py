@@ -13,11 +13,6 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import ndtr
 
-from matcam.calibration.edge.free_curve import GLARE
-from matcam.calibration.edge.geometry import edge_distance
-from matcam.calibration.edge.maximum_likelihood import Noise
-from matcam.calibration.edge.measurement import EdgeFits
-from matcam.calibration.edge.rows import EdgeRegions
 from matcam.core.arrays import FloatArray
 
 _BINS, _SMALLEST_BIN = 220, 4.0
@@ -46,8 +41,6 @@ _STEP_PER_STD, _STEEP = 2.5, 4
 """Height of a step in units of its standard deviation over a region; power of the fraction of variance that is a ghost's."""
 _DARKEST = 0.1
 """Least factor of the light."""
-_WIDEST = 0.1
-"""Largest blur, in units of the region's width, beside which there is a flat side to see light on."""
 _FEWEST_BINS = 24
 """Bins from which a light field can be estimated."""
 
@@ -105,37 +98,15 @@ class _Model(NamedTuple):
     weights: FloatArray
 
 
-def in_even_light(rows: EdgeRegions, fits: EdgeFits) -> tuple[EdgeRegions, list[LightField | None]]:
-    """Divide uneven light out of regions.
-
-    Args:
-        rows: n regions.
-        fits: their edges, NumPy arrays with a leading axis of n.
-
-    Returns:
-        The regions in even light, and the light of each; None where two levels and a plane explain it.
-    """
-    value, fields = np.array(rows.value), list[LightField | None]()
-    columns = rows.step * np.arange(value.shape[2])
-    for i, region in enumerate(rows.value):
-        y, start = (np.broadcast_to(a, value.shape[:2])[i] for a in (rows.y, rows.start))
-        x, across = start[:, None] + columns, np.broadcast_to(y[:, None], region.shape)
-        shape, curve = fits.free.shape, np.asarray(fits.curve[i])
-        blur = float(np.hypot(shape.sigma[i], shape.half_width[i] / np.sqrt(3)))
-        field = None
-        if np.isfinite([*curve, blur]).all() and blur < _WIDEST * np.isfinite(region).sum(1).max() * rows.step:
-            distance = np.asarray(edge_distance(curve, x, across))
-            noise = Noise(np.float64(fits.noise.gain[i]), np.float64(fits.noise.read[i]))
-            glare = bool(fits.free.even[i, GLARE] != 0)
-            field = light_field(region, x, across, distance, noise, blur=blur, glare=glare)
-        fields.append(field)
-        if field is not None and field.amplitude:
-            value[i] = (region - field.addend) / field.factor
-    return rows._replace(value=value), fields
-
-
 def light_field(
-    value: FloatArray, x: FloatArray, y: FloatArray, distance: FloatArray, noise: Noise, *, blur: float, glare: bool
+    value: FloatArray,
+    x: FloatArray,
+    y: FloatArray,
+    distance: FloatArray,
+    noise: tuple[float, float],
+    *,
+    blur: float,
+    glare: bool,
 ) -> LightField | None:
     """Estimate the light of a region; None where two levels and a plane explain it.
 
@@ -144,7 +115,7 @@ def light_field(
         x: positions of the pixels (rows, columns), px.
         y: positions of the pixels (rows, columns), px.
         distance: distances from the edge (rows, columns), px; positive on the bright side.
-        noise: noise of a pixel, in the units of `value`.
+        noise: gain and standard deviation of the read noise: the variance of a pixel is gain * value + read^2.
         blur: standard deviation of the line spread function, px.
         glare: whether the fit of the edge has found glare, so that light must be compared with it.
 
@@ -200,7 +171,12 @@ def _ghost(field: FloatArray, distance: FloatArray) -> float:
 
 
 def _bins(
-    value: FloatArray, x: FloatArray, y: FloatArray, distance: FloatArray, noise: Noise, reach: float
+    value: FloatArray,
+    x: FloatArray,
+    y: FloatArray,
+    distance: FloatArray,
+    noise: tuple[float, float],
+    reach: float,
 ) -> _Bins | None:
     """Average the flat sides over bins; None where there are too few."""
     flat = np.isfinite(value) & (np.abs(distance) > reach)
@@ -211,7 +187,7 @@ def _bins(
     some = value[flat]
     count = np.bincount(name)
     mean = np.bincount(name, some) / count
-    std = np.sqrt(np.maximum(noise.variance(mean), 1e-300))
+    std = np.sqrt(np.maximum(noise[0] * np.maximum(mean, 0) + noise[1] ** 2, 1e-300))
     # a first guess of each bin is its median, which neither dust nor a hot pixel moves
     order = np.lexsort((some, name))
     middle = some[order[np.cumsum(count) - (count + 1) // 2]]
@@ -220,13 +196,15 @@ def _bins(
     if good.sum() < _FEWEST_BINS:
         return None
     n = np.maximum(np.bincount(name, used), 1.0)
-    means = [np.bincount(name, used * a)[good] / n[good] for a in (x[flat], y[flat], distance[flat], some)]
-    bright = means[2] > 0
+    mean_x, mean_y, apart, level = (
+        np.bincount(name, used * a)[good] / n[good] for a in (x[flat], y[flat], distance[flat], some)
+    )
+    bright = apart > 0
     if min(bright.sum(), (~bright).sum()) < _FEWEST_BINS / 4:
         return None
-    levels = [float(np.median(means[3][part])) for part in (~bright, bright)]
-    std = np.hypot(std[good] / np.sqrt(n[good]), _MISFIT * (levels[1] - levels[0]))
-    return _Bins(*means, np.where(bright, levels[1], levels[0]), std)
+    low, high = (float(np.median(level[part])) for part in (~bright, bright))
+    std = np.hypot(std[good] / np.sqrt(n[good]), _MISFIT * (high - low))
+    return _Bins(mean_x, mean_y, apart, level, np.where(bright, high, low), std)
 
 
 def _models(bins: _Bins, basis: FloatArray, data: FloatArray, glares: FloatArray, step: float) -> list[_Model]:
