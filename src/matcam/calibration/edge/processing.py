@@ -59,6 +59,8 @@ _TAILS, _FADING = 0.08, 0.6  # of MTF50, where the blur reaches the border; blur
 _SURER = 0.1  # of that, of a lens model
 _SURE_GLARE = 0.005
 """Relative error of MTF50 below which a doubt on glare is not remarked on."""
+_PER_STEP = 1.0
+"""Relative error of MTF50 by a step of the light across the edge, in units of the step."""
 _BY_GLARE = 0.72  # of MTF50 by the share of glare, where the MTF is one half
 _PER_BORDER, _HARMLESS, _MOST_BY_BLOCKS = 0.006, 3.0, 0.05  # of MTF50 by how much JPEG's borders stand out
 _LEAST_NOISE = 2e-4  # of the step
@@ -144,7 +146,8 @@ def _traces(stack: EdgeStack, i: int, rows: EdgeRegions, k: int, clear: float, l
     found += _bent(stack, i, noise) or _asymmetric(stack, i)
     found += _crushed(stack, i, crushed_share(value[dark], value[bright]))
     found += _coarse(value, (dark, bright), noise, step)
-    share = float(np.hypot.reduce([0.0, *(share for _, share in found)]))
+    by_light = 0.0 if light is None else _PER_STEP * light.unknown
+    share = float(np.hypot.reduce([by_light, *(share for _, share in found)]))
     narrow, free = _narrow(clear, blur)
     veiled, glare = _veiled(stack, i, rows.step * (value.shape[1] - 1), light)
     remarks = (*(remark for remark, _ in found), narrow, veiled, _ghost(stack, i))

@@ -39,6 +39,8 @@ _CLIPPED = 3.5
 """Standard deviations beyond which a pixel does not count in the mean of its bin."""
 _STEP_PER_STD, _STEEP = 2.5, 4
 """Height of a step in units of its standard deviation over a region; power of the fraction of variance that is a ghost's."""
+_ROWS = 40
+"""Rows in which the light across the edge is evaluated."""
 _DARKEST = 0.1
 """Least factor of the light."""
 _FEWEST_BINS = 24
@@ -54,6 +56,7 @@ class LightField(NamedTuple):
         amplitude: standard deviation of the light over the region, relative to the scene or, of what adds, to the step.
         possible: the same, rms over all models of the light by their probabilities.
         ghost: share of a ghost that the light may be instead: it depends on the distance from the edge alone.
+        unknown: standard deviation of the step across the edge by light that is interpolated there, in units of the step.
     """
 
     factor: FloatArray
@@ -61,6 +64,7 @@ class LightField(NamedTuple):
     amplitude: float
     possible: float
     ghost: float = 0.0
+    unknown: float = 0.0
 
 
 class _Bins(NamedTuple):
@@ -88,6 +92,7 @@ class _Model(NamedTuple):
         adds: whether the light adds to the scene; else it multiplies it.
         glares: whether there is glare.
         weights: weights of the data (p,) in the light's mean.
+        noise: variance of the bins, in units of that of independent noise.
     """
 
     log_evidence: float
@@ -96,6 +101,7 @@ class _Model(NamedTuple):
     adds: bool
     glares: bool
     weights: FloatArray
+    noise: float = 1.0
 
 
 def light_field(
@@ -150,9 +156,31 @@ def light_field(
     field = (_correlation(x.ravel(), y.ravel(), bins, best.length) @ weights).reshape(value.shape)
     amplitude = float(np.std(field[np.isfinite(value)]))
     ghost = _ghost(field[np.isfinite(value)], distance[np.isfinite(value)])
+    seen = basis * (scale / bins.std)[:, None] if np.ndim(scale) else basis * scale / bins.std[:, None]
+    unknown = _unknown(bins, seen, best, (x, y, distance), blur)
     if best.adds:
-        return LightField(factor, field * step, amplitude, possible, ghost)
-    return LightField(np.maximum(1 + field, _DARKEST), addend, amplitude, possible, ghost)
+        return LightField(factor, field * step, amplitude, possible, ghost, unknown)
+    unknown *= float(bins.level.max()) / step
+    return LightField(np.maximum(1 + field, _DARKEST), addend, amplitude, possible, ghost, unknown)
+
+
+def _unknown(bins: _Bins, seen: FloatArray, best: _Model, places: tuple[FloatArray, ...], blur: float) -> float:
+    """Compute the standard deviation of the light's step across the edge, mean along the edge, relative.
+
+    seen: light of the bins -> data (n, p). places: x, y and distance of all pixels, px.
+    """
+    x, y, distance = places
+    # in every so many rows, the pixels whose centres lie one blur to both sides of the edge
+    rows = np.linspace(0, len(x) - 1, min(len(x), _ROWS)).astype(int)
+    at = [np.abs(distance[rows] - side * blur).argmin(1) for side in (1, -1)]
+    px, py = (np.concatenate([a[rows, columns] for columns in at]) for a in (x, y))
+    mean = np.repeat([1.0, -1.0], rows.size) / rows.size
+    own = _correlation(px, py, bins._replace(x=px, y=py), best.length)
+    cross = mean @ _correlation(px, py, bins, best.length) @ seen
+    power = best.amplitude**2
+    data = power * seen.T @ _correlation(bins.x, bins.y, bins, best.length) @ seen + best.noise * np.eye(seen.shape[1])
+    variance = power * mean @ own @ mean - power**2 * cross @ np.linalg.solve(data, cross)
+    return float(np.sqrt(max(variance, 0.0)))
 
 
 def _ghost(field: FloatArray, distance: FloatArray) -> float:
@@ -220,7 +248,9 @@ def _models(bins: _Bins, basis: FloatArray, data: FloatArray, glares: FloatArray
             scale = np.sqrt(noise)
             some = _with_glare(power / noise, vectors, turned / scale, columns / scale, kind)
             cost = data.size * np.log(scale) + np.log(2 * len(_LENGTHS) * _AMPLITUDES.size if kind[0] else 1.0)
-            models.extend(m._replace(log_evidence=m.log_evidence - cost, weights=m.weights / scale) for m in some)
+            models.extend(
+                m._replace(log_evidence=m.log_evidence - cost, weights=m.weights / scale, noise=noise) for m in some
+            )
 
     add(0 * data, np.eye(data.size), data, glares, (0.0, 0.0, False))
     for length in _LENGTHS:

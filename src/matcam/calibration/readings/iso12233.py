@@ -165,7 +165,7 @@ def iso12233_sfr(
     number = np.arange(len(value), dtype=float)
     if value.shape[1] < 8:
         raise FitError("the region has missing pixels: the method of ISO 12233 needs all of them")
-    place = _edge_places(value, number, order) + start
+    place = _edge_places(value, start, number, order)
     straight = np.polynomial.Polynomial.fit(number, place, 1).convert().coef[1]
     if abs(straight) * len(value) < _LEAST_TURNS:
         raise FitError("phases are missing: the edge lies along the pixels' grid: turn the target by a few degrees")
@@ -186,22 +186,23 @@ def _row_distance(y: FloatArray) -> float:
     return float(y[1] - y[0])
 
 
-def _edge_places(value: FloatArray, number: FloatArray, order: int) -> FloatArray:
-    """Find the edge in every row, samples: a polynomial through centroids of the derivative."""
+def _edge_places(value: FloatArray, start: FloatArray, number: FloatArray, order: int) -> FloatArray:
+    """Find the edge in every row, samples: a polynomial through centroids of the derivative.
+
+    start: place of the first sample of each row, samples. number: of each row.
+    """
     columns = value.shape[1]
     # the difference of neighbours stands between them
-    slope, at = np.diff(value, axis=1), np.arange(columns - 1) + 0.5
-    middle: FloatArray = np.full(len(value), (columns - 1) / 2)
+    slope, at = np.diff(value, axis=1), start[:, None] + np.arange(columns - 1) + 0.5
     window = np.ones_like(slope)
     for _ in range(3):
         weight = slope * window
         total = weight.sum(1)
         if not (total > 0).all():
             raise FitError("no edge that crosses the region from one side to the other was found in it")
-        found = (weight * at).sum(1) / total
-        middle = np.asarray(np.polynomial.Polynomial.fit(number, found, order)(number))
+        middle = np.polynomial.Polynomial.fit(number, (weight * at).sum(1) / total, order)(number)
         window = (1 - _FLOOR) * _hann(at - middle[:, None], columns) + _FLOOR
-    return middle
+    return np.asarray(middle)
 
 
 def _hann(distance: FloatArray, width: float) -> FloatArray:
