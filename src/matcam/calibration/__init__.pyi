@@ -4,7 +4,7 @@ from .camera.evidence import EdgeTable
 from .camera.lateral_colour import LateralColour
 from .edge.edge_result import EdgeMTF, EdgeSamples, EdgeStack
 from .edge.parametric_result import ParametricEdge, ParametricStack
-from .readings.edge_numbers import Reading, level_frequency, mtf_at, rise_distance
+from .readings.edge_numbers import EdgeNumber, level_frequency, mtf_at, rise_distance
 from .readings.iso12233 import ISOEdge, iso12233_sfr
 from .sensor.characteristics import SensorCharacteristics
 
@@ -12,6 +12,7 @@ __all__ = [
     "Calibration",
     "CameraFit",
     "EdgeMTF",
+    "EdgeNumber",
     "EdgeSamples",
     "EdgeStack",
     "EdgeTable",
@@ -20,7 +21,6 @@ __all__ = [
     "MeanCurve",
     "ParametricEdge",
     "ParametricStack",
-    "Reading",
     "SensorCharacteristics",
     "iso12233_sfr",
     "level_frequency",

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from matcam.calibration.camera.consensus import strangers_remarks
 from matcam.calibration.camera.evidence import EdgeTable, Evidence, LensAt
 from matcam.calibration.camera.joint_fit import (
     EdgeMeasurements,
@@ -292,26 +293,16 @@ def fit_camera(evidence: Evidence, channel: str, request: CameraRequest) -> Came
             for name in dict.fromkeys(measurements.groups)
             if name not in strangers
         },
-        remarks=_strangers_remarks(strangers, channel),
+        remarks=strangers_remarks(strangers, channel),
     )
 
 
 def _without_strangers(
     measurements: Measurements, unknowns: Unknowns, half_width: float, channel: str
 ) -> tuple[JointFit, dict[str, float]]:
-    """Fit without those targets of a chart that its edges contradict.
+    """Fit without those targets of a chart that its edges contradict, and name them with the difference of their blur.
 
-    Args:
-        measurements: all measurements of one colour.
-        unknowns: parameters to fit.
-        half_width: half width of the pixel, px.
-        channel: name of the colour, for messages.
-
-    Returns:
-        The fit, and the relative difference of the blur for each target that was left out.
-
-    Raises:
-        FitError: measurements contradict one another, and edges do not decide which are wrong.
+    half_width: px, of the pixel. FitError where edges do not decide which measurements are wrong; channel: for its message.
     """
     strangers: dict[str, float] = {}
     while True:
@@ -325,32 +316,6 @@ def _without_strangers(
                 raise FitError(f"contradictory measurements, channel {channel}: {worst}")
             more = {worst.name: worst.difference}
         strangers |= more
-
-
-def _strangers_remarks(strangers: Mapping[str, float], channel: str) -> tuple[Remark, ...]:
-    """Name the targets that were left out, one remark for each kind of target.
-
-    strangers: relative difference of the blur by name, which ends in the kind in brackets.
-    """
-    kinds: dict[str, dict[str, float]] = {}
-    for name, off in strangers.items():
-        kinds.setdefault(name.rpartition(" (")[2].rstrip(")"), {})[name] = off
-    remarks = []
-    for kind, names in kinds.items():
-        low, high = (_as_share(end) for end in (min(names.values()), max(names.values())))
-        first = next(iter(names))
-        if len(names) == 1:
-            text = f"{first} sees a blur {low} against that of the edges, and is left out"
-        else:
-            text = f"{len(names)} targets of one kind ({kind}) see a blur {low} to {high} against that of the edges"
-            text += f", and are left out: {first} and {len(names) - 1} more"
-        remarks.append(Remark("target-disagrees", f"{channel}: {text}"))
-    return tuple(remarks)
-
-
-def _as_share(difference: float) -> str:
-    """Write a relative difference as text; beyond 100 % its linear estimate has no meaning."""
-    return f"{difference:+.0%}" if abs(difference) <= 1 else f"of more than {np.sign(difference):+.0f}00%"
 
 
 class _FittedLens:

@@ -21,6 +21,7 @@ from matcam.calibration.edge.free_fit import VEIL
 from matcam.calibration.edge.maximum_likelihood import ADDED, SHIFT
 from matcam.calibration.edge.measurement import EdgeFits
 from matcam.calibration.edge.rows import CLEAR, EdgeRegions, clearance
+from matcam.calibration.edge.wider_errors import widened, with_core_as_total, with_ghosts, with_jumps
 from matcam.calibration.photograph.flat_noise import BENT_DOUBT, FlatNoise, flat_noise, smoothing_doubt
 from matcam.calibration.photograph.linear_filters import filter_doubt
 from matcam.calibration.photograph.slight_sharpening import (
@@ -34,7 +35,6 @@ from matcam.calibration.photograph.slight_sharpening import (
     noise_score,
 )
 from matcam.calibration.photograph.uneven_light import LightField
-from matcam.calibration.readings.wider_errors import widened, with_core_as_total, with_ghosts, with_jumps
 from matcam.core.arrays import FloatArray, tuple_map, xp
 from matcam.core.remark import Remark
 
@@ -43,8 +43,10 @@ _BOX = 0.29  # px: standard deviation of a pixel
 _GAMMA = 2.2
 _TONE_REACH, _TONE_SAMPLES = 5.0, 101
 """Half the length of the line spread function whose symmetry is judged, in standard deviations of it; its samples."""
-_TONE_BEND, _TONE_PROBABILITY, _SURE_TONE = 0.3, 0.05, 0.99
-"""Standard deviation of a tone curve's bend, and the probability of one, before the picture is seen; and to be remarked on."""
+_TONE_BEND, _TONE_PROBABILITY = 0.3, 0.05
+"""Standard deviation of a tone curve's bend, and the probability of one, before the picture is seen."""
+_SURE_TONE, _NO_TONE = 0.99, 0.01
+"""Probabilities of a tone curve from which it is remarked on, and below which its effect is not computed."""
 _PER_OVERSHOOT = 12.0  # of MTF50, by the overshoot that an unsharp mask leaves
 _OVERSHOOT, _SURE = 0.003, 3.5  # of the step; standard deviations of both signs of sharpening together
 _PILED, _LEAST_PILE = 2.0, 0.05  # times the next level's share; share of the dark side at the very lowest one
@@ -141,7 +143,7 @@ def _traces(stack: EdgeStack, i: int, rows: EdgeRegions, k: int, clear: float, l
     one = value if rows.step == 1 else None
     if clear > CLEAR:
         found += _sharpened(stack, i, noise) or _slightly_sharpened(stack, i, noise, one, (dark, bright))
-    if one is not None and not noise.compressed:
+    if one is not None and not noise.compressed and np.isfinite(noise.alike_std):
         found += _filtered(stack, i, np.where(there, one, 0.0), (dark, bright), found)
     found += _bent(stack, i, noise) or _asymmetric(stack, i)
     found += _crushed(stack, i, crushed_share(value[dark], value[bright]))
@@ -374,6 +376,8 @@ def _asymmetric(stack: EdgeStack, i: int) -> list[tuple[Remark | None, float]]:
     prior = _TONE_BEND**2
     odds = np.exp(min(bend**2 / variance * prior / (prior + variance) / 2, 50.0)) / np.sqrt(1 + prior / variance)
     probability = _TONE_PROBABILITY * odds / (1 + _TONE_PROBABILITY * (odds - 1))
+    if probability < _NO_TONE:
+        return []
     effect = abs(_effect_of_shoulder(stack, i, bend))
     share = float(np.sqrt(probability)) * effect
     if probability < _SURE_TONE or share < _SMALL_DOUBT:

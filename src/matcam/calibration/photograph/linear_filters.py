@@ -44,7 +44,7 @@ class Correlations(NamedTuple):
 
 
 class FilterDoubt(NamedTuple):
-    """What filters may have done to an MTF.
+    """Doubt on an MTF by the filters that a picture may have been through.
 
     Attributes:
         share: relative error of MTF50, rms over all filters by their probabilities; less where none is probable.

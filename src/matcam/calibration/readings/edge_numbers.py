@@ -21,11 +21,15 @@ _HIGHEST = 1.25
 """Largest frequency at which an MTF is tabulated, cycles/px."""
 
 
-class Reading(NamedTuple):
+class EdgeNumber(NamedTuple):
     """Number and its standard deviation.
 
+    Attributes:
+        value: the number, in the unit that the function states.
+        std: its standard deviation, in the same unit.
+
     Example:
-        >>> matcam.calibration.Reading(0.31, 0.01).value
+        >>> matcam.calibration.EdgeNumber(0.31, 0.01).value
         0.31
     """
 
@@ -33,15 +37,15 @@ class Reading(NamedTuple):
     std: float
 
 
-def level_frequency(edge: EdgeMTF, level: float) -> Reading:
-    """Find the lowest frequency at which the MTF of an edge falls to a level.
+def level_frequency(edge: EdgeMTF, level: float) -> EdgeNumber:
+    """Find the frequency at which the MTF of an edge falls to a level.
 
     Args:
         edge: result of `edge_mtf`.
         level: level of the MTF, in (0, 1) (no unit).
 
     Returns:
-        Frequency and its standard deviation, cycles/px; NaN where the MTF does not fall so far.
+        Lowest such frequency and its standard deviation, cycles/px; NaN where the MTF does not fall so far.
 
     Raises:
         ArgumentError: `level` is out of range.
@@ -51,19 +55,19 @@ def level_frequency(edge: EdgeMTF, level: float) -> Reading:
         >>> edge = matcam.edge_mtf(100 + 800 / (1 + np.exp(-2 * (x - 0.1 * y))))
         >>> found = matcam.calibration.level_frequency(edge, 0.1)
         >>> round(found.value, 2)
-        0.48
+        0.46
     """
     checks.scalar("level", checks.within("level", level, 0, 1, open_low=True, open_high=True))
     if level == LEVELS[0]:
-        return Reading(edge.mtf50, edge.mtf50_std)
+        return EdgeNumber(edge.mtf50, edge.mtf50_std)
     below = np.flatnonzero(edge.mtf < level)
     if not below.size or below[0] == 0:
-        return Reading(np.nan, np.nan)
+        return EdgeNumber(np.nan, np.nan)
     k = [below[0] - 1, below[0]]
     slope = float(np.diff(edge.mtf[k])[0] / np.diff(edge.frequency[k])[0])
     value = float(edge.frequency[k[0]] + (level - edge.mtf[k[0]]) / slope)
     std = float(np.interp(value, edge.frequency[k], edge.mtf_std[k])) / abs(slope)
-    return Reading(value, std)
+    return EdgeNumber(value, std)
 
 
 def mtf_at(edge: EdgeMTF, frequency: ArrayLike) -> SampledCurve:
@@ -83,15 +87,15 @@ def mtf_at(edge: EdgeMTF, frequency: ArrayLike) -> SampledCurve:
         >>> y, x = np.mgrid[-80:80, -40:40]
         >>> edge = matcam.edge_mtf(100 + 800 / (1 + np.exp(-2 * (x - 0.1 * y))))
         >>> round(float(matcam.calibration.mtf_at(edge, 0.25).value), 2)
-        0.43
+        0.42
     """
     at: FloatArray = np.asarray(frequency, dtype=np.float64)
     checks.within("frequency", at, 0, _HIGHEST, "cycles/px")
     return SampledCurve(*(np.interp(at, edge.frequency, curve) for curve in (edge.mtf, edge.mtf_std)))
 
 
-def rise_distance(edge: EdgeMTF) -> Reading:
-    """Measure the distance over which the edge response rises from 10 % to 90 % of the step.
+def rise_distance(edge: EdgeMTF) -> EdgeNumber:
+    """Measure the rise of the edge response from 10 % to 90 %.
 
     Args:
         edge: result of `edge_mtf`.
@@ -118,13 +122,13 @@ def rise_distance(edge: EdgeMTF) -> Reading:
         off = np.asarray(response.value)[side] - level
         crossed = np.flatnonzero(off <= 0 if level < 0.5 else off >= 0)
         if not crossed.size or crossed[0] == 0:
-            return Reading(np.nan, np.nan)
+            return EdgeNumber(np.nan, np.nan)
         k = crossed[0]
         d, std = distance[side], np.asarray(response.std)[side]
         slope = (off[k] - off[k - 1]) / (d[k] - d[k - 1])
         ends.append(float(d[k - 1] - off[k - 1] / slope))
         variance += float(std[k] / slope) ** 2
-    return Reading(ends[1] - ends[0], float(np.sqrt(variance)))
+    return EdgeNumber(ends[1] - ends[0], float(np.sqrt(variance)))
 
 
 def readings(edge: EdgeMTF, frequencies: FloatArray | tuple[float, ...] = ()) -> dict[str, Any]:

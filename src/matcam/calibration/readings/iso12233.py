@@ -79,7 +79,10 @@ class ISOEdge:
 
     @property
     def rise(self) -> float:
-        """Return the distance over which the ESF rises from 10 % to 90 % of the step, px; NaN where it does not."""
+        """Return the rise of the ESF from 10 % to 90 %, px.
+
+        It is NaN where the ESF does not rise so far.
+        """
         end = max(self.esf.size // 8, 1)
         dark, bright = self.esf[:end].mean(), self.esf[-end:].mean()
         share = (self.esf - dark) / (bright - dark)
@@ -199,7 +202,7 @@ def _edge_places(value: FloatArray, start: FloatArray, number: FloatArray, order
         weight = slope * window
         total = weight.sum(1)
         if not (total > 0).all():
-            raise FitError("no edge that crosses the region from one side to the other was found in it")
+            raise FitError("no edge was found: it must cross the region from one side to the other")
         middle = np.polynomial.Polynomial.fit(number, (weight * at).sum(1) / total, order)(number)
         window = (1 - _FLOOR) * _hann(at - middle[:, None], columns) + _FLOOR
     return np.asarray(middle)
