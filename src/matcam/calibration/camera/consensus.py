@@ -104,7 +104,7 @@ def strangers_remarks(strangers: Mapping[str, float], channel: str) -> tuple[Rem
         if len(names) == 1:
             text = f"{first} sees a blur {low} against that of the edges, and is left out"
         else:
-            text = f"{len(names)} targets of one kind ({kind}) see a blur {low} to {high} against that of the edges"
+            text = f"{len(names)} targets of one kind ({kind}) see blurs from {low} to {high} against that of the edges"
             text += f", and are left out: {first} and {len(names) - 1} more"
         remarks.append(Remark("target-disagrees", f"{channel}: {text}"))
     return tuple(remarks)
@@ -112,4 +112,8 @@ def strangers_remarks(strangers: Mapping[str, float], channel: str) -> tuple[Rem
 
 def _as_share(difference: float) -> str:
     """Write a relative difference as text; beyond 100 % its linear estimate has no meaning."""
-    return f"{difference:+.0%}" if abs(difference) <= 1 else f"of more than {np.sign(difference):+.0f}00%"
+    return (
+        f"{difference:+.0%}"
+        if abs(difference) <= 1
+        else f"{'more' if difference > 0 else 'less'} than {np.sign(difference):+.0f}00%"
+    )

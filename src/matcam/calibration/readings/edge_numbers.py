@@ -38,7 +38,7 @@ class EdgeNumber(NamedTuple):
 
 
 def level_frequency(edge: EdgeMTF, level: float) -> EdgeNumber:
-    """Find the frequency at which the MTF of an edge falls to a level.
+    """Find the frequency at which an MTF falls to a level.
 
     Args:
         edge: result of `edge_mtf`.
@@ -95,7 +95,7 @@ def mtf_at(edge: EdgeMTF, frequency: ArrayLike) -> SampledCurve:
 
 
 def rise_distance(edge: EdgeMTF) -> EdgeNumber:
-    """Measure the rise of the edge response from 10 % to 90 %.
+    """Measure the 10 % to 90 % rise of an edge.
 
     Args:
         edge: result of `edge_mtf`.

@@ -79,7 +79,7 @@ class ISOEdge:
 
     @property
     def rise(self) -> float:
-        """Return the rise of the ESF from 10 % to 90 %, px.
+        """Return the 10 % to 90 % rise of the ESF, px.
 
         It is NaN where the ESF does not rise so far.
         """
