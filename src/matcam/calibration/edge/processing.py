@@ -23,7 +23,7 @@ from matcam.calibration.edge.measurement import EdgeFits
 from matcam.calibration.edge.rows import CLEAR, EdgeRegions, clearance
 from matcam.calibration.edge.wider_errors import widened, with_core_as_total, with_ghosts, with_jumps
 from matcam.calibration.photograph.flat_noise import BENT_DOUBT, FlatNoise, flat_noise, smoothing_doubt
-from matcam.calibration.photograph.linear_filters import filter_doubt
+from matcam.calibration.photograph.linear_filters import filter_doubt, half_of
 from matcam.calibration.photograph.slight_sharpening import (
     AMOUNT,
     APART,
@@ -43,6 +43,8 @@ _BOX = 0.29  # px: standard deviation of a pixel
 _GAMMA = 2.2
 _TONE_REACH, _TONE_SAMPLES = 5.0, 101
 """Half the length of the line spread function whose symmetry is judged, in standard deviations of it; its samples."""
+_TRANSFORM = 8192
+"""Samples of the transform of a line spread function, whose frequencies are then 2.4e-3 cycles/px apart."""
 _TONE_BEND, _TONE_PROBABILITY = 0.3, 0.05
 """Standard deviation of a tone curve's bend, and the probability of one, before the picture is seen."""
 _SURE_TONE, _NO_TONE = 0.99, 0.01
@@ -408,15 +410,12 @@ def _effect_of_shoulder(stack: EdgeStack, i: int, bend: float) -> float:
 
 
 def _half(distance: FloatArray, levels: FloatArray) -> float:
-    """Return the frequency at which the transfer of an edge response falls to one half; NaN if it does not."""
-    line, middle = np.diff(levels), (distance[1:] + distance[:-1]) / 2
-    frequency = np.linspace(0, 1.2, 241)
-    transfer = np.abs(np.exp(-2j * np.pi * frequency[:, None] * middle) @ line) / line.sum()
-    below = np.flatnonzero(transfer < 0.5)
-    if not below.size or below[0] == 0:
-        return np.nan
-    k = below[0]
-    return float(np.interp(0.5, transfer[[k, k - 1]], frequency[[k, k - 1]]))
+    """Find the frequency at which the transfer of an edge response falls to one half; NaN if it does not.
+
+    distance: px, evenly spaced.
+    """
+    transfer = np.abs(np.fft.rfft(np.diff(levels), _TRANSFORM)) / (levels[-1] - levels[0])
+    return half_of(np.arange(transfer.size) / (_TRANSFORM * (distance[1] - distance[0])), transfer)
 
 
 def _effect_of_crushing(stack: EdgeStack, i: int) -> float:
