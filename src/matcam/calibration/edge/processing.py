@@ -142,11 +142,12 @@ def _traces(stack: EdgeStack, i: int, rows: EdgeRegions, k: int, clear: float, l
     step = float(stack.bright[i] - stack.dark[i])
     noise = flat_noise(value, dark, bright, lines=rows.step == 1, least=_LEAST_NOISE * abs(step))
     found = _smoothed(noise, blur)
-    one = value if rows.step == 1 else None
+    one, raised = value if rows.step == 1 else None, list[tuple[Remark | None, float]]()
     if clear > CLEAR:
-        found += _sharpened(stack, i, noise) or _slightly_sharpened(stack, i, noise, one, (dark, bright))
+        raised = _sharpened(stack, i, noise) or _slightly_sharpened(stack, i, noise, one, (dark, bright))
     if one is not None and not noise.compressed and np.isfinite(noise.alike_std):
-        found += _filtered(stack, i, np.where(there, one, 0.0), (dark, bright), found)
+        raised += _filtered(stack, i, np.where(there, one, 0.0), (dark, bright), (found, raised))
+    found += raised
     found += _bent(stack, i, noise) or _asymmetric(stack, i)
     found += _crushed(stack, i, crushed_share(value[dark], value[bright]))
     found += _coarse(value, (dark, bright), noise, step)
@@ -278,15 +279,16 @@ def _filtered(
     i: int,
     value: FloatArray,
     sides: tuple[np.ndarray, np.ndarray],
-    others: list[tuple[Remark | None, float]],
+    others: tuple[list[tuple[Remark | None, float]], list[tuple[Remark | None, float]]],
 ) -> list[tuple[Remark | None, float]]:
     """Return what the correlation of the noise adds to other traces of filters.
 
-    value: of the region. sides: its flat parts. others: what was found of smoothing and sharpening.
+    value: of the region. sides: its flat parts. others: what was found of smoothing, and of sharpening.
     """
-    doubt = filter_doubt(value, sides, stack.frequency, stack.mtf[i])
-    more = np.sqrt(max(doubt.share**2 - sum(share**2 for _, share in others), 0.0))
-    if others or doubt.probability < 0.5:
+    smoothed, raised = others
+    doubt = filter_doubt(value, sides, stack.frequency, stack.mtf[i], sharpened=bool(raised))
+    more = np.sqrt(max(doubt.share**2 - sum(share**2 for _, share in (*smoothed, *raised)), 0.0))
+    if smoothed or raised or doubt.probability < 0.5:
         return [(None, float(more))]
     kind, off = ("smooths", "low") if doubt.smooths else ("sharpens or deconvolves", "high")
     text = f"the noise of neighbours is correlated as behind a filter that {kind} (probability {doubt.probability:.1%})"

@@ -103,7 +103,12 @@ def correlations(
 
 
 def filter_doubt(
-    value: FloatArray, sides: tuple[np.ndarray, np.ndarray], frequency: FloatArray, mtf: FloatArray
+    value: FloatArray,
+    sides: tuple[np.ndarray, np.ndarray],
+    frequency: FloatArray,
+    mtf: FloatArray,
+    *,
+    sharpened: bool = False,
 ) -> FilterDoubt:
     """Compute what linear filters may have done to an MTF, as the noise of a picture shows.
 
@@ -112,6 +117,7 @@ def filter_doubt(
         sides: its flat parts (height, width), dark and bright, bool.
         frequency: frequencies (n,), cycles/px.
         mtf: MTF of the picture (n,).
+        sharpened: whether the edge itself shows that a filter has raised its MTF. Default: False.
 
     Returns:
         The doubt; its share is 0 where nothing is known.
@@ -130,8 +136,10 @@ def filter_doubt(
     misfit = (left * np.linalg.solve(variance, left[..., None])[..., 0]).sum(1)
     log_likelihood = -(misfit + np.linalg.slogdet(variance)[1]) / 2
     probability = filters.prior * np.exp(log_likelihood - log_likelihood.max())
-    probability /= probability.sum()
     effect = np.array([_effect(frequency, mtf, transfer) for transfer in filters.transfer])
+    if sharpened:
+        probability *= effect > 0
+    probability /= max(float(probability.sum()), 1e-300)
     likeliest = int(np.argmax(probability[1:])) + 1
     filtered = float(probability[1:].sum())
     # two standard deviations need not contain what is less probable than 5 %
@@ -165,7 +173,7 @@ def _filters() -> _Filters:
     """Tabulate all filters, the one that does nothing first."""
     flat = np.ones((_GRID, _GRID // 2 + 1))
     families: list[list[FloatArray]] = [
-        [_gaussian(width) for width in 0.25 * 1.15 ** np.arange(11)],
+        [_gaussian(width) for width in 0.25 * 1.04 ** np.arange(37)],
         [
             flat + a * (1 - _gaussian(w))
             for a in (0.05, 0.1, 0.15, 0.2, 0.3, 0.45, 0.7, 1.0)
