@@ -12,13 +12,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from matcam.calibration.edge.edge_result import EdgeMTF, EdgeStack, stack_result
-from matcam.calibration.edge.free_curve import GLARE
-from matcam.calibration.edge.geometry import edge_distance
+from matcam.calibration.edge.free_curve import GHOSTS, GLARE
+from matcam.calibration.edge.geometry import Rows, aligned_rows, edge_distance, half_length
 from matcam.calibration.edge.maximum_likelihood import UNKNOWN_NOISE, Noise
 from matcam.calibration.edge.measurement import EdgeFits, edge_fits, edge_fits_of_stack, lens_fit
 from matcam.calibration.edge.processing import with_traces
 from matcam.calibration.edge.profiles import Gaussian, LensModel, lens_model
-from matcam.calibration.edge.rows import EdgeRegions, RegionFrame, edge_regions, refusals
+from matcam.calibration.edge.rows import EdgeRegions, RegionFrame, edge_regions, refusals, what_is_seen
+from matcam.calibration.edge.start import in_even_rows
 from matcam.calibration.photograph.linear_image import SMALLEST, LinearImage, flaws, region_of
 from matcam.calibration.photograph.tone import Tone
 from matcam.calibration.photograph.uneven_light import LightField, light_field
@@ -38,6 +39,10 @@ Fit = Callable[[EdgeRegions], EdgeFits]
 """Fit the edges of n regions; arrays of its result have a leading axis of n."""
 _WIDEST = 0.1
 """Largest blur, in units of the region's width, beside which there is a flat side to see light on."""
+_BRIGHTEST = 0.2
+"""Standard deviation of light over a region, relative, above which it is no light but a pattern of the scene."""
+_GHOST_REACH = 3.5
+"""Blurs from an edge at which a side is taken for flat."""
 _WHOLE = 0.5  # px: half width of a pixel that is sensitive all over
 
 
@@ -130,7 +135,7 @@ def edge_mtf(
         fits = edge_fits(rows.value[0], rows.y, rows.start, settings.noise, half, step=rows.step, turns=rows.turns)
         return tuple_map(lambda a: np.asarray(a)[None], fits)
 
-    rows, fits, lights = fits_in_even_light(rows, fitted)
+    even, fits, lights = fits_in_even_light(rows, fitted)
     if model != "gaussian":
         one = tuple_map(lambda a: a[0], fits)
         parametric = tuple_map(lambda a: np.asarray(a)[None], lens_fit(one, half, settings.lens))
@@ -139,7 +144,7 @@ def edge_mtf(
         raise FitError(problem.text)
     frame = rows.frame._replace(x=rows.frame.x + region.corner[0], y=rows.frame.y + region.corner[1])
     stack = stack_result(fits, frame, settings.lens, settings.half_width, (None,))
-    result = with_traces(stack, [rows], lights)[0]
+    result = with_traces(stack, [even], lights)[0]
     return replace(result, given=region.remarks + result.given)
 
 
@@ -246,7 +251,7 @@ def edge_stack(
             parametric = jax.vmap(lens_fit, in_axes=(0, None, None))(fits, half, settings.lens)
             fits = fits._replace(parametric=tuple_map(np.asarray, parametric))
         chunks.append(fits)
-        found = refusals(fits, rows, accept_sharpened=settings.accept_sharpened)
+        found = refusals(fits, given, accept_sharpened=settings.accept_sharpened)
         problems += [flaw or refusal for flaw, refusal in zip(known, found, strict=True)]
         frames.append(RegionFrame(*(np.broadcast_to(column, len(rows.value)) for column in rows.frame)))
     fits = tuple_map(lambda *a: np.concatenate(a), *chunks)
@@ -289,15 +294,22 @@ def _in_even_light(rows: EdgeRegions, fits: EdgeFits) -> tuple[EdgeRegions, list
         x, across = start[:, None] + columns, np.broadcast_to(y[:, None], region.shape)
         shape, curve = fits.free.shape, xp.asarray(fits.curve[i])
         blur = float(np.hypot(shape.sigma[i], shape.half_width[i] / np.sqrt(3)))
-        field = None
+        field: LightField | None = None
         if np.isfinite([*curve, blur]).all() and blur < _WIDEST * np.isfinite(region).sum(1).max() * rows.step:
             distance = np.asarray(edge_distance(curve, x, across))
             gain, read = (float(np.asarray(part)[i]) for part in fits.noise)
             glare = bool(fits.free.even[i, GLARE] != 0)
-            field = light_field(region, x, across, distance, (gain, read), blur=blur, glare=glare)
+            if (fits.free.even[i, GHOSTS] != 0).any():  # a ghost is no light
+                blur = max(blur, float(shape.apart[i]) / _GHOST_REACH + blur)
+            # light along the edge is divided out of the rows anyway
+            aligned = aligned_rows(Rows(region, y, start, rows.step), curve)
+            by_row = np.asarray(in_even_rows(aligned, half_length(Rows(region, y, start, rows.step))).light)[:, None]
+            field = light_field(region / by_row, x, across, distance, (gain, read), blur=blur, glare=glare)
+            if field is not None and field.amplitude and (field.amplitude > _BRIGHTEST or what_is_seen(region)):
+                field = None
+            if field is not None and field.amplitude:
+                value[i] = (region / by_row - field.addend) / field.factor
         fields.append(field)
-        if field is not None and field.amplitude:
-            value[i] = (region - field.addend) / field.factor
     return rows._replace(value=value), fields
 
 

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import least_squares
-from scipy.special import ndtr
+from scipy.special import ndtr, ndtri
 
 from matcam.calibration.edge.edge_result import SHARPENED, EdgeStack
 from matcam.calibration.edge.free_curve import EVEN, ODD, ghost_of, line_basis, line_width
@@ -63,7 +63,7 @@ _TAILS, _FADING = 0.08, 0.6  # of MTF50, where the blur reaches the border; blur
 _SURER = 0.1  # of that, of a lens model
 _SURE_GLARE = 0.005
 """Relative error of MTF50 below which a doubt on glare is not remarked on."""
-_PER_STEP = 1.6
+_PER_STEP = 2.0
 """Relative error of MTF50 by a step of the light across the edge, in units of the step: penumbrae of tests/oracle."""
 _BY_GLARE = 0.72  # of MTF50 by the share of glare, where the MTF is one half
 _PER_BORDER, _HARMLESS, _MOST_BY_BLOCKS = 0.006, 3.0, 0.05  # of MTF50 by how much JPEG's borders stand out
@@ -95,8 +95,6 @@ def with_traces(stack: EdgeStack, regions: Iterable[EdgeRegions], lights: Sequen
     stack: results of n edges. regions: their rows, in even light. lights: uneven light of each, None where there is none.
     """
     shares, given = np.zeros((3, len(stack))), list(stack.given or [()] * len(stack))
-    core = np.array([light is not None and light.amplitude > 0 for light in lights])
-    stack = with_core_as_total(stack, core)
     first = 0
     for rows in regions:
         part = slice(first, first + len(rows.value))
@@ -108,6 +106,7 @@ def with_traces(stack: EdgeStack, regions: Iterable[EdgeRegions], lights: Sequen
                 shares[:, i] = traces.share, traces.free, traces.glare
                 given[i] = given[i] + traces.remarks
         first += len(rows.value)
+    stack = with_core_as_total(stack, np.array([light is not None and light.amplitude > 0 for light in lights]))
     ghosts = np.array([0.0 if light is None else light.ghost for light in lights])
     return with_jumps(with_ghosts(widened(replace(stack, given=tuple(given)), shares), ghosts))
 
@@ -342,10 +341,14 @@ def _coarse(
     for side, variance in zip(sides, noise.variance, strict=True):
         at = int(np.searchsorted(levels, np.median(value[side])))
         apart = float(gaps[max(at - 1, 0) : at + 1].min())
-        errors.append(apart * np.exp(-2 * np.pi**2 * max(variance - apart**2 / 12, 0.0) / apart**2))
+        # rounding has a variance of its own, and noise that reaches a third level can be told from it
+        count = np.sort(np.unique(value[side], return_counts=True)[1])
+        beyond = float(np.clip(count[:-2].sum(), 0.5, None) / count.sum())
+        noisy = min(max(variance - apart**2 / 12, 0.0), (apart / ndtri(beyond / 2)) ** 2)
+        errors.append(apart * np.exp(-2 * np.pi**2 * noisy / apart**2))
     share = _PER_LEVEL * float(np.hypot(*errors)) / step
-    count = step / max(gaps.min(), 1e-300)
-    text = f"levels are coarse: {count:.0f} of them from dark to bright, and less noise than one"
+    steps = step / max(gaps.min(), 1e-300)
+    text = f"levels are coarse: {steps:.0f} of them from dark to bright, and less noise than one"
     text += f"; MTF50 may be wrong by {share:.1%}"
     return [(Remark("quantised", text) if share > _SMALL_DOUBT else None, share)]
 

@@ -23,6 +23,9 @@ def with_core_as_total(stack: EdgeStack, which: np.ndarray) -> EdgeStack:
 
     names = ("mtf", "mtf_std", "mtf50", "mtf50_std")
     moved: dict[str, Any] = {name: of(getattr(stack, name), getattr(stack, f"core_{name}")) for name in names}
+    moved["glare_fraction"] = np.where(which, 0.0, stack.glare_fraction)
+    moved["glare_fraction_std"] = np.where(which, 0.0, stack.glare_fraction_std)
+    moved["glare_radius"] = np.where(which, np.nan, stack.glare_radius)
     return replace(stack, **moved)
 
 

@@ -1,8 +1,8 @@
 """Uneven light that no polynomial describes: a Gaussian process over the flat sides of an edge, and whether glare is light.
 
-Each side of the edge is averaged over bins of some px. What the bins differ by from two levels and a plane is light that
-multiplies the scene (banding, a penumbra, a near lamp), light that adds to it (a glint), or glare of the lens, which depends on
-the distance from the edge alone. All are terms of one Gaussian model. Their scales, and the probability that there is glare,
+Each side of the edge is averaged over bins of some px. What the bins differ by from two levels in light of third order is light
+that multiplies the scene (banding, a penumbra, a near lamp), light that adds to it (a glint), or glare of the lens, which
+depends on the distance from the edge alone. All are terms of one Gaussian model. Their scales, and the probability of glare,
 follow from its marginal likelihood (Rasmussen & Williams, Gaussian Processes for Machine Learning, 2006, ch. 5).
 """
 
@@ -33,7 +33,7 @@ _NOISES = (1.0, 1.5, 2.5, 4.0)
 """Variances of the bins that are tried, in units of those of independent noise: filters correlate it."""
 _SUSPECT = 3.0
 """Standard deviations by which chi2 of the bins must exceed its expectation before anything is computed."""
-_MISFIT = 2e-4
+_MISFIT = 5e-4
 """Standard deviation of a bin that is no noise, in units of the step."""
 _CLIPPED = 3.5
 """Standard deviations beyond which a pixel does not count in the mean of its bin."""
@@ -48,7 +48,7 @@ _FEWEST_BINS = 24
 
 
 class LightField(NamedTuple):
-    """Light of a region beyond two levels and a plane.
+    """Light of a region beyond two levels and a plane, where a polynomial of third order is not enough.
 
     Attributes:
         factor: factor of each pixel (rows, columns).
@@ -114,7 +114,7 @@ def light_field(
     blur: float,
     glare: bool,
 ) -> LightField | None:
-    """Estimate the light of a region; None where two levels and a plane explain it.
+    """Estimate the light of a region; None where two levels in light of third order explain it.
 
     Args:
         value: region (rows, columns), linear, any unit; NaN where there is none.
@@ -133,9 +133,10 @@ def light_field(
         return None
     bright = bins.distance > 0
     step = float(bins.level[bright][0] - bins.level[~bright][0])
-    size = np.abs(bins.y).max() + 1.0
-    plane = [~bright, bright, bins.level * bins.x / size, bins.level * bins.y / size]
-    basis = np.linalg.qr(np.stack(plane, 1) / bins.std[:, None], mode="complete")[0][:, len(plane) :]
+    scales = [float(np.abs(a).max()) + 1.0 for a in (bins.x, bins.y)]
+    smooth = bins.level * _polynomials(bins.x / scales[0], bins.y / scales[1])
+    design = np.concatenate([[~bright, bright], smooth]).T / bins.std[:, None]
+    basis = np.linalg.qr(design, mode="complete")[0][:, design.shape[1] :]
     data = basis.T @ (bins.value / bins.std)
     if not glare and data @ data < data.size + _SUSPECT * np.sqrt(2 * data.size):
         return None
@@ -151,17 +152,28 @@ def light_field(
     factor, addend = np.ones_like(value), np.zeros_like(value)
     if not best.amplitude:
         return LightField(factor, addend, 0.0, possible) if glare else None
-    scale = step if best.adds else bins.level
-    weights = best.amplitude**2 * scale / bins.std * (basis @ best.weights)
-    field = (_correlation(x.ravel(), y.ravel(), bins, best.length) @ weights).reshape(value.shape)
+    seen = basis * ((step if best.adds else bins.level) / bins.std)[:, None]
+    light = best.amplitude**2 * (seen @ best.weights)
+    field = (_correlation(x.ravel(), y.ravel(), bins, best.length) @ light).reshape(value.shape)
+    # the polynomials beside it are what the light leaves of the bins
+    by_light = _correlation(bins.x, bins.y, bins, best.length) @ light * (step if best.adds else bins.level)
+    left = (bins.value - by_light) / bins.std - best.noise * (basis @ best.weights)
+    strengths = np.linalg.lstsq(design, left, rcond=None)[0][2:]
+    strengths[:2] = 0.0  # a plane is left to the edge's own fit
+    polynomial = np.tensordot(strengths, _polynomials(x / scales[0], y / scales[1]), 1)
     amplitude = float(np.std(field[np.isfinite(value)]))
     ghost = _ghost(field[np.isfinite(value)], distance[np.isfinite(value)])
-    seen = basis * (scale / bins.std)[:, None] if np.ndim(scale) else basis * scale / bins.std[:, None]
     unknown = _unknown(bins, seen, best, (x, y, distance), blur)
+    factor = np.maximum(factor + polynomial, _DARKEST)
     if best.adds:
         return LightField(factor, field * step, amplitude, possible, ghost, unknown)
     unknown *= float(bins.level.max()) / step
-    return LightField(np.maximum(1 + field, _DARKEST), addend, amplitude, possible, ghost, unknown)
+    return LightField(np.maximum(factor + field, _DARKEST), addend, amplitude, possible, ghost, unknown)
+
+
+def _polynomials(x: FloatArray, y: FloatArray) -> FloatArray:
+    """Compute x, y and their products to third order (9, ...)."""
+    return np.stack([x, y, x * x, x * y, y * y, x**3, x * x * y, x * y * y, y**3])
 
 
 def _unknown(bins: _Bins, seen: FloatArray, best: _Model, places: tuple[FloatArray, ...], blur: float) -> float:
