@@ -136,21 +136,23 @@ def test_a_shoulder_is_remarked_on():
     assert 0.02 < abs(edge.mtf50 / truth - 1) < 2 * edge.mtf50_std / truth
 
 
-@pytest.mark.parametrize("levels", [16, 64, 1000])
-def test_pictures_without_noise_state_their_rounding(levels):
+@pytest.mark.parametrize(("levels", "largest"), [(16, 0.06), (64, 0.02), (1000, 0.003)])
+def test_pictures_without_noise_state_their_rounding(levels, largest):
     picture = np.rint(real_edges.levels(real_edges.response(0.7, 6.0)) * levels / 0.75)
     edge = edge_mtf(picture)
     truth = real_edges.half(0.7, 6.0)
     assert abs(edge.mtf50 - truth) < 2 * edge.mtf50_std
-    assert edge.mtf50_std < 0.5 / levels * truth + 5e-4
+    assert edge.mtf50_std < largest * truth
     assert ("quantised" in [remark.code for remark in edge.remarks]) == (levels < 200)
 
 
 def test_white_below_the_end_of_the_range_is_no_saturation():
     rng = np.random.default_rng(8)
     light = real_edges.levels(real_edges.response(0.7, 6.0))
-    codes = np.rint(220 * light + rng.normal(0, 0.25, light.shape)).astype(np.uint8)  # one value on most of the white
-    assert np.mean(codes == codes.max()) > 0.05
+    # a tone curve has left less noise than a level in the white, and more in the dark
+    noise = rng.normal(size=light.shape) * np.where(light < 0.6, 0.9, 0.1)
+    codes = np.rint(220 * light + noise).astype(np.uint8)
+    assert np.mean(codes == codes.max()) > 0.3
     assert edge_mtf(codes, tone="linear").mtf50 == pytest.approx(real_edges.half(0.7, 6.0), rel=0.01)
     clipped = np.minimum(real_edges.exposed(light, 100, rng), 9500)
     with pytest.raises(FitError, match="saturated"):

@@ -16,7 +16,7 @@ from scipy.optimize import least_squares
 from scipy.special import ndtr, ndtri
 
 from matcam.calibration.edge.edge_result import SHARPENED, EdgeStack
-from matcam.calibration.edge.free_curve import EVEN, ODD, ghost_of, line_basis, line_width
+from matcam.calibration.edge.free_curve import ghost_of
 from matcam.calibration.edge.free_fit import VEIL
 from matcam.calibration.edge.maximum_likelihood import ADDED, SHIFT
 from matcam.calibration.edge.measurement import EdgeFits
@@ -35,18 +35,18 @@ from matcam.calibration.photograph.slight_sharpening import (
     noise_score,
 )
 from matcam.calibration.photograph.uneven_light import LightField
-from matcam.core.arrays import FloatArray, tuple_map, xp
+from matcam.core.arrays import FloatArray, tuple_map
 from matcam.core.remark import Remark
 
 _REACH, _MORE = 3.0, 2.0  # of the blur, px: beyond both a side is flat
 _BOX = 0.29  # px: standard deviation of a pixel
 _GAMMA = 2.2
-_TONE_REACH, _TONE_SAMPLES = 5.0, 101
-"""Half the length of the line spread function whose symmetry is judged, in standard deviations of it; its samples."""
 _TRANSFORM = 8192
 """Samples of the transform of a line spread function, whose frequencies are then 2.4e-3 cycles/px apart."""
-_TONE_BEND, _TONE_PROBABILITY = 0.3, 0.05
-"""Standard deviation of a tone curve's bend, and the probability of one, before the picture is seen."""
+_TONE_BEND, _TONE_PROBABILITIES, _RAISED = 0.3, (0.02, 0.5), 1.15
+"""Standard deviation of a tone curve's bend; its probabilities where the noise of the dark is that of photons, and where it is
+higher; and from which multiple on it is higher.
+"""
 _SURE_TONE, _NO_TONE = 0.99, 0.01
 """Probabilities of a tone curve from which it is remarked on, and below which its effect is not computed."""
 _PER_OVERSHOOT = 12.0  # of MTF50, by the overshoot that an unsharp mask leaves
@@ -57,6 +57,8 @@ _MOST_LEVELS = 2000
 """Different values above which a picture is not a picture of coarse codes."""
 _PER_LEVEL = 0.2
 """Relative error of MTF50 by the distance of two levels in units of the step: rms of 12 to 512 levels without noise."""
+_NEAR_LEVELS = 4
+"""Levels to both sides of a flat side among which the least distance is that of all: a picture without noise misses some."""
 _SMALL_DOUBT = 1e-3
 """Relative error of MTF50 below which it is not remarked on."""
 _TAILS, _FADING = 0.08, 0.6  # of MTF50, where the blur reaches the border; blurs over which that fades
@@ -147,9 +149,11 @@ def _traces(stack: EdgeStack, i: int, rows: EdgeRegions, k: int, clear: float, l
     if one is not None and not noise.compressed and np.isfinite(noise.alike_std):
         raised += _filtered(stack, i, np.where(there, one, 0.0), (dark, bright), (found, raised))
     found += raised
-    found += _bent(stack, i, noise) or _asymmetric(stack, i)
     found += _crushed(stack, i, crushed_share(value[dark], value[bright]))
-    found += _coarse(value, (dark, bright), noise, step)
+    coarse = _coarse(value, (dark, bright), noise, step)
+    found += coarse + (
+        _bent(stack, i, noise) or ([] if any(remark for remark, _ in coarse) else _asymmetric(stack, i, noise))
+    )
     by_light = 0.0 if light is None else _PER_STEP * light.unknown
     share = float(np.hypot.reduce([by_light, *(share for _, share in found)]))
     narrow, free = _narrow(clear, blur)
@@ -340,7 +344,7 @@ def _coarse(
     gaps, errors = np.diff(levels), []
     for side, variance in zip(sides, noise.variance, strict=True):
         at = int(np.searchsorted(levels, np.median(value[side])))
-        apart = float(gaps[max(at - 1, 0) : at + 1].min())
+        apart = float(gaps[max(at - _NEAR_LEVELS, 0) : at + _NEAR_LEVELS].min())
         # rounding has a variance of its own, and noise that reaches a third level can be told from it
         count = np.sort(np.unique(value[side], return_counts=True)[1])
         beyond = float(np.clip(count[:-2].sum(), 0.5, None) / count.sum())
@@ -362,27 +366,34 @@ def _effect_of_gamma(stack: EdgeStack, i: int) -> float:
     return float(undone / plain - 1) if np.isfinite(undone / plain) else 0.0
 
 
-def _asymmetric(stack: EdgeStack, i: int) -> list[tuple[Remark | None, float]]:
+def _asymmetric(stack: EdgeStack, i: int, noise: FlatNoise) -> list[tuple[Remark | None, float]]:
     """Return what an edge response that is not symmetric leaves unsure: a lens with coma, or a bent tone curve.
 
-    A tone curve v + q v (1 - v) between the levels adds q L (1 - 2 E) to a symmetric line spread function L of response E.
+    Photons make the variance proportional to the light, so that a dark side has its share of that of the bright side; read
+    noise and a shoulder raise it. A tone curve v + q v (1 - v) between the levels adds q E (1 - E) to a response E, which no
+    symmetric lens does.
     """
-    free = tuple_map(lambda a: np.asarray(a[i]), stack.fits.free)
-    if ghost_of(free).share > 0:
+    fits = tuple_map(lambda a: np.asarray(a)[i], stack.fits)
+    if ghost_of(fits.free).share > 0:
         return []
-    distance = np.linspace(-_TONE_REACH, _TONE_REACH, _TONE_SAMPLES) * float(line_width(free.shape))
-    basis = line_basis(free.shape, xp.asarray(distance))
-    line = basis.pilot + free.even @ (basis.even - basis.pilot)
-    response = np.cumsum(line) / line.sum()
-    by_tone = np.stack([line * (1 - 2 * response), np.gradient(line, distance)])
-    towards = np.linalg.pinv(by_tone.T)[0] @ basis.odd.T
-    bend, odd = float(towards @ free.odd), slice(EVEN, EVEN + ODD)
-    variance = float(towards @ free.covariance[odd, odd] @ towards)
-    if not variance > 0:
-        return []
+    edge = _bare(fits)
+    width = np.sqrt(edge.blur**2 + edge.spread)
+    at = edge.distance / width
+    response, line = ndtr(at), np.exp(-(at**2) / 2)
+    # levels and light, the edge's place and its width, and a lens that is not Gaussian, are free besides
+    even = np.stack([response, line, at * line, at**3 * line]) * edge.step
+    columns = np.concatenate([(edge.step * response * (1 - response))[None], even, edge.light])
+    weight = 1 / np.hypot(edge.std, _LEAST_NOISE * edge.step)
+    scale = np.linalg.norm(columns * weight, axis=1)
+    inverse = np.linalg.pinv((columns * weight / np.maximum(scale, 1e-300)[:, None]).T, rcond=1e-6)
+    bend = float(inverse[0] @ (edge.value * weight)) / scale[0]
+    variance = float(inverse[0] @ inverse[0]) / scale[0] ** 2
     prior = _TONE_BEND**2
-    odds = np.exp(min(bend**2 / variance * prior / (prior + variance) / 2, 50.0)) / np.sqrt(1 + prior / variance)
-    probability = _TONE_PROBABILITY * odds / (1 + _TONE_PROBABILITY * (odds - 1))
+    gain = bend**2 / variance * prior / (prior + variance) / 2
+    odds = np.exp(min(gain, 50.0)) / np.sqrt(1 + prior / variance)
+    raised = ndtr((noise.tilt - _RAISED * stack.dark[i] / stack.bright[i]) / noise.tilt_std)
+    first = float(np.interp(raised, (0.0, 1.0), _TONE_PROBABILITIES)) if np.isfinite(raised) else _TONE_PROBABILITIES[0]
+    probability = first * odds / (1 + first * (odds - 1))
     if probability < _NO_TONE:
         return []
     effect = abs(_effect_of_shoulder(stack, i, bend))

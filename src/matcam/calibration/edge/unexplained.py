@@ -25,6 +25,8 @@ _FAR = 6.0  # standard deviations: once in 5e8 pixels
 _ROUNDS = 2
 _LEVEL_REACH = 6.0  # px from the edge: only levels and noise beyond
 _LEAST_NOISE = 1e-4  # of the step: rounding, and what no model describes
+_SAME, _COARSEST = 1e-9, 0.1
+"""Difference of neighbours, in units of the step, up to which they have one code; largest distance of codes."""
 _ROBUST, _LARGE = 4, 20.0  # rounds; of the mean square, above which a difference counts as so much
 _OTHERS = 3  # least number of pixels that one is compared with
 
@@ -83,6 +85,11 @@ def estimated_noise(known: Noise, aligned: AlignedRows, distance: jax.Array) -> 
         return (weight * aligned.value[:, 2:-2]).sum() / count, power / 6
 
     (low, v_low), (high, v_high) = side(away < 0), side(away > 0)
+    # whole codes: where there is less noise than a level, rounding is the noise
+    step = xp.abs(aligned.value[:, 1:] - aligned.value[:, :-1])
+    there = aligned.valid[:, 1:] * aligned.valid[:, :-1] * (step > _SAME * (high - low))
+    level = xp.minimum(xp.min(xp.where(there > 0, step, xp.inf)), _COARSEST * xp.abs(high - low))
+    v_low, v_high = (xp.maximum(v, level**2 / 12) for v in (v_low, v_high))
     gain = xp.clip((v_high - v_low) / (high - low), 0.0, v_high / xp.maximum(high, 1e-300))
     read2 = xp.maximum((v_low + v_high) / 2 - gain * (low + high) / 2, 0.0) + (_LEAST_NOISE * (high - low)) ** 2
     return Noise(

@@ -143,7 +143,7 @@ def filter_doubt(
     likeliest = int(np.argmax(probability[1:])) + 1
     filtered = float(probability[1:].sum())
     # two standard deviations need not contain what is less probable than 5 %
-    share = filtered**0.75 * np.sqrt(probability[1:] @ effect[1:] ** 2 / max(filtered, 1e-300))
+    share = filtered * np.sqrt(probability[1:] @ effect[1:] ** 2 / max(filtered, 1e-300))
     return FilterDoubt(float(share), filtered, bool(effect[likeliest] < 0))
 
 
