@@ -22,7 +22,7 @@ from matcam.calibration.edge.maximum_likelihood import ADDED, SHIFT
 from matcam.calibration.edge.measurement import EdgeFits
 from matcam.calibration.edge.rows import CLEAR, EdgeRegions, clearance
 from matcam.calibration.edge.wider_errors import widened, with_core_as_total, with_ghosts, with_jumps
-from matcam.calibration.photograph.flat_noise import BENT_DOUBT, FlatNoise, flat_noise, smoothing_doubt
+from matcam.calibration.photograph.flat_noise import BENT_DOUBT, FlatNoise, crushed_share, flat_noise, smoothing_doubt
 from matcam.calibration.photograph.linear_filters import filter_doubt, half_of
 from matcam.calibration.photograph.slight_sharpening import (
     AMOUNT,
@@ -51,7 +51,6 @@ _SURE_TONE, _NO_TONE = 0.99, 0.01
 """Probabilities of a tone curve from which it is remarked on, and below which its effect is not computed."""
 _PER_OVERSHOOT = 12.0  # of MTF50, by the overshoot that an unsharp mask leaves
 _OVERSHOOT, _SURE = 0.003, 3.5  # of the step; standard deviations of both signs of sharpening together
-_PILED, _LEAST_PILE = 2.0, 0.05  # times the next level's share; share of the dark side at the very lowest one
 _CRUSHED = 0.01  # of MTF50, at least
 _MOST_LEVELS = 2000
 """Different values above which a picture is not a picture of coarse codes."""
@@ -111,19 +110,6 @@ def with_traces(stack: EdgeStack, regions: Iterable[EdgeRegions], lights: Sequen
     stack = with_core_as_total(stack, np.array([light is not None and light.amplitude > 0 for light in lights]))
     ghosts = np.array([0.0 if light is None else light.ghost for light in lights])
     return with_jumps(with_ghosts(widened(replace(stack, given=tuple(given)), shares), ghosts))
-
-
-def crushed_share(dark: FloatArray, bright: FloatArray) -> float:
-    """Return which share of a dark side is at its very lowest value, 0 where that is no more than noise explains.
-
-    Noise piles up at the end of a range, and nowhere else; without noise the bright side is as flat.
-    """
-    if dark.size < 2 or bright.size < 2:
-        return 0.0
-    count = np.unique(dark, return_counts=True)[1] / dark.size
-    largest = np.unique(bright, return_counts=True)[1].max() / bright.size
-    piled = count[0] > max(_LEAST_PILE, _PILED * max(largest, count[1] if count.size > 1 else 0.0))
-    return float(count[0]) if piled else 0.0
 
 
 def _traces(stack: EdgeStack, i: int, rows: EdgeRegions, k: int, clear: float, light: LightField | None) -> Traces:
@@ -383,6 +369,8 @@ def _asymmetric(stack: EdgeStack, i: int, noise: FlatNoise) -> list[tuple[Remark
     # levels and light, the edge's place and its width, and a lens that is not Gaussian, are free besides
     even = np.stack([response, line, at * line, at**3 * line]) * edge.step
     columns = np.concatenate([(edge.step * response * (1 - response))[None], even, edge.light])
+    if stack.glare_fraction[i] > 0:
+        columns = np.concatenate([columns, (ndtr(edge.distance / stack.glare_radius[i]) * edge.step)[None]])
     weight = 1 / np.hypot(edge.std, _LEAST_NOISE * edge.step)
     scale = np.linalg.norm(columns * weight, axis=1)
     inverse = np.linalg.pinv((columns * weight / np.maximum(scale, 1e-300)[:, None]).T, rcond=1e-6)

@@ -34,6 +34,7 @@ _BLOCKS_ALONE = (
 # px, px^2: errors of MTF50 times the blur, and its square, in tests/oracle/processed_pictures.py
 _DENOISED, _DEMOSAICED = 0.2, 0.15
 _MOST = 0.4  # of MTF50
+_PILED, _LEAST_PILE = 2.0, 0.05  # times the next level's share; share of the dark side at the very lowest one
 BENT_DOUBT = 0.03
 """Relative standard deviation of a blur behind a tone curve that was not undone, at least."""
 
@@ -141,6 +142,19 @@ def flat_noise(
     weight = fewer * good
     grid = min(_grid(v, of) for v, of in views) if lines else 1.0
     return result._replace(wide=ratio(two, three) if good.any() else 1.0, grid=grid)
+
+
+def crushed_share(dark: FloatArray, bright: FloatArray) -> float:
+    """Return which share of a dark side is at its very lowest value, 0 where that is no more than noise explains.
+
+    Noise piles up at the end of a range, and nowhere else; without noise the bright side is as flat.
+    """
+    if dark.size < 2 or bright.size < 2:
+        return 0.0
+    count = np.unique(dark, return_counts=True)[1] / dark.size
+    largest = np.unique(bright, return_counts=True)[1].max() / bright.size
+    piled = count[0] > max(_LEAST_PILE, _PILED * max(largest, count[1] if count.size > 1 else 0.0))
+    return float(count[0]) if piled else 0.0
 
 
 def _variance(value: FloatArray, there: np.ndarray, lag: int) -> tuple[float, float]:
