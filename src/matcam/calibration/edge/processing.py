@@ -217,7 +217,7 @@ def _smoothed(noise: FlatNoise, blur: float) -> list[tuple[Remark | None, float]
     return [(Remark("denoised", text), share)]
 
 
-def _bent(stack: EdgeStack, i: int, noise: FlatNoise) -> list[tuple[Remark, float]]:
+def _bent(stack: EdgeStack, i: int, noise: FlatNoise) -> list[tuple[Remark | None, float]]:
     """Return what noise says that is larger in the dark."""
     if not noise.bent:
         return []

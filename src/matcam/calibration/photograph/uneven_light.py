@@ -192,7 +192,7 @@ def _unknown(bins: _Bins, seen: FloatArray, best: _Model, places: tuple[FloatArr
     power = best.amplitude**2
     data = power * seen.T @ _correlation(bins.x, bins.y, bins, best.length) @ seen + best.noise * np.eye(seen.shape[1])
     variance = power * mean @ own @ mean - power**2 * cross @ np.linalg.solve(data, cross)
-    return float(np.sqrt(max(variance, 0.0)))
+    return float(np.sqrt(max(float(variance), 0.0)))
 
 
 def _ghost(field: FloatArray, distance: FloatArray) -> float:
