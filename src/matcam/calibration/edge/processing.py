@@ -64,7 +64,7 @@ _TAILS, _FADING = 0.08, 0.6  # of MTF50, where the blur reaches the border; blur
 _SURER = 0.1  # of that, of a lens model
 _SURE_GLARE = 0.005
 """Relative error of MTF50 below which a doubt on glare is not remarked on."""
-_PER_STEP = 2.0
+_PER_STEP = 1.5
 """Relative error of MTF50 by a step of the light across the edge, in units of the step: penumbrae of tests/oracle."""
 _BY_GLARE = 0.72  # of MTF50 by the share of glare, where the MTF is one half
 _PER_BORDER, _HARMLESS, _MOST_BY_BLOCKS = 0.006, 3.0, 0.05  # of MTF50 by how much JPEG's borders stand out

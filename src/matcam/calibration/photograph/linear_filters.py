@@ -142,7 +142,7 @@ def filter_doubt(
     probability /= max(float(probability.sum()), 1e-300)
     likeliest = int(np.argmax(probability[1:])) + 1
     filtered = float(probability[1:].sum())
-    # two standard deviations need not contain what is less probable than 5 %
+    # two standard deviations need not contain what is improbable: the share falls faster than the root of the probability
     share = filtered * np.sqrt(probability[1:] @ effect[1:] ** 2 / max(filtered, 1e-300))
     return FilterDoubt(float(share), filtered, bool(effect[likeliest] < 0))
 
