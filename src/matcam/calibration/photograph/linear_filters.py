@@ -11,6 +11,7 @@ from functools import cache
 from typing import NamedTuple
 
 import numpy as np
+from scipy import ndimage
 
 from matcam.core.arrays import FloatArray
 
@@ -28,6 +29,8 @@ _ORDER = 3
 """Order of the light on a side."""
 _FEWEST = 500
 """Pixels of a side from which correlations are known."""
+_PATCH, _STRUCTURE = 5, 5.0
+"""Side of the patches whose mean is compared with that of others, px; multiple of the median beyond which it is no noise."""
 _LOST = 0.4
 """Relative error of MTF50 behind a filter that leaves no MTF50."""
 _GRID = 32
@@ -91,6 +94,11 @@ def correlations(
         if not scale > 0:
             return None
         noise[side], there[side] = np.clip(left / scale, -_LARGEST, _LARGEST), 1.0
+    # the border of a shadow or dirt leaves what is no noise in few places
+    weight = np.maximum(ndimage.uniform_filter(there, _PATCH), 1e-3)
+    local = np.abs(ndimage.uniform_filter(noise, _PATCH) / weight)
+    there *= local < _STRUCTURE * np.median(local[there > 0])
+    noise *= there
     found, count = [], []
     for dy, dx in lags:
         here = (slice(dy, None), slice(max(dx, 0), width + min(dx, 0)))
