@@ -4,7 +4,10 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter, uniform_filter1d
 
-from matcam import Camera, LinearImage, calibrate
+from matcam import Camera, LinearImage, calibrate, edge_mtf_stack
+from matcam.calibration.camera.camera_fit import CameraRequest, fit_camera
+from matcam.calibration.camera.consensus import strangers_remarks
+from matcam.calibration.camera.evidence import Evidence, Finding
 from matcam.calibration.photograph.linear_image import planes_of
 from matcam.core.errors import ArgumentError, FitError
 from matcam.core.remark import Remark, texts
@@ -378,3 +381,49 @@ def test_an_edge_that_disagrees_is_left_out():
     fit = found.channels["grey"]
     assert any(remark.code == "no-consensus" for remark in found.remarks)
     assert abs(fit.values[0] - 0.5) < 4 * fit.std[0] < 0.05
+
+
+def grating_of(sigma, number, off=0.0, std=1e-3):
+    """MTF of a lens at 0.2 cycles/px; off: of ln sigma, by the slope of the MTF there. std: of ln sigma."""
+    f = np.array([0.2])
+    mtf = np.exp(-2 * (np.pi * sigma * f) ** 2) * np.sinc(f)
+    slope = 4 * (np.pi * sigma * f) ** 2 * mtf
+    values = (f, np.zeros(1), mtf - slope * off, np.diag((slope * std) ** 2))
+    return MTFSamples("grating", (9.0, 9.0), *values, "grey", None, f"a.png: grating {number} (bars)")
+
+
+def test_one_grating_does_not_veto_the_edges():
+    """Edges believe it by less than 5 standard deviations, but all other gratings contradict it by more."""
+    edges = edge_mtf_stack(slanted_edge.photographs(slanted_edge.gaussian(0.5), 100, 8, 3))
+    samples = [grating_of(0.51, number) for number in range(20)] + [grating_of(0.51, 66, off=0.26, std=0.05)]
+    shape = (800, 900)
+    finding = Finding("grey", "a.png", None, edges, tuple(samples), (), shape)
+    fit = fit_camera(Evidence([finding]), "grey", CameraRequest("gaussian", 0.5, None, None))
+    assert 0.495 < fit.values[0] < 0.515
+    (remark,) = fit.remarks
+    assert remark.code == "target-disagrees"
+    assert "grating 66" in remark.text
+    # where there are no edges, nobody knows which are wrong
+    alone = Finding("grey", "a.png", None, None, tuple(samples[-2:]), (), shape)
+    with pytest.raises(FitError, match="contradictory measurements"):
+        fit_camera(Evidence([alone]), "grey", CameraRequest("gaussian", 0.5, None, None))
+
+
+def test_targets_of_one_kind_are_named_in_one_remark():
+    strangers = {f"a.png: grating {n} (bars) (grating)": off for n, off in ((3, 0.2), (4, 36.0))} | {
+        "a.png: star 9 (star)": -0.1
+    }
+    gratings, star = strangers_remarks(strangers, "R")
+    assert gratings.text.startswith("R: 2 targets of one kind (grating) see blurs from +20% to more than +100%")
+    assert "grating 3 (bars)" in gratings.text
+    assert star.text == "R: a.png: star 9 (star) sees a blur -10% against that of the edges, and is left out"
+
+
+def test_rounded_light_is_no_denoised_picture(tmp_path):
+    light = slanted_squares.field((420, 440), 140, 74, 5, 0.5, 0.5, dark=0.25)[0]
+    y, x = np.mgrid[:420, :440]
+    codes = np.rint(200 * light * (1 - 0.2 * ((x - 200) ** 2 + (y - 200) ** 2) / 300**2)).astype(np.uint8)
+    found = calibrate([codes], tone="linear")
+    assert not {remark.code for remark in found.remarks} & {"processed", "demosaiced"}
+    assert found.channels["grey"].values[0] == pytest.approx(0.5, rel=0.01)
+    assert found.channels["grey"].std[0] < 0.02

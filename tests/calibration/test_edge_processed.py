@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from matcam import edge_mtf_stack
-from matcam.calibration.edge.processing import crushed_share
-from matcam.calibration.photograph.flat_noise import flat_noise
+from matcam.calibration.photograph.flat_noise import crushed_share, flat_noise
 from matcam.calibration.photograph.slight_sharpening import effect_on_half, noise_score
 from tests.oracle import processed_pictures as software
 from tests.oracle import real_edges as oracle

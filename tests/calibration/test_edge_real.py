@@ -88,7 +88,7 @@ def test_what_is_not_explained_is_said():
     codes = [{remark.code for remark in edge.remarks} for edge in stack]
     assert "rough-edge" in codes[0]
     assert stack.roughness[0] == pytest.approx(0.16, abs=0.05)  # a pixel sees the mean over its height
-    assert "unexplained" in codes[1]
+    assert "uneven-light" in codes[1]
     assert np.all(np.abs(stack.mtf50 - TRUTH) < 2 * stack.mtf50_std)
     assert abs(stack.mtf50[0] / TRUTH - 1) > 0.02  # it needs saying
 

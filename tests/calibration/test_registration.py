@@ -52,6 +52,18 @@ def test_any_pose(chart, pose, cfa):
     assert found.scale(middle) == pytest.approx(near, rel=0.1)
 
 
+def test_a_mosaic_of_any_type(chart):
+    description, document = chart
+    camera = ChartCamera(**SIZE, page=description.page)
+    photograph = camera.photograph(camera.expected(document), 60, 1, "RGGB")
+    places = np.array([[50.0, 50], [200, 100]])
+    expected = register_chart(photograph, description, mosaic=True)(places)
+    for kind in (np.uint16, np.int32, np.float32):
+        taken = photograph.astype(kind)
+        np.testing.assert_allclose(register_chart(taken, description, mosaic=True)(places), expected, atol=1e-3)
+        assert (taken == photograph.astype(kind)).all()
+
+
 def test_a_hidden_corner_is_no_harm(chart):
     description, document = chart
     camera = ChartCamera(**SIZE, page=description.page)

@@ -35,6 +35,18 @@ def test_page_and_description(chart, tmp_path, suffix, start):
     assert "true size" in chart("star", "-o", page, "--force", "--dpi", 100).out
 
 
+def test_one_description_serves_pages_of_all_formats(chart, tmp_path):
+    chart("star", "-o", tmp_path / "page.pdf")
+    before = (tmp_path / "page.json").read_bytes()
+    chart("star", "-o", tmp_path / "page.png", "--dpi", 100)
+    assert (tmp_path / "page.json").read_bytes() == before
+    refused = chart("star", "--pixels", 2000, "-o", tmp_path / "page.svg", code=2).err  # another chart
+    assert "page.json exists" in refused
+    assert (tmp_path / "page.json").read_bytes() == before
+    (tmp_path / "page.json").write_text("[]")
+    assert "page.json exists" in chart("star", "-o", tmp_path / "page.svg", code=2).err
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [

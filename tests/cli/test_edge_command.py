@@ -66,7 +66,72 @@ def test_pitch_commas_and_the_curve_for_other_programs(edge, photograph, tmp_pat
     assert half == pytest.approx(0.5, abs=2e-3)
 
 
+def test_numbers_off_the_edge(edge, photograph):
+    text = edge(photograph, *ROI, "--at", 0.25, "--at", 0.4).stdout
+    for words in ("MTF30", "MTF20", "MTF10", "rise from 10 % to 90 %", "MTF at 0.25 cycles/px", "MTF at 0.4 cycles/px"):
+        assert words in text
+    found = json.loads(edge(photograph, *ROI, "--at", 0.25, "--json").stdout)
+    truth = oracle.gaussian_mtf(np.array([0.25]), 0.5)[0]
+    assert abs(found["mtf_at_0.25"] - truth) < 4 * found["mtf_at_0.25_std"] < 0.02
+    assert found["mtf50_cycles_per_px"] < found["mtf30_cycles_per_px"] < found["mtf10_cycles_per_px"]
+
+
+def test_the_standard_beside_ours(edge, photograph, tmp_path):
+    text = edge(photograph, *ROI, "--method", "iso12233", "--sfr", "iso.csv").stdout
+    assert "e-SFR, ISO 12233:2023" in text
+    assert "±" not in text
+    found = json.loads(edge(photograph, *ROI, "--method", "iso12233", "--json").stdout)
+    assert found["method"] == "iso12233"
+    assert found["mtf50_cycles_per_px"] == pytest.approx(oracle.gaussian_half(0.5), rel=0.03)
+    header, *lines = (tmp_path / "iso.csv").read_text().splitlines()
+    assert header == "frequency_cy_per_px,SFR"
+    assert lines[0].startswith("0,1")
+    assert "belongs to the method likelihood" in edge(photograph, "--method", "iso12233", "-o", "a.png", code=2).stderr
+
+
+def test_many_edges_in_one_run(edge, photograph, tmp_path):
+    colours = np.stack([tifffile.imread(photograph)] * 3, axis=-1)
+    tifffile.imwrite(tmp_path / "colour.tif", colours, photometric="rgb")
+    (tmp_path / "rois.csv").write_text("name,x,y,width,height\ngood,30,20,80,160\nnoise,0,0,29,60\n")
+    done = edge("chart.tif", "colour.tif", "--rois", "rois.csv", "--channel", "all", "--table", "t.csv", code=1)
+    header, *lines = (tmp_path / "t.csv").read_text().splitlines()
+    rows = [dict(zip(header.split(","), line.split(","), strict=False)) for line in lines]
+    assert [(r["file"], r["region"], r["channel"]) for r in rows] == [
+        *[("chart.tif", name, "grey") for name in ("good", "noise")],
+        *[("colour.tif", name, c) for c in "RGBY" for name in ("good", "noise")],
+    ]
+    good = [r for r in rows if r["region"] == "good"]
+    for r in good:
+        assert float(r["mtf50_cycles_per_px"]) == pytest.approx(oracle.gaussian_half(0.5), rel=0.02)
+        assert float(r["rise_10_90_px"]) == pytest.approx(1.49, abs=0.03)
+    assert all(r["mtf50_cycles_per_px"] == "" for r in rows if r["region"] == "noise")
+    assert "left out: chart.tif noise grey: no edge" in done.stderr
+    found = json.loads(edge("chart.tif", "--rois", "rois.csv", "--json", code=1).stdout)
+    assert [one["region"] for one in found["edges"]] == ["good", "noise"]
+    assert found["edges"][1]["problem"].startswith("no edge")
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("a,b\n", "no column x"),
+        ("x,y,width,height\n1,2,3\n", "line 2 is no region"),
+        ("x,y,width,height\n", "no region is in it"),
+        ("name,x,y,width,height\na,0,0,20,20\na,0,0,20,20\n", "the name a is there twice"),
+    ],
+)
+def test_a_file_that_names_no_regions(edge, photograph, tmp_path, text, words):
+    (tmp_path / "rois.csv").write_text(text)
+    error = edge("chart.tif", "--rois", "rois.csv", code=2).stderr
+    assert words in error
+    assert "rois.csv" in error
+
+
 BAD = [
+    (("chart.tif", *ROI, "--channel", "all", "-o", "a.png"), "-o belongs to one region of one picture"),
+    (("chart.tif", *ROI, "--rois", "rois.csv"), "--roi and --rois both name regions"),
+    (("chart.tif", *ROI, "--at", 3), "--at must lie in [0, 1.25] cycles/px"),
+    (("chart.tif", *ROI, "--method", "mtf"), "'mtf' is not one of"),
     (("chart.tif", *ROI, "--pitch", -1), "--pitch must lie in (0, inf) um"),
     (("none.tif",), "none.tif: no such file"),
     (("text.tif",), "neither TIFF, PNG, JPEG, OpenEXR nor camera raw"),

@@ -4,18 +4,26 @@ from .camera.evidence import EdgeTable
 from .camera.lateral_colour import LateralColour
 from .edge.edge_result import EdgeMTF, EdgeSamples, EdgeStack
 from .edge.parametric_result import ParametricEdge, ParametricStack
+from .readings.edge_numbers import EdgeNumber, level_frequency, mtf_at, rise_distance
+from .readings.iso12233 import ISOEdge, iso12233_sfr
 from .sensor.characteristics import SensorCharacteristics
 
 __all__ = [
     "Calibration",
     "CameraFit",
     "EdgeMTF",
+    "EdgeNumber",
     "EdgeSamples",
     "EdgeStack",
     "EdgeTable",
+    "ISOEdge",
     "LateralColour",
     "MeanCurve",
     "ParametricEdge",
     "ParametricStack",
     "SensorCharacteristics",
+    "iso12233_sfr",
+    "level_frequency",
+    "mtf_at",
+    "rise_distance",
 ]

@@ -40,14 +40,15 @@ def command(
 
     Example: `matcam chart squares star --pixels 4000 -o chart.pdf`
     """
-    from matcam.calibration.chart.chart_file import description_path, write_chart
+    from matcam.calibration.chart.chart_file import description_path, is_description_of, write_chart
     from matcam.calibration.chart.chart_layout import design_chart
     from matcam.core.io import check_output, check_picture
 
     description = description_path(output)
     check_picture(output, force=force)
-    check_output(description, force=force)
     chart = design_chart(kinds or ["squares", "bars", "star", "dots"], page=size or page, pixels_across=pixels)
+    described = is_description_of(description, chart)
+    check_output(description, force=force or described)
     with show.working(f"{output}: drawing the chart"):
         from matcam.figures.chart import chart_figure, check_raster
         from matcam.figures.style import save
@@ -55,7 +56,8 @@ def command(
         if output.suffix.lower() == ".png":
             check_raster(chart, dpi)
         save(chart_figure(chart), output, force=force, dpi=dpi)
-        write_chart(description, chart, force=force)
+        if not described:
+            write_chart(description, chart, force=force)
     counts: dict[str, Any] = {}
     for element in chart.elements:
         counts[type(element).__name__.lower()] = counts.get(type(element).__name__.lower(), 0) + 1

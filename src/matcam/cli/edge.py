@@ -10,10 +10,18 @@ import typer
 from matcam.cli import show
 from matcam.cli.options import AsJson, Budget, EdgeLens, Force, Mosaic
 
+_DOUBTS = {"asymmetric", "compressed", "crushed", "demosaiced", "denoised", "filtered", "sharpened", "tone-curve"}
+"""Remarks on pictures whose MTF is not that of the lens, whichever estimate is taken."""
+_HIGHEST = 1.25
+"""Largest frequency at which an MTF is tabulated, cycles/px."""
+
 
 def command(
-    picture: Annotated[
-        Path, typer.Argument(help="Photograph of an edge to read: TIFF, PNG, JPEG, OpenEXR, camera raw.")
+    pictures: Annotated[
+        list[Path],
+        typer.Argument(
+            help="Photographs of an edge to read, such as a through-focus series: TIFF, PNG, JPEG, OpenEXR, camera raw."
+        ),
     ],
     roi: Annotated[
         tuple[int, int, int, int] | None,
@@ -21,6 +29,28 @@ def command(
             "--roi",
             metavar="X Y WIDTH HEIGHT",
             help="Region that holds one edge, px; or X,Y,WIDTH,HEIGHT. Default: the whole picture.",
+        ),
+    ] = None,
+    rois: Annotated[
+        Path | None,
+        typer.Option(
+            "--rois",
+            metavar="FILE",
+            help="CSV file to read, with columns x, y, width, height and perhaps name: regions that hold one edge each.",
+        ),
+    ] = None,
+    method: Annotated[
+        Literal["likelihood", "iso12233"],
+        typer.Option(
+            "--method",
+            help="likelihood: matcam's estimates with their errors; iso12233: the e-SFR of ISO 12233:2023, without errors, "
+            "to compare with other programs.",
+        ),
+    ] = "likelihood",
+    at: Annotated[
+        list[float] | None,
+        typer.Option(
+            "--at", metavar="CY_PER_PX", help="Frequency at which to print the MTF, cycles/px; may be repeated."
         ),
     ] = None,
     model: EdgeLens = "gaussian",
@@ -39,8 +69,8 @@ def command(
     ] = 0.5,
     cfa: Mosaic = None,
     channel: Annotated[
-        Literal["R", "G", "B", "Y"] | None,
-        typer.Option("--channel", help="Colour to measure; Y is luminance. Default: Y."),
+        Literal["R", "G", "B", "Y", "all"] | None,
+        typer.Option("--channel", help="Colour to measure; Y is luminance; all: one after the other. Default: Y."),
     ] = None,
     tone: Annotated[
         Literal["linear", "srgb", "auto"],
@@ -60,6 +90,12 @@ def command(
             help="CSV file of the MTF to write, as sfrmat and Imatest write it: frequency, SFR.",
         ),
     ] = None,
+    table: Annotated[
+        Path | None,
+        typer.Option(
+            "--table", metavar="FILE", help="CSV file to write: a row for each photograph, region and channel."
+        ),
+    ] = None,
     budget: Budget = None,
     output: Annotated[
         Path | None,
@@ -72,49 +108,79 @@ def command(
     ] = None,
     force: Force = False,
     json: AsJson = False,
-) -> None:
-    """Measure the MTF of lens and pixel across a slanted edge (ISO 12233): free of a model, and as a lens.
+) -> int:
+    """Measure the MTF of lens and pixel across slanted edges (ISO 12233): free of a model, and as a lens.
 
     Example: `matcam edge chart.tif --roi 120 80 80 160`
     """
     from matcam.core import checks
+    from matcam.core.errors import ArgumentError
     from matcam.core.io import check_output, check_picture
     from matcam.numerics.budget import check_budget
 
+    several = len(pictures) > 1 or rois is not None or channel == "all" or table is not None
+    for option, given in (("-o", output), ("--sfr", sfr), ("--budget", budget)):
+        if given and (several or (method == "iso12233" and option != "--sfr")):
+            one = "one region of one picture" if several else "the method likelihood"
+            raise ArgumentError(f"{option} belongs to {one}: leave it out")
+    if roi is not None and rois is not None:
+        raise ArgumentError("--roi and --rois both name regions: give one of them")
     if output:
-        check_picture(output, force=force, inputs=[picture])
-        check_output(output.with_suffix(".csv"), force=force, inputs=[picture])
+        check_picture(output, force=force, inputs=pictures)
+        check_output(output.with_suffix(".csv"), force=force, inputs=pictures)
     if pitch is not None:
         checks.positive("--pitch", pitch, "um")
-    if sfr:
-        check_output(sfr, force=force, inputs=[picture])
+    for path in (sfr, table):
+        if path:
+            check_output(path, force=force, inputs=pictures)
     if budget:
-        check_budget(budget, force=force, inputs=[picture])
-    with show.working(f"{picture}: measuring the edge"):
-        from matcam.calibration.edge.edge import edge_mtf
-        from matcam.files.photographs import open_photograph
+        check_budget(budget, force=force, inputs=pictures)
+    frequencies = tuple(float(checks.within("--at", f, 0, _HIGHEST, "cycles/px")) for f in at or ())
 
-        photograph = open_photograph(picture)
-        result = edge_mtf(
+    def measure(photograph: Any, region: Any, colour: Any) -> Any:
+        if method == "iso12233":
+            from matcam.calibration.readings.iso12233 import iso12233_sfr
+
+            return iso12233_sfr(photograph, region, cfa=cfa, channel=colour, tone=tone)
+        from matcam.calibration.edge.edge import edge_mtf
+
+        return edge_mtf(
             photograph,
-            roi,
+            region,
             model=model,
             wavelength=None if wavelength is None else wavelength * 1e-9,
             pixel_pitch=None if pitch is None else pitch * 1e-6,
             half_width=half_width,
             cfa=cfa,
-            channel=channel,
+            channel=colour,
             tone=tone,
             accept_sharpened=accept_sharpened,
         )
+
+    def document_of(result: Any) -> dict[str, Any]:
+        document = result.to_dict() | _readings(result, frequencies)
+        if pitch:
+            document["mtf50_lp_per_mm"] = _lp_per_mm(document["mtf50_cycles_per_px"], pitch)
+        return dict(document)
+
+    if several:
+        return _series(
+            pictures, rois, roi, channel, cfa, table, force, json, lambda *given: document_of(measure(*given))
+        )
+    picture = pictures[0]
+    with show.working(f"{picture}: measuring the edge"):
+        from matcam.files.photographs import open_photograph
+
+        photograph = open_photograph(picture)
+        result = measure(photograph, roi, channel)
     files = [*([output, output.with_suffix(".csv")] if output else []), *(path for path in (sfr, budget) if path)]
     if json:
-        document = result.to_dict()
-        if pitch:
-            document["mtf50_lp_per_mm"] = _lp_per_mm(result.mtf50, pitch)
-        show.as_json(document | {"files": [str(path) for path in files]})
+        show.as_json(document_of(result) | {"files": [str(path) for path in files]})
+    elif method == "iso12233":
+        _print_readings(_readings(result, frequencies), pitch, "e-SFR, ISO 12233:2023")
     else:
         _print(result, pitch)
+        _print_readings(_readings(result, frequencies), pitch, "free of a model")
     if sfr:
         _write_sfr(result, sfr, pitch, force)
     if budget:
@@ -124,6 +190,81 @@ def command(
             _write(result, photograph.values, roi, picture.name, output, force)
         if not json:
             show.say(f"picture: {output}")
+    return 0
+
+
+def _series(
+    pictures: list[Path],
+    rois: Path | None,
+    roi: tuple[int, int, int, int] | None,
+    channel: str | None,
+    cfa: str | None,
+    table: Path | None,
+    force: bool,
+    json: bool,
+    measure: Any,
+) -> int:
+    """Measure many edges, and show or write a row for each. Return the exit code: 1 where some could not be measured."""
+    from functools import partial
+
+    from matcam.calibration.readings.edge_series import measure_series, read_regions, series_columns
+    from matcam.core.errors import FitError
+    from matcam.core.io import plain, write_columns
+    from matcam.files.photographs import open_photograph
+
+    regions = read_regions(rois) if rois else {"whole" if roi is None else ",".join(map(str, roi)): roi}
+    photographs = [(str(path), partial(open_photograph, path)) for path in pictures]
+    with show.working(f"measuring {len(pictures)} pictures"):
+        rows = measure_series(photographs, regions, channel, cfa, measure)
+    failed = [row for row in rows if row.problem]
+    if len(failed) == len(rows):
+        first = failed[0]
+        raise FitError(f"none of {len(rows)} edges can be measured; the first: {first.file}: {first.problem}")
+    if table:
+        write_columns(table, series_columns(rows), force=force)
+    if json:
+        edges = [
+            {"file": r.file, "region": r.region, "channel": r.channel, **r.found, "problem": r.problem} for r in rows
+        ]
+        show.as_json({"edges": plain(edges), "files": [str(table)] if table else []})
+    else:
+        names = ["mtf50_cycles_per_px", "mtf50_std", "mtf10_cycles_per_px", "rise_10_90_px"]
+        cells = [[f"{r.found[name]:.4f}" if name in r.found else "" for name in names] for r in rows]
+        head = ["file", "region", "channel", "MTF50", "±", "MTF10, cycles/px", "rise 10-90 %, px"]
+        show.table(head, [[r.file, r.region, r.channel, *of] for r, of in zip(rows, cells, strict=True)])
+        if table:
+            show.say(f"table: {table}")
+    for row in failed:
+        show.remark(f"left out: {row.file} {row.region} {row.channel}: {row.problem}".replace("  ", " "))
+    return int(bool(failed))
+
+
+def _readings(result: Any, frequencies: tuple[float, ...]) -> dict[str, Any]:
+    """Read the usual numbers off an edge: by ours with errors, by ISO 12233 without."""
+    if hasattr(result, "fits"):
+        from matcam.calibration.readings.edge_numbers import readings
+
+        return readings(result, frequencies)
+    found: dict[str, Any] = result.readings(frequencies)
+    return found
+
+
+def _print_readings(found: dict[str, Any], pitch: float | None, name: str) -> None:
+    """Print the numbers that were read off an edge."""
+
+    def shown(key: str, std: str) -> str:
+        return f"{found[key]:.4f}" + (f" ± {found[std]:.4f}" if std in found else "")
+
+    levels = [key for key in found if key.endswith("_cycles_per_px")]
+    rows = []
+    for key in levels:
+        row = [key.split("_")[0].upper(), shown(key, key.replace("cycles_per_px", "std"))]
+        rows.append([*row, f"{_lp_per_mm(found[key], pitch):.2f}"] if pitch else row)
+    show.table([name, "cycles/px", *(["lp/mm"] if pitch else [])], rows)
+    show.say(f"rise from 10 % to 90 %: {shown('rise_10_90_px', 'rise_10_90_std')} px")
+    for key in found:
+        if key.startswith("mtf_at_") and not key.endswith("_std"):
+            show.say(f"MTF at {key.removeprefix('mtf_at_')} cycles/px: {shown(key, key + '_std')}")
 
 
 def _lp_per_mm(frequency: Any, pitch: float) -> Any:
@@ -137,7 +278,8 @@ def _write_sfr(result: Any, path: Path, pitch: float | None, force: bool) -> Non
 
     head = ["frequency_cy_per_px", *(["frequency_lp_per_mm"] if pitch else []), "SFR"]
     lines = [",".join(head)]
-    for frequency, value in zip(result.frequency, result.mtf, strict=True):
+    mtf = result.sfr if hasattr(result, "sfr") else result.mtf
+    for frequency, value in zip(result.frequency, mtf, strict=True):
         if frequency <= 1:
             cells = [frequency, *([_lp_per_mm(frequency, pitch)] if pitch else []), value]
             lines.append(",".join(f"{float(cell):.8g}" for cell in cells))
@@ -184,7 +326,9 @@ def _print(result: Any, pitch: float | None) -> None:
     std = np.sqrt(np.diag(fit.covariance))
     for name, value, error in zip(fit.names, fit.values, std, strict=True):
         show.say(f"{name}: {value:.4g} ± {error:.2g}")
-    verdict = "explains the edge" if fit.consistent else "does NOT explain the edge: believe the free curve"
+    # the free curve contains what software has done as well
+    believe = "" if {remark.code for remark in result.remarks} & _DOUBTS else ": believe the free curve"
+    verdict = "explains the edge" if fit.consistent else f"does NOT explain the edge{believe}"
     show.say(f"the {fit.model} lens {verdict} (probability of such residuals {fit.misfit_probability:.2g})")
     show.say(
         f"edge: normal at {np.degrees(result.angle):.3f}° ± {np.degrees(result.angle_std):.3f}°, bow {result.bow:+.2f} px; "

@@ -115,7 +115,7 @@ _NEXT: dict[str, Callable[[dict[str, Any]], list[Any] | None]] = {
     "predict": lambda v: ["matcam", "limits", *(v["roughness"] or [])[:5], *_camera(v)],
     "simulate": _after_simulate,
     "capture check": _after_check,
-    "edge": lambda v: ["matcam", "calibrate", v["picture"], "-o", _Output(Path("camera.json"))],
+    "edge": lambda v: ["matcam", "calibrate", *v["pictures"], "-o", _Output(Path("camera.json"))],
     "calibrate": lambda v: ["matcam", "inspect", v["output"]] if v["output"] else None,
     "inspect": _after_inspect,
     "convert": lambda v: ["matcam", "inspect", v["target"]],

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from matcam.calibration.camera.consensus import strangers_remarks
 from matcam.calibration.camera.evidence import EdgeTable, Evidence, LensAt
 from matcam.calibration.camera.joint_fit import (
     EdgeMeasurements,
@@ -256,9 +257,7 @@ def fit_camera(evidence: Evidence, channel: str, request: CameraRequest) -> Came
     start = np.asarray(lens.start(jnp.asarray(np.log(_SIGMA if table is None else np.median(table.sigma)))))
     precision = np.array([0.0, 0.0, KURTOSIS**-2]) if separable else np.zeros(start.size)
     unknowns = Unknowns(start, lens.longest, precision)
-    fitted, strangers = _without_strangers(measurements, unknowns, request.half_width or 0.5)
-    if problem := fitted.contradiction(measurements.groups):
-        raise FitError(f"contradictory measurements, channel {channel}: {problem}")
+    fitted, strangers = _without_strangers(measurements, unknowns, request.half_width or 0.5, channel)
     covariance = fitted.observed_covariance()
     parameters = _within_the_pitch(fitted.parameters, covariance) if separable else fitted.parameters
     found = _FittedLens(lens, parameters, covariance, float(request.half_width or 0.5))
@@ -294,29 +293,28 @@ def fit_camera(evidence: Evidence, channel: str, request: CameraRequest) -> Came
             for name in dict.fromkeys(measurements.groups)
             if name not in strangers
         },
-        remarks=tuple(
-            Remark(
-                "target-disagrees",
-                f"{channel}: {name} sees a blur {off:+.0%} against that of the edges, and is left out",
-            )
-            for name, off in strangers.items()
-        ),
+        remarks=strangers_remarks(strangers, channel),
     )
 
 
 def _without_strangers(
-    measurements: Measurements, unknowns: Unknowns, half_width: float
+    measurements: Measurements, unknowns: Unknowns, half_width: float, channel: str
 ) -> tuple[JointFit, dict[str, float]]:
-    """Return the fit, without those targets of a chart that its edges contradict; and by how much each of them does.
+    """Fit without those targets of a chart that its edges contradict, and name them with the difference of their blur.
 
-    half_width: px, of the pixel.
+    half_width: px, of the pixel. FitError where edges do not decide which measurements are wrong; channel: for its message.
     """
     strangers: dict[str, float] = {}
     while True:
         fitted = fit_jointly(measurements.without(strangers), unknowns, half_width)
         more = fitted.strangers(measurements.groups, measurements.replaceable - strangers.keys())
         if not more:
-            return fitted, strangers
+            worst = fitted.contradiction(measurements.groups)
+            if worst is None:
+                return fitted, strangers
+            if worst.name not in measurements.replaceable or worst.name in strangers:
+                raise FitError(f"contradictory measurements, channel {channel}: {worst}")
+            more = {worst.name: worst.difference}
         strangers |= more
 
 

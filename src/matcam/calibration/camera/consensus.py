@@ -6,7 +6,7 @@ blur, or have impossible levels, are left out; what is left must be enough to kn
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -87,3 +87,33 @@ def widest_angle(angle: np.ndarray) -> float:
 
 def _relative_std(stack: EdgeStack, which: np.ndarray) -> np.ndarray:
     return np.sqrt(stack.parametric.covariance[which, 0, 0]) / stack.parametric.values[which, 0]
+
+
+def strangers_remarks(strangers: Mapping[str, float], channel: str) -> tuple[Remark, ...]:
+    """Name the targets that were left out, one remark for each kind of target.
+
+    strangers: relative difference of the blur by name, which ends in the kind in brackets.
+    """
+    kinds: dict[str, dict[str, float]] = {}
+    for name, off in strangers.items():
+        kinds.setdefault(name.rpartition(" (")[2].rstrip(")"), {})[name] = off
+    remarks = []
+    for kind, names in kinds.items():
+        low, high = (_as_share(end) for end in (min(names.values()), max(names.values())))
+        first = next(iter(names))
+        if len(names) == 1:
+            text = f"{first} sees a blur {low} against that of the edges, and is left out"
+        else:
+            text = f"{len(names)} targets of one kind ({kind}) see blurs from {low} to {high} against that of the edges"
+            text += f", and are left out: {first} and {len(names) - 1} more"
+        remarks.append(Remark("target-disagrees", f"{channel}: {text}"))
+    return tuple(remarks)
+
+
+def _as_share(difference: float) -> str:
+    """Write a relative difference as text; beyond 100 % its linear estimate has no meaning."""
+    return (
+        f"{difference:+.0%}"
+        if abs(difference) <= 1
+        else f"{'more' if difference > 0 else 'less'} than {np.sign(difference):+.0f}00%"
+    )

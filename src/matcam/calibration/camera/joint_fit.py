@@ -132,6 +132,24 @@ class Shares(NamedTuple):
     degrees: AnyArray
 
 
+class Contradiction(NamedTuple):
+    """Disagreement of one group of measurements with all others.
+
+    Attributes:
+        name: name of the group.
+        difference: relative difference of the blur that the group sees.
+        others: names of the other groups.
+    """
+
+    name: str
+    difference: float
+    others: list[str]
+
+    def __str__(self) -> str:
+        more = f" and {len(self.others) - 2} others" if len(self.others) > 2 else ""
+        return f"{self.name} sees a blur {self.difference:+.0%} against that of {', '.join(self.others[:2])}{more}"
+
+
 class JointFit(NamedTuple):
     """Hold the most likely parameters, and judge the measurements' agreement.
 
@@ -180,14 +198,14 @@ class JointFit(NamedTuple):
         grown = wide if (ratio > 1).all() else self.covariance * np.outer(ratio, ratio)
         return (grown + grown.T) / 2
 
-    def contradiction(self, groups: Sequence[str]) -> str:
-        """Say which group of measurements contradicts the others, if any does.
+    def contradiction(self, groups: Sequence[str]) -> Contradiction | None:
+        """Find the group of measurements that contradicts the others most; None if none does.
 
         groups: picture and kind of every measurement.
         """
         names = list(dict.fromkeys(groups))
         if len(names) < 2:
-            return ""
+            return None
         members = [np.array([group == name for group in groups]) for name in names]
         # the scatter between groups, which they cause themselves, is no excuse: each is judged by its members
         shift, error = (np.array(column) for column in zip(*map(self._of_group, members), strict=True))
@@ -195,10 +213,8 @@ class JointFit(NamedTuple):
         worst = int(np.argmax(np.abs(found[:, 0])))
         difference, clear = found[worst]
         if abs(difference) < _LARGE or abs(difference) < _CLEAR * clear:
-            return ""
-        rest = [name for i, name in enumerate(names) if i != worst]
-        others = ", ".join(rest[:2]) + (f" and {len(rest) - 2} others" if len(rest) > 2 else "")
-        return f"{names[worst]} sees a blur {difference:+.0%} against that of {others}"
+            return None
+        return Contradiction(names[worst], difference, [name for i, name in enumerate(names) if i != worst])
 
     def strangers(self, groups: Sequence[str], candidates: Collection[str]) -> dict[str, float]:
         """Return which candidates see another blur than all other groups together, and how far off it is (relative).

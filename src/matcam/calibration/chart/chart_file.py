@@ -20,6 +20,7 @@ Places are in mm on the page, x right and y down from the upper left corner. Lev
 
 from __future__ import annotations
 
+import json
 from importlib import metadata
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -96,8 +97,12 @@ def write_chart(path: str | Path, chart: Chart, *, force: bool = False) -> None:
         >>> path.exists()
         True
     """
-    checks.instance("chart", chart, Chart)
-    document: dict[str, Any] = {
+    write_json(path, _document(checks.instance("chart", chart, Chart)), force=force)
+
+
+def _document(chart: Chart) -> dict[str, Any]:
+    """Describe a chart as a JSON object."""
+    return {
         "format": FORMAT,
         "version": VERSION,
         "software": f"matcam {metadata.version('matcam')}",
@@ -106,7 +111,18 @@ def write_chart(path: str | Path, chart: Chart, *, force: bool = False) -> None:
         "fiducials": [_with_units(fiducial) for fiducial in chart.fiducials],
         "elements": [{"kind": type(element).__name__.lower(), **_with_units(element)} for element in chart.elements],
     }
-    write_json(path, document, force=force)
+
+
+def is_description_of(path: Path, chart: Chart) -> bool:
+    """Check whether a file exists and describes this chart, whatever version of the software wrote it."""
+    if not path.is_file():
+        return False
+    try:
+        found = read_json(path, _WHAT)
+    except FileFormatError:
+        return False
+    expected = json.loads(json.dumps(_document(chart)))
+    return isinstance(found, dict) and {**found, "software": expected["software"]} == expected
 
 
 def description_path(page: str | Path) -> Path:

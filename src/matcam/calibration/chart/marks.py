@@ -6,6 +6,7 @@ import itertools
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
@@ -28,11 +29,12 @@ class Mark(NamedTuple):
     radius: float
 
 
-def balanced(mosaic: FloatArray) -> FloatArray:
-    """Return a mosaic with its four planes at the same bright level."""
-    even = mosaic.copy()
+def balanced(mosaic: ArrayLike) -> FloatArray:
+    """Scale the four planes of a mosaic, of any real type, to the same bright level."""
+    even = np.array(mosaic, dtype=np.float64)
     for row, column in itertools.product((0, 1), repeat=2):
-        even[row::2, column::2] /= max(float(np.nanquantile(mosaic[row::2, column::2], 0.9)), 1e-300)
+        plane = even[row::2, column::2]
+        plane /= max(float(np.nanquantile(plane, 0.9)), 1e-300)
     return even
 
 

@@ -5,23 +5,27 @@ Many edges run through one compiled program, ten of them at once, over and over.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from matcam.calibration.edge.edge_result import EdgeMTF, EdgeStack, stack_result
+from matcam.calibration.edge.free_curve import GHOSTS, GLARE
+from matcam.calibration.edge.geometry import Rows, aligned_rows, edge_distance, half_length
 from matcam.calibration.edge.maximum_likelihood import UNKNOWN_NOISE, Noise
 from matcam.calibration.edge.measurement import EdgeFits, edge_fits, edge_fits_of_stack, lens_fit
 from matcam.calibration.edge.processing import with_traces
 from matcam.calibration.edge.profiles import Gaussian, LensModel, lens_model
-from matcam.calibration.edge.rows import EdgeRegions, RegionFrame, edge_regions, refusals
+from matcam.calibration.edge.rows import EdgeRegions, RegionFrame, edge_regions, refusals, what_is_seen
+from matcam.calibration.edge.start import in_even_rows
 from matcam.calibration.photograph.linear_image import SMALLEST, LinearImage, flaws, region_of
 from matcam.calibration.photograph.tone import Tone
+from matcam.calibration.photograph.uneven_light import LightField, light_field
 from matcam.calibration.photograph.unnamed_mosaic import refuse_unnamed_mosaic
 from matcam.core import checks
-from matcam.core.arrays import tuple_map
+from matcam.core.arrays import tuple_map, xp
 from matcam.core.errors import ArgumentError, FitError
 from matcam.core.registry import PARAMETRIC_LENSES
 from matcam.core.remark import Remark
@@ -31,6 +35,14 @@ AT_ONCE = 10
 """Edges that run side by side: they fit into the processor's cache."""
 _MANY = 500
 """Edges from which on a program that runs faster is worth the four times longer that it takes to compile."""
+Fit = Callable[[EdgeRegions], EdgeFits]
+"""Fit the edges of n regions; arrays of its result have a leading axis of n."""
+_WIDEST = 0.1
+"""Largest blur, in units of the region's width, beside which there is a flat side to see light on."""
+_BRIGHTEST = 0.2
+"""Standard deviation of light over a region, relative, above which it is no light but a pattern of the scene."""
+_GHOST_REACH = 3.5
+"""Blurs from an edge at which a side is taken for flat."""
 _WHOLE = 0.5  # px: half width of a pixel that is sensitive all over
 
 
@@ -118,15 +130,21 @@ def edge_mtf(
     refuse_unnamed_mosaic(region)
     rows = edge_regions(values, mosaic=region.cfa is not None)
     half = np.float64(settings.half_width)
-    fits = edge_fits(rows.value[0], rows.y, rows.start, settings.noise, half, step=rows.step, turns=rows.turns)
+
+    def fitted(rows: EdgeRegions) -> EdgeFits:
+        fits = edge_fits(rows.value[0], rows.y, rows.start, settings.noise, half, step=rows.step, turns=rows.turns)
+        return tuple_map(lambda a: np.asarray(a)[None], fits)
+
+    even, fits, lights = fits_in_even_light(rows, fitted)
     if model != "gaussian":
-        fits = fits._replace(parametric=lens_fit(fits, half, settings.lens))
-    fits = tuple_map(lambda a: np.asarray(a)[None], fits)
+        one = tuple_map(lambda a: a[0], fits)
+        parametric = tuple_map(lambda a: np.asarray(a)[None], lens_fit(one, half, settings.lens))
+        fits = fits._replace(parametric=parametric)
     if problem := refusals(fits, rows, accept_sharpened=accept_sharpened)[0]:
         raise FitError(problem.text)
     frame = rows.frame._replace(x=rows.frame.x + region.corner[0], y=rows.frame.y + region.corner[1])
     stack = stack_result(fits, frame, settings.lens, settings.half_width, (None,))
-    result = with_traces(stack, [rows])[0]
+    result = with_traces(stack, [even], lights)[0]
     return replace(result, given=region.remarks + result.given)
 
 
@@ -185,19 +203,36 @@ def edge_mtf_stack(
             raise ArgumentError(
                 f"images must hold edges that lie alike: those from number {i} on lie across the first ones"
             )
-    return with_traces(edge_stack(regions, settings), [rows for rows, _ in regions])
+    lights: list[LightField | None] = []
+    even: list[EdgeRegions] = []
+
+    def in_even_light(rows: EdgeRegions, fitted: Fit) -> tuple[EdgeRegions, EdgeFits]:
+        found, fits, some = fits_in_even_light(rows, fitted)
+        even.append(found)
+        lights.extend(some)
+        return found, fits
+
+    return with_traces(edge_stack(regions, settings, in_even_light), even, lights)
 
 
-def edge_stack(regions: Sequence[tuple[EdgeRegions, list[Remark | None]]], settings: EdgeSettings) -> EdgeStack:
-    """Return the results of edges in regions of one shape.
+def edge_stack(
+    regions: Sequence[tuple[EdgeRegions, list[Remark | None]]],
+    settings: EdgeSettings,
+    fit: Callable[[EdgeRegions, Fit], tuple[EdgeRegions, EdgeFits]] = lambda rows, fitted: (rows, fitted(rows)),
+) -> EdgeStack:
+    """Measure the edges in regions of one shape.
 
-    Each item holds at most `AT_ONCE` regions, and what is known beforehand to be wrong with each of them.
+    Args:
+        regions: at most `AT_ONCE` regions in each item, and what is known beforehand to be wrong with each of them.
+        settings: how edges are measured.
+        fit: regions and a function that fits their edges -> regions as they were fitted, and the fits. Default: as they are.
     """
     half, few = np.float64(settings.half_width), len(regions) * AT_ONCE < _MANY
     chunks: list[EdgeFits] = []
     frames: list[RegionFrame] = []
     problems: list[Remark | None] = []
-    for rows, known in regions:
+
+    def fitted(rows: EdgeRegions) -> EdgeFits:
         count = len(rows.value)
         # always as many at once, so that one compiled program serves every stack; what is repeated is thrown away
         y, start = (np.broadcast_to(a, (count, a.shape[-1])) for a in (rows.y, rows.start))
@@ -205,20 +240,77 @@ def edge_stack(regions: Sequence[tuple[EdgeRegions, list[Remark | None]]], setti
             np.concatenate([a, np.repeat(a[:1], AT_ONCE - count, axis=0)]) for a in (rows.value, y, start)
         )
         fits = edge_fits_of_stack(value, y, start, settings.noise, half, step=rows.step, turns=rows.turns, few=few)
+        # one after the other: programs that are queued on a processor compete for its threads
+        return tuple_map(lambda a: np.asarray(a)[:count], fits)
+
+    for given, known in regions:
+        rows, fits = fit(given, fitted)
         if settings.lens.name != "gaussian":
             from matcam.core.jax import jax
 
             parametric = jax.vmap(lens_fit, in_axes=(0, None, None))(fits, half, settings.lens)
-            fits = fits._replace(parametric=parametric)
-        # one after the other: programs that are queued on a processor compete for its threads
-        fits = tuple_map(np.asarray, fits)
-        chunks.append(tuple_map(lambda a: a[:count], fits))  # noqa: B023
-        found = refusals(chunks[-1], rows, accept_sharpened=settings.accept_sharpened)
+            fits = fits._replace(parametric=tuple_map(np.asarray, parametric))
+        chunks.append(fits)
+        found = refusals(fits, given, accept_sharpened=settings.accept_sharpened)
         problems += [flaw or refusal for flaw, refusal in zip(known, found, strict=True)]
-        frames.append(RegionFrame(*(np.broadcast_to(column, count) for column in rows.frame)))
+        frames.append(RegionFrame(*(np.broadcast_to(column, len(rows.value)) for column in rows.frame)))
     fits = tuple_map(lambda *a: np.concatenate(a), *chunks)
     frame = RegionFrame(*(np.concatenate(columns) for columns in zip(*frames, strict=True)))
     return stack_result(fits, frame, settings.lens, settings.half_width, tuple(problems))
+
+
+def fits_in_even_light(rows: EdgeRegions, fitted: Fit) -> tuple[EdgeRegions, EdgeFits, list[LightField | None]]:
+    """Fit edges, and once more where their light is uneven, in even light.
+
+    Args:
+        rows: n regions.
+        fitted: function that fits the edges of regions; arrays of its result have a leading axis of n.
+
+    Returns:
+        The regions in even light, the fits, and the light of each region.
+    """
+    fits = fitted(rows)
+    even, lights = _in_even_light(rows, fits)
+    again = np.array([light is not None and light.amplitude > 0 for light in lights])
+    if again.any():
+        fits = tuple_map(lambda a, b: np.where(again.reshape(-1, *[1] * (a.ndim - 1)), a, b), fitted(even), fits)
+    return even, fits, lights
+
+
+def _in_even_light(rows: EdgeRegions, fits: EdgeFits) -> tuple[EdgeRegions, list[LightField | None]]:
+    """Divide uneven light out of regions.
+
+    Args:
+        rows: n regions.
+        fits: their edges, NumPy arrays with a leading axis of n.
+
+    Returns:
+        The regions in even light, and the light of each; None where two levels and a plane explain it.
+    """
+    value, fields = np.array(rows.value), list[LightField | None]()
+    columns = rows.step * np.arange(value.shape[2])
+    for i, region in enumerate(rows.value):
+        y, start = (np.broadcast_to(a, value.shape[:2])[i] for a in (rows.y, rows.start))
+        x, across = start[:, None] + columns, np.broadcast_to(y[:, None], region.shape)
+        shape, curve = fits.free.shape, xp.asarray(fits.curve[i])
+        blur = float(np.hypot(shape.sigma[i], shape.half_width[i] / np.sqrt(3)))
+        field: LightField | None = None
+        if np.isfinite([*curve, blur]).all() and blur < _WIDEST * np.isfinite(region).sum(1).max() * rows.step:
+            distance = np.asarray(edge_distance(curve, x, across))
+            gain, read = (float(np.asarray(part)[i]) for part in fits.noise)
+            glare = bool(fits.free.even[i, GLARE] != 0)
+            if (fits.free.even[i, GHOSTS] != 0).any():  # a ghost is no light
+                blur = max(blur, float(shape.apart[i]) / _GHOST_REACH + blur)
+            # light along the edge is divided out of the rows anyway
+            aligned = aligned_rows(Rows(region, y, start, rows.step), curve)
+            by_row = np.asarray(in_even_rows(aligned, half_length(Rows(region, y, start, rows.step))).light)[:, None]
+            field = light_field(region / by_row, x, across, distance, (gain, read), blur=blur, glare=glare)
+            if field is not None and field.amplitude and (field.amplitude > _BRIGHTEST or what_is_seen(region)):
+                field = None
+            if field is not None and field.amplitude:
+                value[i] = (region / by_row - field.addend) / field.factor
+        fields.append(field)
+    return rows._replace(value=value), fields
 
 
 def _stacked(images: ArrayLike | Sequence[LinearImage]) -> tuple[np.ndarray, np.ndarray]:

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeVar
 import numpy as np
 
 from matcam.calibration.edge import free_curve, free_fit, geometry, start
-from matcam.calibration.edge.doubt import Unexplained, misfit_of
 from matcam.calibration.edge.free_curve import FREQUENCIES, GHOSTS, CoreShape, FreeCurve, SampledCurve
 from matcam.calibration.edge.geometry import EdgeCells, Rows
 from matcam.calibration.edge.maximum_likelihood import (
@@ -23,8 +22,8 @@ from matcam.calibration.edge.maximum_likelihood import (
     edge_model,
     scoring_step,
 )
-from matcam.calibration.edge.outliers import estimated_noise, without_outliers
 from matcam.calibration.edge.profiles import Gaussian, LensAtEdge, LensModel
+from matcam.calibration.edge.unexplained import Unexplained, estimated_noise, misfit_of, without_outliers
 from matcam.core import checks
 from matcam.core.arrays import changed, compiled_by_jax, either, jacobian, last_of, repeated, tuple_map, xp
 from matcam.numerics.linalg import lifted_inverse

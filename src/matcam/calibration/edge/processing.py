@@ -7,13 +7,13 @@ errors: as an unknown scale of frequency, relative, which leaves an MTF of 1 at 
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import least_squares
-from scipy.special import ndtr
+from scipy.special import ndtr, ndtri
 
 from matcam.calibration.edge.edge_result import SHARPENED, EdgeStack
 from matcam.calibration.edge.free_curve import ghost_of
@@ -21,7 +21,9 @@ from matcam.calibration.edge.free_fit import VEIL
 from matcam.calibration.edge.maximum_likelihood import ADDED, SHIFT
 from matcam.calibration.edge.measurement import EdgeFits
 from matcam.calibration.edge.rows import CLEAR, EdgeRegions, clearance
-from matcam.calibration.photograph.flat_noise import BENT_DOUBT, FlatNoise, flat_noise, smoothing_doubt
+from matcam.calibration.edge.wider_errors import widened, with_core_as_total, with_ghosts, with_jumps
+from matcam.calibration.photograph.flat_noise import BENT_DOUBT, FlatNoise, crushed_share, flat_noise, smoothing_doubt
+from matcam.calibration.photograph.linear_filters import filter_doubt, half_of
 from matcam.calibration.photograph.slight_sharpening import (
     AMOUNT,
     APART,
@@ -32,21 +34,38 @@ from matcam.calibration.photograph.slight_sharpening import (
     noise_gain,
     noise_score,
 )
+from matcam.calibration.photograph.uneven_light import LightField
 from matcam.core.arrays import FloatArray, tuple_map
 from matcam.core.remark import Remark
 
 _REACH, _MORE = 3.0, 2.0  # of the blur, px: beyond both a side is flat
 _BOX = 0.29  # px: standard deviation of a pixel
 _GAMMA = 2.2
+_TRANSFORM = 8192
+"""Samples of the transform of a line spread function, whose frequencies are then 2.4e-3 cycles/px apart."""
+_TONE_BEND, _TONE_PROBABILITIES, _RAISED = 0.3, (0.02, 0.5), 1.15
+"""Standard deviation of a tone curve's bend; its probabilities where the noise of the dark is that of photons, and where it is
+higher; and from which multiple on it is higher.
+"""
+_SURE_TONE, _NO_TONE = 0.99, 0.01
+"""Probabilities of a tone curve from which it is remarked on, and below which its effect is not computed."""
 _PER_OVERSHOOT = 12.0  # of MTF50, by the overshoot that an unsharp mask leaves
 _OVERSHOOT, _SURE = 0.003, 3.5  # of the step; standard deviations of both signs of sharpening together
-_PILED, _LEAST_PILE = 2.0, 0.05  # times the next level's share; share of the dark side at the very lowest one
 _CRUSHED = 0.01  # of MTF50, at least
-_COARSE, _FINE = 0.6, 1e-3  # noise in levels; of the step, below which levels are fine enough
 _MOST_LEVELS = 2000
+"""Different values above which a picture is not a picture of coarse codes."""
+_PER_LEVEL = 0.2
+"""Relative error of MTF50 by the distance of two levels in units of the step: rms of 12 to 512 levels without noise."""
+_NEAR_LEVELS = 4
+"""Levels to both sides of a flat side among which the least distance is that of all: a picture without noise misses some."""
+_SMALL_DOUBT = 1e-3
+"""Relative error of MTF50 below which it is not remarked on."""
 _TAILS, _FADING = 0.08, 0.6  # of MTF50, where the blur reaches the border; blurs over which that fades
 _SURER = 0.1  # of that, of a lens model
-_JUMP = 1.5  # times its standard deviation: what the slope of the MTF does not tell
+_SURE_GLARE = 0.005
+"""Relative error of MTF50 below which a doubt on glare is not remarked on."""
+_PER_STEP = 1.5
+"""Relative error of MTF50 by a step of the light across the edge, in units of the step: penumbrae of tests/oracle."""
 _BY_GLARE = 0.72  # of MTF50 by the share of glare, where the MTF is one half
 _PER_BORDER, _HARMLESS, _MOST_BY_BLOCKS = 0.006, 3.0, 0.05  # of MTF50 by how much JPEG's borders stand out
 _LEAST_NOISE = 2e-4  # of the step
@@ -69,8 +88,13 @@ class Traces(NamedTuple):
     glare: float = 0.0
 
 
-def with_traces(stack: EdgeStack, regions: Iterable[EdgeRegions]) -> EdgeStack:
-    """Return results whose remarks and errors contain what software has done to their pictures."""
+def with_traces(stack: EdgeStack, regions: Iterable[EdgeRegions], lights: Sequence[LightField | None]) -> EdgeStack:
+    """Add to results what light and software may have done to their pictures: remarks, and wider errors.
+
+    Where glare and light cannot be told apart, the MTF is that of the lens without glare.
+
+    stack: results of n edges. regions: their rows, in even light. lights: uneven light of each, None where there is none.
+    """
     shares, given = np.zeros((3, len(stack))), list(stack.given or [()] * len(stack))
     first = 0
     for rows in regions:
@@ -79,30 +103,19 @@ def with_traces(stack: EdgeStack, regions: Iterable[EdgeRegions]) -> EdgeStack:
         for k in range(len(rows.value)):
             i = first + k
             if stack.problems[i] is None:
-                traces = _traces(stack, i, rows, k, float(clear[k]))
+                traces = _traces(stack, i, rows, k, float(clear[k]), lights[i])
                 shares[:, i] = traces.share, traces.free, traces.glare
                 given[i] = given[i] + traces.remarks
         first += len(rows.value)
-    return _with_jumps(_widened(replace(stack, given=tuple(given)), shares))
+    stack = with_core_as_total(stack, np.array([light is not None and light.amplitude > 0 for light in lights]))
+    ghosts = np.array([0.0 if light is None else light.ghost for light in lights])
+    return with_jumps(with_ghosts(widened(replace(stack, given=tuple(given)), shares), ghosts))
 
 
-def crushed_share(dark: FloatArray, bright: FloatArray) -> float:
-    """Return which share of a dark side is at its very lowest value, 0 where that is no more than noise explains.
-
-    Noise piles up at the end of a range, and nowhere else; without noise the bright side is as flat.
-    """
-    if dark.size < 2 or bright.size < 2:
-        return 0.0
-    count = np.unique(dark, return_counts=True)[1] / dark.size
-    largest = np.unique(bright, return_counts=True)[1].max() / bright.size
-    piled = count[0] > max(_LEAST_PILE, _PILED * max(largest, count[1] if count.size > 1 else 0.0))
-    return float(count[0]) if piled else 0.0
-
-
-def _traces(stack: EdgeStack, i: int, rows: EdgeRegions, k: int, clear: float) -> Traces:
+def _traces(stack: EdgeStack, i: int, rows: EdgeRegions, k: int, clear: float, light: LightField | None) -> Traces:
     """Return what is found in the region of edge i, the k-th of its regions.
 
-    clear: how far it stands off the borders, in standard deviations of its blur.
+    clear: how far it stands off the borders, in standard deviations of its blur. light: uneven light that was found in it.
     """
     value, fits = rows.value[k], stack.fits
     y, start = (np.broadcast_to(a, (len(rows.value), value.shape[0]))[k] for a in (rows.y, rows.start))
@@ -115,17 +128,22 @@ def _traces(stack: EdgeStack, i: int, rows: EdgeRegions, k: int, clear: float) -
     dark, bright = there & (distance < -reach), there & (distance > reach)
     step = float(stack.bright[i] - stack.dark[i])
     noise = flat_noise(value, dark, bright, lines=rows.step == 1, least=_LEAST_NOISE * abs(step))
-    found: list[tuple[Remark | None, float]] = [
-        *_smoothed(noise, blur),
-        *_bent(stack, i, noise),
-    ]
+    found = _smoothed(noise, blur)
+    one, raised = value if rows.step == 1 else None, list[tuple[Remark | None, float]]()
     if clear > CLEAR:
-        one = value if rows.step == 1 else None
-        found += _sharpened(stack, i, noise) or _slightly_sharpened(stack, i, noise, one, (dark, bright))
-    found += _crushed(stack, i, crushed_share(value[dark], value[bright])) or _coarse(value[dark | bright], noise, step)
-    share = float(np.hypot.reduce([0.0, *(share for _, share in found)]))
+        raised = _sharpened(stack, i, noise) or _slightly_sharpened(stack, i, noise, one, (dark, bright))
+    if one is not None and not noise.compressed and np.isfinite(noise.alike_std):
+        raised += _filtered(stack, i, np.where(there, one, 0.0), (dark, bright), (found, raised))
+    found += raised
+    found += _crushed(stack, i, crushed_share(value[dark], value[bright]))
+    coarse = _coarse(value, (dark, bright), noise, step)
+    found += coarse + (
+        _bent(stack, i, noise) or ([] if any(remark for remark, _ in coarse) else _asymmetric(stack, i, noise))
+    )
+    by_light = 0.0 if light is None else _PER_STEP * light.unknown
+    share = float(np.hypot.reduce([by_light, *(share for _, share in found)]))
     narrow, free = _narrow(clear, blur)
-    veiled, glare = _veiled(stack, i, rows.step * (value.shape[1] - 1))
+    veiled, glare = _veiled(stack, i, rows.step * (value.shape[1] - 1), light)
     remarks = (*(remark for remark, _ in found), narrow, veiled, _ghost(stack, i))
     return Traces(tuple(remark for remark in remarks if remark), float(np.hypot(share, free * _SURER)), free, glare)
 
@@ -143,14 +161,25 @@ def _narrow(clear: float, blur: float) -> tuple[Remark | None, float]:
     ), share
 
 
-def _veiled(stack: EdgeStack, i: int, width: float) -> tuple[Remark | None, float]:
-    """Return what glare as wide as the region leaves unsure: uneven light looks like it."""
+def _veiled(stack: EdgeStack, i: int, width: float, light: LightField | None) -> tuple[Remark | None, float]:
+    """Return what cannot be told apart from glare: uneven light, and glare as wide as the region.
+
+    width: px, of the region.
+    """
     glare, radius = float(stack.glare_fraction[i]), float(stack.glare_radius[i])
-    if not (glare > 0 and radius > VEIL * width):
+    if light is not None and light.amplitude > 0:
+        text = f"uneven light of {light.amplitude:.1%}, beyond levels and a plane, was taken out"
+        if glare > 0:
+            text += f"; glare of {glare:.1%} over {radius:.0f} px may be its remainder: the MTF is that without glare"
+        return Remark("uneven-light", text), 0.0
+    if not glare > 0:
         return None, 0.0
-    share = _BY_GLARE * glare
-    text = f"glare of {glare:.1%} over {radius:.0f} px may be uneven light: MTF50 with it may be too low by {share:.0%}"
-    return Remark("wide-glare", text), share
+    unsure = glare if radius > VEIL * width else min(glare, 0.0 if light is None else light.possible)
+    share = _BY_GLARE * unsure
+    part = "" if unsure == glare else " in part"
+    text = f"glare of {glare:.1%} over {radius:.0f} px may be uneven light{part}"
+    text += f": MTF50 with it may be too low by {share:.0%}"
+    return Remark("wide-glare", text) if share > _SURE_GLARE else None, share
 
 
 def _ghost(stack: EdgeStack, i: int) -> Remark | None:
@@ -163,7 +192,7 @@ def _ghost(stack: EdgeStack, i: int) -> Remark | None:
     return Remark("ghost", f"{text}: a ghost; it is part of the MTF")
 
 
-def _smoothed(noise: FlatNoise, blur: float) -> list[tuple[Remark, float]]:
+def _smoothed(noise: FlatNoise, blur: float) -> list[tuple[Remark | None, float]]:
     """Return what noise says that neighbours share.
 
     blur: px. The wider it is, the less a smoothing of so many px changes it.
@@ -178,14 +207,17 @@ def _smoothed(noise: FlatNoise, blur: float) -> list[tuple[Remark, float]]:
         share = float(np.clip(_PER_BORDER * (noise.grid - _HARMLESS), 0.0, _MOST_BY_BLOCKS))
         more = f"; MTF50 may be wrong by {share:.1%}" if share else ""
         return [(Remark("compressed", text + more), share)]
-    share = smoothing_doubt(blur, denoised=noise.denoised)
-    name = "a denoised" if noise.denoised else "a demosaiced or denoised"
-    seen += ", over several px" if noise.denoised else ""
-    text = f"{seen}: {name} picture, whose MTF is not the lens's; MTF50 may be wrong by {share:.0%}"
-    return [(Remark("denoised" if noise.denoised else "demosaiced", text), share)]
+    if not noise.denoised:
+        text = f"{seen}: a demosaiced picture, or one that was resampled or smoothed, whose MTF is not the lens's"
+        return [(Remark("demosaiced", text), 0.0)]
+    share = smoothing_doubt(blur, denoised=True)
+    text = (
+        f"{seen}, over several px: a denoised picture, whose MTF is not the lens's; MTF50 may be wrong by {share:.0%}"
+    )
+    return [(Remark("denoised", text), share)]
 
 
-def _bent(stack: EdgeStack, i: int, noise: FlatNoise) -> list[tuple[Remark, float]]:
+def _bent(stack: EdgeStack, i: int, noise: FlatNoise) -> list[tuple[Remark | None, float]]:
     """Return what noise says that is larger in the dark."""
     if not noise.bent:
         return []
@@ -231,6 +263,27 @@ def _slightly_sharpened(
     return [(Remark("sharpened", text), share)]
 
 
+def _filtered(
+    stack: EdgeStack,
+    i: int,
+    value: FloatArray,
+    sides: tuple[np.ndarray, np.ndarray],
+    others: tuple[list[tuple[Remark | None, float]], list[tuple[Remark | None, float]]],
+) -> list[tuple[Remark | None, float]]:
+    """Return what the correlation of the noise adds to other traces of filters.
+
+    value: of the region. sides: its flat parts. others: what was found of smoothing, and of sharpening.
+    """
+    smoothed, raised = others
+    doubt = filter_doubt(value, sides, stack.frequency, stack.mtf[i], sharpened=bool(raised))
+    more = np.sqrt(max(doubt.share**2 - sum(share**2 for _, share in (*smoothed, *raised)), 0.0))
+    if smoothed or raised or doubt.probability < 0.5:
+        return [(None, float(more))]
+    kind, off = ("smooths", "low") if doubt.smooths else ("sharpens or deconvolves", "high")
+    text = f"the noise of neighbours is correlated as behind a filter that {kind} (probability {doubt.probability:.1%})"
+    return [(Remark("filtered", f"{text}: MTF50 may be too {off} by {doubt.share:.0%}"), float(more))]
+
+
 def _bare(fits: EdgeFits) -> BareEdge:
     """Return an edge's cells, free of a lens."""
     cells, used = fits.cells, fits.cells.pixels > 0
@@ -261,16 +314,33 @@ def _crushed(stack: EdgeStack, i: int, piled: float) -> list[tuple[Remark, float
     return [(Remark("crushed", text), share)]
 
 
-def _coarse(flat: FloatArray, noise: FlatNoise, step: float) -> list[tuple[Remark, float]]:
-    """Return what levels further apart than the noise say."""
-    levels = np.unique(flat)
-    if not 2 <= levels.size <= _MOST_LEVELS:
+def _coarse(
+    value: FloatArray, sides: tuple[np.ndarray, np.ndarray], noise: FlatNoise, step: float
+) -> list[tuple[Remark | None, float]]:
+    """Return what rounding to levels may do, where noise does not average over them.
+
+    The mean of rounded values errs by at most (level / pi) exp(-2 pi^2 noise^2 / level^2) (Widrow & Kollar, Quantization
+    Noise, 2008, ch. 9).
+
+    value: region (height, width), linear. sides: its flat parts, dark and bright, bool. step: bright less dark.
+    """
+    levels = np.unique(value[np.isfinite(value)])
+    if not 2 <= levels.size <= _MOST_LEVELS or not all(side.any() for side in sides):
         return []
-    apart = float(np.diff(levels).min())
-    if apart < _FINE * step or np.sqrt(min(noise.variance)) > _COARSE * apart:
-        return []
-    text = f"levels are coarse: {step / apart:.0f} of them from dark to bright, and less noise than one"
-    return [(Remark("quantised", f"{text}; MTF50 may be wrong by {apart / step:.1%}"), apart / step)]
+    gaps, errors = np.diff(levels), []
+    for side, variance in zip(sides, noise.variance, strict=True):
+        at = int(np.searchsorted(levels, np.median(value[side])))
+        apart = float(gaps[max(at - _NEAR_LEVELS, 0) : at + _NEAR_LEVELS].min())
+        # rounding has a variance of its own, and noise that reaches a third level can be told from it
+        count = np.sort(np.unique(value[side], return_counts=True)[1])
+        beyond = float(np.clip(count[:-2].sum(), 0.5, None) / count.sum())
+        noisy = min(max(variance - apart**2 / 12, 0.0), (apart / ndtri(beyond / 2)) ** 2)
+        errors.append(apart * np.exp(-2 * np.pi**2 * noisy / apart**2))
+    share = _PER_LEVEL * float(np.hypot(*errors)) / step
+    steps = step / max(gaps.min(), 1e-300)
+    text = f"levels are coarse: {steps:.0f} of them from dark to bright, and less noise than one"
+    text += f"; MTF50 may be wrong by {share:.1%}"
+    return [(Remark("quantised", text) if share > _SMALL_DOUBT else None, share)]
 
 
 def _effect_of_gamma(stack: EdgeStack, i: int) -> float:
@@ -282,16 +352,74 @@ def _effect_of_gamma(stack: EdgeStack, i: int) -> float:
     return float(undone / plain - 1) if np.isfinite(undone / plain) else 0.0
 
 
+def _asymmetric(stack: EdgeStack, i: int, noise: FlatNoise) -> list[tuple[Remark | None, float]]:
+    """Return what an edge response that is not symmetric leaves unsure: a lens with coma, or a bent tone curve.
+
+    Photons make the variance proportional to the light, so that a dark side has its share of that of the bright side; read
+    noise and a shoulder raise it. A tone curve v + q v (1 - v) between the levels adds q E (1 - E) to a response E, which no
+    symmetric lens does.
+    """
+    fits = tuple_map(lambda a: np.asarray(a)[i], stack.fits)
+    if ghost_of(fits.free).share > 0:
+        return []
+    edge = _bare(fits)
+    width = np.sqrt(edge.blur**2 + edge.spread)
+    at = edge.distance / width
+    response, line = ndtr(at), np.exp(-(at**2) / 2)
+    # levels and light, the edge's place and its width, and a lens that is not Gaussian, are free besides
+    even = np.stack([response, line, at * line, at**3 * line]) * edge.step
+    columns = np.concatenate([(edge.step * response * (1 - response))[None], even, edge.light])
+    if stack.glare_fraction[i] > 0:
+        columns = np.concatenate([columns, (ndtr(edge.distance / stack.glare_radius[i]) * edge.step)[None]])
+    weight = 1 / np.hypot(edge.std, _LEAST_NOISE * edge.step)
+    scale = np.linalg.norm(columns * weight, axis=1)
+    inverse = np.linalg.pinv((columns * weight / np.maximum(scale, 1e-300)[:, None]).T, rcond=1e-6)
+    bend = float(inverse[0] @ (edge.value * weight)) / scale[0]
+    variance = float(inverse[0] @ inverse[0]) / scale[0] ** 2
+    prior = _TONE_BEND**2
+    gain = bend**2 / variance * prior / (prior + variance) / 2
+    odds = np.exp(min(gain, 50.0)) / np.sqrt(1 + prior / variance)
+    raised = ndtr((noise.tilt - _RAISED * stack.dark[i] / stack.bright[i]) / noise.tilt_std)
+    first = float(np.interp(raised, (0.0, 1.0), _TONE_PROBABILITIES)) if np.isfinite(raised) else _TONE_PROBABILITIES[0]
+    probability = first * odds / (1 + first * (odds - 1))
+    if probability < _NO_TONE:
+        return []
+    effect = abs(_effect_of_shoulder(stack, i, bend))
+    share = float(np.sqrt(probability)) * effect
+    if probability < _SURE_TONE or share < _SMALL_DOUBT:
+        return [(None, share)]
+    text = (
+        "the edge response is not symmetric: coma of the lens, or a tone curve that bends, such as a highlight shoulder"
+    )
+    return [(Remark("asymmetric", f"{text}; MTF50 may be wrong by {share:.1%}"), share)]
+
+
+def _effect_of_shoulder(stack: EdgeStack, i: int, bend: float) -> float:
+    """Return by how much a shoulder tanh(b v) that bends by so much changes MTF50, relative.
+
+    bend: q of `_asymmetric`; negative: a shoulder in the dark.
+    """
+    distance = np.linspace(-40, 40, 1601)
+    response = np.clip(np.asarray(stack[i].esf(distance).value), 0, 1)
+    lowest = float(np.clip(stack.dark[i] / stack.bright[i], 0.0, 0.9))
+    if bend < 0:
+        response, lowest = 1 - response[::-1], 0.0
+    shoulders = np.linspace(0.05, 3.0, 60)
+    ends, middle = np.tanh(shoulders * lowest), np.tanh(shoulders * (1 + lowest) / 2)
+    bends = 4 * ((middle - ends) / (np.tanh(shoulders) - ends) - 0.5)
+    b = float(np.interp(abs(bend), bends, shoulders))
+    light = np.arctanh(np.tanh(b * lowest) + (np.tanh(b) - np.tanh(b * lowest)) * response) / b
+    seen, undone = (_half(distance, levels) for levels in (response, light))
+    return float(seen / undone - 1) if np.isfinite(seen / undone) else 0.0
+
+
 def _half(distance: FloatArray, levels: FloatArray) -> float:
-    """Return the frequency at which the transfer of an edge response falls to one half; NaN if it does not."""
-    line, middle = np.diff(levels), (distance[1:] + distance[:-1]) / 2
-    frequency = np.linspace(0, 1.2, 241)
-    transfer = np.abs(np.exp(-2j * np.pi * frequency[:, None] * middle) @ line) / line.sum()
-    below = np.flatnonzero(transfer < 0.5)
-    if not below.size or below[0] == 0:
-        return np.nan
-    k = below[0]
-    return float(np.interp(0.5, transfer[[k, k - 1]], frequency[[k, k - 1]]))
+    """Find the frequency at which the transfer of an edge response falls to one half; NaN if it does not.
+
+    distance: px, evenly spaced.
+    """
+    transfer = np.abs(np.fft.rfft(np.diff(levels), _TRANSFORM)) / (levels[-1] - levels[0])
+    return half_of(np.arange(transfer.size) / (_TRANSFORM * (distance[1] - distance[0])), transfer)
 
 
 def _effect_of_crushing(stack: EdgeStack, i: int) -> float:
@@ -312,64 +440,3 @@ def _effect_of_crushing(stack: EdgeStack, i: int) -> float:
     fits = [least_squares(cut, start, bounds=([-5, 0.05, 0.0], [5, 50, 0.8])) for start in starts]
     best = min(fits, key=lambda fit: fit.cost)
     return float(abs(1 - plain.x[1] / best.x[1]))
-
-
-def _with_jumps(stack: EdgeStack) -> EdgeStack:
-    """Return results whose MTF50 is as unsure as the place where the MTF, a standard deviation up or down, is one half.
-
-    A ghost makes the MTF wavy. Where it comes near one half twice, the MTF50 may jump.
-    """
-
-    def std(mtf: np.ndarray, mtf_std: np.ndarray, half: np.ndarray, half_std: np.ndarray) -> np.ndarray:
-        low, high = (_first_half(stack.frequency, mtf + sign * mtf_std) for sign in (-1, 1))
-        reach = np.fmax(half - low, high - half)
-        return np.where(reach > _JUMP * half_std, reach, half_std)
-
-    return replace(
-        stack,
-        mtf50_std=std(stack.mtf, stack.mtf_std, stack.mtf50, stack.mtf50_std),
-        core_mtf50_std=std(stack.core_mtf, stack.core_mtf_std, stack.core_mtf50, stack.core_mtf50_std),
-    )
-
-
-def _first_half(frequency: np.ndarray, mtf: np.ndarray) -> np.ndarray:
-    """Return the first frequency at which curves (n, frequencies) fall to one half; the last one where they do not."""
-    below = mtf < 0.5
-    k = np.where(below.any(1), np.maximum(below.argmax(1), 1), frequency.size - 1)
-    after, before = (np.take_along_axis(mtf, at[:, None], 1)[:, 0] for at in (k, k - 1))
-    share = np.clip((before - 0.5) / np.where(before > after, before - after, 1.0), 0.0, 1.0)
-    return np.asarray(frequency[k - 1] + share * (frequency[k] - frequency[k - 1]))
-
-
-def _widened(stack: EdgeStack, all_shares: np.ndarray) -> EdgeStack:
-    """Return results whose frequencies are unknown by relative shares (3, n), as in `Traces`."""
-    shares, free, glare = all_shares
-    core = np.hypot(shares, free)
-    total = np.hypot(core, glare)
-
-    def curve(mtf: np.ndarray, std: np.ndarray, by: np.ndarray) -> np.ndarray:
-        slope = np.gradient(mtf, stack.frequency, axis=-1)
-        return np.hypot(std, by[:, None] * stack.frequency * np.abs(slope))
-
-    def half(value: np.ndarray, std: np.ndarray, by: np.ndarray) -> np.ndarray:
-        return np.hypot(std, by * value)
-
-    lens = stack.parametric
-    first, box = lens.values[:, 0], lens.half_width**2 / 3
-    # what scales is the blur of lens and pixel together
-    own = shares * (first + box / first if lens.names[0].endswith("sigma_px") else first)
-    covariance = lens.covariance.copy()
-    covariance[:, 0, 0] += own**2
-    return replace(
-        stack,
-        mtf_std=curve(stack.mtf, stack.mtf_std, total),
-        core_mtf_std=curve(stack.core_mtf, stack.core_mtf_std, core),
-        mtf50_std=half(stack.mtf50, stack.mtf50_std, total),
-        core_mtf50_std=half(stack.core_mtf50, stack.core_mtf50_std, core),
-        parametric=replace(
-            lens,
-            covariance=covariance,
-            mtf_std=curve(lens.mtf, lens.mtf_std, shares),
-            mtf50_std=half(lens.mtf50, lens.mtf50_std, shares),
-        ),
-    )

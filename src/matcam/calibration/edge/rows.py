@@ -183,7 +183,8 @@ def refusals(found: EdgeFits, region: EdgeRegions, *, accept_sharpened: bool) ->
             )
         if not accept_sharpened and veiled[i]:
             text = f"glare of {glare[i]:.0%}, as wide as the region, with {found.misfit[i]:.1%} of the step left, is no lens's"
-            return Remark("unexplained", f"{text}: a ghost, a second edge or dirt lies in it: choose another region")
+            why = what_is_seen(region.value[i]) or "a ghost, a second edge or dirt lies in it"
+            return Remark("unexplained", f"{text}: {why}: choose another region")
         second = bool(ghost.share[i] > _SECOND)
         odd = not accept_sharpened and (second or found.misfit[i] > _SPOILT)
         seen = what_is_seen(region.value[i]) if odd else ""

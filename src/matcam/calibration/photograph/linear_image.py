@@ -30,6 +30,14 @@ SMALLEST = 16
 _LUMINANCE = (0.2126, 0.7152, 0.0722)  # of linear R, G, B (IEC 61966-2-1)
 _SATURATED = 0.02  # share of full pixels beyond which a region is refused
 _FLAT_TOP = 0.05  # share at the very same, brightest value, that is worth a look
+_QUARTILES = 1.35
+"""Distance between the quartiles of a normal distribution, in standard deviations."""
+_SPREAD = 3.0
+"""Noise of the dark side, in levels, above which the bright side of a picture cannot have noise below half a level.
+
+A pile at the brightest value comes either from the end of a range or from noise below half a level; the sRGB curve is at most
+six times as steep in dark parts.
+"""
 _ALONE = 1e-6  # of a Gaussian's weight: a pixel with fewer data around it is left dark
 
 
@@ -272,8 +280,10 @@ def flaw(values: np.ndarray) -> Remark | None:
         # noise piles up at the end of a range, and nowhere else; without noise the dark side is as flat
         middle = (low + high) / 2
         flat = (used == high).sum() / (used > middle).sum()
-        dark = np.unique(used[used <= middle], return_counts=True)[1]
-        if dark.max() / dark.sum() < flat / 2:
+        levels, index, count = np.unique(used, return_inverse=True, return_counts=True)
+        dark = levels <= middle
+        spread = np.subtract(*np.quantile(index[used <= middle], (0.75, 0.25))) / _QUARTILES
+        if count[dark].max() / count[dark].sum() < flat / 2 and spread > _SPREAD:
             text = f"region is saturated: {flat:.0%} of its bright samples have the very same value, {high:g}"
             return Remark("saturated", text)
     return None

@@ -14,6 +14,7 @@ import numpy as np
 from scipy.optimize import nnls
 from scipy.special import ndtr
 
+from matcam.calibration.photograph.linear_filters import LAGS, correlations, half_of
 from matcam.core.arrays import FloatArray
 
 AMOUNT, RADIUS = 0.1, 1.0
@@ -25,17 +26,8 @@ _FOUND, _SHARPER, _SOFT = (
     6.5,
     0.75,
 )  # 2 ln likelihood; how it grows with the inverse of the blur; from which blur on, px
-_LAGS = (
-    (0, 1),
-    (1, 0),
-    (1, 1),
-    (1, -1),
-    (0, 2),
-    (2, 0),
-)  # px, rows and columns: neighbours that the mask makes err apart
-_LARGEST = 4.0  # standard deviations: a hot pixel is no noise
-_ORDER = 3  # of the light on a side
-_FEWEST = 500  # pixels of a side
+_LAGS = LAGS[:6]
+"""Distances of neighbours that the mask makes err apart, rows and columns, px."""
 _LEAST_WIDTH, _WIDTH, _CORE, _COARSER = 0.2, 0.3, 6.0, 0.25  # px; blurs; blurs; of the distance: the bumps
 _ROOM = 0.8  # of the region, to which bumps reach
 _LEAST_NOISE = 2e-4  # of the step: what the bumps cannot describe
@@ -48,28 +40,10 @@ def noise_score(value: FloatArray, sides: tuple[np.ndarray, np.ndarray]) -> floa
         value: picture (height, width).
         sides: its flat parts (height, width), dark and bright, bool.
     """
-    height, width = value.shape
-    axes = (np.linspace(-1, 1, height)[:, None], np.linspace(-1, 1, width)[None])
-    terms = [axes[0] ** i * axes[1] ** k for i in range(_ORDER + 1) for k in range(_ORDER + 1 - i)]
-    noise, there = np.zeros(value.shape), np.zeros(value.shape)
-    for side in sides:
-        if side.sum() < _FEWEST:
-            return 0.0
-        design = np.stack([term[side] for term in terms])
-        left = value[side] - np.linalg.lstsq(design @ design.T, design @ value[side], rcond=None)[0] @ design
-        scale = left.std()
-        if not scale > 0:
-            return 0.0
-        noise[side], there[side] = np.clip(left / scale, -_LARGEST, _LARGEST), 1.0
-    score = power = 0.0
-    for (dy, dx), expected in zip(_LAGS, _CORRELATIONS, strict=True):
-        here = (slice(dy, None), slice(max(dx, 0), width + min(dx, 0)))
-        other = (slice(None, height - dy), slice(max(-dx, 0), width - max(dx, 0)))
-        pairs = float((there[here] * there[other]).sum())
-        # the light that was fitted to the noise makes neighbours err apart by one pair for each of its terms
-        score += expected * (float((noise[here] * noise[other]).sum()) + len(sides) * len(terms))
-        power += expected**2 * pairs
-    return score / np.sqrt(power)
+    seen = correlations(value, sides, _LAGS)
+    if seen is None:
+        return 0.0
+    return float(_CORRELATIONS @ (seen.value * seen.pairs) / np.sqrt(_CORRELATIONS**2 @ seen.pairs))
 
 
 def noise_gain(score: float, pixels: int) -> float:
@@ -145,14 +119,8 @@ def effect_on_half(frequency: FloatArray, mtf: FloatArray) -> float:
         mtf: MTF behind the mask, of the same shape.
     """
     before = mtf / (1 + AMOUNT * (1 - np.exp(-2 * (np.pi * RADIUS * frequency) ** 2)))
-    halves = []
-    for curve in (mtf, before):
-        below = np.flatnonzero(curve < 0.5)
-        if not below.size or below[0] == 0:
-            return 0.0
-        k = below[0]
-        halves.append(np.interp(0.5, curve[[k, k - 1]], frequency[[k, k - 1]]))
-    return float(halves[0] / halves[1] - 1)
+    share = half_of(frequency, mtf) / half_of(frequency, before) - 1
+    return share if np.isfinite(share) else 0.0
 
 
 def _bumps(blur: float, reach: float) -> tuple[FloatArray, FloatArray]:

@@ -18,8 +18,8 @@ import numpy as np
 
 from matcam.calibration.edge.edge import AT_ONCE, EdgeSettings, edge_stack
 from matcam.calibration.edge.edge_result import EdgeStack
-from matcam.calibration.edge.processing import crushed_share
 from matcam.calibration.edge.rows import EdgeRegions, RegionFrame, turns_for
+from matcam.calibration.photograph.flat_noise import crushed_share
 from matcam.calibration.photograph.linear_image import LinearImage, flaws
 from matcam.calibration.search.edge_search import EdgePlaces
 from matcam.core.errors import FitError

@@ -121,14 +121,16 @@ def measure_targets(
         )
     samples: list[MTFSamples] = []
     grids: list[DotGrid] = []
-    problems: list[Remark] = []
+    unmeasured: dict[str, dict[int, str]] = {}
     printed = printed_levels(picture.values, chart, registration)
     for number, described in enumerate(chart.elements):
         element = described if printed is None else printed.of(described)
-        name = f"{source}{': ' if source else ''}{type(element).__name__.lower()} {number}"
+        kind = type(element).__name__.lower()
+        name = f"{source}{': ' if source else ''}{kind} {number}"
         try:
             if isinstance(element, Grating):
                 name += f" ({element.profile})"
+                kind += f"s ({element.profile})"
                 found = [grating_mtf(picture, grating=element, projection=registration).samples]
             elif isinstance(element, Star):
                 found = [star_mtf(picture, star=element, projection=registration).samples]
@@ -139,13 +141,22 @@ def measure_targets(
             else:  # squares and patches have edges and levels
                 continue
         except FitError as error:
-            problems.append(Remark("target-not-measured", f"{name}: {error}"))
+            unmeasured.setdefault(kind, {})[number] = f"{name}: {error}"
         else:
             found = [replace(one, source=name, f_number=f_number) for one in found]
             if printed is not None and not isinstance(element, Dots):
                 found = [_of_known_contrast(one, printed.contrast_std) for one in found]
             samples += found
-    return Targets(tuple(samples), tuple(grids), tuple(problems), registration, printed)
+    problems = tuple(_not_measured(kind, of) for kind, of in unmeasured.items())
+    return Targets(tuple(samples), tuple(grids), problems, registration, printed)
+
+
+def _not_measured(kind: str, problems: dict[int, str]) -> Remark:
+    """Name the targets of one kind that could not be measured. problems: by the number of the target."""
+    text = next(iter(problems.values()))
+    if len(problems) > 1:
+        text += f"; nor could {len(problems) - 1} other {kind} be measured: {', '.join(map(str, list(problems)[1:]))}"
+    return Remark("target-not-measured", text)
 
 
 def _of_known_contrast(samples: MTFSamples, std: float) -> MTFSamples:

@@ -1,0 +1,108 @@
+"""Wider errors of measured edges: what is unknown besides the noise of their pixels."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from matcam.calibration.edge.edge_result import EdgeStack
+
+_LOWEST_BY_GHOST, _FLATTEST = 0.05, 1e-3
+"""Frequency below which a ghost 10 px away changes an MTF ever less, cycles/px; least slope of an MTF at one half, px."""
+_JUMP = 1.5
+"""Standard deviations beyond which the MTF50 of an MTF moved by its standard deviation replaces its error."""
+
+
+def with_core_as_total(stack: EdgeStack, which: np.ndarray) -> EdgeStack:
+    """Take the MTF without glare for the MTF of some edges. which: (n,) bool."""
+
+    def of(total: np.ndarray, core: np.ndarray) -> np.ndarray:
+        return np.where(which.reshape(-1, *[1] * (total.ndim - 1)), core, total)
+
+    names = ("mtf", "mtf_std", "mtf50", "mtf50_std")
+    moved: dict[str, Any] = {name: of(getattr(stack, name), getattr(stack, f"core_{name}")) for name in names}
+    moved["glare_fraction"] = np.where(which, 0.0, stack.glare_fraction)
+    moved["glare_fraction_std"] = np.where(which, 0.0, stack.glare_fraction_std)
+    moved["glare_radius"] = np.where(which, np.nan, stack.glare_radius)
+    return replace(stack, **moved)
+
+
+def with_ghosts(stack: EdgeStack, shares: np.ndarray) -> EdgeStack:
+    """Widen errors by ghosts far from the edge that may have been taken for light. shares: (n,) of the ghosts."""
+    by = shares[:, None] * np.minimum(stack.frequency / _LOWEST_BY_GHOST, 1.0)
+
+    def half_std(mtf: np.ndarray, half: np.ndarray, std: np.ndarray) -> np.ndarray:
+        slope = np.abs(np.gradient(mtf, stack.frequency, axis=-1))
+        at = np.clip(np.searchsorted(stack.frequency, np.nan_to_num(half)), 0, stack.frequency.size - 1)
+        return np.hypot(std, shares / np.maximum(np.take_along_axis(slope, at[:, None], 1)[:, 0], _FLATTEST))
+
+    return replace(
+        stack,
+        mtf_std=np.hypot(stack.mtf_std, by),
+        mtf50_std=half_std(stack.mtf, stack.mtf50, stack.mtf50_std),
+        core_mtf_std=np.hypot(stack.core_mtf_std, by),
+        core_mtf50_std=half_std(stack.core_mtf, stack.core_mtf50, stack.core_mtf50_std),
+    )
+
+
+def with_jumps(stack: EdgeStack) -> EdgeStack:
+    """Return results whose MTF50 is as unsure as the place where the MTF, a standard deviation up or down, is one half.
+
+    A ghost makes the MTF wavy. Where it comes near one half twice, the MTF50 may jump.
+    """
+
+    def std(mtf: np.ndarray, mtf_std: np.ndarray, half: np.ndarray, half_std: np.ndarray) -> np.ndarray:
+        low, high = (_first_half(stack.frequency, mtf + sign * mtf_std) for sign in (-1, 1))
+        reach = np.fmax(half - low, high - half)
+        return np.where(reach > _JUMP * half_std, reach, half_std)
+
+    return replace(
+        stack,
+        mtf50_std=std(stack.mtf, stack.mtf_std, stack.mtf50, stack.mtf50_std),
+        core_mtf50_std=std(stack.core_mtf, stack.core_mtf_std, stack.core_mtf50, stack.core_mtf50_std),
+    )
+
+
+def _first_half(frequency: np.ndarray, mtf: np.ndarray) -> np.ndarray:
+    """Return the first frequency at which curves (n, frequencies) fall to one half; the last one where they do not."""
+    below = mtf < 0.5
+    k = np.where(below.any(1), np.maximum(below.argmax(1), 1), frequency.size - 1)
+    after, before = (np.take_along_axis(mtf, at[:, None], 1)[:, 0] for at in (k, k - 1))
+    share = np.clip((before - 0.5) / np.where(before > after, before - after, 1.0), 0.0, 1.0)
+    return np.asarray(frequency[k - 1] + share * (frequency[k] - frequency[k - 1]))
+
+
+def widened(stack: EdgeStack, all_shares: np.ndarray) -> EdgeStack:
+    """Return results whose frequencies are unknown by relative shares (3, n), as in `Traces`."""
+    shares, free, glare = all_shares
+    core = np.hypot(shares, free)
+    total = np.hypot(core, glare)
+
+    def curve(mtf: np.ndarray, std: np.ndarray, by: np.ndarray) -> np.ndarray:
+        slope = np.gradient(mtf, stack.frequency, axis=-1)
+        return np.hypot(std, by[:, None] * stack.frequency * np.abs(slope))
+
+    def half(value: np.ndarray, std: np.ndarray, by: np.ndarray) -> np.ndarray:
+        return np.hypot(std, by * value)
+
+    lens = stack.parametric
+    first, box = lens.values[:, 0], lens.half_width**2 / 3
+    # what scales is the blur of lens and pixel together
+    own = shares * (first + box / first if lens.names[0].endswith("sigma_px") else first)
+    covariance = lens.covariance.copy()
+    covariance[:, 0, 0] += own**2
+    return replace(
+        stack,
+        mtf_std=curve(stack.mtf, stack.mtf_std, total),
+        core_mtf_std=curve(stack.core_mtf, stack.core_mtf_std, core),
+        mtf50_std=half(stack.mtf50, stack.mtf50_std, total),
+        core_mtf50_std=half(stack.core_mtf50, stack.core_mtf50_std, core),
+        parametric=replace(
+            lens,
+            covariance=covariance,
+            mtf_std=curve(lens.mtf, lens.mtf_std, shares),
+            mtf50_std=half(lens.mtf50, lens.mtf50_std, shares),
+        ),
+    )

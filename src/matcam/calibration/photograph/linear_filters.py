@@ -1,0 +1,264 @@
+"""Linear filters that a picture has been through, as the correlation of its noise shows them, and what they did to its MTF.
+
+A sensor's pixels err independently. A linear filter of transfer function K gives their noise the power spectrum |K|^2, and
+multiplies the MTF of the picture by K. Smoothing, sharpening, deconvolution and resampling are compared with no filter at all
+by their posterior probabilities, so that a doubt grows with the correlation, and no threshold decides.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+from scipy import ndimage
+
+from matcam.core.arrays import FloatArray
+
+LAGS = ((0, 1), (1, 0), (1, 1), (1, -1), (0, 2), (2, 0), (1, 2), (2, 1), (1, -2), (2, -1), (2, 2), (2, -2))
+"""Distances of neighbours whose correlation is compared with that of filters, rows and columns, px."""
+_FAR_LAGS = ((0, 5), (5, 0), (4, 4), (4, -4), (0, 6), (6, 0))
+"""Distances of pixels that no filter correlates, px: their correlation is that of the light."""
+_LIGHT, _LENGTHS = 0.03, (8.0, 20.0, 1e3)
+"""Standard deviation of correlations by light that is not even, and the distances over which they fall, px."""
+_NO_FILTER = 0.95
+"""Probability that a picture has been through no filter, before it is seen."""
+_LARGEST = 4.0
+"""Standard deviations beyond which a pixel is no noise."""
+_ORDER = 3
+"""Order of the light on a side."""
+_FEWEST = 500
+"""Pixels of a side from which correlations are known."""
+_PATCH, _STRUCTURE = 5, 5.0
+"""Side of the patches whose mean is compared with that of others, px; multiple of the median beyond which it is no noise."""
+_LOST = 0.4
+"""Relative error of MTF50 behind a filter that leaves no MTF50."""
+_GRID = 32
+"""Samples of a transfer function along each axis, and cycles of 1/32 px."""
+_SHORT = 0.05
+"""Least transfer by which an MTF is divided."""
+
+
+class Correlations(NamedTuple):
+    """Correlations of the noise of pixels some distances apart, and the number of pairs: (lags,) each."""
+
+    value: FloatArray
+    pairs: FloatArray
+
+
+class FilterDoubt(NamedTuple):
+    """Doubt on an MTF by the filters that a picture may have been through.
+
+    Attributes:
+        share: relative error of MTF50, rms over all filters by their probabilities; less where none is probable.
+        probability: probability of any filter.
+        smooths: whether the most probable filter lowers MTF50.
+    """
+
+    share: float
+    probability: float
+    smooths: bool
+
+
+class _Filters(NamedTuple):
+    """Filters: correlations of white noise behind them (k, 12), transfer at 1/32 cycles/px (k, 33), prior probabilities."""
+
+    correlation: FloatArray
+    transfer: FloatArray
+    prior: FloatArray
+
+
+def correlations(
+    value: FloatArray, sides: tuple[np.ndarray, np.ndarray], lags: tuple[tuple[int, int], ...] = LAGS
+) -> Correlations | None:
+    """Measure the correlations of a picture's noise; None where too little of it is known.
+
+    Args:
+        value: picture (height, width), any unit.
+        sides: its flat parts (height, width), dark and bright, bool.
+        lags: distances of pixels, px.
+
+    Returns:
+        Correlations of pixels that far apart.
+    """
+    height, width = value.shape
+    axes = (np.linspace(-1, 1, height)[:, None], np.linspace(-1, 1, width)[None])
+    terms = [axes[0] ** i * axes[1] ** k for i in range(_ORDER + 1) for k in range(_ORDER + 1 - i)]
+    noise, there = np.zeros(value.shape), np.zeros(value.shape)
+    for side in sides:
+        if side.sum() < _FEWEST:
+            return None
+        design = np.stack([np.broadcast_to(term, value.shape)[side] for term in terms])
+        left = value[side] - np.linalg.lstsq(design @ design.T, design @ value[side], rcond=None)[0] @ design
+        scale = left.std()
+        if not scale > 0:
+            return None
+        noise[side], there[side] = np.clip(left / scale, -_LARGEST, _LARGEST), 1.0
+    # the border of a shadow or dirt leaves what is no noise in few places
+    weight = np.maximum(ndimage.uniform_filter(there, _PATCH), 1e-3)
+    local = np.abs(ndimage.uniform_filter(noise, _PATCH) / weight)
+    there *= local < _STRUCTURE * np.median(local[there > 0])
+    noise *= there
+    found, count = [], []
+    for dy, dx in lags:
+        here = (slice(dy, None), slice(max(dx, 0), width + min(dx, 0)))
+        other = (slice(None, height - dy), slice(max(-dx, 0), width - max(dx, 0)))
+        pairs = float((there[here] * there[other]).sum())
+        # the light that was fitted to the noise makes neighbours err apart by one pair for each of its terms
+        found.append((float((noise[here] * noise[other]).sum()) + len(sides) * len(terms)) / max(pairs, 1.0))
+        count.append(pairs)
+    return Correlations(np.array(found), np.array(count))
+
+
+def filter_doubt(
+    value: FloatArray,
+    sides: tuple[np.ndarray, np.ndarray],
+    frequency: FloatArray,
+    mtf: FloatArray,
+    *,
+    sharpened: bool = False,
+) -> FilterDoubt:
+    """Compute what linear filters may have done to an MTF, as the noise of a picture shows.
+
+    Args:
+        value: picture (height, width), any unit.
+        sides: its flat parts (height, width), dark and bright, bool.
+        frequency: frequencies (n,), cycles/px.
+        mtf: MTF of the picture (n,).
+        sharpened: whether the edge itself shows that a filter has raised its MTF. Default: False.
+
+    Returns:
+        The doubt; its share is 0 where nothing is known.
+    """
+    seen = correlations(value, sides, LAGS + _FAR_LAGS)
+    if seen is None:
+        return FilterDoubt(0.0, 0.0, False)
+    filters = _filters()
+    expected = np.pad(filters.correlation, ((0, 0), (0, len(_FAR_LAGS))))
+    # variance of a correlation behind a filter (Bartlett 1946), and of what light has left
+    spread = 1 + 2 * (expected**2).sum(1)
+    apart = np.hypot(*np.array(LAGS + _FAR_LAGS).T)
+    light = _LIGHT * np.exp(-apart / np.array(_LENGTHS)[:, None])
+    variance = spread[:, None, None] * np.diag(1 / seen.pairs) + light.T @ light
+    left = seen.value - expected
+    misfit = (left * np.linalg.solve(variance, left[..., None])[..., 0]).sum(1)
+    log_likelihood = -(misfit + np.linalg.slogdet(variance)[1]) / 2
+    probability = filters.prior * np.exp(log_likelihood - log_likelihood.max())
+    effect = np.array([_effect(frequency, mtf, transfer) for transfer in filters.transfer])
+    if sharpened:
+        probability *= effect > 0
+    probability /= max(float(probability.sum()), 1e-300)
+    likeliest = int(np.argmax(probability[1:])) + 1
+    filtered = float(probability[1:].sum())
+    # two standard deviations need not contain what is improbable: the share falls faster than the root of the probability
+    share = filtered * np.sqrt(probability[1:] @ effect[1:] ** 2 / max(filtered, 1e-300))
+    return FilterDoubt(float(share), filtered, bool(effect[likeliest] < 0))
+
+
+def _effect(frequency: FloatArray, mtf: FloatArray, transfer: FloatArray) -> float:
+    """Compute by how much a filter changed MTF50, relative: negative where it lowered it."""
+    # a filter on whole pixels has a period of 1 cycle/px
+    folded = np.abs((frequency + 0.5) % 1.0 - 0.5)
+    through = np.interp(folded, np.arange(transfer.size) / (2 * (transfer.size - 1)), transfer)
+    before = half_of(frequency, mtf / np.maximum(through, _SHORT))
+    after = half_of(frequency, mtf)
+    if not np.isfinite(after):
+        return 0.0
+    return float(np.clip(after / before - 1, -_LOST, _LOST)) if np.isfinite(before) else -_LOST
+
+
+def half_of(frequency: FloatArray, mtf: FloatArray) -> float:
+    """Find the lowest frequency at which an MTF is one half, cycles/px; NaN where there is none."""
+    below = np.flatnonzero(mtf < 0.5)
+    if not below.size or below[0] == 0:
+        return float("nan")
+    k = below[0]
+    return float(np.interp(0.5, mtf[[k, k - 1]], frequency[[k, k - 1]]))
+
+
+@cache
+def _filters() -> _Filters:
+    """Tabulate all filters, the one that does nothing first."""
+    flat = np.ones((_GRID, _GRID // 2 + 1))
+    families: list[list[FloatArray]] = [
+        [_gaussian(width) for width in 0.25 * 1.04 ** np.arange(37)],
+        [
+            flat + a * (1 - _gaussian(w))
+            for a in (0.05, 0.1, 0.15, 0.2, 0.3, 0.45, 0.7, 1.0)
+            for w in (0.6, 0.8, 1.0, 1.3, 1.7)
+        ],
+        [
+            np.sum([(1 - _gaussian(w)) ** k for k in range(n + 1)], axis=0)
+            for w in (0.4, 0.5, 0.6, 0.7, 0.8)
+            for n in (1, 2, 3, 4, 5)
+        ],
+    ]
+    of_noise = [np.abs(k) ** 2 for family in families for k in family]
+    transfers = [k[0] for family in families for k in family]
+    priors = [(1 - _NO_FILTER) / 4 / len(family) for family in families for _ in family]
+    means = [*map(_resampling, (_linear, _cubic, _spline)), _filled_mosaic()]
+    for power, transfer in means:
+        of_noise.append(power)
+        transfers.append(transfer)
+        priors.append((1 - _NO_FILTER) / 4 / len(means))
+    correlation = []
+    for power in of_noise:
+        covariance = np.fft.irfft2(power, (_GRID, _GRID))
+        correlation.append([covariance[dy, dx] / covariance[0, 0] for dy, dx in LAGS])
+    return _Filters(
+        np.array([[0.0] * len(LAGS), *correlation]),
+        np.array([np.ones(_GRID // 2 + 1), *transfers]),
+        np.array([_NO_FILTER, *priors]),
+    )
+
+
+def _gaussian(width: float) -> FloatArray:
+    """Compute the transfer function of a sampled Gaussian filter, width in px, on half the grid of frequencies."""
+    line = np.exp(-(((np.arange(_GRID) + _GRID // 2) % _GRID - _GRID // 2) ** 2) / (2 * width**2))
+    transfer = np.fft.fft(line / line.sum()).real
+    return np.outer(transfer, transfer[: _GRID // 2 + 1])
+
+
+def _resampling(taps) -> tuple[FloatArray, FloatArray]:  # type: ignore[no-untyped-def]
+    """Compute noise power and transfer of resampling, means over all phases. taps: transfer at frequencies and a phase."""
+    frequency = np.fft.fftfreq(_GRID)
+    phases = (np.arange(8) + 0.5) / 8
+    transfers = np.stack([taps(frequency, phase) for phase in phases])
+    power = (np.abs(transfers) ** 2).mean(0)
+    return np.outer(power, power[: _GRID // 2 + 1]), np.abs(transfers.mean(0))[: _GRID // 2 + 1]
+
+
+def _filled_mosaic() -> tuple[FloatArray, FloatArray]:
+    """Compute noise power and transfer of a mosaic of which every second pixel is the mean of its four neighbours."""
+    covariance = np.zeros((_GRID, _GRID))
+    covariance[0, 0] = (1 + 1 / 4) / 2
+    for step in (1, -1):
+        covariance[step, 0] = covariance[0, step] = 1 / 4
+        covariance[2 * step, 0] = covariance[0, 2 * step] = 1 / 16 / 2
+        covariance[step, 1] = covariance[step, -1] = 2 / 16 / 2
+    line = np.cos(2 * np.pi * np.fft.rfftfreq(_GRID))
+    return np.fft.rfft2(covariance).real, (1 + (line + 1) / 2) / 2
+
+
+def _shifted(weights: FloatArray, first: int, frequency: FloatArray, phase: float) -> FloatArray:
+    """Compute the transfer of taps at first, first + 1, ... px, seen from the point between pixels where they interpolate."""
+    places = first + np.arange(weights.size) - phase
+    return np.asarray(np.exp(-2j * np.pi * frequency[:, None] * places) @ weights)
+
+
+def _linear(frequency: FloatArray, phase: float) -> FloatArray:
+    return _shifted(np.array([1 - phase, phase]), 0, frequency, phase)
+
+
+def _cubic(frequency: FloatArray, phase: float) -> FloatArray:
+    """Cubic convolution (Keys 1981)."""
+    t = phase
+    weights = np.array([-t * (1 - t) ** 2, 2 - 5 * t**2 + 3 * t**3, t * (1 + 4 * t - 3 * t**2), -(t**2) * (1 - t)])
+    return _shifted(weights / 2, -1, frequency, phase)
+
+
+def _spline(frequency: FloatArray, phase: float) -> FloatArray:
+    """Cubic spline interpolation (Unser 1999)."""
+    t = phase
+    weights = np.array([(1 - t) ** 3, 4 - 6 * t**2 + 3 * t**3, 1 + 3 * t + 3 * t**2 - 3 * t**3, t**3]) / 6
+    return _shifted(weights, -1, frequency, phase) / ((2 + np.cos(2 * np.pi * frequency)) / 3)

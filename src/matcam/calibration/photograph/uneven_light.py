@@ -1,0 +1,303 @@
+"""Uneven light that no polynomial describes: a Gaussian process over the flat sides of an edge, and whether glare is light.
+
+Each side of the edge is averaged over bins of some px. What the bins differ by from two levels in light of third order is light
+that multiplies the scene (banding, a penumbra, a near lamp), light that adds to it (a glint), or glare of the lens, which
+depends on the distance from the edge alone. All are terms of one Gaussian model. Their scales, and the probability of glare,
+follow from its marginal likelihood (Rasmussen & Williams, Gaussian Processes for Machine Learning, 2006, ch. 5).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.special import ndtr
+
+from matcam.core.arrays import FloatArray
+
+_BINS, _SMALLEST_BIN = 220, 4.0
+"""Number of bins of a region; least side of a bin, px. Their eigenvalues are computed in 10 ms."""
+_REACH = (3.5, 1.5)
+"""Distance from the edge within which a pixel belongs to no bin: in standard deviations of the blur, and in px besides."""
+_LENGTHS = (8.0, 20.0, 50.0)
+"""Correlation lengths of the light that are tried, px."""
+_AMPLITUDES = 1e-3 * 2.0 ** np.arange(9)
+"""Standard deviations of the light that are tried, relative: 0.1 to 25 %."""
+_GLARE = 0.1
+"""Standard deviation of the share of light in glare, before the picture is seen."""
+_GLARE_PROBABILITY = 0.1
+"""Probability of glare before the picture is seen."""
+_RADII = 4.0 * 1.5 ** np.arange(9)
+"""Standard deviations of the glare that are tried, px."""
+_NOISES = (1.0, 1.5, 2.5, 4.0)
+"""Variances of the bins that are tried, in units of those of independent noise: filters correlate it."""
+_SUSPECT = 3.0
+"""Standard deviations by which chi2 of the bins must exceed its expectation before anything is computed."""
+_MISFIT = 5e-4
+"""Standard deviation of a bin that is no noise, in units of the step."""
+_CLIPPED = 3.5
+"""Standard deviations beyond which a pixel does not count in the mean of its bin."""
+_STEP_PER_STD, _STEEP = 2.5, 4
+"""Height of a step in units of its standard deviation over a region; power of the fraction of variance that is a ghost's."""
+_ROWS = 40
+"""Rows in which the light across the edge is evaluated."""
+_DARKEST = 0.1
+"""Least factor of the light."""
+_FEWEST_BINS = 24
+"""Bins from which a light field can be estimated."""
+
+
+class LightField(NamedTuple):
+    """Light of a region beyond two levels and a plane, where a polynomial of third order is not enough.
+
+    Attributes:
+        factor: factor of each pixel (rows, columns).
+        addend: addend of each pixel (rows, columns), in the picture's units.
+        amplitude: standard deviation of the light over the region, relative to the scene or, of what adds, to the step.
+        possible: the same, rms over all models of the light by their probabilities.
+        ghost: share of a ghost that the light may be instead: it depends on the distance from the edge alone.
+        unknown: standard deviation of the step across the edge by light that is interpolated there, in units of the step.
+    """
+
+    factor: FloatArray
+    addend: FloatArray
+    amplitude: float
+    possible: float
+    ghost: float = 0.0
+    unknown: float = 0.0
+
+
+class _Bins(NamedTuple):
+    """Means over bins of pixels: x, y, distance from the edge (px), value, level of the side, standard deviation: (n,) each."""
+
+    x: FloatArray
+    y: FloatArray
+    distance: FloatArray
+    value: FloatArray
+    level: FloatArray
+    std: FloatArray
+
+
+_Kind = tuple[float, float, bool]
+"""Amplitude of a light, correlation length in px, and whether it adds to the scene."""
+
+
+class _Model(NamedTuple):
+    """One model of the light, with or without glare.
+
+    Attributes:
+        log_evidence: logarithm of its probability, but for a constant.
+        amplitude: standard deviation of the light, relative.
+        length: correlation length, px.
+        adds: whether the light adds to the scene; else it multiplies it.
+        glares: whether there is glare.
+        weights: weights of the data (p,) in the light's mean.
+        noise: variance of the bins, in units of that of independent noise.
+    """
+
+    log_evidence: float
+    amplitude: float
+    length: float
+    adds: bool
+    glares: bool
+    weights: FloatArray
+    noise: float = 1.0
+
+
+def light_field(
+    value: FloatArray,
+    x: FloatArray,
+    y: FloatArray,
+    distance: FloatArray,
+    noise: tuple[float, float],
+    *,
+    blur: float,
+    glare: bool,
+) -> LightField | None:
+    """Estimate the light of a region; None where two levels in light of third order explain it.
+
+    Args:
+        value: region (rows, columns), linear, any unit; NaN where there is none.
+        x: positions of the pixels (rows, columns), px.
+        y: positions of the pixels (rows, columns), px.
+        distance: distances from the edge (rows, columns), px; positive on the bright side.
+        noise: gain and standard deviation of the read noise: the variance of a pixel is gain * value + read^2.
+        blur: standard deviation of the line spread function, px.
+        glare: whether the fit of the edge has found glare, so that light must be compared with it.
+
+    Returns:
+        The most probable light.
+    """
+    bins = _bins(value, x, y, distance, noise, _REACH[0] * blur + _REACH[1])
+    if bins is None:
+        return None
+    bright = bins.distance > 0
+    step = float(bins.level[bright][0] - bins.level[~bright][0])
+    scales = [float(np.abs(a).max()) + 1.0 for a in (bins.x, bins.y)]
+    smooth = bins.level * _polynomials(bins.x / scales[0], bins.y / scales[1])
+    design = np.concatenate([[~bright, bright], smooth]).T / bins.std[:, None]
+    basis = np.linalg.qr(design, mode="complete")[0][:, design.shape[1] :]
+    data = basis.T @ (bins.value / bins.std)
+    if not glare and data @ data < data.size + _SUSPECT * np.sqrt(2 * data.size):
+        return None
+    columns = np.stack([(ndtr(bins.distance / radius) - bright) * step / bins.std for radius in _RADII]) @ basis
+    models = _models(bins, basis, data, columns, step)
+    evidence = np.array([model.log_evidence for model in models])
+    probability = np.exp(evidence - evidence.max())
+    glaring = np.array([model.glares for model in models])
+    of_glare = float(probability[glaring].sum() / probability.sum())
+    # the light is that of the more probable of both hypotheses
+    best = max((model for model in models if model.glares == (of_glare > 0.5)), key=lambda model: model.log_evidence)
+    possible = float(np.sqrt(probability @ np.array([m.amplitude for m in models]) ** 2 / probability.sum()))
+    factor, addend = np.ones_like(value), np.zeros_like(value)
+    if not best.amplitude:
+        return LightField(factor, addend, 0.0, possible) if glare else None
+    seen = basis * ((step if best.adds else bins.level) / bins.std)[:, None]
+    light = best.amplitude**2 * (seen @ best.weights)
+    field = (_correlation(x.ravel(), y.ravel(), bins, best.length) @ light).reshape(value.shape)
+    # the polynomials beside it are what the light leaves of the bins
+    by_light = _correlation(bins.x, bins.y, bins, best.length) @ light * (step if best.adds else bins.level)
+    left = (bins.value - by_light) / bins.std - best.noise * (basis @ best.weights)
+    strengths = np.linalg.lstsq(design, left, rcond=None)[0][2:]
+    strengths[:2] = 0.0  # a plane is left to the edge's own fit
+    polynomial = np.tensordot(strengths, _polynomials(x / scales[0], y / scales[1]), 1)
+    amplitude = float(np.std(field[np.isfinite(value)]))
+    ghost = _ghost(field[np.isfinite(value)], distance[np.isfinite(value)])
+    unknown = _unknown(bins, seen, best, (x, y, distance), blur)
+    factor = np.maximum(factor + polynomial, _DARKEST)
+    if best.adds:
+        return LightField(factor, field * step, amplitude, possible, ghost, unknown)
+    unknown *= float(bins.level.max()) / step
+    return LightField(np.maximum(factor + field, _DARKEST), addend, amplitude, possible, ghost, unknown)
+
+
+def _polynomials(x: FloatArray, y: FloatArray) -> FloatArray:
+    """Compute x, y and their products to third order (9, ...)."""
+    return np.stack([x, y, x * x, x * y, y * y, x**3, x * x * y, x * y * y, y**3])
+
+
+def _unknown(bins: _Bins, seen: FloatArray, best: _Model, places: tuple[FloatArray, ...], blur: float) -> float:
+    """Compute the standard deviation of the light's step across the edge, mean along the edge, relative.
+
+    seen: light of the bins -> data (n, p). places: x, y and distance of all pixels, px.
+    """
+    x, y, distance = places
+    # in every so many rows, the pixels whose centres lie one blur to both sides of the edge
+    rows = np.linspace(0, len(x) - 1, min(len(x), _ROWS)).astype(int)
+    at = [np.abs(distance[rows] - side * blur).argmin(1) for side in (1, -1)]
+    px, py = (np.concatenate([a[rows, columns] for columns in at]) for a in (x, y))
+    mean = np.repeat([1.0, -1.0], rows.size) / rows.size
+    own = _correlation(px, py, bins._replace(x=px, y=py), best.length)
+    cross = mean @ _correlation(px, py, bins, best.length) @ seen
+    power = best.amplitude**2
+    data = power * seen.T @ _correlation(bins.x, bins.y, bins, best.length) @ seen + best.noise * np.eye(seen.shape[1])
+    variance = power * mean @ own @ mean - power**2 * cross @ np.linalg.solve(data, cross)
+    return float(np.sqrt(max(float(variance), 0.0)))
+
+
+def _ghost(field: FloatArray, distance: FloatArray) -> float:
+    """Compute the share of a ghost that light may be instead.
+
+    A ghost of share q is a step q along lines parallel to the edge. Light whose variance depends on the distance from the edge
+    by a fraction is a ghost with a probability that falls steeply with the rest.
+
+    field: light of n pixels, relative. distance: their distances from the edge, px.
+    """
+    _, name = np.unique(np.floor(distance / _SMALLEST_BIN), return_inverse=True)
+    count = np.bincount(name)
+    along = np.bincount(name, field) / count
+    variance = float(np.average((along - field.mean()) ** 2, weights=count))
+    return _STEP_PER_STD * float(np.sqrt(variance)) * (variance / max(float(field.var()), 1e-300)) ** _STEEP
+
+
+def _bins(
+    value: FloatArray,
+    x: FloatArray,
+    y: FloatArray,
+    distance: FloatArray,
+    noise: tuple[float, float],
+    reach: float,
+) -> _Bins | None:
+    """Average the flat sides over bins; None where there are too few."""
+    flat = np.isfinite(value) & (np.abs(distance) > reach)
+    side = max(_SMALLEST_BIN, float(np.sqrt(flat.sum() / _BINS)))
+    rows, columns = (np.floor((a - a.min()) / side).astype(int) for a in (y, x))
+    names = (2 * rows + (distance > 0)) * (columns.max() + 1) + columns
+    _, name = np.unique(names[flat], return_inverse=True)
+    some = value[flat]
+    count = np.bincount(name)
+    mean = np.bincount(name, some) / count
+    std = np.sqrt(np.maximum(noise[0] * np.maximum(mean, 0) + noise[1] ** 2, 1e-300))
+    # a first guess of each bin is its median, which neither dust nor a hot pixel moves
+    order = np.lexsort((some, name))
+    middle = some[order[np.cumsum(count) - (count + 1) // 2]]
+    used = np.abs(some - middle[name]) < _CLIPPED * std[name] * (1 + 1 / np.sqrt(count[name]))
+    good = np.bincount(name, used) >= np.maximum(0.5 * count, 6)
+    if good.sum() < _FEWEST_BINS:
+        return None
+    n = np.maximum(np.bincount(name, used), 1.0)
+    mean_x, mean_y, apart, level = (
+        np.bincount(name, used * a)[good] / n[good] for a in (x[flat], y[flat], distance[flat], some)
+    )
+    bright = apart > 0
+    if min(bright.sum(), (~bright).sum()) < _FEWEST_BINS / 4:
+        return None
+    low, high = (float(np.median(level[part])) for part in (~bright, bright))
+    std = np.hypot(std[good] / np.sqrt(n[good]), _MISFIT * (high - low))
+    return _Bins(mean_x, mean_y, apart, level, np.where(bright, high, low), std)
+
+
+def _models(bins: _Bins, basis: FloatArray, data: FloatArray, glares: FloatArray, step: float) -> list[_Model]:
+    """Evaluate all models of the light, without glare and with glare of every radius.
+
+    data, glares: what remains of the bins, and of glare of full strength, beside levels and plane: (p,), (radii, p).
+    """
+    models: list[_Model] = []
+
+    def add(power: FloatArray, vectors: FloatArray, turned: FloatArray, columns: FloatArray, kind: _Kind) -> None:
+        """Add the models of one light, for every noise. power: variances (p,) of the light in the directions `vectors`."""
+        for noise in _NOISES:
+            scale = np.sqrt(noise)
+            some = _with_glare(power / noise, vectors, turned / scale, columns / scale, kind)
+            cost = data.size * np.log(scale) + np.log(2 * len(_LENGTHS) * _AMPLITUDES.size if kind[0] else 1.0)
+            models.extend(
+                m._replace(log_evidence=m.log_evidence - cost, weights=m.weights / scale, noise=noise) for m in some
+            )
+
+    add(0 * data, np.eye(data.size), data, glares, (0.0, 0.0, False))
+    for length in _LENGTHS:
+        correlation = _correlation(bins.x, bins.y, bins, length)
+        for adds in (False, True):
+            seen = basis * ((step if adds else bins.level) / bins.std)[:, None]
+            power, vectors = np.linalg.eigh(seen.T @ correlation @ seen)
+            turned, columns = vectors.T @ data, glares @ vectors
+            for amplitude in _AMPLITUDES:
+                add(amplitude**2 * np.maximum(power, 0), vectors, turned, columns, (float(amplitude), length, adds))
+    return models
+
+
+def _with_glare(
+    light: FloatArray, vectors: FloatArray, data: FloatArray, glares: FloatArray, kind: _Kind
+) -> list[_Model]:
+    """Evaluate one light without glare, and with glare of every radius.
+
+    light: variances (p,) in the directions of `vectors`, in which data and glares stand. kind: amplitude, length, adds.
+    """
+    precision = 1 / (1 + light)
+    log_evidence = -(data**2 * precision + np.log1p(light)).sum() / 2
+    weighted = glares * precision
+    alone, score = (weighted * glares).sum(1) + _GLARE**-2, np.maximum(weighted @ data, 0.0)
+    gain = (score**2 / alone - np.log(alone * _GLARE**2)) / 2
+    k = int(np.argmax(gain))
+    mean_gain = gain[k] + np.log(np.exp(gain - gain[k]).mean())
+    without, with_it = (precision * d for d in (data, data - score[k] / alone[k] * glares[k]))
+    return [
+        _Model(log_evidence + np.log(1 - _GLARE_PROBABILITY), *kind, False, vectors @ without),
+        _Model(log_evidence + mean_gain + np.log(_GLARE_PROBABILITY), *kind, True, vectors @ with_it),
+    ]
+
+
+def _correlation(x: FloatArray, y: FloatArray, bins: _Bins, length: float) -> FloatArray:
+    """Compute the correlation of light at points and bins (points, n): Matern's of order 3/2."""
+    apart = np.sqrt(3 * ((x[:, None] - bins.x) ** 2 + (y[:, None] - bins.y) ** 2)) / length
+    return np.asarray((1 + apart) * np.exp(-apart))

@@ -1,0 +1,152 @@
+"""Numbers read off a measured edge: frequencies of given contrast, contrast at given frequencies, rise of the edge response."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from matcam.calibration.edge.edge_result import EdgeMTF
+from matcam.calibration.edge.free_curve import SampledCurve
+from matcam.core import checks
+from matcam.core.arrays import FloatArray
+
+LEVELS = (0.5, 0.3, 0.2, 0.1)
+"""Levels of the MTF whose frequencies are reported."""
+_RISE = (0.1, 0.9)
+_SAMPLES = 512
+"""Samples of the edge response between which its rise is interpolated."""
+_HIGHEST = 1.25
+"""Largest frequency at which an MTF is tabulated, cycles/px."""
+
+
+class EdgeNumber(NamedTuple):
+    """Number and its standard deviation.
+
+    Attributes:
+        value: the number, in the unit that the function states.
+        std: its standard deviation, in the same unit.
+
+    Example:
+        >>> matcam.calibration.EdgeNumber(0.31, 0.01).value
+        0.31
+    """
+
+    value: float
+    std: float
+
+
+def level_frequency(edge: EdgeMTF, level: float) -> EdgeNumber:
+    """Find the frequency at which an MTF falls to a level.
+
+    Args:
+        edge: result of `edge_mtf`.
+        level: level of the MTF, in (0, 1) (no unit).
+
+    Returns:
+        Lowest such frequency and its standard deviation, cycles/px; NaN where the MTF does not fall so far.
+
+    Raises:
+        ArgumentError: `level` is out of range.
+
+    Example:
+        >>> y, x = np.mgrid[-80:80, -40:40]
+        >>> edge = matcam.edge_mtf(100 + 800 / (1 + np.exp(-2 * (x - 0.1 * y))))
+        >>> found = matcam.calibration.level_frequency(edge, 0.1)
+        >>> round(found.value, 2)
+        0.46
+    """
+    checks.scalar("level", checks.within("level", level, 0, 1, open_low=True, open_high=True))
+    if level == LEVELS[0]:
+        return EdgeNumber(edge.mtf50, edge.mtf50_std)
+    below = np.flatnonzero(edge.mtf < level)
+    if not below.size or below[0] == 0:
+        return EdgeNumber(np.nan, np.nan)
+    k = [below[0] - 1, below[0]]
+    slope = float(np.diff(edge.mtf[k])[0] / np.diff(edge.frequency[k])[0])
+    value = float(edge.frequency[k[0]] + (level - edge.mtf[k[0]]) / slope)
+    std = float(np.interp(value, edge.frequency[k], edge.mtf_std[k])) / abs(slope)
+    return EdgeNumber(value, std)
+
+
+def mtf_at(edge: EdgeMTF, frequency: ArrayLike) -> SampledCurve:
+    """Interpolate the MTF of an edge.
+
+    Args:
+        edge: result of `edge_mtf`.
+        frequency: frequencies along the normal, 0 to 1.25 cycles/px, any shape.
+
+    Returns:
+        MTF and its standard deviation, of the same shape (no unit).
+
+    Raises:
+        ArgumentError: a frequency is out of range.
+
+    Example:
+        >>> y, x = np.mgrid[-80:80, -40:40]
+        >>> edge = matcam.edge_mtf(100 + 800 / (1 + np.exp(-2 * (x - 0.1 * y))))
+        >>> round(float(matcam.calibration.mtf_at(edge, 0.25).value), 2)
+        0.42
+    """
+    at: FloatArray = np.asarray(frequency, dtype=np.float64)
+    checks.within("frequency", at, 0, _HIGHEST, "cycles/px")
+    return SampledCurve(*(np.interp(at, edge.frequency, curve) for curve in (edge.mtf, edge.mtf_std)))
+
+
+def rise_distance(edge: EdgeMTF) -> EdgeNumber:
+    """Measure the 10 % to 90 % rise of an edge.
+
+    Args:
+        edge: result of `edge_mtf`.
+
+    Returns:
+        Distance along the normal and its standard deviation, px.
+
+    Source:
+        ISO 12233, which reports it as an alternative to the e-SFR.
+
+    Example:
+        >>> y, x = np.mgrid[-80:80, -40:40]
+        >>> edge = matcam.edge_mtf(100 + 800 / (1 + np.exp(-2 * (x - 0.1 * y))))
+        >>> round(matcam.calibration.rise_distance(edge).value, 1)
+        2.2
+    """
+    shape = edge.fits.free.shape
+    reach = 6 * float(np.hypot(shape.sigma, shape.half_width / np.sqrt(3)))
+    distance = np.linspace(-reach, reach, _SAMPLES)
+    response = edge.esf(distance)
+    middle = int(np.argmin(np.abs(response.value - 0.5)))
+    ends, variance = [], 0.0
+    for level, side in zip(_RISE, (slice(middle, None, -1), slice(middle, None)), strict=True):
+        off = np.asarray(response.value)[side] - level
+        crossed = np.flatnonzero(off <= 0 if level < 0.5 else off >= 0)
+        if not crossed.size or crossed[0] == 0:
+            return EdgeNumber(np.nan, np.nan)
+        k = crossed[0]
+        d, std = distance[side], np.asarray(response.std)[side]
+        slope = (off[k] - off[k - 1]) / (d[k] - d[k - 1])
+        ends.append(float(d[k - 1] - off[k - 1] / slope))
+        variance += float(std[k] / slope) ** 2
+    return EdgeNumber(ends[1] - ends[0], float(np.sqrt(variance)))
+
+
+def readings(edge: EdgeMTF, frequencies: FloatArray | tuple[float, ...] = ()) -> dict[str, Any]:
+    """Read the usual numbers off an edge.
+
+    Args:
+        edge: result of `edge_mtf`.
+        frequencies: frequencies at which the MTF is wanted, cycles/px. Default: none.
+
+    Returns:
+        Numbers by name, with units in the names: frequencies of MTF50, 30, 20 and 10, rise, MTF at `frequencies`.
+    """
+    found: dict[str, Any] = {}
+    for level in LEVELS:
+        name = f"mtf{100 * level:.0f}"
+        found[f"{name}_cycles_per_px"], found[f"{name}_std"] = level_frequency(edge, level)
+    found["rise_10_90_px"], found["rise_10_90_std"] = rise_distance(edge)
+    for frequency in frequencies:
+        value, std = mtf_at(edge, frequency)
+        found[f"mtf_at_{frequency:g}"], found[f"mtf_at_{frequency:g}_std"] = float(value), float(std)
+    return found

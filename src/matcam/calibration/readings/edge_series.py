@@ -1,0 +1,130 @@
+"""Many edges in one run: several photographs, regions and channels, one row each."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from matcam.core.errors import FileFormatError, MatcamError
+from matcam.core.readers.texts import read_lines
+from matcam.files.photographs import Photograph
+
+Region = tuple[int, int, int, int]
+_COLUMNS = ("x", "y", "width", "height")
+
+
+class SeriesEdge(NamedTuple):
+    """One edge of a series.
+
+    Attributes:
+        file: name of the photograph.
+        region: name of the region.
+        channel: "R", "G", "B", "Y" or "grey".
+        found: numbers by name; empty where the edge could not be measured.
+        problem: why it could not be measured; empty where it could.
+    """
+
+    file: str
+    region: str
+    channel: str
+    found: dict[str, Any]
+    problem: str
+
+
+def channels_of(photograph: Photograph, channel: str | None, cfa: str | None) -> list[str | None]:
+    """List the channels of a photograph that are to be measured. channel: one of them, "all", or None: the default one."""
+    if channel != "all":
+        return [channel]
+    if (cfa or photograph.cfa) is not None:
+        return ["R", "G", "B"]
+    return ["R", "G", "B", "Y"] if photograph.values.ndim == 3 else [None]
+
+
+def measure_series(
+    photographs: Sequence[tuple[str, Callable[[], Photograph]]],
+    regions: dict[str, Region | None],
+    channel: str | None,
+    cfa: str | None,
+    measure: Callable[[Photograph, Region | None, str | None], dict[str, Any]],
+) -> list[SeriesEdge]:
+    """Measure all regions of all photographs in all channels; one bad edge among many is named, not fatal.
+
+    Args:
+        photographs: names, and functions that read the photographs.
+        regions: regions (x, y, width, height) in px by their names; None: the whole photograph.
+        channel: a colour, "all", or None: luminance, or everything of a grey photograph.
+        cfa: colours of the first 2 x 2 px of mosaics whose files do not say so; None: no mosaic.
+        measure: function that measures one edge.
+
+    Returns:
+        One row for each.
+    """
+    rows: list[SeriesEdge] = []
+    for name, read in photographs:
+        try:
+            photograph = read()
+        except MatcamError as error:
+            rows.append(SeriesEdge(name, "", "", {}, str(error).removeprefix(f"{name}: ")))
+            continue
+        for colour in channels_of(photograph, channel, cfa):
+            shown = colour or ("Y" if photograph.values.ndim == 3 else "grey")
+            for region, roi in regions.items():
+                try:
+                    found, problem = measure(photograph, roi, colour), ""
+                except MatcamError as error:
+                    found, problem = {}, str(error)
+                rows.append(SeriesEdge(name, region, shown, found, problem))
+    return rows
+
+
+def series_columns(rows: Sequence[SeriesEdge]) -> dict[str, Sequence[Any]]:
+    """Arrange a series as columns by name; lists within are joined, and curves are left out."""
+    names: dict[str, None] = {}
+    for row in rows:
+        names.update(dict.fromkeys(name for name, value in row.found.items() if not isinstance(value, list | dict)))
+    table: dict[str, Sequence[Any]] = {
+        "file": [row.file for row in rows],
+        "region": [row.region for row in rows],
+        "channel": [row.channel for row in rows],
+    }
+    table |= {name: [_number(row.found.get(name)) for row in rows] for name in names}
+    table["remarks"] = ["; ".join(row.found.get("remarks", ())) for row in rows]
+    table["problem"] = [row.problem for row in rows]
+    return table
+
+
+def read_regions(path: Path) -> dict[str, Region | None]:
+    """Read regions from a CSV file with the columns x, y, width, height, and name if there is one.
+
+    Raises:
+        FileFormatError: the file has not these columns, or a line that is no region.
+    """
+    lines = list(csv.reader(read_lines(path, "a list of regions")))
+    header = [cell.strip().lower() for cell in lines[0]] if lines else []
+    if missing := [name for name in _COLUMNS if name not in header]:
+        raise FileFormatError(f"{path}: no column {missing[0]}: the first line must name x, y, width, height")
+    regions: dict[str, Region | None] = {}
+    for number, line in enumerate(lines[1:], start=2):
+        if not any(cell.strip() for cell in line):
+            continue
+        cells = dict(zip(header, (cell.strip() for cell in line), strict=False))
+        try:
+            x, y, width, height = (int(cells[name]) for name in _COLUMNS)
+        except (KeyError, ValueError):
+            raise FileFormatError(f"{path}: line {number} is no region: four whole numbers are needed") from None
+        name = cells.get("name") or f"{x},{y},{width},{height}"
+        if name in regions:
+            raise FileFormatError(f"{path}: line {number}: the name {name} is there twice")
+        regions[name] = (x, y, width, height)
+    if not regions:
+        raise FileFormatError(f"{path}: no region is in it")
+    return regions
+
+
+def _number(value: Any) -> Any:
+    """Return a value as a cell of a table: what is missing is NaN."""
+    return np.nan if value is None else value

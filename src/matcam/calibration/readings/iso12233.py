@@ -1,0 +1,248 @@
+"""Edge-based spatial frequency response (e-SFR) of ISO 12233:2023, step by step as the standard describes it.
+
+It has no error bars, no model of light, and the biases of its bins and windows; `edge_mtf` has neither. It is here to compare
+with other programs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from matcam.calibration.edge.rows import edge_regions
+from matcam.calibration.photograph.linear_filters import half_of
+from matcam.calibration.photograph.linear_image import LinearImage, flaws, region_of
+from matcam.calibration.photograph.tone import Tone
+from matcam.calibration.photograph.unnamed_mosaic import refuse_unnamed_mosaic
+from matcam.core.arrays import FloatArray
+from matcam.core.errors import ArgumentError, FitError
+from matcam.core.io import plain
+from matcam.files.photographs import Photograph
+
+_BINS = 4
+"""Bins of the edge spread function per sample (ISO 12233:2023)."""
+_FLOOR = 0.05
+"""Weight that the window about the edge has everywhere, which makes the second search for the edge stable."""
+_LARGEST_CORRECTION = 10.0
+"""Largest factor by which the response of the difference filter is undone."""
+_ORDERS = (1, 5)
+_LEAST_TURNS = 1.0
+"""Samples along a row by which the edge must move from the first row to the last, so that all phases are seen."""
+
+
+@dataclass(frozen=True, eq=False)
+class ISOEdge:
+    """Spatial frequency response of one edge by ISO 12233:2023.
+
+    Attributes:
+        frequency: frequencies (n,) along the edge's normal, cycles/px.
+        sfr: spatial frequency response (n,) (no unit).
+        sfr50: lowest frequency where it is one half, cycles/px; NaN if there is none.
+        sfr10: lowest frequency where it is one tenth, cycles/px; NaN if there is none.
+        slope: mean slope of the edge to the columns, or to the rows if it is nearer to them, rad.
+        esf: edge spread function (m,), in the picture's linear units.
+        spacing: distance between its samples along the normal, px.
+
+    Example:
+        >>> y, x = np.mgrid[-80:80, -40:40]
+        >>> result = matcam.calibration.iso12233_sfr(100 + 800 / (1 + np.exp(-2 * (x - 0.1 * y))))
+        >>> round(result.sfr50, 2)
+        0.22
+    """
+
+    frequency: FloatArray
+    sfr: FloatArray
+    sfr50: float
+    sfr10: float
+    slope: float
+    esf: FloatArray
+    spacing: float
+
+    def readings(self, frequencies: Sequence[float] = ()) -> dict[str, Any]:
+        """Read the usual numbers off the response.
+
+        Args:
+            frequencies: frequencies at which the response is wanted, cycles/px. Default: (), none.
+
+        Returns:
+            Numbers by name, with units in the names, as `matcam edge` prints them.
+        """
+        found: dict[str, Any] = {}
+        for level in (0.5, 0.3, 0.2, 0.1):
+            found[f"mtf{100 * level:.0f}_cycles_per_px"] = half_of(self.frequency, self.sfr * (0.5 / level))
+        found["rise_10_90_px"] = self.rise
+        return found | {f"mtf_at_{f:g}": float(np.interp(f, self.frequency, self.sfr)) for f in frequencies}
+
+    @property
+    def rise(self) -> float:
+        """Return the 10 % to 90 % rise of the ESF, px.
+
+        It is NaN where the ESF does not rise so far.
+        """
+        end = max(self.esf.size // 8, 1)
+        dark, bright = self.esf[:end].mean(), self.esf[-end:].mean()
+        share = (self.esf - dark) / (bright - dark)
+        middle = int(np.argmin(np.abs(share - 0.5)))
+        low, high = np.flatnonzero(share[:middle] < 0.1), np.flatnonzero(share[middle:] > 0.9)
+        if not low.size or not high.size:
+            return float("nan")
+        i, k = int(low[-1]), middle + int(high[0])
+        first = i + (0.1 - share[i]) / (share[i + 1] - share[i])
+        last = k - 1 + (0.9 - share[k - 1]) / (share[k] - share[k - 1])
+        return float((last - first) * self.spacing)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the result as a JSON object.
+
+        Returns:
+            Numbers by name, units in the names.
+        """
+        return plain(
+            {
+                "method": "iso12233",
+                "mtf50_cycles_per_px": self.sfr50,
+                "mtf10_cycles_per_px": self.sfr10,
+                "slope_deg": np.degrees(self.slope),
+                "frequency_cycles_per_px": self.frequency,
+                "mtf": self.sfr,
+                "esf": self.esf,
+                "spacing_px": self.spacing,
+            }
+        )
+
+
+def iso12233_sfr(
+    image: ArrayLike | Photograph | LinearImage,
+    roi: Sequence[int] | None = None,
+    *,
+    order: int = 5,
+    cfa: str | None = None,
+    channel: str | None = None,
+    tone: Tone = "auto",
+) -> ISOEdge:
+    """Measure the e-SFR of an edge by the steps of ISO 12233:2023.
+
+    The edge's place in each row is the centroid of the derivative under a window; a polynomial through these places aligns the
+    rows; four bins a sample make the edge spread function; its derivative, under a Tukey window, is transformed, and the
+    response of the difference filter is undone.
+
+    Args:
+        image: `LinearImage`, `Photograph`, or array as `edge_mtf` takes it.
+        roi: region (x, y, width, height) that holds one edge, px. Default: None, all of the image.
+        order: order of the edge's polynomial, 1 to 5 (no unit). Default: 5.
+        cfa: colours of the image's first 2 x 2 px, as in `edge_mtf` (no unit). Default: None, no mosaic.
+        channel: "R", "G", "B" or "Y", as in `edge_mtf` (no unit). Default: None, luminance.
+        tone: what the codes are, as in `LinearImage.of` (no unit). Default: "auto", as in `edge_mtf`.
+
+    Returns:
+        The response, without standard deviations.
+
+    Raises:
+        ArgumentError: an argument is bad.
+        FitError: the region holds no edge, or the edge does not pass all phases of the pixels.
+
+    Source:
+        ISO 12233:2023, annex D; P. D. Burns, sfrmat5.
+
+    Example:
+        >>> y, x = np.mgrid[-80:80, -40:40]
+        >>> image = 100 + 800 / (1 + np.exp(-2 * (x - 0.1 * y)))
+        >>> ours, standard = matcam.edge_mtf(image), matcam.calibration.iso12233_sfr(image)
+        >>> abs(ours.mtf50 / standard.sfr50 - 1) < 0.03
+        True
+    """
+    if not (isinstance(order, int) and _ORDERS[0] <= order <= _ORDERS[1]):
+        raise ArgumentError(f"order must be a whole number from {_ORDERS[0]} to {_ORDERS[1]}, got {order!r:.40}")
+    region = region_of(image, roi, channel=channel, cfa=cfa, tone=tone)
+    if problem := flaws(region.values[None])[0]:
+        raise FitError(problem.text)
+    refuse_unnamed_mosaic(region)
+    rows = edge_regions(region.values[None], mosaic=region.cfa is not None)
+    value = rows.value[0][np.isfinite(rows.value[0]).any(1)]
+    value = value[:, np.isfinite(value).all(0)]
+    start = rows.start[: len(value)] / rows.step
+    number = np.arange(len(value), dtype=float)
+    if value.shape[1] < 8:
+        raise FitError("the region has missing pixels: the method of ISO 12233 needs all of them")
+    place = _edge_places(value, start, number, order)
+    straight = np.polynomial.Polynomial.fit(number, place, 1).convert().coef[1]
+    if abs(straight) * len(value) < _LEAST_TURNS:
+        raise FitError("phases are missing: the edge lies along the pixels' grid: turn the target by a few degrees")
+    # whole turns of the phase weigh all phases alike
+    kept = max(int(np.round(np.floor(len(value) * abs(straight)) / abs(straight))), 1)
+    value, start, place = value[:kept], start[:kept], place[:kept]
+    esf = _edge_spread(value, start[:, None] + np.arange(value.shape[1]) - place[:, None])
+    # along the normal, in px
+    across = float(np.cos(np.arctan(straight * rows.step / _row_distance(rows.y))))
+    spacing = rows.step * across / _BINS
+    frequency, sfr = _response(esf, spacing)
+    sfr50, sfr10 = half_of(frequency, sfr), half_of(frequency, sfr / 0.2)
+    return ISOEdge(frequency, sfr, sfr50, sfr10, float(np.arccos(across)), esf, spacing)
+
+
+def _row_distance(y: FloatArray) -> float:
+    """Compute the distance of neighbouring rows, px."""
+    return float(y[1] - y[0])
+
+
+def _edge_places(value: FloatArray, start: FloatArray, number: FloatArray, order: int) -> FloatArray:
+    """Find the edge in every row, samples: a polynomial through centroids of the derivative.
+
+    start: place of the first sample of each row, samples. number: of each row.
+    """
+    columns = value.shape[1]
+    # the difference of neighbours stands between them
+    slope, at = np.diff(value, axis=1), start[:, None] + np.arange(columns - 1) + 0.5
+    window = np.ones_like(slope)
+    for _ in range(3):
+        weight = slope * window
+        total = weight.sum(1)
+        if not (total > 0).all():
+            raise FitError("no edge was found: it must cross the region from one side to the other")
+        middle = np.polynomial.Polynomial.fit(number, (weight * at).sum(1) / total, order)(number)
+        window = (1 - _FLOOR) * _hann(at - middle[:, None], columns) + _FLOOR
+    return np.asarray(middle)
+
+
+def _hann(distance: FloatArray, width: float) -> FloatArray:
+    """Compute a Tukey window of parameter 1 that reaches to the further border of a width."""
+    half = np.maximum(np.abs(distance).max(axis=-1, keepdims=True), width / 2)
+    return np.asarray((1 + np.cos(np.pi * np.clip(distance / half, -1, 1))) / 2)
+
+
+def _edge_spread(value: FloatArray, distance: FloatArray) -> FloatArray:
+    """Average samples over bins of a quarter of a sample; empty bins are interpolated."""
+    bins = np.floor(distance * _BINS).astype(int)
+    # as many as a row has quarters, about the middle: at its ends a part of the rows is enough
+    middle, half = int(np.round((bins[:, 0] + bins[:, -1]).mean() / 2)), _BINS * value.shape[1] // 2
+    first, last = max(middle - half, int(bins.min())), min(middle + half - 1, int(bins.max()))
+    inside = (bins >= first) & (bins <= last)
+    count = np.bincount(bins[inside] - first, minlength=last - first + 1)
+    total = np.bincount(bins[inside] - first, value[inside], last - first + 1)
+    known = count > 0
+    if known.sum() < 2 * _BINS:
+        raise FitError("the edge leaves the region: choose a region whose middle the edge crosses")
+    places = np.arange(count.size)
+    return np.asarray(np.interp(places, places[known], total[known] / count[known]))
+
+
+def _response(esf: FloatArray, spacing: float) -> tuple[FloatArray, FloatArray]:
+    """Compute frequencies, cycles/px, and the response from an edge spread function."""
+    line = np.convolve(esf, (0.5, 0, -0.5), "same")
+    line[[0, -1]] = line[[1, -2]]
+    # its maximum stands in the middle
+    line = np.roll(line, line.size // 2 - int(np.argmax(line)))
+    line *= _hann(np.arange(line.size, dtype=float) - line.size // 2, line.size)
+    size = line.size
+    spectrum = np.abs(np.fft.rfft(line))
+    frequency = np.arange(spectrum.size) / (size * spacing)
+    phase = 2 * np.pi * np.arange(spectrum.size) / size
+    with np.errstate(divide="ignore", invalid="ignore"):
+        filtered = np.where(phase > 0, np.abs(np.sin(phase) / phase), 1.0)
+    corrected = spectrum / spectrum[0] * np.minimum(1 / np.maximum(filtered, 1e-12), _LARGEST_CORRECTION)
+    shown = frequency <= 1 / (2 * spacing * _BINS) * 2
+    return frequency[shown], corrected[shown]
