@@ -7,7 +7,6 @@ set of weights, the moments.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -16,12 +15,13 @@ from matcam.core.jax import jnp
 from matcam.core.threads import available_cores, in_order
 from matcam.forward.integral.blur import Blur, blur_of, std_of_half
 from matcam.forward.integral.blur_groups import groups_of
+from matcam.inverse.operator.axis_changes import along_axes, blurs_along, stretches
 from matcam.inverse.operator.chosen_cells import ChosenCells
 from matcam.inverse.operator.circle_arcs import SpherePixels
 from matcam.inverse.operator.cylinder_rule import CylinderRule, LinePixels, cylinder_rule, line_window
 from matcam.inverse.operator.lamp_lines import LampDisc, lamp_discs
 from matcam.inverse.operator.line_rule import ARMS, ImagePlaces, line_rule
-from matcam.inverse.operator.rig_axes import SHAPE, SHAPE_SHARE, SHAPE_SPREAD, STRETCH, STRETCH_SPREAD, Axis, rig_with
+from matcam.inverse.operator.rig_axes import Axis
 from matcam.inverse.operator.sample_view import SampleView, sample_view
 from matcam.inverse.operator.sphere_rule import Kernel, SphereRule, kernel_reach, sphere_range, sphere_rule
 from matcam.inverse.operator.theta_nodes import (
@@ -96,9 +96,9 @@ def rule_arrays(rig: Rig, cells: ChosenCells, axes: tuple[Axis, ...]) -> dict[st
     else:
         lamp_angle = padded(view.lamp_angles(cells.theta_h, cells.theta_d[:, None], cells.phi_d).ravel()[flat])
     own = blur_of(rig, in_discs=True, whole=not view.line)
-    moved = [(blur, axis) for axis in axes for blur in _blurs_along(rig, own, axis)]
+    moved = [(blur, axis) for axis in axes for blur in blurs_along(rig, own, axis)]
     blurs, rough = [own, *(blur for blur, _ in moved)], [False, *(axis.by_variance for _, axis in moved)]
-    added = _added(own, [axis for _, axis in moved])
+    added = stretches(own, [axis for _, axis in moved])
     lamps = [float(blur.lamp_radius) for blur in blurs]
 
     def full(part: np.ndarray) -> np.ndarray:
@@ -122,9 +122,9 @@ def rule_arrays(rig: Rig, cells: ChosenCells, axes: tuple[Axis, ...]) -> dict[st
     for together in [[through] for through in widths] if view.line else _on_the_same_nodes(widths):
         for rules in _in_pieces(view, (x, y, theta_d, lamp_angle, factor), together, _finest(view, widths)):
             named = {"theta": rules.theta, **{name: a[:, None] for name, a in rules.samples.items()}}
-            named |= _along(axes, "weight", "along", rules.weights)
+            named |= along_axes(axes, "weight", "along", rules.weights)
             if rules.moments:
-                named |= _along(axes, "moment", MOMENT_ALONG, rules.moments)
+                named |= along_axes(axes, "moment", MOMENT_ALONG, rules.moments)
             columns.append({name: full(part) for name, part in named.items()})
     arrays = {name: np.concatenate([column[name] for column in columns], axis=2) for name in columns[0]}
     for name in ("along", MOMENT_ALONG) if "moment" in arrays else ("along",):
@@ -160,7 +160,9 @@ def _gaussian_blurs(
         blurs, chords = [blur if one else blur.of_point() for blur, one in zip(blurs, rough, strict=True)], 0
     elif view.azimuth and any(float(blur.lamp_radius) > 0 for blur in blurs):
         chords = 0  # what a small lamp adds is a Gaussian along turned axes: so is what focus adds
-    if added.any() or any(blur.varies for blur in exact):  # one program for all; one variance for all nodes takes half the time
+    if added.any() or any(
+        blur.varies for blur in exact
+    ):  # one program for all; one variance for all nodes takes half the time
         blurs = [dataclasses.replace(blur, varies=True, chords=chords) for blur in blurs]
     spreads = [_variances(view, rig, blur, pixels, more) for blur, more in zip(blurs, added, strict=True)]
     half_width = float(rig.camera.pixel.half_width)
@@ -412,47 +414,3 @@ _INSIDE = 1 - 1e-9
 """Share of a sample's radius within which it is seen."""
 _PIXEL_NODES = ((1.7, 5), (5.0, 10), (np.inf, 20))
 """(half width of the pixel over the lens's standard deviation, nodes); few counts, as each is a program."""
-
-
-def _blurs_along(rig: Rig, own: Blur, axis: Axis) -> list[Blur]:
-    """Return the blurs whose rules an axis needs. own: that of the rig."""
-    if axis.name == STRETCH:
-        return [own, own]
-    if axis.name == SHAPE:
-        scales = (1 + SHAPE_SPREAD, 1 - SHAPE_SPREAD)
-        return [dataclasses.replace(own, stds=own.stds * np.sqrt(scale)) for scale in scales]
-    moved = (rig_with(rig, {axis.name: axis.value(point)}) for point in axis.points if point)
-    # rings that come and go with a lens's numbers are small of the small
-    rest = own.rest if own.rest is not None and own.rest.even else None
-    return [blur_of(one, in_discs=True, whole=own.rest is not None, rest=rest) for one in moved]
-
-
-def _added(own: Blur, axes: list[Axis]) -> np.ndarray:
-    """Return what stretches the rig's own blur and each of `_blurs_along`, (blurs, 2), px^2. axes: of the latter."""
-    added = np.zeros((1 + len(axes), 2))
-    stretched = [n for n, axis in enumerate(axes, start=1) if axis.name == STRETCH]
-    added[stretched] = np.diag([STRETCH_SPREAD * own.std_of_half**2] * 2)[: len(stretched)]
-    return added
-
-
-def _along(axes: tuple[Axis, ...], name: str, along: str, values: Sequence[np.ndarray]) -> dict[str, np.ndarray]:
-    """Return the rig's own values by name, and by how much they differ at every point of every axis."""
-    own, *others = values
-    named = {name: own}
-    for n, changes in enumerate(_changes_along(axes, own, others)):
-        named |= {f"{along}{n}.{point}": change for point, change in enumerate(changes)}
-    return named
-
-
-def _changes_along(axes: tuple[Axis, ...], weight: np.ndarray, others: list[np.ndarray]) -> list[list[np.ndarray]]:
-    """Return by how much the weights differ at every point of every axis. others: weights of `_blurs_along`, in order."""
-    changes = (other - weight for other in others)
-    along = []
-    for axis in axes:
-        if axis.name == SHAPE:
-            along.append([0 * weight, SHAPE_SHARE * (next(changes) + next(changes))])
-        elif axis.name == STRETCH:
-            along.append([0 * weight, (next(changes) - next(changes)) / (2 * STRETCH_SPREAD)])
-        else:
-            along.append([next(changes) if point else 0 * weight for point in axis.points])
-    return along
