@@ -15,13 +15,12 @@ from matcam.core.jax import jnp
 from matcam.core.threads import available_cores, in_order
 from matcam.forward.integral.blur import Blur, blur_of, std_of_half
 from matcam.forward.integral.blur_groups import groups_of
-from matcam.inverse.operator.axis_changes import along_axes, blurs_along, stretches
 from matcam.inverse.operator.chosen_cells import ChosenCells
 from matcam.inverse.operator.circle_arcs import SpherePixels
 from matcam.inverse.operator.cylinder_rule import CylinderRule, LinePixels, cylinder_rule, line_window
 from matcam.inverse.operator.lamp_lines import LampDisc, lamp_discs
 from matcam.inverse.operator.line_rule import ARMS, ImagePlaces, line_rule
-from matcam.inverse.operator.rig_axes import Axis
+from matcam.inverse.operator.rig_axes import Axis, along_axes, blurs_along, stretches
 from matcam.inverse.operator.sample_view import SampleView, sample_view
 from matcam.inverse.operator.sphere_rule import Kernel, SphereRule, kernel_reach, sphere_range, sphere_rule
 from matcam.inverse.operator.theta_nodes import (
