@@ -164,7 +164,7 @@ def test_no_next_command_reads_a_file_that_is_not_there(tmp_path, monkeypatch):
     """Of every command that has a next one: nothing where its files were not written, and a file where they were."""
     monkeypatch.chdir(tmp_path)
     written = {
-        "output": Path("a.binary"), "capture": None, "camera": None, "folder": Path("shots"), "picture": Path("p.tif"),
+        "output": Path("a.binary"), "capture": None, "camera": None, "folder": Path("shots"), "pictures": [Path("p.tif")],
         "file": Path("a.binary"), "files": [Path("a.binary")], "paths": [Path("a.binary")], "target": Path("b.binary"),
         "materials": ["chrome"], "roughness": None,
     }  # fmt: skip

@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from matcam.core import checks
 from matcam.core.errors import ArgumentError, FileFormatError
 from matcam.core.io import replacing
 from matcam.core.readers.texts import read_lines
@@ -95,7 +96,9 @@ def write_light_positions(path: str | Path, positions: Sequence[LightPosition], 
         ...     path.read_text().splitlines()
         ['1', 'IMG_1.tif 0.0 0.6 0.8']
     """
-    if not len(positions):
+    positions = checks.instances("positions", positions, LightPosition)
+    checks.flag("force", force)
+    if not positions:
         raise ArgumentError("a light position file needs at least one position")
     for one in positions:
         vector = np.asarray(one.position, dtype=float)

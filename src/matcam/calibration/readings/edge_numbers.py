@@ -81,7 +81,7 @@ def mtf_at(edge: EdgeMTF, frequency: ArrayLike) -> SampledCurve:
         MTF and its standard deviation, of the same shape (no unit).
 
     Raises:
-        ArgumentError: a frequency is out of range.
+        ArgumentError: `edge` is no result of `edge_mtf`, or a frequency is out of range.
 
     Example:
         >>> y, x = np.mgrid[-80:80, -40:40]
@@ -89,7 +89,8 @@ def mtf_at(edge: EdgeMTF, frequency: ArrayLike) -> SampledCurve:
         >>> round(float(matcam.calibration.mtf_at(edge, 0.25).value), 2)
         0.42
     """
-    at: FloatArray = np.asarray(frequency, dtype=np.float64)
+    checks.instance("edge", edge, EdgeMTF)
+    at: FloatArray = np.asarray(checks.number("frequency", frequency))
     checks.within("frequency", at, 0, _HIGHEST, "cycles/px")
     return SampledCurve(*(np.interp(at, edge.frequency, curve) for curve in (edge.mtf, edge.mtf_std)))
 
@@ -103,6 +104,9 @@ def rise_distance(edge: EdgeMTF) -> EdgeNumber:
     Returns:
         Distance along the normal and its standard deviation, px.
 
+    Raises:
+        ArgumentError: `edge` is no result of `edge_mtf`.
+
     Source:
         ISO 12233, which reports it as an alternative to the e-SFR.
 
@@ -112,6 +116,7 @@ def rise_distance(edge: EdgeMTF) -> EdgeNumber:
         >>> round(matcam.calibration.rise_distance(edge).value, 1)
         2.2
     """
+    checks.instance("edge", edge, EdgeMTF)
     shape = edge.fits.free.shape
     reach = 6 * float(np.hypot(shape.sigma, shape.half_width / np.sqrt(3)))
     distance = np.linspace(-reach, reach, _SAMPLES)
