@@ -15,6 +15,7 @@ import pytest
 
 REPOSITORY = Path(__file__).resolve().parent.parent
 SHARED = REPOSITORY.parent / "shared"
+CHROMIUM = "/usr/bin/chromium"
 
 _CACHE = "MATCAM_TESTS_CACHE"
 _OWNER = _CACHE not in os.environ
@@ -136,3 +137,15 @@ def goniophotometer(real_data, tmp_path_factory):
         return path
 
     return make
+
+
+@pytest.fixture(scope="session")
+def chromium():
+    """The browser, driven by Playwright: one for all, because a process can start Playwright only once."""
+    playwright = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed")
+    if not Path(CHROMIUM).exists():
+        pytest.skip(f"no browser at {CHROMIUM}")
+    with playwright.sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        yield browser
+        browser.close()

@@ -59,15 +59,3 @@ def running(*arguments):
 def app():
     with running() as one:
         yield one
-
-
-@pytest.fixture(scope="session")
-def chromium():
-    """The browser, driven by Playwright."""
-    playwright = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed")
-    if not os.path.exists(CHROMIUM):  # noqa: PTH110
-        pytest.skip(f"no browser at {CHROMIUM}")
-    with playwright.sync_playwright() as driver:
-        browser = driver.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
-        yield browser
-        browser.close()

@@ -1,7 +1,6 @@
 """HTML pages: what is put into them is escaped, and nothing that a template needs may be missing."""
 
 from importlib import resources
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -68,20 +67,9 @@ CONTENT = {
 }  # fmt: skip
 
 
-@pytest.fixture(scope="module")
-def browser():
-    playwright = pytest.importorskip("playwright.sync_api", reason="the extra matcam[test] is not installed")
-    if not Path("/usr/bin/chromium").exists():
-        pytest.skip("no browser")
-    with playwright.sync_playwright() as started:
-        opened = started.chromium.launch(executable_path="/usr/bin/chromium", args=["--no-sandbox"])
-        yield opened
-        opened.close()
-
-
 @pytest.mark.parametrize("template", ["correction_page.html", "reconstruction_page.html", "run_index.html"])
 @pytest.mark.parametrize("width", [1200, 400])
-def test_pages_do_not_overflow_sideways(browser, template, width, tmp_path):
+def test_pages_do_not_overflow_sideways(chromium, template, width, tmp_path):
     """What is wider than a telephone's screen, tables, scrolls in itself."""
     if template == "run_index.html":
         name = "a-material-with-a-long-name-2024"
@@ -89,7 +77,7 @@ def test_pages_do_not_overflow_sideways(browser, template, width, tmp_path):
     else:
         picture = inline_png(Figure(figsize=(9.6, 6.4)))
         write_page(tmp_path / template, template, CONTENT | {"figures": [("Lobe", picture)]})
-    page = browser.new_page(viewport={"width": width, "height": 900})
+    page = chromium.new_page(viewport={"width": width, "height": 900})
     page.goto((tmp_path / template).as_uri())
     assert page.evaluate("document.documentElement.scrollWidth") <= width
     page.close()
