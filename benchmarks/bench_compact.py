@@ -24,7 +24,7 @@ ROOT = Path(__file__).resolve().parents[1]
 TOOL = ROOT.parent / "shared" / "tools" / "npf_to_merl.py"
 ERROR, LARGEST = 0.01, 1e6
 _SMALL = 5
-"""Grids of which some materials' files stay below 1 MB."""
+"""Number of grids, the smallest first, that can keep a file below 1 MB."""
 ANGLES = np.radians(np.arange(0.25, 45, 0.5))
 
 

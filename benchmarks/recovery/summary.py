@@ -64,7 +64,7 @@ def median_errors(of_cases):
 
 
 def coverage(of_cases):
-    """Coverage {class: {"within 1", "within 2", "tables"}}, mean over tables; classes of which nothing is stated are absent."""
+    """Mean coverage over tables, {class: {"within 1", "within 2", "tables"}}. A class without stated errors is left out."""
     found = {}
     for kind in scoring.CLASSES:
         parts = [score["coverage"][kind] for score in of_cases.values() if kind in score["coverage"]]

@@ -201,7 +201,8 @@ def test_what_follows_a_reconstruction_was_written(tmp_path, monkeypatch, files,
 @pytest.mark.parametrize(
     ("name", "text", "next_one"),
     [
-        ("a.csv", "theta_h_deg,theta_d_deg,phi_d_deg,R_per_sr\n1,2,3,4\n", "matcam correct a.csv"),
+        ("a.csv", "theta_h_deg,theta_d_deg,phi_d_deg,Y_per_sr\n0,30,90,0.31\n", "matcam correct a.csv"),
+        ("a.csv", "theta_h_deg,theta_d_deg,phi_d_deg,Y_per_sr\n5,30,90,0.31\n", None),
         ("a.csv", "frequency,mtf\n0,1\n", None),
         ("a.json", '{"format": "matcam picture sidecar"}', None),
         ("a.json", '{"format": "matcam camera profile"}', "matcam predict --camera a.json"),

@@ -103,7 +103,7 @@ def test_a_lobe_is_found_before_a_near_camera_and_under_a_lamp_with_a_disc():
     found = matcam.fit(drawn, rig, "ggx", fresnel="free", noise=PixelNoise(0.01, 0.0), every=30)
     wrong = matcam.fit(drawn, RIG, "ggx", fresnel="free", noise=PixelNoise(0.01, 0.0), every=30)
     assert abs(found.params["alpha"] / 0.01 - 1) < 1e-3
-    # the disc spreads half vectors by 0.09 of alpha: its square is 0.8 %, of which a GGX lobe's core widens by about half
+    # the disc spreads half vectors by 0.09 alpha. The square, 0.8 %, adds to alpha^2: GGX becomes about 0.4 % wider
     assert wrong.params["alpha"] / 0.01 - 1 == pytest.approx(4.7e-3, abs=2e-3)
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import threading
 import time
 import traceback
 from dataclasses import dataclass
@@ -24,9 +23,6 @@ from matcam.files.datasets import write_netcdf
 from matcam.files.merl import write_merl
 from matcam.inverse.correction.corrected_table import supported_values
 from matcam.numerics.budget import write_budgets
-
-_WRITING = threading.Lock()
-"""Files of materials side by side are written one after the other: HDF5 and Matplotlib's styles are not thread-safe."""
 
 
 @dataclass(frozen=True)
@@ -172,7 +168,7 @@ def write_corrected(job: Job, workspace: Workspace | None = None) -> dict[str, A
     if workspace is not None:
         options = options._replace(workspace=workspace)
     done = job.recipe.corrector(table, job.recipe.rig, options)
-    with _WRITING, all_or_nothing():
+    with all_or_nothing():
         write_merl(job.output, supported_values(done.table, table), force=job.force)
         write_netcdf(job.output.with_suffix(".nc"), done.table, force=job.force, compress=job.recipe.compress)
         if job.recipe.page:

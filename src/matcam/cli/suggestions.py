@@ -8,12 +8,10 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from matcam.core.errors import FileFormatError
 from matcam.core.io import where_written
 from matcam.core.readers.names import is_folder, is_there
-from matcam.files import formats
-
-_LONGEST_HEADER = 10_000
-"""Characters of a CSV file's first line that are read."""
+from matcam.files.formats import MEASUREMENTS, identify, suffixes_for
 
 
 def after(name: str, values: dict[str, Any]) -> str | None:
@@ -72,16 +70,26 @@ def _after_simulate(values: dict[str, Any]) -> list[Any] | None:
 
 def _after_inspect(values: dict[str, Any]) -> list[Any] | None:
     file = values["file"]
-    kind = formats.identify(file)
-    if kind == "merl" or (kind == "csv" and _is_brdf(file)):
+    kind = identify(file)
+    if kind == "merl" or (kind == "csv" and _is_table(file)):
         return ["matcam", "correct", file]
     return ["matcam", "predict", "--camera", file] if kind == "camera profile" else None
 
 
-def _is_brdf(file: Path) -> bool:
-    """Detect the columns of a BRDF in a CSV file."""
-    with file.open(encoding="utf-8", errors="replace") as lines:
-        return "_per_sr" in lines.readline(_LONGEST_HEADER)
+def _after_convert(values: dict[str, Any]) -> list[Any] | None:
+    """Inspect the new file; a file that holds no measurement, such as a fitted surface, cannot be inspected."""
+    target = values["target"]
+    return ["matcam", "inspect", target] if target.suffix.lower() in suffixes_for(*MEASUREMENTS) else None
+
+
+def _is_table(file: Path) -> bool:
+    """Detect a table on the MERL grid in a CSV file, which may hold scattered samples or no BRDF."""
+    from matcam.exchange.contents import read_contents
+
+    try:
+        return read_contents(file).table is not None
+    except FileFormatError:
+        return False
 
 
 def _after_correct(values: dict[str, Any]) -> list[Any] | None:
@@ -118,7 +126,7 @@ _NEXT: dict[str, Callable[[dict[str, Any]], list[Any] | None]] = {
     "edge": lambda v: ["matcam", "calibrate", *v["pictures"], "-o", _Output(Path("camera.json"))],
     "calibrate": lambda v: ["matcam", "inspect", v["output"]] if v["output"] else None,
     "inspect": _after_inspect,
-    "convert": lambda v: ["matcam", "inspect", v["target"]],
+    "convert": _after_convert,
     "correct": _after_correct,
     "reconstruct": _after_reconstruct,
     "fit": lambda v: _of_table(v, v["files"][0]),

@@ -33,7 +33,7 @@ _TIME = re.compile(r"(?<![a-zA-Z0-9.])(\d+(?:\.\d+)?)\s?(ns|us|ms|s)(?![a-zA-Z0-
 _KINDS = {"dark": False, "bias": False, "flat": True, "bright": True}
 """Beginning of the name of a file or its folder -> whether it is lit."""
 _MOST_LINES = 20_000
-"""Lines of a descriptor, most of which name a file; each file's place is looked up, which takes 40 us."""
+"""Maximum number of lines of a descriptor. Most lines name a file, whose path takes 40 us to check."""
 _DEEPEST = 32  # bits of a code
 _DIGITS = 6
 """Significant digits to which exposure times of one set agree."""

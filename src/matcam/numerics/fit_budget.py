@@ -46,8 +46,8 @@ class Statement(NamedTuple):
     Attributes:
         name: of the source.
         information: (n, n), of the fit's coordinates.
-        stated: the parameters, each of which becomes a source of its own, with their correlation. Default: none, one source
-            in the unit of the result.
+        stated: the parameters. Each becomes a source, correlated with the others. Default: none; the statement is then one
+            source, in the unit of the result.
     """
 
     name: str
@@ -210,7 +210,7 @@ def stated_parameters(
     Args:
         name: of the sources together.
         information: (n, n), of the fit's coordinates.
-        stated: the parameters; those of which nothing is known are left out.
+        stated: the parameters. Parameters without prior knowledge are left out.
         least: information up to which nothing is known. Default: 0.
     """
     known = [one for one in stated if information[one.place, one.place] > least]

@@ -162,7 +162,7 @@ def _narrow(clear: float, blur: float) -> tuple[Remark | None, float]:
 
 
 def _veiled(stack: EdgeStack, i: int, width: float, light: LightField | None) -> tuple[Remark | None, float]:
-    """Return what cannot be told apart from glare: uneven light, and glare as wide as the region.
+    """Estimate the error of MTF50 because uneven light looks like glare.
 
     width: px, of the region.
     """
@@ -270,9 +270,9 @@ def _filtered(
     sides: tuple[np.ndarray, np.ndarray],
     others: tuple[list[tuple[Remark | None, float]], list[tuple[Remark | None, float]]],
 ) -> list[tuple[Remark | None, float]]:
-    """Return what the correlation of the noise adds to other traces of filters.
+    """Estimate the error of MTF50 by a linear filter, from the correlation of the noise; other traces of filters count once.
 
-    value: of the region. sides: its flat parts. others: what was found of smoothing, and of sharpening.
+    value: of the region. sides: its flat parts. others: remarks and errors that were found for smoothing, and for sharpening.
     """
     smoothed, raised = others
     doubt = filter_doubt(value, sides, stack.frequency, stack.mtf[i], sharpened=bool(raised))
@@ -317,7 +317,7 @@ def _crushed(stack: EdgeStack, i: int, piled: float) -> list[tuple[Remark, float
 def _coarse(
     value: FloatArray, sides: tuple[np.ndarray, np.ndarray], noise: FlatNoise, step: float
 ) -> list[tuple[Remark | None, float]]:
-    """Return what rounding to levels may do, where noise does not average over them.
+    """Estimate the error of MTF50 by rounding to coarse levels.
 
     The mean of rounded values errs by at most (level / pi) exp(-2 pi^2 noise^2 / level^2) (Widrow & Kollar, Quantization
     Noise, 2008, ch. 9).
@@ -353,11 +353,10 @@ def _effect_of_gamma(stack: EdgeStack, i: int) -> float:
 
 
 def _asymmetric(stack: EdgeStack, i: int, noise: FlatNoise) -> list[tuple[Remark | None, float]]:
-    """Return what an edge response that is not symmetric leaves unsure: a lens with coma, or a bent tone curve.
+    """Estimate the error of MTF50 because an asymmetric edge response may come from a tone curve, not from the lens.
 
-    Photons make the variance proportional to the light, so that a dark side has its share of that of the bright side; read
-    noise and a shoulder raise it. A tone curve v + q v (1 - v) between the levels adds q E (1 - E) to a response E, which no
-    symmetric lens does.
+    A tone curve v + q v (1 - v) between the levels adds q E (1 - E) to a response E; a symmetric lens does not. The variance of
+    photon noise is proportional to the light. More variance than that on the dark side makes a tone curve more probable.
     """
     fits = tuple_map(lambda a: np.asarray(a)[i], stack.fits)
     if ghost_of(fits.free).share > 0:

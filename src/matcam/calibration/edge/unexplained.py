@@ -134,7 +134,7 @@ def misfit_of(fit: LinearFit, curve: FreeCurve, excess: jax.Array) -> jax.Array:
 
 
 def _left(fit: LinearFit, curve: FreeCurve) -> jax.Array:
-    """Return what a curve leaves of the cells."""
+    """Compute the residuals of the cells from a curve."""
     basis = edge_basis(curve.shape, fit.cells.distance, fit.cells.spread)
     response = basis.pilot + curve.even @ (basis.even - basis.pilot) + curve.odd @ basis.odd
     light = light_of(curve.levels, fit.cells.terms)

@@ -145,7 +145,7 @@ def flat_noise(
 
 
 def crushed_share(dark: FloatArray, bright: FloatArray) -> float:
-    """Return which share of a dark side is at its very lowest value, 0 where that is no more than noise explains.
+    """Compute the share of a dark side at its lowest value; 0 if noise explains it.
 
     Noise piles up at the end of a range, and nowhere else; without noise the bright side is as flat.
     """

@@ -229,7 +229,7 @@ def _resampling(taps) -> tuple[FloatArray, FloatArray]:  # type: ignore[no-untyp
 
 
 def _filled_mosaic() -> tuple[FloatArray, FloatArray]:
-    """Compute noise power and transfer of a mosaic of which every second pixel is the mean of its four neighbours."""
+    """Compute noise power and transfer of a demosaiced colour: every second pixel is the mean of its four neighbours."""
     covariance = np.zeros((_GRID, _GRID))
     covariance[0, 0] = (1 + 1 / 4) / 2
     for step in (1, -1):

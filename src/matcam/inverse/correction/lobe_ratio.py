@@ -59,7 +59,7 @@ class CorrectionFits(NamedTuple):
 
     @property
     def alternatives(self) -> list[tuple[str, FitCoordinates, FitCoordinates, float]]:
-        """Return what may change the ratio, from where to where, and how often that counts."""
+        """List alternatives: name, coordinates before and after, and the factor of the difference."""
         at, base = self.fit.coordinates, self.base.coordinates
         return [
             *(

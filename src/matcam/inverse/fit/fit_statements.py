@@ -20,7 +20,7 @@ _LEAST = 1e-3
 
 
 def rig_statements(axes: Sequence[Axis], information: np.ndarray, first: int, size: int) -> list[Statement]:
-    """Return what is stated of the parameters of a rig.
+    """Collect the prior knowledge of the parameters of a rig.
 
     Args:
         axes: the parameters that are fitted.

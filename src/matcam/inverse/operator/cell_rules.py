@@ -20,7 +20,7 @@ from matcam.inverse.operator.circle_arcs import SpherePixels
 from matcam.inverse.operator.cylinder_rule import CylinderRule, LinePixels, cylinder_rule, line_window
 from matcam.inverse.operator.lamp_lines import LampDisc, lamp_discs
 from matcam.inverse.operator.line_rule import ARMS, ImagePlaces, line_rule
-from matcam.inverse.operator.rig_axes import Axis, along_axes, blurs_along, stretches
+from matcam.inverse.operator.rig_axes import Axis, MovedBlur, along_axes, blurs_along
 from matcam.inverse.operator.sample_view import SampleView, sample_view
 from matcam.inverse.operator.sphere_rule import Kernel, SphereRule, kernel_reach, sphere_range, sphere_rule
 from matcam.inverse.operator.theta_nodes import (
@@ -95,9 +95,8 @@ def rule_arrays(rig: Rig, cells: ChosenCells, axes: tuple[Axis, ...]) -> dict[st
     else:
         lamp_angle = padded(view.lamp_angles(cells.theta_h, cells.theta_d[:, None], cells.phi_d).ravel()[flat])
     own = blur_of(rig, in_discs=True, whole=not view.line)
-    moved = [(blur, axis) for axis in axes for blur in blurs_along(rig, own, axis)]
-    blurs, rough = [own, *(blur for blur, _ in moved)], [False, *(axis.by_variance for _, axis in moved)]
-    added = stretches(own, [axis for _, axis in moved])
+    moved = [MovedBlur(own), *(one for axis in axes for one in blurs_along(rig, own, axis))]
+    blurs, rough, stretch = ([getattr(one, name) for one in moved] for name in MovedBlur._fields)
     lamps = [float(blur.lamp_radius) for blur in blurs]
 
     def full(part: np.ndarray) -> np.ndarray:
@@ -114,9 +113,9 @@ def rule_arrays(rig: Rig, cells: ChosenCells, axes: tuple[Axis, ...]) -> dict[st
     for terms in groups:
         parts = [blur.only(terms) for blur in blurs]
         if parts[0].rest is not None:
-            widths.append(_rest_blurs(view, rig, parts, (x, y, lamp_angle), added))
+            widths.append(_rest_blurs(view, rig, parts, (x, y, lamp_angle), stretch))
         else:
-            widths.append(_gaussian_blurs(view, rig, parts, (x, y, lamp_angle), sharpest, rough, added))
+            widths.append(_gaussian_blurs(view, rig, parts, (x, y, lamp_angle), sharpest, rough, stretch))
     widths.sort(key=lambda through: np.max(through.reaches[0]))
     for together in [[through] for through in widths] if view.line else _on_the_same_nodes(widths):
         for rules in _in_pieces(view, (x, y, theta_d, lamp_angle, factor), together, _finest(view, widths)):
@@ -139,13 +138,13 @@ def _gaussian_blurs(
     pixels: tuple[np.ndarray, np.ndarray, np.ndarray],
     lenses: list[float],
     rough: list[bool],
-    added: np.ndarray,
+    stretch: list[tuple[float, float]],
 ) -> _Blurs:
     """Return Gaussians of one width under a lamp's disc: it is one itself where they, or the lenses, are wide enough.
 
     pixels: x, y and the lamp's angle. lenses: standard deviation of each blur's whole lens, px: its Gaussians may be
     narrower, and of either sign, but what they add up to is no sharper. rough: for each blur, whether its disc is a Gaussian
-    wherever it is. added: what stretches each blur along x and y, (blurs, 2), px^2.
+    wherever it is. stretch: as of `MovedBlur`, of each blur.
     """
     x, y, lamp_angle = pixels
     lamps = [float(blur.lamp_radius) for blur in blurs]
@@ -159,11 +158,11 @@ def _gaussian_blurs(
         blurs, chords = [blur if one else blur.of_point() for blur, one in zip(blurs, rough, strict=True)], 0
     elif view.azimuth and any(float(blur.lamp_radius) > 0 for blur in blurs):
         chords = 0  # what a small lamp adds is a Gaussian along turned axes: so is what focus adds
-    if added.any() or any(
+    if np.any(stretch) or any(
         blur.varies for blur in exact
     ):  # one program for all; one variance for all nodes takes half the time
         blurs = [dataclasses.replace(blur, varies=True, chords=chords) for blur in blurs]
-    spreads = [_variances(view, rig, blur, pixels, more) for blur, more in zip(blurs, added, strict=True)]
+    spreads = [_variances(view, rig, blur, pixels, more) for blur, more in zip(blurs, stretch, strict=True)]
     half_width = float(rig.camera.pixel.half_width)
     widest = [np.asarray(blur.stds).max() for blur in blurs]
     reaches = [
@@ -177,15 +176,19 @@ def _gaussian_blurs(
 
 
 def _rest_blurs(
-    view: SampleView, rig: Rig, blurs: list[Blur], pixels: tuple[np.ndarray, np.ndarray, np.ndarray], more: np.ndarray
+    view: SampleView,
+    rig: Rig,
+    blurs: list[Blur],
+    pixels: tuple[np.ndarray, np.ndarray, np.ndarray],
+    stretch: list[tuple[float, float]],
 ) -> _Blurs:
     """Return the residuals of the lenses beyond their Gaussians. They are small: lamp and focus widen them as Gaussians.
 
-    How those change along an axis is left out. pixels: x, y and the lamp's angle. more: as `added` of `_gaussian_blurs`.
+    How those change along an axis is left out. pixels: x, y and the lamp's angle. stretch: as of `MovedBlur`, of each blur.
     """
     variances, reaches = [], []
-    for blur, stretch in zip(blurs, more, strict=True):
-        added = _variances(view, rig, blurs[0] if blur.rest is blurs[0].rest else blur, pixels, stretch)
+    for blur, more in zip(blurs, stretch, strict=True):
+        added = _variances(view, rig, blurs[0] if blur.rest is blurs[0].rest else blur, pixels, more)
         variances.append(added)
         reaches.append(blur.rest.reach_through(np.stack(added)))  # type: ignore[union-attr]
     varies = any(np.any(added) for added in variances)
@@ -194,9 +197,9 @@ def _rest_blurs(
 
 
 def _variances(
-    view: SampleView, rig: Rig, blur: Blur, pixels: tuple[np.ndarray, np.ndarray, np.ndarray], more: np.ndarray
+    view: SampleView, rig: Rig, blur: Blur, pixels: tuple[np.ndarray, np.ndarray, np.ndarray], more: tuple[float, float]
 ) -> tuple[np.ndarray, ...]:
-    """Return the variances that lamp, focus and a stretch add along x and y, px^2. more: those of the stretch, (2,)."""
+    """Return the variances that lamp, focus and a stretch add along x and y, px^2. more: those of the stretch."""
     x, y, lamp_angle = pixels
     spread = blur.spread(rig.sample, view.normals(x, y)[2], lamp_angle, rig.lamp.nearness)  # type: ignore[arg-type]
     return tuple(np.broadcast_to(v, x.shape) + one for v, one in zip(spread[:2], more, strict=True))

@@ -29,7 +29,7 @@ SHAPE = "lens shape"
 """Name of the shape of the lens's kernel, its variance unchanged: 0 as the rig says, -1 as flat as a disc, above 0 with longer
 tails."""
 STRETCH = "lens stretch"
-"""Name of the difference of the variances of the lens's kernel along the pixels' rows and columns, over its variance."""
+"""Name of the variance of the lens's kernel along the plane of camera and lamp less that across it, over its variance."""
 SHAPES = (SHAPE, STRETCH)
 """Changes of the lens's kernel at its variance, linear in their coordinates."""
 WIDTHS = (LAMP, "jitter", APERTURE)
@@ -57,12 +57,11 @@ SHAPE_SPREAD = 0.55
 """Relative change of variance of the two kernels that change a lens's shape; with it"""
 SHAPE_SHARE = 1 / (6 * SHAPE_SPREAD**2)
 """of both, less twice the lens itself, gives a Gaussian the fourth moment of a disc of its variance, and half its centre."""
-_SHAPES = (-1.5, 4.0)
+_SHAPE_RANGE, _STRETCH_RANGE = (-1.5, 4.0), (-1.5, 1.5)
 STRETCH_SPREAD = 0.3
-"""Variance that is added along either axis, over the lens's: half the difference of the two kernels over it is the change."""
-_STRETCHES = (-1.5, 1.5)
+"""Relative change of variance of the two kernels whose difference changes the stretch: one is widened along, one across."""
 _STRETCH_STD = 0.5
-"""Standard deviation of the stretch: coma, of which all light goes to one side, has 1."""
+"""Standard deviation of the stretch before the table is seen. Third-order coma has a stretch of 1."""
 _COUNTS = ((0.03, 3), (0.15, 5), (np.inf, 9))
 """Half range of an axis -> number of its points."""
 
@@ -116,7 +115,7 @@ def shape_axes(rig: Rig) -> tuple[tuple[Axis, ...], tuple[float, ...]]:
 
     A cylinder's pictures show one direction of the kernel.
     """
-    axes = Axis(SHAPE, 0.0, 0.0, *_SHAPES, (0.0, 1.0)), Axis(STRETCH, 0.0, 0.0, *_STRETCHES, (0.0, 1.0))
+    axes = Axis(SHAPE, 0.0, 0.0, *_SHAPE_RANGE, (0.0, 1.0)), Axis(STRETCH, 0.0, 0.0, *_STRETCH_RANGE, (0.0, 1.0))
     count = 1 if isinstance(rig.sample, Cylinder) else 2
     return axes[:count], (1.0, _STRETCH_STD)[:count]
 
@@ -216,25 +215,33 @@ def rig_with(rig: Rig, values: Mapping[str, float]) -> Rig:
     return eqx.tree_at(lambda r: tuple(getattr(r, name) for name in widths), rig, new) if widths else rig
 
 
-def blurs_along(rig: Rig, own: Blur, axis: Axis) -> list[Blur]:
-    """Return the blurs whose rules an axis needs. own: that of the rig."""
+class MovedBlur(NamedTuple):
+    """Blur at one point of an axis.
+
+    Attributes:
+        blur: the blur.
+        rough: whether a lamp's disc counts as a Gaussian, wherever it is. Default: False.
+        stretch: variances that are added to it along the plane of camera and lamp and across it, px^2. Default: none.
+    """
+
+    blur: Blur
+    rough: bool = False
+    stretch: tuple[float, float] = (0.0, 0.0)
+
+
+def blurs_along(rig: Rig, own: Blur, axis: Axis) -> list[MovedBlur]:
+    """Compute the blurs whose rules an axis needs. own: that of the rig."""
     if axis.name == STRETCH:
-        return [own, own]
+        more = STRETCH_SPREAD * own.std_of_half**2
+        return [MovedBlur(own, stretch=stretch) for stretch in ((more, 0.0), (0.0, more))]
     if axis.name == SHAPE:
         scales = (1 + SHAPE_SPREAD, 1 - SHAPE_SPREAD)
-        return [dataclasses.replace(own, stds=own.stds * np.sqrt(scale)) for scale in scales]
+        return [MovedBlur(dataclasses.replace(own, stds=own.stds * np.sqrt(scale))) for scale in scales]
     moved = (rig_with(rig, {axis.name: axis.value(point)}) for point in axis.points if point)
     # rings that come and go with a lens's numbers are small of the small
     rest = own.rest if own.rest is not None and own.rest.even else None
-    return [blur_of(one, in_discs=True, whole=own.rest is not None, rest=rest) for one in moved]
-
-
-def stretches(own: Blur, axes: list[Axis]) -> np.ndarray:
-    """Return what stretches the rig's own blur and each of `blurs_along`, (blurs, 2), px^2. axes: of the latter."""
-    added = np.zeros((1 + len(axes), 2))
-    stretched = [n for n, axis in enumerate(axes, start=1) if axis.name == STRETCH]
-    added[stretched] = np.diag([STRETCH_SPREAD * own.std_of_half**2] * 2)[: len(stretched)]
-    return added
+    blurs = (blur_of(one, in_discs=True, whole=own.rest is not None, rest=rest) for one in moved)
+    return [MovedBlur(blur, axis.by_variance) for blur in blurs]
 
 
 def along_axes(axes: tuple[Axis, ...], name: str, along: str, values: Sequence[np.ndarray]) -> dict[str, np.ndarray]:
