@@ -26,7 +26,7 @@ def test_slopes_are_differences_of_the_record(kind, lobe):
     """
     axes = (free_axis("optics.sigma_px", rigs.merl()), *shape_axes(rigs.merl())[0])
     _, operator = lobe_operator(rigs.merl(), "centre", 30, axes)
-    q = np.array([*lobe, 0.1, -0.2, 0.3])
+    q = np.array([*lobe, 0.1, -0.2, 0.3, 0.4, -0.1])
     record = jax.jit(lambda q: operator.record(kind.ndf(q[: kind.size]), kind.masking, q[kind.size :]))
     value, slopes = record_and_slopes(operator, kind, q)
     np.testing.assert_allclose(value, record(q), rtol=1e-12, atol=1e-15 * np.abs(value).max())

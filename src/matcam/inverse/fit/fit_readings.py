@@ -14,7 +14,7 @@ from matcam.inverse.fit.fit_parameters import LobeKind, readable_value, reflecta
 from matcam.inverse.fit.fit_problem import FitProblem
 from matcam.inverse.fit.lobe_readings import half_maximum_angle, lobe_readings
 from matcam.inverse.fit.search import Solution
-from matcam.inverse.operator.rig_axes import ASSUMED, SHAPES, WIDTHS, Axis, known_lens
+from matcam.inverse.operator.rig_axes import ASSUMED, CHANGES, WIDTHS, Axis, known_lens
 from matcam.material.microfacet import Microfacet
 from matcam.material.reflectance import Conductor, Dielectric, Reflectance, Sampled, Schlick
 
@@ -325,7 +325,7 @@ def fitted_camera(solution: Solution, camera: Camera) -> Camera:
     """Return a camera as fitted, with its new uncertainty."""
     problem: FitProblem = solution.problem
     axes, place = problem.prior.axes, problem.layout.rig
-    lens = [n for n, axis in enumerate(axes) if axis.name not in (*WIDTHS, *SHAPES)]
+    lens = [n for n, axis in enumerate(axes) if axis.name not in (*WIDTHS, *CHANGES)]
     if not lens:
         return camera
     coordinates = solution.p[place]

@@ -40,9 +40,12 @@ from matcam.inverse.operator.lobe_operator import (
 )
 from matcam.inverse.operator.pixel_phase import located_rig
 from matcam.inverse.operator.rig_axes import (
+    CHANGES,
     LENS,
+    WIDTH,
     Axis,
     axis_selection,
+    change_axis,
     free_axis,
     guess_std,
     is_guess,
@@ -88,8 +91,7 @@ class FitSetup:
         nearby: whether a lamp in `also` is followed about the rig's value alone. Default: False.
         doubted: names of the rig's parameters that a later fit has in `also`, nearby: their rules are made with this one's.
             Default: ().
-        lens_shape: whether shape and stretch of the lens's kernel are fitted, too (`rig_axes.shape_axes`). Default:
-            False.
+        lens_shape: whether the shape of the lens's kernel is fitted, too (`rig_axes.shape_axes`). Default: False.
         bend: how far ln D may leave its family (no unit). Default: 0, not at all.
         stiff_below: slope (no unit) below which a bend is ten times stiffer; below a pixel it always is. Default: 0.
         learned_bend: as `bend`, of the slopes where it is not stiff, if the data said it. Default: None, as `bend`.
@@ -302,6 +304,8 @@ class FitSetup:
             root = np.zeros((len(axes), len(axes)))
         elif camera_parameters == "prior" and known.uncertainty is not None:
             axes, root = _stated_prior(self.rig, known.uncertainty)
+        elif camera_parameters == "prior":
+            axes, root = (change_axis(WIDTH),), np.array([[1 / CHANGES[WIDTH].std]])
         if self.also:
             axes = (*axes, *(free_axis(name, self.rig, nearby=self.nearby) for name in self.also))
             root = np.pad(root, ((0, 0), (0, len(self.also))))

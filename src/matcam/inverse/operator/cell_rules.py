@@ -7,6 +7,7 @@ set of weights, the moments.
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -20,7 +21,7 @@ from matcam.inverse.operator.circle_arcs import SpherePixels
 from matcam.inverse.operator.cylinder_rule import CylinderRule, LinePixels, cylinder_rule, line_window
 from matcam.inverse.operator.lamp_lines import LampDisc, lamp_discs
 from matcam.inverse.operator.line_rule import ARMS, ImagePlaces, line_rule
-from matcam.inverse.operator.rig_axes import Axis, MovedBlur, along_axes, blurs_along
+from matcam.inverse.operator.rig_axes import Axis, MovedBlur, along_axes, blurs_along, change_kernels
 from matcam.inverse.operator.sample_view import SampleView, sample_view
 from matcam.inverse.operator.sphere_rule import Kernel, SphereRule, kernel_reach, sphere_range, sphere_rule
 from matcam.inverse.operator.theta_nodes import (
@@ -37,14 +38,15 @@ from matcam.rigs import Rig
 
 
 class _Blurs(NamedTuple):
-    """Blurs of a rig and of all points of its axes, and what lamp and focus add to each in the pixels.
+    """Blurs of the rig, of points of its axes and of changes of its lens, and what lamp and focus add to each in the pixels.
 
     Attributes:
-        blurs: the rig's own first.
+        blurs: the rig's own first, if it is among them.
         spreads: for each, the variances along x and y, (pixels,), px^2.
         reaches: for each, the half sides of what a pixel sees, (2, pixels), px along its axes.
         discs: for each, the lamp's disc, where it is not in the spreads.
         lamps: for each, the radius of the lamp's disc, rad.
+        columns: for each, its index among all blurs whose rules are computed.
     """
 
     blurs: list[Blur]
@@ -52,6 +54,7 @@ class _Blurs(NamedTuple):
     reaches: list[np.ndarray]
     discs: list[LampDisc | None]
     lamps: list[float]
+    columns: tuple[int, ...]
 
     @property
     def terms(self) -> tuple[int, ...]:
@@ -74,9 +77,9 @@ class _Found(NamedTuple):
     """
 
     theta: np.ndarray
-    weights: list[np.ndarray]
+    weights: Sequence[np.ndarray]
     samples: dict[str, np.ndarray]
-    moments: tuple[np.ndarray, ...] = ()
+    moments: Sequence[np.ndarray] = ()
 
 
 def rule_arrays(rig: Rig, cells: ChosenCells, axes: tuple[Axis, ...]) -> dict[str, np.ndarray]:
@@ -95,9 +98,11 @@ def rule_arrays(rig: Rig, cells: ChosenCells, axes: tuple[Axis, ...]) -> dict[st
     else:
         lamp_angle = padded(view.lamp_angles(cells.theta_h, cells.theta_d[:, None], cells.phi_d).ravel()[flat])
     own = blur_of(rig, in_discs=True, whole=not view.line)
-    moved = [MovedBlur(own), *(one for axis in axes for one in blurs_along(rig, own, axis))]
-    blurs, rough, stretch = ([getattr(one, name) for one in moved] for name in MovedBlur._fields)
-    lamps = [float(blur.lamp_radius) for blur in blurs]
+    moved, changes = [MovedBlur(own), *blurs_along(rig, own, axes)], change_kernels(own, axes)
+    gaussian = own.rest is None and own.stds.size == 1
+    if gaussian:  # its rule and those of the changes share their nodes
+        moved, changes = moved + changes, []
+    count = len(moved) + len(changes)
 
     def full(part: np.ndarray) -> np.ndarray:
         result = np.zeros((cells.x.size, *part.shape[1:]))
@@ -106,19 +111,25 @@ def rule_arrays(rig: Rig, cells: ChosenCells, axes: tuple[Axis, ...]) -> dict[st
 
     columns: list[dict[str, np.ndarray]] = []
     widths: list[_Blurs] = []
-    groups = [group.terms for group in groups_of(blurs[0], rig.sample)]  # type: ignore[arg-type]
-    if view.line and any(lamps) and not view.distant:  # rows by the rule of one term
+    groups = [group.terms for group in groups_of(own, rig.sample)]  # type: ignore[arg-type]
+    if view.line and float(own.lamp_radius) and not view.distant:  # rows by the rule of one term
         groups = [(term,) for terms in groups for term in terms]
-    sharpest = [blur.std_of_half for blur in blurs]
     for terms in groups:
-        parts = [blur.only(terms) for blur in blurs]
-        if parts[0].rest is not None:
-            widths.append(_rest_blurs(view, rig, parts, (x, y, lamp_angle), stretch))
+        parts = [one._replace(blur=one.blur.only(terms)) for one in moved]
+        if parts[0].blur.rest is not None:
+            widths.append(_rest_blurs(view, rig, parts, (x, y, lamp_angle)))
         else:
-            widths.append(_gaussian_blurs(view, rig, parts, (x, y, lamp_angle), sharpest, rough, stretch))
+            lenses = [one.blur.std_of_half for one in moved]
+            widths.append(_gaussian_blurs(view, rig, parts, (x, y, lamp_angle), lenses))
     widths.sort(key=lambda through: np.max(through.reaches[0]))
-    for together in [[through] for through in widths] if view.line else _on_the_same_nodes(widths):
-        for rules in _in_pieces(view, (x, y, theta_d, lamp_angle, factor), together, _finest(view, widths)):
+    together = [[through] for through in widths] if view.line else _on_the_same_nodes(widths)
+    if changes:
+        lenses = [one.blur.std_of_half for one in changes]
+        columns = tuple(range(len(moved), count))
+        change = _gaussian_blurs(view, rig, changes, (x, y, lamp_angle), lenses)._replace(columns=columns)
+        together = [*together, [change]] if view.line else [[*together[0], change], *together[1:]]
+    for some in together:
+        for rules in _in_pieces(view, (x, y, theta_d, lamp_angle, factor), some, _finest(view, widths), count):
             named = {"theta": rules.theta, **{name: a[:, None] for name, a in rules.samples.items()}}
             named |= along_axes(axes, "weight", "along", rules.weights)
             if rules.moments:
@@ -134,25 +145,23 @@ def rule_arrays(rig: Rig, cells: ChosenCells, axes: tuple[Axis, ...]) -> dict[st
 def _gaussian_blurs(
     view: SampleView,
     rig: Rig,
-    blurs: list[Blur],
+    moved: list[MovedBlur],
     pixels: tuple[np.ndarray, np.ndarray, np.ndarray],
     lenses: list[float],
-    rough: list[bool],
-    stretch: list[tuple[float, float]],
 ) -> _Blurs:
     """Return Gaussians of one width under a lamp's disc: it is one itself where they, or the lenses, are wide enough.
 
     pixels: x, y and the lamp's angle. lenses: standard deviation of each blur's whole lens, px: its Gaussians may be
-    narrower, and of either sign, but what they add up to is no sharper. rough: for each blur, whether its disc is a Gaussian
-    wherever it is. stretch: as of `MovedBlur`, of each blur.
+    narrower, and of either sign, but what they add up to is no sharper.
     """
     x, y, lamp_angle = pixels
+    blurs, rough, stretch = ([getattr(one, name) for one in moved] for name in MovedBlur._fields)
     lamps = [float(blur.lamp_radius) for blur in blurs]
     if view.line:
         blurs = [blur.of_point() for blur in blurs]
     stds = [max(lens, float(np.min(np.asarray(blur.stds)))) for lens, blur in zip(lenses, blurs, strict=True)]
     exact = [blur.of_point() if one else blur for blur, one in zip(blurs, rough, strict=True)]
-    discs, moved = lamp_discs(view, exact, stds, lamp_angle, x, y)
+    discs, aside = lamp_discs(view, exact, stds, lamp_angle, x, y)
     chords = max(blur.chords for blur in blurs)
     if any(disc is not None for disc in discs) or (view.line and any(lamps)):
         blurs, chords = [blur if one else blur.of_point() for blur, one in zip(blurs, rough, strict=True)], 0
@@ -167,37 +176,40 @@ def _gaussian_blurs(
     widest = [np.asarray(blur.stds).max() for blur in blurs]
     reaches = [
         kernel_reach(half_width, np.sqrt(s**2 + np.maximum(*v))) + m + _widest_disc(view, blur, x, y, s)
-        for s, v, m, blur in zip(widest, spreads, moved, blurs, strict=True)
+        for s, v, m, blur in zip(widest, spreads, aside, blurs, strict=True)
     ]
     if any(rough):  # they ask for no nodes of their own, on which others would be less exact
         seen = np.max([reach for reach, one in zip(reaches, rough, strict=True) if not one], axis=0)
         reaches = [np.minimum(reach, seen) for reach in reaches]
-    return _Blurs(blurs, spreads, reaches, discs, lamps)
+    return _Blurs(blurs, spreads, reaches, discs, lamps, tuple(range(len(blurs))))
 
 
 def _rest_blurs(
     view: SampleView,
     rig: Rig,
-    blurs: list[Blur],
+    moved: list[MovedBlur],
     pixels: tuple[np.ndarray, np.ndarray, np.ndarray],
-    stretch: list[tuple[float, float]],
 ) -> _Blurs:
     """Return the residuals of the lenses beyond their Gaussians. They are small: lamp and focus widen them as Gaussians.
 
-    How those change along an axis is left out. pixels: x, y and the lamp's angle. stretch: as of `MovedBlur`, of each blur.
+    How those change along an axis is left out. pixels: x, y and the lamp's angle.
     """
-    variances, reaches = [], []
-    for blur, more in zip(blurs, stretch, strict=True):
-        added = _variances(view, rig, blurs[0] if blur.rest is blurs[0].rest else blur, pixels, more)
+    variances, reaches, blurs = [], [], [one.blur for one in moved]
+    for blur in blurs:
+        added = _variances(view, rig, blurs[0] if blur.rest is blurs[0].rest else blur, pixels)
         variances.append(added)
         reaches.append(blur.rest.reach_through(np.stack(added)))  # type: ignore[union-attr]
     varies = any(np.any(added) for added in variances)
     blurs = [dataclasses.replace(blur, varies=varies, chords=0) for blur in blurs]
-    return _Blurs(blurs, variances, reaches, [None] * len(blurs), [0.0] * len(blurs))
+    return _Blurs(blurs, variances, reaches, [None] * len(blurs), [0.0] * len(blurs), tuple(range(len(blurs))))
 
 
 def _variances(
-    view: SampleView, rig: Rig, blur: Blur, pixels: tuple[np.ndarray, np.ndarray, np.ndarray], more: tuple[float, float]
+    view: SampleView,
+    rig: Rig,
+    blur: Blur,
+    pixels: tuple[np.ndarray, np.ndarray, np.ndarray],
+    more: tuple[float, float] = (0.0, 0.0),
 ) -> tuple[np.ndarray, ...]:
     """Return the variances that lamp, focus and a stretch add along x and y, px^2. more: those of the stretch."""
     x, y, lamp_angle = pixels
@@ -210,14 +222,32 @@ def _finest(view: SampleView, widths: list[_Blurs]) -> float:
     return np.inf if len(widths) == 1 else on_highlight(view.radius, float(np.min(widths[0].reaches[0])))
 
 
-def _in_pieces(view: SampleView, pixels: tuple[np.ndarray, ...], widths: list[_Blurs], finest: float) -> list[_Found]:
-    """Return the rules of pixels, piece by piece on all cores; a cylinder's are two. pixels: see `_rules`."""
+def _in_pieces(
+    view: SampleView, pixels: tuple[np.ndarray, ...], widths: list[_Blurs], finest: float, count: int
+) -> list[_Found]:
+    """Return the rules of pixels, piece by piece on all cores; a cylinder's are two.
+
+    pixels: see `_rules`. count: of all blurs whose rules are computed; one that `widths` do not hold has no weight here.
+    """
     pieces = [slice(first, first + PIECE) for first in range(0, pixels[0].size, PIECE)]
 
     def rules(piece: slice) -> list[_Found]:
         return _rules(view, tuple(a[piece] for a in pixels), [through.of(piece) for through in widths], finest)
 
-    return [_joined(parts) for parts in zip(*in_order(rules, pieces, available_cores()), strict=True)]
+    columns = sorted({column for through in widths for column in through.columns})
+    joined = (_joined(parts) for parts in zip(*in_order(rules, pieces, available_cores()), strict=True))
+    return [
+        found._replace(**{
+            name: _in_columns(getattr(found, name), columns, count) for name in ("weights", "moments") if getattr(found, name)
+        })
+        for found in joined
+    ]  # fmt: skip
+
+
+def _in_columns(arrays: Sequence[np.ndarray], columns: list[int], count: int) -> list[np.ndarray]:
+    """Return a list of all columns, 0 where there is no array of the column."""
+    by_column = dict(zip(columns, arrays, strict=True))
+    return [by_column.get(column, np.zeros_like(arrays[0])) for column in range(count)]
 
 
 def _joined(parts: tuple[_Found, ...]) -> _Found:
@@ -275,7 +305,7 @@ def _sphere_rules(
 ) -> _Found:
     """Return a rule on one set of nodes for terms of several widths. finest: see `ThetaRange`."""
     own = finest if np.min(widths[0].reaches[0]) > _SURROUNDINGS[0] else np.inf
-    largest = np.max([through.reaches for through in widths], axis=(0, 1))
+    largest = np.max([reach for through in widths for reach in through.reaches], axis=0)
     widest, onto = (one._replace(finest=finest) for one in sphere_range(view, pixels, largest))
 
     def rule(through: _Blurs, n: int, circles: ThetaRange, reach: np.ndarray) -> SphereRule:
@@ -300,9 +330,12 @@ def _sphere_rules(
             *(main if rest is not None and blur.rest is rest else _summed(parts(through, n)) for n, blur in others),
         ]
 
+    by_column: dict[int, list[tuple[np.ndarray, ...]]] = {}
+    for through in widths:
+        for column, arrays in zip(through.columns, each(through), strict=True):
+            by_column.setdefault(column, []).append(arrays)
     found = [
-        tuple(np.sum(arrays, axis=0) for arrays in zip(*of_blur, strict=True))
-        for of_blur in zip(*map(each, widths), strict=True)
+        tuple(np.sum(arrays, axis=0) for arrays in zip(*by_column[column], strict=True)) for column in sorted(by_column)
     ]
     weights, *moments = zip(*found, strict=True)
     if len(widths) == len(first) == 1 and own == finest and np.array_equal(widths[0].reaches[0], largest):
@@ -329,7 +362,7 @@ def _standing_for(widths: list[_Blurs]) -> _Blurs:
     The blur itself has negative shares: means over it may lie anywhere. As wide: its transfer falls to a half with that of
     the terms.
     """
-    own = [through.blurs[0] for through in widths]
+    own = [through.blurs[0] for through in widths if through.columns[0] == 0]
     weights, stds = (np.concatenate([np.asarray(getattr(blur, name)) for blur in own]) for name in ("weights", "stds"))
     std = max(std_of_half(weights, stds), np.max(widths[-1].reaches[0]) / _RESOLVED)
     stand_in = dataclasses.replace(own[0], weights=jnp.ones(1), stds=jnp.array([std]), rest=None)

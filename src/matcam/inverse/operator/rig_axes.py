@@ -25,13 +25,16 @@ from matcam.sample.curved import Cylinder
 LENS = "optics.sigma_px"
 """Name of the width of a Gaussian lens."""
 LAMP, APERTURE = "lamp_radius", "aperture"
-SHAPE = "lens shape"
-"""Name of the shape of the lens's kernel, its variance unchanged: 0 as the rig says, -1 as flat as a disc, above 0 with longer
-tails."""
-STRETCH = "lens stretch"
+WIDTH = "lens_width"
+"""Name of the logarithm of the width of a lens that has no parameter of that kind: 0 as the rig says."""
+SHAPE = "lens_shape"
+"""Name of the fourth moment of the lens's kernel, its variance unchanged: 0 as the rig says, -1 as flat as a disc, above 0 with
+longer tails."""
+SIXTH, EIGHTH = "lens_sixth_moment", "lens_eighth_moment"
+"""Names of the next even moments of the lens's kernel, all lower ones unchanged. The three together describe a disc to 2 % of its
+difference from the Gaussian of its variance, at the limb, too, where a highlight is narrower than the lens."""
+STRETCH = "lens_stretch"
 """Name of the variance of the lens's kernel along the plane of camera and lamp less that across it, over its variance."""
-SHAPES = (SHAPE, STRETCH)
-"""Changes of the lens's kernel at its variance, linear in their coordinates."""
 WIDTHS = (LAMP, "jitter", APERTURE)
 """Fields of `Rig` that widen a highlight."""
 
@@ -53,17 +56,52 @@ _LENS_WIDTHS = ("sigma_px", "f_number", "blur_diameter_px")
 """Parameters of lenses that scale their kernel."""
 ASSUMED = 0.1
 """Relative standard deviation of a lens's width of which its profile states none."""
-SHAPE_SPREAD = 0.55
-"""Relative change of variance of the two kernels that change a lens's shape; with it"""
-SHAPE_SHARE = 1 / (6 * SHAPE_SPREAD**2)
-"""of both, less twice the lens itself, gives a Gaussian the fourth moment of a disc of its variance, and half its centre."""
-_SHAPE_RANGE, _STRETCH_RANGE = (-1.5, 4.0), (-1.5, 1.5)
-STRETCH_SPREAD = 0.3
+_STEP = 0.4
+"""Relative change of variance by which the kernels of a change of the lens differ: a smaller one amplifies their errors."""
+_STRETCHED = 0.3
 """Relative change of variance of the two kernels whose difference changes the stretch: one is widened along, one across."""
-_STRETCH_STD = 0.5
-"""Standard deviation of the stretch before the table is seen. Third-order coma has a stretch of 1."""
 _COUNTS = ((0.03, 3), (0.15, 5), (np.inf, 9))
 """Half range of an axis -> number of its points."""
+
+
+class KernelChange(NamedTuple):
+    """Change of a lens's kernel, linear in its coordinate.
+
+    It is a sum of Gaussians. Their variances are multiples of the variance of the Gaussian that is as wide as the lens.
+
+    Attributes:
+        terms: (variance along the plane of camera and lamp, variance across it, share) of each Gaussian, no unit. The shares
+            add up to 0.
+        std: standard deviation of the coordinate before the table is seen.
+        low: smallest coordinate.
+        high: largest coordinate.
+    """
+
+    terms: tuple[tuple[float, float, float], ...]
+    std: float
+    low: float
+    high: float
+
+
+def _difference(factor: float, *shares: int) -> tuple[tuple[float, float, float], ...]:
+    """Finite difference by the variance: round Gaussians at -2 to 2 steps, whose shares are given in units of a factor."""
+    scales = (1 + step * _STEP for step in range(-2, 3))
+    return tuple((scale, scale, factor * share) for scale, share in zip(scales, shares, strict=True) if share)
+
+
+CHANGES = {
+    # by the logarithm of a width the variance changes twice as fast
+    WIDTH: KernelChange(_difference(1 / (6 * _STEP), 1, -8, 0, 8, -1), ASSUMED, -0.5, 0.5),
+    # a disc has the moments of a mixture of Gaussians whose relative variance has the second central moment -1/3
+    SHAPE: KernelChange(_difference(1 / (18 * _STEP**2), 1, -1, 0, -1, 1), 1.0, -1.5, 4.0),
+    SIXTH: KernelChange(_difference(1 / (36 * _STEP**3), -1, 2, 0, -2, 1), 1.0, -3.0, 3.0),  # third central moment: 1/3
+    EIGHTH: KernelChange(_difference(1 / (72 * _STEP**4), 1, -4, 6, -4, 1), 1.0, -3.0, 3.0),
+    # third-order coma has a stretch of 1
+    STRETCH: KernelChange(
+        ((1 + _STRETCHED, 1.0, 0.5 / _STRETCHED), (1.0, 1 + _STRETCHED, -0.5 / _STRETCHED)), 0.5, -1.5, 1.5
+    ),
+}
+"""Changes of the lens's kernel by name. Of a disc, shape and sixth moment are -1 and 1, and the eighth is below 1."""
 
 
 class Axis(NamedTuple):
@@ -90,7 +128,7 @@ class Axis(NamedTuple):
 
     def value(self, coordinate: float) -> float:
         """Return the parameter at a coordinate."""
-        if self.name in SHAPES:
+        if self.name in CHANGES:
             return coordinate
         return float(np.sqrt(self.square(coordinate, 0.0)[0]))
 
@@ -104,7 +142,7 @@ class Axis(NamedTuple):
 
         At a width of 0 the derivative is infinite.
         """
-        if self.name in SHAPES:
+        if self.name in CHANGES:
             return 1.0
         step = max(std, 1e-6)
         return (self.value(coordinate + step) - self.value(coordinate)) / step
@@ -115,16 +153,20 @@ def shape_axes(rig: Rig) -> tuple[tuple[Axis, ...], tuple[float, ...]]:
 
     A cylinder's pictures show one direction of the kernel.
     """
-    axes = Axis(SHAPE, 0.0, 0.0, *_SHAPE_RANGE, (0.0, 1.0)), Axis(STRETCH, 0.0, 0.0, *_STRETCH_RANGE, (0.0, 1.0))
-    count = 1 if isinstance(rig.sample, Cylinder) else 2
-    return axes[:count], (1.0, _STRETCH_STD)[:count]
+    names = (SHAPE, SIXTH, EIGHTH) if isinstance(rig.sample, Cylinder) else (SHAPE, SIXTH, EIGHTH, STRETCH)
+    return tuple(map(change_axis, names)), tuple(CHANGES[name].std for name in names)
+
+
+def change_axis(name: str) -> Axis:
+    """Return the axis of a change of the lens's kernel."""
+    return Axis(name, 0.0, 0.0, CHANGES[name].low, CHANGES[name].high, (0.0, 1.0))
 
 
 class KnownLens(NamedTuple):
     """Prior knowledge of a camera's lens.
 
     Attributes:
-        uncertainty: of the camera's parameters; None: there is none to state.
+        uncertainty: of the camera's parameters; None: there is none to state, or the lens has no parameter for its width.
         words: the same, in words.
         assumed: whether nothing was stated, so that a tenth of the width is assumed.
         exact: whether the lens is stated as exact, or has no width to doubt.
@@ -145,13 +187,16 @@ def known_lens(camera: Camera) -> KnownLens:
     widths = {
         name: ASSUMED * float(value)
         for name, value in camera.parameters().items()
-        if name.startswith("optics.") and name.rsplit(".", 1)[-1] in _LENS_WIDTHS and float(value) > 0
+        if _is_lens_width(name) and float(value) > 0
     }
-    if not widths:
+    if not widths and any(_is_lens_width(name) for name in camera.parameters()):
         return KnownLens(None, "none stated: taken as exact", assumed=False, exact=True)
-    return KnownLens(
-        Uncertainty.of(widths), f"none stated: {ASSUMED:.0%} of the lens's width", assumed=True, exact=False
-    )
+    known = Uncertainty.of(widths) if widths else None
+    return KnownLens(known, f"none stated: {ASSUMED:.0%} of the lens's width", assumed=True, exact=False)
+
+
+def _is_lens_width(name: str) -> bool:
+    return name.startswith("optics.") and name.rsplit(".", 1)[-1] in _LENS_WIDTHS
 
 
 def is_guess(name: str, relative: float) -> bool:
@@ -229,42 +274,52 @@ class MovedBlur(NamedTuple):
     stretch: tuple[float, float] = (0.0, 0.0)
 
 
-def blurs_along(rig: Rig, own: Blur, axis: Axis) -> list[MovedBlur]:
-    """Compute the blurs whose rules an axis needs. own: that of the rig."""
-    if axis.name == STRETCH:
-        more = STRETCH_SPREAD * own.std_of_half**2
-        return [MovedBlur(own, stretch=stretch) for stretch in ((more, 0.0), (0.0, more))]
-    if axis.name == SHAPE:
-        scales = (1 + SHAPE_SPREAD, 1 - SHAPE_SPREAD)
-        return [MovedBlur(dataclasses.replace(own, stds=own.stds * np.sqrt(scale))) for scale in scales]
-    moved = (rig_with(rig, {axis.name: axis.value(point)}) for point in axis.points if point)
-    # rings that come and go with a lens's numbers are small of the small
+def blurs_along(rig: Rig, own: Blur, axes: Sequence[Axis]) -> list[MovedBlur]:
+    """Compute the blurs at the points of axes that move the rig's parameters. own: that of the rig."""
+    # how a residual changes with a lens's parameters is of second order and is neglected
     rest = own.rest if own.rest is not None and own.rest.even else None
-    blurs = (blur_of(one, in_discs=True, whole=own.rest is not None, rest=rest) for one in moved)
-    return [MovedBlur(blur, axis.by_variance) for blur in blurs]
+    whole = own.rest is not None
+    points = [(axis, point) for axis in axes if axis.name not in CHANGES for point in axis.points if point]
+    moved = ((axis, rig_with(rig, {axis.name: axis.value(point)})) for axis, point in points)
+    return [MovedBlur(blur_of(one, in_discs=True, whole=whole, rest=rest), axis.by_variance) for axis, one in moved]
+
+
+def change_kernels(own: Blur, axes: Sequence[Axis]) -> list[MovedBlur]:
+    """Compute the Gaussians that the changes of the lens along axes consist of. own: blur of the rig."""
+    variance = own.std_of_half**2
+    kernels = []
+    for along, across in _change_variances(axes):
+        least = min(along, across)
+        std = jnp.full(1, np.sqrt(least * variance))
+        one = dataclasses.replace(own, weights=jnp.ones(1), stds=std, rest=None)
+        kernels.append(MovedBlur(one, stretch=((along - least) * variance, (across - least) * variance)))
+    return kernels
+
+
+def _change_variances(axes: Sequence[Axis]) -> list[tuple[float, float]]:
+    """List the variances of the Gaussians that the changes along axes consist of, each once."""
+    terms = (term for axis in axes if axis.name in CHANGES for term in CHANGES[axis.name].terms)
+    return list(dict.fromkeys((along, across) for along, across, _ in terms))
 
 
 def along_axes(axes: tuple[Axis, ...], name: str, along: str, values: Sequence[np.ndarray]) -> dict[str, np.ndarray]:
-    """Return the rig's own values by name, and by how much they differ at every point of every axis."""
+    """Return the rig's own values by name, and by how much they differ at every point of every axis.
+
+    values: of the rig, of each of `blurs_along`, and of each of `change_kernels`.
+    """
     own, *others = values
+    variances = _change_variances(axes)
+    kernels = dict(zip(variances, others[len(others) - len(variances) :], strict=True))
+    moved = iter(others)
     named = {name: own}
-    for n, changes in enumerate(_changes_along(axes, own, others)):
+    for n, axis in enumerate(axes):
+        if axis.name in CHANGES:
+            change = sum(share * kernels[x, y] for x, y, share in CHANGES[axis.name].terms)
+            changes = [0 * own, change]
+        else:
+            changes = [next(moved) - own if point else 0 * own for point in axis.points]
         named |= {f"{along}{n}.{point}": change for point, change in enumerate(changes)}
     return named
-
-
-def _changes_along(axes: tuple[Axis, ...], weight: np.ndarray, others: list[np.ndarray]) -> list[list[np.ndarray]]:
-    """Return by how much the weights differ at every point of every axis. others: weights of `blurs_along`, in order."""
-    changes = (other - weight for other in others)
-    along = []
-    for axis in axes:
-        if axis.name == SHAPE:
-            along.append([0 * weight, SHAPE_SHARE * (next(changes) + next(changes))])
-        elif axis.name == STRETCH:
-            along.append([0 * weight, (next(changes) - next(changes)) / (2 * STRETCH_SPREAD)])
-        else:
-            along.append([next(changes) if point else 0 * weight for point in axis.points])
-    return along
 
 
 def axis_selection(axes: Sequence[Axis], among: Sequence[Axis]) -> np.ndarray:
