@@ -125,8 +125,8 @@ def rule_arrays(rig: Rig, cells: ChosenCells, axes: tuple[Axis, ...]) -> dict[st
     together = [[through] for through in widths] if view.line else _on_the_same_nodes(widths)
     if changes:
         lenses = [one.blur.std_of_half for one in changes]
-        columns = tuple(range(len(moved), count))
-        change = _gaussian_blurs(view, rig, changes, (x, y, lamp_angle), lenses)._replace(columns=columns)
+        change = _gaussian_blurs(view, rig, changes, (x, y, lamp_angle), lenses)
+        change = change._replace(columns=tuple(range(len(moved), count)))
         together = [*together, [change]] if view.line else [[*together[0], change], *together[1:]]
     for some in together:
         for rules in _in_pieces(view, (x, y, theta_d, lamp_angle, factor), some, _finest(view, widths), count):
@@ -237,15 +237,17 @@ def _in_pieces(
     columns = sorted({column for through in widths for column in through.columns})
     joined = (_joined(parts) for parts in zip(*in_order(rules, pieces, available_cores()), strict=True))
     return [
-        found._replace(**{
-            name: _in_columns(getattr(found, name), columns, count) for name in ("weights", "moments") if getattr(found, name)
-        })
+        found._replace(
+            weights=_in_columns(found.weights, columns, count), moments=_in_columns(found.moments, columns, count)
+        )
         for found in joined
-    ]  # fmt: skip
+    ]
 
 
 def _in_columns(arrays: Sequence[np.ndarray], columns: list[int], count: int) -> list[np.ndarray]:
-    """Return a list of all columns, 0 where there is no array of the column."""
+    """Return a list of all columns, 0 where there is no array of the column; without arrays nothing."""
+    if not arrays:
+        return []
     by_column = dict(zip(columns, arrays, strict=True))
     return [by_column.get(column, np.zeros_like(arrays[0])) for column in range(count)]
 
@@ -391,7 +393,7 @@ def _cylinder_rules(view: SampleView, pixels: LinePixels, through: _Blurs, theta
 
     theta_d: from which moments count, rad; None: none do.
     """
-    blurs, spreads, reaches, _, lamps = through
+    blurs, spreads, reaches, _, lamps, _ = through
     widest = np.max([along for along, _ in reaches], axis=0)
     low, high = line_window(view.cylinder, view.lamp, pixels, widest, max(lamps))
     onto = jnp.asarray(low), jnp.asarray(high)

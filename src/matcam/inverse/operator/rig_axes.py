@@ -31,8 +31,8 @@ SHAPE = "lens_shape"
 """Name of the fourth moment of the lens's kernel, its variance unchanged: 0 as the rig says, -1 as flat as a disc, above 0 with
 longer tails."""
 SIXTH, EIGHTH = "lens_sixth_moment", "lens_eighth_moment"
-"""Names of the next even moments of the lens's kernel, all lower ones unchanged. The three together describe a disc to 2 % of its
-difference from the Gaussian of its variance, at the limb, too, where a highlight is narrower than the lens."""
+"""Names of the next even moments of the lens's kernel, all lower ones unchanged. The three together describe a disc to 2 % of
+its difference from the Gaussian of its variance, at the limb, too, where a highlight is narrower than the lens."""
 STRETCH = "lens_stretch"
 """Name of the variance of the lens's kernel along the plane of camera and lamp less that across it, over its variance."""
 WIDTHS = (LAMP, "jitter", APERTURE)
@@ -314,8 +314,8 @@ def along_axes(axes: tuple[Axis, ...], name: str, along: str, values: Sequence[n
     named = {name: own}
     for n, axis in enumerate(axes):
         if axis.name in CHANGES:
-            change = sum(share * kernels[x, y] for x, y, share in CHANGES[axis.name].terms)
-            changes = [0 * own, change]
+            shares = (share * kernels[x, y] for x, y, share in CHANGES[axis.name].terms)
+            changes = [0 * own, np.add.reduce(list(shares))]
         else:
             changes = [next(moved) - own if point else 0 * own for point in axis.points]
         named |= {f"{along}{n}.{point}": change for point, change in enumerate(changes)}
