@@ -47,8 +47,8 @@ def test_other_maskings_are_what_fits_with_them_find(alpha):
             f"{masking}, alpha {alpha}: ln alpha moves by {moved:.5f}, a search's by {asked:.5f}; {less:.3f} less probable"
         )
         if less < 5:  # what is excluded counts for nothing, wherever a linear step leads
-            # a third of a standard deviation, added in quadrature, widens an error by 5 %
-            assert moved == pytest.approx(asked, rel=0.15, abs=found.std["alpha"] / alpha / 3)
+            # 0.1 % of the roughness is 0.2 % of a peak: a 25th of what a supported entry leaves open
+            assert moved == pytest.approx(asked, rel=0.15, abs=1e-3)
         shares.append(np.exp(-less))
     expected = np.array(shares) / sum(shares)
     np.testing.assert_allclose(
