@@ -21,7 +21,7 @@ from tests.oracle import merl_lobe, slanted_edge
 @pytest.fixture(scope="module")
 def figures():
     table = brdf_table(merl_lobe.record(0.002, np.ones((90, 3))), "centre")
-    result = fresnel(table, rigs.merl(), ndf="beckmann", every=6)
+    result = fresnel(table, rigs.merl(), ndf="beckmann", slice_step=6)
     result.attrs["source"] = "a-rather-long-name-of-a-material.binary"
     edge = slanted_edge.photographs(slanted_edge.gaussian(0.5), 100, 1, 3)[0]
     return {

@@ -166,8 +166,9 @@ PixelPhase = Annotated[
         "Default: as the table shows.",
     ),
 ]
-Anyway = Annotated[
-    bool, typer.Option("--anyway", help="Correct a table whose data contradict the rig; else it stays as it is.")
+ForceCorrection = Annotated[
+    bool,
+    typer.Option("--force-correction", help="Correct a table whose data contradict the rig; else it stays as it is."),
 ]
 Force = Annotated[bool, typer.Option("--force", help="Replace existing output.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print the result as JSON, and nothing else, to standard output.")]

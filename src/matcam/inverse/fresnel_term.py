@@ -20,7 +20,7 @@ from matcam.core.threads import available_cores, done_behind, in_order
 from matcam.core.workspace import Workspace, default_workspace
 from matcam.forward.peaks.peak import peak_response
 from matcam.inverse.correction.explanation import explain, first_setup
-from matcam.inverse.fit.fit_setup import AUTO, SEARCH_EVERY
+from matcam.inverse.fit.fit_setup import AUTO, SEARCH_STEP
 from matcam.inverse.fit.material_fit import MaterialFit
 from matcam.inverse.normalised_fresnel import (
     NormalisedFresnel,
@@ -72,8 +72,8 @@ def fresnel(
     masking: Masking = "smith",
     noise: PixelNoise | None = None,
     normalise: tuple[float, float] = NORMALISE,
-    every: int = 1,
-    anyway: bool = False,
+    slice_step: int = 1,
+    force_correction: bool = False,
     workspace: Workspace | None = None,
 ) -> xr.Dataset:
     """Extract the Fresnel term of a table, with and without its camera.
@@ -91,8 +91,8 @@ def fresnel(
         masking: the G that (13) divides by: "smith", "smith-separable", "van-ginneken" or None. Default: "smith".
         noise: noise of a pixel. Default: None, estimated from the residuals.
         normalise: range of theta_d, rad, over which the mean of the corrected F is 1. Default: 10 to 45 degrees.
-        every: spacing of the slices of theta_d that are used (no unit). Default: 1, all of them; more is quicker.
-        anyway: whether to correct a table whose data contradict the rig. Default: False, F is what it is without a camera.
+        slice_step: spacing of the slices of theta_d that are used (no unit). Default: 1, all of them; more is quicker.
+        force_correction: whether to correct a table whose data contradict the rig. Default: False, F is that without a camera.
         workspace: keeps what depends on the rig alone for the next call. Default: None, the process's own.
 
     Returns:
@@ -134,31 +134,34 @@ def fresnel(
     brdf = checked_table(brdf)
     _check(rig, ndf, normalise)
     checks.choice("masking", masking, MASKINGS)
-    checks.flag("anyway", anyway)
+    checks.flag("force_correction", force_correction)
     _check_highlight(brdf, normalise)
     located = located_rig(rig, brdf)
     setup = first_setup(
         brdf, located.rig, masking=masking, noise=noise, workspace=workspace or default_workspace(),
-        every=max(every, SEARCH_EVERY),
+        slice_step=max(slice_step, SEARCH_STEP),
     )  # fmt: skip
     setup.rule()  # by itself: what it compiles serves the others
-    with done_behind(setup.with_(every=every).rule):
+    with done_behind(setup.with_(slice_step=slice_step).rule):
         explained = explain(setup, located, ndf)
-    found = explained.setup.with_(every=every).solve(start=explained.fit)
+    found = explained.setup.with_(slice_step=slice_step).solve(start=explained.fit)
     terms = [NormalisedFresnel(found, normalise)]
-    held_back = explained.contradicts and not anyway
-    weight = 1.0 if held_back else explained.no_camera * (not anyway)
+    held_back = explained.contradicts and not force_correction
+    weight = 1.0 if held_back else explained.no_camera * (not force_correction)
     if explained.no_camera > _NEGLIGIBLE or held_back:
-        blind = explained.blind_setup.with_(every=every).solve(start=explained.blind)
+        blind = explained.blind_setup.with_(slice_step=slice_step).solve(start=explained.blind)
         terms.append(NormalisedFresnel(blind, normalise))
     members = [
-        (NormalisedFresnel(other.setup.with_(every=every).solve(start=other.fit), normalise), other.probability)
+        (
+            NormalisedFresnel(other.setup.with_(slice_step=slice_step).solve(start=other.fit), normalise),
+            other.probability,
+        )
         for other in explained.others
     ]
     others = []
     for doubt in explained.doubts:
         if doubt.contradicts and doubt.counted:  # what `correct` does not support is not stated here
-            free = explained.setup.with_(every=every, also=(doubt.axis.name,)).solve(start=doubt.fit)
+            free = explained.setup.with_(slice_step=slice_step, also=(doubt.axis.name,)).solve(start=doubt.fit)
             others.append((doubt.axis.name, NormalisedFresnel(free, normalise), doubt.counted))
     lobe, theta_d = found.ndf, found.theta_d
     term = averaged(terms, members, others, weight, held_back=held_back)

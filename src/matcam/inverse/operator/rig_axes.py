@@ -25,10 +25,10 @@ from matcam.sample.curved import Cylinder
 LENS = "optics.sigma_px"
 """Name of the width of a Gaussian lens."""
 LAMP, APERTURE = "lamp_radius", "aperture"
-SHAPE = "lens shape"
+SHAPE = "lens_shape"
 """Name of the shape of the lens's kernel, its variance unchanged: 0 as the rig says, -1 as flat as a disc, above 0 with longer
 tails."""
-STRETCH = "lens stretch"
+STRETCH = "lens_stretch"
 """Name of the variance of the lens's kernel along the plane of camera and lamp less that across it, over its variance."""
 SHAPES = (SHAPE, STRETCH)
 """Changes of the lens's kernel at its variance, linear in their coordinates."""
