@@ -91,9 +91,6 @@ class DistantLamp(Lamp):
         """Return a distant lamp of another radius."""
         return replaced(self, "radius", xp.asarray(angular_radius))
 
-    def __repr__(self) -> str:
-        return f"DistantLamp(radius={self.radius!s})"
-
 
 class NearLamp(Lamp):
     """Describe a lamp close by, whose light falls off.
@@ -141,9 +138,6 @@ class NearLamp(Lamp):
     def with_angular_radius(self, angular_radius: float) -> NearLamp:
         """Return a lamp at the same distance with another radius."""
         return replaced(self, "radius", xp.tan(angular_radius) * self.distance)
-
-    def __repr__(self) -> str:
-        return f"NearLamp(distance={self.distance!s}, radius={self.radius!s})"
 
 
 def closeness(lamp_nearness: ArrayLike | None, cos_i: jax.Array) -> jax.Array:

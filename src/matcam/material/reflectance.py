@@ -9,6 +9,7 @@ import numpy as np
 from jax.typing import ArrayLike
 
 from matcam.core import checks
+from matcam.core.arrays.module import constructor_call
 from matcam.core.errors import ArgumentError
 from matcam.core.jax import is_concrete, jax, jnp
 
@@ -60,6 +61,9 @@ def _modulus2(z: jax.Array) -> jax.Array:
 
 class Reflectance(eqx.Module):
     """Give the reflectance of a facet; its parameters are single ones or one per channel."""
+
+    def __repr__(self) -> str:
+        return constructor_call(self)
 
     @abstractmethod
     def at(self, theta: jax.Array) -> jax.Array:
