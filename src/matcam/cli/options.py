@@ -333,6 +333,7 @@ def in_options(message: str, command: TyperCommand) -> str:
 
 def _translated(message: str, option_of: Mapping[str, str]) -> str:
     """Translate a message by the option of each argument."""
+    message = re.sub(r"; if \S+ is in degrees, give np\.radians\(\S+\)$", "", message)  # options take degrees
     for phrase, words in _PHRASES.items():
         message = message.replace(phrase, words)
 

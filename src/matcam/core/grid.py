@@ -208,7 +208,12 @@ def checked_table(table: xr.DataArray) -> xr.DataArray:
     sampling = sampling_of(table)
     for name, expected in merl_grid(sampling)._asdict().items():
         if name not in table.coords or not np.allclose(table.coords[name], expected, rtol=0, atol=1e-9):
-            raise ArgumentError(f"coordinate {name} must be that of the MERL grid sampled at each cell's {sampling}")
+            given = table.coords.get(name)
+            in_degrees = given is not None and np.allclose(given, np.degrees(expected), rtol=0, atol=1e-7)
+            hint = f"; it is in degrees: give np.radians(table[{name!r}])" if in_degrees else ""
+            raise ArgumentError(
+                f"coordinate {name} must be that of the MERL grid sampled at each cell's {sampling}, rad{hint}"
+            )
         check_unit(f"coordinate {name}", table.coords[name], "rad")
     check_unit("a BRDF table", table, "1/sr")
     if np.isinf(table.values).any():

@@ -436,4 +436,7 @@ def _check(rig: Rig, ndf: str, normalise: tuple[float, float]) -> None:
         raise ArgumentError(f"normalise must be two angles (low, high), rad, got shape {np.shape(normalise)}")
     low, high = normalise
     if not 0 <= low < high < np.pi / 2:
-        raise ArgumentError(f"normalise must be (low, high) with 0 <= low < high < pi/2 rad, got ({low:g}, {high:g})")
+        hint = checks.degrees_hint(high, np.pi / 2)
+        raise ArgumentError(
+            f"normalise must be (low, high) with 0 <= low < high < pi/2 rad, got ({low:g}, {high:g}){hint}"
+        )

@@ -226,7 +226,7 @@ def checked_azimuth(azimuth: ArrayLike, name: str = "azimuth") -> float:
 
 def checked_azimuths(azimuth: ArrayLike, name: str = "azimuth") -> jax.Array:
     """Return azimuths in [-2 pi, 2 pi] rad, any shape. name: of the argument, for the message."""
-    what = "rad (2 pi is a turn; of degrees give np.radians)"
+    what = "rad (2 pi is a turn)"
     return checks.within(name, azimuth, -_TURNS, _TURNS, what)
 
 
