@@ -1,5 +1,7 @@
 """Texts for people: an object's `repr`, and hints in messages."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -50,7 +52,7 @@ def test_a_traced_value_has_a_repr():
         return lobe.d(0.0)
 
     matcam.core.jax.jax.grad(density)(0.1)
-    assert texts[0].startswith("GGX(alpha=") and "Tracer" in texts[0]
+    assert re.match(r"GGX\(alpha=\w*Tracer", texts[0])
 
 
 RIG = matcam.rigs.merl()

@@ -105,7 +105,8 @@ def command(
 
         use_compilation_cache()
         from matcam.exchange.contents import read_table
-        from matcam.inverse.fresnel_term import fresnel, tabulated_fresnel
+        from matcam.inverse.fresnel_tables import tabulated_fresnel
+        from matcam.inverse.fresnel_term import fresnel
         from matcam.material.optical_constants import metals
 
         if metal is not None:

@@ -174,20 +174,22 @@ def brdf_table(values: np.ndarray, sampling: Sampling, **attrs: object) -> xr.Da
     """Label BRDF values (90, 90, 180, channels), 1/sr, NaN where missing, sampled at each cell's `sampling` point."""
     import xarray as xr
 
+    from matcam.core.results.labelled import named
+
     grid = merl_grid(sampling)
     table = xr.DataArray(
         values,
         dims=DIMS,
         coords={
-            "theta_h": ("theta_h", grid.theta_h, {"units": "rad"}),
-            "theta_d": ("theta_d", grid.theta_d, {"units": "rad"}),
-            "phi_d": ("phi_d", grid.phi_d, {"units": "rad"}),
+            "theta_h": ("theta_h", grid.theta_h),
+            "theta_d": ("theta_d", grid.theta_d),
+            "phi_d": ("phi_d", grid.phi_d),
             "channel": list(CHANNELS),
         },
         name="brdf",
-        attrs={"units": "1/sr", "sampling": sampling, **attrs},
+        attrs={"units": "1/sr", "long_name": "BRDF", "sampling": sampling, **attrs},
     )
-    return checked_table(table)
+    return checked_table(named(table))
 
 
 def checked_table(table: xr.DataArray) -> xr.DataArray:

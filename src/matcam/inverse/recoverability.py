@@ -14,6 +14,7 @@ from matcam.core import checks
 from matcam.core.errors import ArgumentError
 from matcam.core.grid import Sampling
 from matcam.core.registry import ONE_WIDTH
+from matcam.core.results.labelled import named
 from matcam.core.workspace import Workspace
 from matcam.inverse.fit.fit_parameters import LobeKind
 from matcam.inverse.fit.lobe_slopes import record_and_slopes
@@ -37,6 +38,19 @@ BLURS: dict[str, tuple[str, float]] = {
     "defocus (aperture / distance)": ("aperture", 0.004),
 }
 """What else widens a highlight: field of `Rig`, and the size at which its signature is taken."""
+_NAMES = {
+    "width_std": "bound of ln roughness, lens exact",
+    "width_std_stated": "bound of ln roughness, lens as its profile states",
+    "width_std_free": "bound of ln roughness, lens free",
+    "lens_std_free": "bound of ln sigma_mtf, lens free",
+    "fresnel_std": "bound of F, relative",
+    "alike": "correlation of the change by a blur with that by a wider lens",
+    "smallest": "size of a blur that is seen at 3 standard deviations [unit in the name of the blur]",
+    "width_bias": "change of ln roughness by an ignored blur",
+    "width_std_changed": "bound of ln roughness after a change of the rig",
+    "size": "size of the blur [unit in the name of the blur]",
+}
+"""Names in words, and units, of the variables of the result."""
 
 
 def limits(
@@ -119,11 +133,11 @@ def limits(
         np.array([[_exact_and_free(_Information(view._replace(rig=r), a)) for r in changes.values()] for a in values]),
     )
     cells = own[0].cells
-    return xr.Dataset(
+    found = xr.Dataset(
         rest,
         coords={
             "roughness": values,
-            "theta_d": ("theta_d", cells.theta_d, {"units": "rad"}),
+            "theta_d": cells.theta_d,
             "blur": list(blurs),
             "size": ("blur", [float(np.degrees(s)) if f == LAMP else s for f, s in blurs.values()]),
             "change": list(changes),
@@ -136,6 +150,8 @@ def limits(
             "lens_std_stated": float(relative),
         },
     )
+    unit = "rad" if ndf == "gaussian" else "1"
+    return named(found, _NAMES | {"roughness": f"roughness of the {ndf} lobe [{unit}]"})
 
 
 def changed_rigs(rig: Rig) -> dict[str, Rig]:

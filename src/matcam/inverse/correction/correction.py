@@ -15,6 +15,7 @@ from matcam.core.errors import ArgumentError
 from matcam.core.grid import Grid, checked_table, merl_grid, sampling_of
 from matcam.core.registry import FAMILIES
 from matcam.core.remark import Remark, to_attribute
+from matcam.core.results.summary import Quantity, Summarised, Summary, parameters
 from matcam.core.threads import done_behind
 from matcam.core.workspace import Workspace, default_workspace
 from matcam.inverse.correction.corrected_table import CORRECTED, corrected_table
@@ -58,8 +59,8 @@ _ANGLES = (5, 45, 75)
 """Degrees of theta_d at which the loss of the peak is reported."""
 
 
-@dataclass(frozen=True)
-class Correction:
+@dataclass(frozen=True, repr=False)
+class Correction(Summarised):
     """Hold a corrected table, and the fits that it was corrected by.
 
     Attributes:
@@ -77,7 +78,8 @@ class Correction:
 
     Example:
         >>> done = matcam.inverse.Correction.of(table, matcam.rigs.merl())  # doctest: +SKIP
-        >>> print(done.verdict)  # doctest: +SKIP
+        >>> print(done.summary())  # doctest: +SKIP
+        >>> axes = done.plot(theta_d=np.radians(45))  # doctest: +SKIP
         >>> list(matcam.inverse.Correction.__dataclass_fields__)
         ['table', 'recorded', 'fit', 'doubts', 'shape', 'remarks', 'without_camera', 'no_camera', 'withheld', 'peak_parts']
     """
@@ -291,6 +293,21 @@ class Correction:
             f"The camera took {', '.join(lost)} of the highlight's peak. The roughness of the surface is {known}. After "
             f"correction {peak:.0%} of the peaks up to {_ANGLES[-1]}° are supported (the correction is known to 5 %), and "
             f"{self.supported_share:.0%} of the entries that can be judged."
+        )
+
+    def _summary(self) -> Summary:
+        lost = zip(_ANGLES, self.peak_loss(np.radians(_ANGLES)), strict=True)
+        source = str(self.recorded.attrs.get("source", ""))
+        return Summary(
+            f"Corrected table{f' of {source}' if source else ''}",
+            self.verdict,
+            {
+                "Share of the peak that the camera lost": [
+                    Quantity(f"theta_d = {a}°", float(loss)) for a, loss in lost
+                ],
+                f"Lobe ({self.fit.lobe_name}): {self.determination}": parameters(self.fit.params, self.fit.std),
+            },
+            self.remarks,
         )
 
     def to_dict(self) -> dict[str, Any]:
