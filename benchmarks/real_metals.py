@@ -35,7 +35,7 @@ def main() -> None:
         table = read_merl(folder / f"{name}.binary").isel(channel=[1])
         for masking in ("smith", None):
             for label, rig in (("paper's", rigs.merl()), ("none", None)):
-                found = fit(table, rig, "epd", fresnel="free", diffuse=True, masking=masking, every=EVERY)
+                found = fit(table, rig, "epd", fresnel="free", diffuse=True, masking=masking, slice_step=EVERY)
                 theta, f = curve(found)
                 at = np.interp(np.radians([69.5, 75.5, 81.5]), theta, f)
                 judged = (theta > np.radians(15)) & (theta < np.radians(82))
@@ -54,13 +54,13 @@ def main() -> None:
                     f"{np.round(at, 3).tolist()} | { {k: round(v, 3) for k, v in rms.items()} }",
                     flush=True,
                 )
-        free = fit(table, rigs.merl(), "epd", fresnel="free", diffuse=True, camera_parameters="free", every=EVERY)
+        free = fit(table, rigs.merl(), "epd", fresnel="free", diffuse=True, camera_parameters="free", slice_step=EVERY)
         lens = free.params["optics.sigma_px"], free.std["optics.sigma_px"]
         print(
             f"{name} | lens free | sigma_mtf {lens[0]:.3f} +- {lens[1]:.3f} px, noise {free.noise.relative:.3f}",
             flush=True,
         )
-        print(f"{name} | {rivals(table, rigs.merl(), 'epd', every=EVERY).verdict}", flush=True)
+        print(f"{name} | {rivals(table, rigs.merl(), 'epd', slice_step=EVERY).verdict}", flush=True)
 
 
 if __name__ == "__main__":

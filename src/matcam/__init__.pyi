@@ -15,12 +15,14 @@ from .camera.optics.zernike import ZernikeOptics
 from .camera.pixel import BoxPixel, WindowedGaussianPixel
 from .camera.sensor import Sensor
 from .core.errors import MatcamError
+from .exchange.contents import read, write
 from .exchange.conversion import convert
+from .exchange.file_report import inspect
 from .files.merl import read_merl, write_merl
 from .forward.image import picture
 from .forward.measurement import measure
 from .forward.peaks.peak import peak_response
-from .forward.prediction import loss_angle
+from .forward.prediction import loss_angle, predict
 from .inverse.correction.correction import correct
 from .inverse.fit.fit_setup import fit
 from .inverse.fresnel_term import fresnel
@@ -87,6 +89,7 @@ __all__ = [
     "forward",
     "fresnel",
     "fresnel_conductor",
+    "inspect",
     "inverse",
     "io",
     "limits",
@@ -97,11 +100,14 @@ __all__ = [
     "paper",
     "peak_response",
     "picture",
+    "predict",
+    "read",
     "read_merl",
     "reconstruct",
     "reconstruction",
     "rigs",
     "rivals",
     "targets",
+    "write",
     "write_merl",
 ]

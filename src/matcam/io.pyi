@@ -1,4 +1,3 @@
-from .exchange.contents import read, write
 from .files.bird import read_bird, write_bird
 from .files.datasets import read_netcdf, read_zarr, write_netcdf, write_zarr
 from .files.example_data import example_table
@@ -14,7 +13,6 @@ from .numerics.budget import write_budgets
 __all__ = [
     "LightPosition",
     "example_table",
-    "read",
     "read_bird",
     "read_exr",
     "read_float_tiff",
@@ -27,7 +25,6 @@ __all__ = [
     "read_zarr",
     "read_zemax",
     "sidecar_path",
-    "write",
     "write_bird",
     "write_budgets",
     "write_exr",

@@ -12,6 +12,7 @@ from jax.typing import ArrayLike
 
 from matcam.core import checks
 from matcam.core.jax import jax, jnp
+from matcam.core.results.labelled import named
 from matcam.forward.peaks.peak import peak_response
 from matcam.forward.peaks.tangent_plane import lobe_record
 from matcam.material.ndf.gaussian_lobe import GaussianNDF
@@ -22,6 +23,16 @@ FIGURE_5_RATIOS = (0.01, 0.1, 0.5, 1.0, 2.0, 5.0, 10.0, 100.0)
 
 _FIGURE_3_ANGLES = (0.0, 45.0, 60.0, 75.0)
 _POINTS_PER_PX = 31  # odd, so that the peak itself is among them
+_NAMES = {
+    "signal": "signal over the true peak, as it arrives on the sensor",
+    "after_optics": "signal over the true peak, after the optics",
+    "recorded": "signal over the true peak, as pixels record it",
+    "loss": "recorded over true peak, relative to theta = 0",
+    "loss_printed": "recorded over true peak by equation (11) as printed, relative to theta = 0",
+    "cosine": "cosine of theta",
+    "ratio": "width of the lobe over sigma_mtf / radius",
+}
+"""Names in words of the variables of the figures."""
 
 
 def peak_eq11(
@@ -99,15 +110,16 @@ def figure_3_4(ratio: float, rig: Rig | None = None) -> xr.Dataset:
     # the figure is one-dimensional: divide out what the direction across takes from every pixel alike
     recorded = lobe_record(rig, ndf, theta, np.tile(pixel, (theta.size, 1)), np.zeros((theta.size, x.size)))
     across = peak_response(rig, ndf, 0.0, dims=1)
-    return xr.Dataset(
+    data = xr.Dataset(
         {
             "signal": (("theta_o", "x"), np.exp(-((x / std) ** 2) / 2)),
             "after_optics": (("theta_o", "x"), std / blurred * np.exp(-((x / blurred) ** 2) / 2)),
             "recorded": (("theta_o", "x"), np.asarray(recorded / across)),
         },
-        coords={"theta_o": ("theta_o", theta, {"units": "rad"}), "x": ("x", x, {"units": "px"})},
+        coords={"theta_o": theta, "x": x},
         attrs={"ratio": ratio, "sigma_mtf_px": sigma, "half_width_px": half_width, "radius_px": radius},
     )
+    return named(data, _NAMES | {"x": "distance from the peak [px]"})
 
 
 def figure_5(rig: Rig | None = None) -> xr.Dataset:
@@ -136,15 +148,16 @@ def figure_5(rig: Rig | None = None) -> xr.Dataset:
     widths = np.array(FIGURE_5_RATIOS) * sigma / radius
     loss = np.stack([np.asarray(peak_response(rig, GaussianNDF(w), theta)) for w in widths])
     printed = np.asarray(peak_eq11(widths[:, None], sigma, half_width, radius, theta))
-    return xr.Dataset(
+    data = xr.Dataset(
         {
             "loss": (("ratio", "theta"), loss / loss[:, :1]),
             "loss_printed": (("ratio", "theta"), printed / printed[:, :1]),
             "cosine": ("theta", np.cos(theta)),
         },
-        coords={"ratio": list(FIGURE_5_RATIOS), "theta": ("theta", theta, {"units": "rad"})},
+        coords={"ratio": list(FIGURE_5_RATIOS), "theta": theta},
         attrs={"sigma_mtf_px": sigma, "half_width_px": half_width, "radius_px": radius},
     )
+    return named(data, _NAMES)
 
 
 def _gaussian_numbers(rig: Rig) -> tuple[float, float, float]:

@@ -42,10 +42,10 @@ def said_by_the_command(planned, folder):
 def test_the_command_line_says_the_same(planned, tmp_path):
     import numpy as np
 
-    from matcam.forward.prediction import predict
+    from matcam.forward.prediction import predicted
 
     said = said_by_the_command(planned, tmp_path)
-    shown = predict(planned.rig(), planned.lobes())
+    shown = predicted(planned.rig(), planned.lobes())
     assert said["roughness"] == sorted([0.01, *OTHERS])
     np.testing.assert_allclose(np.degrees(shown.loss_angle), said["loss_angle_deg"], rtol=1e-12)
     np.testing.assert_allclose(shown.response, said["response"], rtol=1e-12)

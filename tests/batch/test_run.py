@@ -467,15 +467,15 @@ def test_every_option_reaches_the_run(database, tmp_path, monkeypatch):
     monkeypatch.setattr(run, "correct_all", record)
     options = (
         "--ndf epd --glare 0.01 --masking none --radius 100 --sampling edge --workers 3 --device cpu --no-pages --zarr "
-        "--fit-camera --anyway --time-limit 60 --compress"
+        "--fit-camera --force-correction --time-limit 60 --compress"
     )
     done = CliRunner().invoke(app, ["correct", str(database), "-o", "x", "--force", *options.split()])
     assert done.exit_code == 0, done.output
     asked.pop("watch")
     assert asked.pop("workspace") is Workspace.user()
     assert asked == {
-        "paths": [database], "output": Path("x"), "ndf": "epd", "glare": 0.01, "anyway": True, "masking": None, "radius": 100.0,
-        "sampling": "edge", "workers": 3, "cluster": None, "pages": False, "zarr": True, "fit_camera": True,
+        "paths": [database], "output": Path("x"), "ndf": "epd", "glare": 0.01, "force_correction": True, "masking": None,
+        "radius": 100.0, "sampling": "edge", "workers": 3, "cluster": None, "pages": False, "zarr": True, "fit_camera": True,
         "time_limit": 60.0, "force": True, "compress": True,
     }  # fmt: skip
 

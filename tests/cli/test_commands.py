@@ -104,7 +104,7 @@ def test_predict(matcam, tmp_path):
 
 @pytest.mark.slow
 def test_fresnel(matcam, measured, tmp_path):
-    result = matcam("fresnel", measured, "--metal", "Cr", "--ndf", "beckmann", "--every", 6)
+    result = matcam("fresnel", measured, "--metal", "Cr", "--ndf", "beckmann", "--slice-step", 6)
     assert "lobe: beckmann, width 0.0028" in result.stdout
     assert "against Cr (rakic)" in result.stdout
     assert sorted(p.name for p in tmp_path.iterdir()) == [
@@ -125,7 +125,7 @@ def test_json_is_alone_on_standard_output_and_profiles_are_used(matcam, measured
         tmp_path / "c.json"
     )
     result = matcam(
-        "fresnel", measured, "--camera", "c.json", "--masking", "none", "--ndf", "gaussian", "--every", 6, "--json",
+        "fresnel", measured, "--camera", "c.json", "--masking", "none", "--ndf", "gaussian", "--slice-step", 6, "--json",
         "-o", "out/f.svg", "--budget", "out/b.json",
     )  # fmt: skip
     found = json.loads(result.stdout)
@@ -284,7 +284,7 @@ pathlib.Path.write_bytes = write_half
 @pytest.mark.parametrize("place", INTERRUPTIONS.values(), ids=list(INTERRUPTIONS))
 def test_interruption_is_130_and_leaves_no_file(environment, measured, tmp_path, place):
     """Ctrl-C while the command is loaded, while it fits, and while it writes its second file: the first is gone, too."""
-    command = [sys.executable, "-c", _INTERRUPTED.format(place=place), "fresnel", measured, "--every", "30"]
+    command = [sys.executable, "-c", _INTERRUPTED.format(place=place), "fresnel", measured, "--slice-step", "30"]
     done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=300)
     assert done.returncode == 130, done.stderr
     assert "interrupted" in done.stderr

@@ -38,7 +38,7 @@ def run(*arguments):
 def test_fit_prints_and_writes(merl_file, tmp_path):
     out = tmp_path / "fit.json"
     budget = tmp_path / "budget.csv"
-    done = run("fit", merl_file, "--every", 18, "--fresnel", "schlick", "-o", out, "--budget", budget, "--json")
+    done = run("fit", merl_file, "--slice-step", 18, "--fresnel", "schlick", "-o", out, "--budget", budget, "--json")
     assert done.exit_code == 0, done.output
     document = json.loads(done.stdout)
     with budget.open() as file:
@@ -49,7 +49,7 @@ def test_fit_prints_and_writes(merl_file, tmp_path):
     assert document["params"]["alpha"] == pytest.approx(0.004, rel=1e-3)
     assert document.pop("schema") == "matcam-fit-1"
     assert json.loads(out.read_text()) == document
-    again = run("fit", merl_file, "--every", 18, "-o", out)
+    again = run("fit", merl_file, "--slice-step", 18, "-o", out)
     assert "--force" in str(again.exception)
     assert "must end in .json or .csv" in str(run("fit", merl_file, "--budget", tmp_path / "b.txt").exception)
     assert "contradict" in str(run("fit", merl_file, "--no-camera", "--lens", "free").exception)
@@ -57,7 +57,7 @@ def test_fit_prints_and_writes(merl_file, tmp_path):
 
 @pytest.mark.slow
 def test_fit_sets_the_camera_against_free_shadowing(merl_file, tmp_path):
-    done = run("fit", merl_file, "--every", 18, "--fresnel", "free", "--rival", "--json")
+    done = run("fit", merl_file, "--slice-step", 18, "--fresnel", "free", "--rival", "--json")
     assert done.exit_code == 0, done.output
     rival = json.loads(done.stdout)["rival"]
     assert rival["verdict"].startswith("the camera explains the data better")

@@ -12,13 +12,13 @@ from matcam import (
     Microfacet,
     SeidelOptics,
     fresnel_conductor,
+    inspect,
     read_merl,
 )
 from matcam.camera import Uncertainty
 from matcam.cli import _run
 from matcam.core.errors import FileFormatError
 from matcam.core.grid import brdf_table
-from matcam.exchange.camera_report import inspect_camera
 from matcam.exchange.contents import read_contents
 from matcam.exchange.inspection import inspect_contents, inspect_table
 from matcam.files.formats import identify
@@ -131,7 +131,7 @@ def test_report_of_a_camera(tmp_path):
     Camera(GaussianOptics(0.5), BoxPixel(0.5), uncertainty=Uncertainty.of({"optics.sigma_px": 0.015})).save(
         tmp_path / "c.json"
     )
-    report = inspect_camera(tmp_path / "c.json")
+    report = inspect(tmp_path / "c.json")
     assert report["parameters"] == {"optics.sigma_px": 0.5, "pixel.half_width_px": 0.5}
     assert report["std"] == {"optics.sigma_px": pytest.approx(0.015)}
     f = report["mtf50_cycles_per_px"]
@@ -142,7 +142,7 @@ def test_report_of_a_camera_whose_lens_has_colours(tmp_path, capsys):
     """Of a Gaussian lens and a box MTF50 is known; of an aberrated one it is that at the centre of the picture."""
     lens = ColourOptics(GaussianOptics(0.4), GaussianOptics(0.5), SeidelOptics(8.0, 550e-9, 5e-6, unit=400.0, coma=0.2))
     Camera(lens, BoxPixel(0.5)).save(tmp_path / "c.json")
-    mtf50 = inspect_camera(tmp_path / "c.json")["mtf50_cycles_per_px"]
+    mtf50 = inspect(tmp_path / "c.json")["mtf50_cycles_per_px"]
     assert list(mtf50) == ["red", "green", "blue, centre"]
     for sigma, colour in ((0.4, "red"), (0.5, "green")):
         f = mtf50[colour]
@@ -173,7 +173,7 @@ def test_how_cells_were_read_from_pixels(rule, tmp_path, capsys):
     assert (cells["repeated_share"] > 0.3) == (rule == "nearest")
     if rule == "nearest":
         assert 20 < cells["distinct_values"] < 2000
-        write_netcdf(tmp_path / "a.nc", brdf_table(values, "centre"))
+        write_netcdf(tmp_path / "a.nc", brdf_table(values, "centre").to_dataset())
         assert _run(["inspect", str(tmp_path / "a.nc"), "--radius", "200"]) == 0
         assert "cells: read from the nearest pixel" in capsys.readouterr().out
         assert _run(["inspect", str(tmp_path / "a.nc")]) == 0

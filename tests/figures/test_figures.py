@@ -12,7 +12,7 @@ from matcam.core.grid import brdf_table
 from matcam.figures.calibration import edge_figure, targets_figure
 from matcam.figures.curves import fresnel_figure, highlight_figure, loss_figure, prediction_figure
 from matcam.figures.style import save
-from matcam.forward.prediction import predict
+from matcam.forward.prediction import predicted
 from matcam.inverse import tabulated_fresnel
 from matcam.targets import MTFSamples
 from tests.oracle import merl_lobe, slanted_edge
@@ -21,7 +21,7 @@ from tests.oracle import merl_lobe, slanted_edge
 @pytest.fixture(scope="module")
 def figures():
     table = brdf_table(merl_lobe.record(0.002, np.ones((90, 3))), "centre")
-    result = fresnel(table, rigs.merl(), ndf="beckmann", every=6)
+    result = fresnel(table, rigs.merl(), ndf="beckmann", slice_step=6)
     result.attrs["source"] = "a-rather-long-name-of-a-material.binary"
     edge = slanted_edge.photographs(slanted_edge.gaussian(0.5), 100, 1, 3)[0]
     return {
@@ -33,7 +33,7 @@ def figures():
         "figure 6 without tables": fresnel_figure(result),
         "targets": targets_figure(_samples(), Camera(GaussianOptics(0.5)), "a-rather-long-name-of-a-photograph.tif"),
         "targets without a camera": targets_figure(_samples()),
-        "prediction": prediction_figure(predict(rigs.merl(), [GGX(a) for a in (0.001, 0.01, 0.1)]), "Loss"),
+        "prediction": prediction_figure(predicted(rigs.merl(), [GGX(a) for a in (0.001, 0.01, 0.1)]), "Loss"),
     }
 
 

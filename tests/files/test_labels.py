@@ -5,10 +5,11 @@ import pytest
 import xarray as xr
 
 import matcam
+from matcam import write
 from matcam.core.errors import ArgumentError
 from matcam.core.grid import brdf_table, checked_table
 from matcam.files.samples import samples_of, table_of
-from matcam.io import read_samples, write, write_exr, write_rgl, write_samples
+from matcam.io import read_samples, write_exr, write_rgl, write_samples
 
 COLOURS = np.array([0.1, 0.2, 0.3])
 

@@ -35,7 +35,7 @@ from matcam.core.jax import jax, jnp
 from matcam.core.registry import ONE_WIDTH
 from matcam.forward import texture_contrast
 from matcam.forward.peaks.tangent_plane import lobe_record
-from matcam.forward.prediction import predict
+from matcam.forward.prediction import predicted
 from tests.golden import rows
 
 
@@ -271,7 +271,7 @@ def test_loss_angle_is_where_five_percent_are_lost():
         response = np.asarray(peak_response(rig, ndf, [0.0, angle]))
         assert 1 - response[1] / response[0] == pytest.approx(0.05, abs=1e-4)
     assert loss_angle(Rig(rig.camera, Flat()), GGX(0.1)) == np.pi / 2
-    data = predict(rig, [GGX(a) for a in (0.001, 0.01, 0.1)])
+    data = predicted(rig, [GGX(a) for a in (0.001, 0.01, 0.1)])
     assert np.all(np.diff(data.loss_angle) > 0)
 
 

@@ -6,7 +6,7 @@ import pytest
 import matcam
 from matcam.core.errors import ArgumentError
 from matcam.forward import highlight_preview, response_preview, sphere_preview
-from matcam.forward.prediction import predict
+from matcam.forward.prediction import predicted
 
 RADIUS = 60.0
 HALO = matcam.HaloOptics(matcam.GaussianOptics(0.6), 0.02, 8.0)
@@ -38,7 +38,7 @@ def test_response_is_that_of_peak_response(optics, error):
 
 def test_fast_prediction_finds_the_angle():
     rig = matcam.rigs.merl()
-    fast, slow = (predict(rig, [matcam.GGX(0.02)], fast=fast) for fast in (True, False))
+    fast, slow = (predicted(rig, [matcam.GGX(0.02)], fast=fast) for fast in (True, False))
     assert fast.theta.size < slow.theta.size / 3
     np.testing.assert_allclose(np.degrees(fast.loss_angle), np.degrees(slow.loss_angle), atol=0.05)
 

@@ -239,7 +239,10 @@ def test_highlights_of_a_rig(camera, lamp, degrees, azimuth, by_rig):
     [
         (lambda: rig_highlights(NEAR, 0.6, 0.5), r"width must lie in \(0, 0.5\] rad, got 0.6"),
         (lambda: rig_highlights(NEAR, 0.01, [0.5, 2.9]), "the lamp is behind the sample"),
-        (lambda: rig_highlights(NEAR, 0.01, 0.5, 45), "azimuth must lie in .* np.radians.*, got 45"),
+        (
+            lambda: rig_highlights(NEAR, 0.01, 0.5, 45),
+            "azimuth must lie in .*, got 45; if 45 is in degrees, give np.radians",
+        ),
         (lambda: rig_highlights(NEAR, 0.01, [0.1, 0.2], [0.1, 0.2, 0.3]), "shapes that broadcast"),
         (lambda: rig_highlights(NEAR, 0.01, 0.5, reflectance=-1), "reflectance must lie in"),
         (lambda: rig_highlights(Rig(NEAR.camera, Cylinder(20)), 0.01, 0.5), "need a Sphere, this rig has a Cylinder"),

@@ -96,7 +96,7 @@ def judged(number):
             done = Correction.of(table, rig_of(draw))
         # `fresnel` of the same slices finds the same explanation: it is not made twice
         with patch("matcam.inverse.fresnel_term.explain", lambda *args, **more: kept[0]):
-            curve = fresnel(table, rig_of(draw), every=EVERY)
+            curve = fresnel(table, rig_of(draw), slice_step=EVERY)
     except FitError as error:
         return {**found, "error": str(error)}
     found |= {

@@ -18,10 +18,10 @@ EVERY = 6
 class RealShot:
     """Some slices of a table by a rule and phase, whose chosen cells depend on which pixels there are."""
 
-    def __init__(self, rule, phase, every=EVERY, azimuth=0.0):
+    def __init__(self, rule, phase, slice_step=EVERY, azimuth=0.0):
         self.grid = PixelGrid(rule, phase, azimuth)
-        chosen = chosen_cells(SampleView(256.0), "centre", every, self.grid)
-        centred = chosen_cells(SampleView(256.0), "centre", every)
+        chosen = chosen_cells(SampleView(256.0), "centre", slice_step, self.grid)
+        centred = chosen_cells(SampleView(256.0), "centre", slice_step)
         self.slices = chosen.slices
         self.i, self.k = [], []
         for s in range(self.slices.size):
@@ -54,6 +54,6 @@ class RealShot:
 
 
 @lru_cache(maxsize=2)
-def real_shot(rule, phase, every=EVERY, azimuth=0.0):
+def real_shot(rule, phase, slice_step=EVERY, azimuth=0.0):
     """Kept for the next test that asks for the same."""
-    return RealShot(rule, phase, every, azimuth)
+    return RealShot(rule, phase, slice_step, azimuth)

@@ -50,16 +50,16 @@ def table_of(cells, values):
     )
 
 
-def made(every, setup):
-    cells = chosen_cells(SampleView(setup.radius), "centre", every)
+def made(slice_step, setup):
+    cells = chosen_cells(SampleView(setup.radius), "centre", slice_step)
     rule = oracle.Cells(GRID.theta_h[cells.i_theta_h], cells.theta_d, GRID.phi_d[cells.i_phi_d], setup)
     return Pictures(cells, rule)
 
 
 @lru_cache(maxsize=1)
-def pictures(every, setup=None):
+def pictures(slice_step, setup=None):
     """Kept for the next test that asks for the same."""
-    return made(every, setup or oracle.Setup())
+    return made(slice_step, setup or oracle.Setup())
 
 
 def measured(ndf, rig, cells):

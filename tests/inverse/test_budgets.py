@@ -26,7 +26,7 @@ def table():
 
 @pytest.fixture(scope="module")
 def found(table):
-    return fit(table, recorded.rig(std=0.004), noise=recorded.NOISE, every=EVERY, camera_parameters="prior")
+    return fit(table, recorded.rig(std=0.004), noise=recorded.NOISE, slice_step=EVERY, camera_parameters="prior")
 
 
 def test_a_budget_is_the_stated_uncertainty(found):
@@ -49,7 +49,7 @@ def test_a_stated_lens_moves_the_result_by_its_sensitivity(table, found, name):
     step = 0.002
     moved = [
         fit(
-            table, recorded.rig(0.5 + sign * step, std=0.004), noise=recorded.NOISE, every=EVERY,
+            table, recorded.rig(0.5 + sign * step, std=0.004), noise=recorded.NOISE, slice_step=EVERY,
             camera_parameters="prior",
         ).params[name]
         for sign in (1, -1)
@@ -65,7 +65,7 @@ def test_the_readings_move_the_result_by_their_contribution(found):
     values = []
     for seed in range(40):
         noisy = shot.table(shot.rule.noisy(ways, np.random.default_rng(seed)))
-        again = fit(noisy, recorded.rig(std=0.004), noise=recorded.NOISE, every=EVERY, camera_parameters="prior")
+        again = fit(noisy, recorded.rig(std=0.004), noise=recorded.NOISE, slice_step=EVERY, camera_parameters="prior")
         values.append([again.params["alpha"], again.params[LENS]])
     for name, scatter in zip(("alpha", LENS), np.std(values, axis=0, ddof=1), strict=True):
         readings = found.uncertainty_budget(name).sources[0]
@@ -74,7 +74,7 @@ def test_the_readings_move_the_result_by_their_contribution(found):
 
 
 def test_estimated_noise_is_type_a(table):
-    estimated = fit(table, recorded.rig(std=0.004), every=EVERY, camera_parameters="prior")
+    estimated = fit(table, recorded.rig(std=0.004), slice_step=EVERY, camera_parameters="prior")
     readings = estimated.uncertainty_budget("alpha").sources[0]
     assert (readings.kind, readings.degrees) == ("A", estimated.freedom)
 
@@ -87,7 +87,7 @@ def test_the_expanded_uncertainty_covers_95_percent():
     random, covered = np.random.default_rng(8), 0
     for _ in range(200):
         noisy = shot.table(shot.rule.noisy(ways, random))
-        budget = fit(noisy, recorded.rig(), every=EVERY).uncertainty_budget("alpha")
+        budget = fit(noisy, recorded.rig(), slice_step=EVERY).uncertainty_budget("alpha")
         covered += abs(budget.value - 0.004) < budget.expanded
     assert 0.93 <= covered / 200 <= 0.97
 
@@ -118,7 +118,11 @@ def check_fresnel(term):
 
 @pytest.mark.slow
 def test_a_budget_of_the_fresnel_term_is_its_stated_uncertainty():
-    given = {"ndf": "epd", "noise": PixelNoise(0.01, 1e-4, 0.0), "every": 6}  # an estimate would move with the lens
+    given = {
+        "ndf": "epd",
+        "noise": PixelNoise(0.01, 1e-4, 0.0),
+        "slice_step": 6,
+    }  # an estimate would move with the lens
     term = fresnel(noisy_gaussian(), recorded.rig(std=0.002), **given)
     sources = check_fresnel(term)
     assert sources[LENS].kind == "B"
@@ -139,7 +143,7 @@ def test_a_budget_of_the_fresnel_term_is_its_stated_uncertainty():
 @pytest.mark.slow
 def test_other_explanations_are_sources_of_the_fresnel_term():
     """A lens that contradicts the data, and several lobes."""
-    term = fresnel(noisy_gaussian(), recorded.rig(0.47, std=0.002), every=6)
+    term = fresnel(noisy_gaussian(), recorded.rig(0.47, std=0.002), slice_step=6)
     sources = check_fresnel(term)
     assert {one.kind for one in sources.values()} == {"A", "B"}
 
@@ -172,9 +176,10 @@ def check_correction(done):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("ndf", "sigma", "anyway"), [("ggx", 0.5, False), ("auto", 0.5, False), ("ggx", 0.6, False), ("ggx", 0.6, True)]
+    ("ndf", "sigma", "force_correction"),
+    [("ggx", 0.5, False), ("auto", 0.5, False), ("ggx", 0.6, False), ("ggx", 0.6, True)],
 )
-def test_a_budget_of_a_corrected_peak_is_its_stated_uncertainty(drawn, ndf, sigma, anyway):
-    done = Correction.of(drawn, recorded.rig(sigma, std=0.01), ndf, anyway=anyway)
+def test_a_budget_of_a_corrected_peak_is_its_stated_uncertainty(drawn, ndf, sigma, force_correction):
+    done = Correction.of(drawn, recorded.rig(sigma, std=0.01), ndf, force_correction=force_correction)
     sources = check_correction(done)
     assert {LENS, "glare", "noise of the pixels of the entry"} <= set(sources) or done.withheld

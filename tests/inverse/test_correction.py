@@ -194,9 +194,9 @@ def test_a_rig_that_is_contradicted_corrects_nothing():
     peak = here.i <= 2
     assert not supported[peak].any()
     assert np.all(np.abs(value - truth)[peak] < 3 * std[peak])
-    anyway = Correction.of(table, recorded.rig(), anyway=True)
-    assert not anyway.withheld
-    assert np.median(here.read(anyway)[0][peak] / value[peak]) > 1.5
+    forced = Correction.of(table, recorded.rig(), force_correction=True)
+    assert not forced.withheld
+    assert np.median(here.read(forced)[0][peak] / value[peak]) > 1.5
 
 
 def test_what_cannot_be_corrected_is_refused():
@@ -217,7 +217,7 @@ def test_what_cannot_be_corrected_is_refused():
 def test_limits_of_a_rig():
     """Bounds rise towards narrow lobes; jitter cannot be told from the lens; a lens stated to 3 % costs what docs/model.md 8
     says in kind: most where the lobe is narrowest."""
-    found = limits(recorded.rig(std=0.015), roughness=[0.0005, 0.002, 0.05], every=18)
+    found = limits(recorded.rig(std=0.015), roughness=[0.0005, 0.002, 0.05], slice_step=18)
     exact, stated, free = (found[name].values for name in ("width_std", "width_std_stated", "width_std_free"))
     assert np.all(exact < stated)
     assert np.all(stated <= free * (1 + 1e-9))

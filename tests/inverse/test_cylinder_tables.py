@@ -100,16 +100,16 @@ def test_a_lobe_is_found_before_a_near_camera_and_under_a_lamp_with_a_disc():
         ways.append(np.asarray(radiance)[:, 0] / cos_i / np.asarray(closeness(rig.lamp.nearness, cos_i)) ** 2)
     table[cells.i_theta_h[at], cells.slices[at[0]], cells.i_phi_d[at]] = np.mean(ways, axis=0)[:, None]
     drawn = matcam.core.grid.brdf_table(table, "centre")
-    found = matcam.fit(drawn, rig, "ggx", fresnel="free", noise=PixelNoise(0.01, 0.0), every=30)
-    wrong = matcam.fit(drawn, RIG, "ggx", fresnel="free", noise=PixelNoise(0.01, 0.0), every=30)
+    found = matcam.fit(drawn, rig, "ggx", fresnel="free", noise=PixelNoise(0.01, 0.0), slice_step=30)
+    wrong = matcam.fit(drawn, RIG, "ggx", fresnel="free", noise=PixelNoise(0.01, 0.0), slice_step=30)
     assert abs(found.params["alpha"] / 0.01 - 1) < 1e-3
     # the disc spreads half vectors by 0.09 alpha. The square, 0.8 %, adds to alpha^2: GGX becomes about 0.4 % wider
     assert wrong.params["alpha"] / 0.01 - 1 == pytest.approx(4.7e-3, abs=2e-3)
 
 
-def drawn_table(alpha, rng, scatter, every):
+def drawn_table(alpha, rng, scatter, slice_step):
     """A table whose chosen cells are drawn by the oracle: F falls and rises again with theta_d; noise of each way alone."""
-    cells, _ = lobe_operator(RIG, "centre", every)
+    cells, _ = lobe_operator(RIG, "centre", slice_step)
     lobe = sphere_cells.GGX(alpha)
     table = np.full((90, 90, 180, 3), np.nan)
     fresnel = 0.6 + 0.3 * np.sin(3 * cells.theta_d)
@@ -125,10 +125,10 @@ def drawn_table(alpha, rng, scatter, every):
 
 @pytest.mark.parametrize("alpha", [0.004, 0.03])
 def test_a_drawn_lobe_is_found_within_its_errors(alpha):
-    every = 12
+    slice_step = 12
     rng = np.random.default_rng(int(1e4 * alpha))
-    table, theta_d, fresnel = drawn_table(alpha, rng, 0.01, every)
-    found = matcam.fit(table, RIG, "ggx", fresnel="free", noise=PixelNoise(0.01, 0.0), every=every)
+    table, theta_d, fresnel = drawn_table(alpha, rng, 0.01, slice_step)
+    found = matcam.fit(table, RIG, "ggx", fresnel="free", noise=PixelNoise(0.01, 0.0), slice_step=slice_step)
     width, std = found.params["alpha"], found.std["alpha"]
     assert abs(width - alpha) < 4 * std
     assert std < 0.02 * alpha
@@ -142,7 +142,7 @@ def test_a_sphere_in_its_place_is_seen_to_be_wrong():
     rng = np.random.default_rng(5)
     table, *_ = drawn_table(0.004, rng, 0.01, 12)
     right, wrong = (
-        matcam.fit(table, rig, "ggx", fresnel="free", noise=PixelNoise(0.01, 0.0), every=12)
+        matcam.fit(table, rig, "ggx", fresnel="free", noise=PixelNoise(0.01, 0.0), slice_step=12)
         for rig in (RIG, rigs.merl())
     )
     assert right.misfit < 1.2
@@ -214,13 +214,13 @@ def test_a_table_says_what_it_was_recorded_from(tmp_path):
     """What `measure` writes is kept by a file, and a rig with another sample is refused, from the command line too."""
     table, _, _ = drawn_table(0.01, np.random.default_rng(3), 0.01, 30)
     table.attrs["sample"] = "cylinder"
-    found = matcam.fit(table, RIG, "ggx", every=30)
+    found = matcam.fit(table, RIG, "ggx", slice_step=30)
     for told, rig in (("cylinder", rigs.merl()), ("sphere", RIG), ("flat", RIG), ("cube", RIG)):
         with pytest.raises(ArgumentError, match="sample"):
-            matcam.fit(table.assign_attrs(sample=told), rig, "ggx", every=30)
+            matcam.fit(table.assign_attrs(sample=told), rig, "ggx", slice_step=30)
     path = tmp_path / "drawn.nc"
     matcam.io.write_netcdf(path, table.to_dataset())
-    command = ["fit", str(path), "--every", "30", "--json"]
+    command = ["fit", str(path), "--slice-step", "30", "--json"]
     refused = CliRunner().invoke(app, command)
     assert str(refused.exception) == "--sample must be the table's own, attrs['sample'] = 'cylinder', got a sphere"
     done = CliRunner().invoke(app, [*command, "--sample", "cylinder"])

@@ -68,13 +68,13 @@ def shot():
 
 @pytest.fixture(scope="module")
 def noisy(shot):
-    return fresnel(noisy_table(shot, GAUSSIAN, np.random.default_rng(11)), recorded.rig(), ndf="epd", every=EVERY)
+    return fresnel(noisy_table(shot, GAUSSIAN, np.random.default_rng(11)), recorded.rig(), ndf="epd", slice_step=EVERY)
 
 
 @pytest.mark.slow
 def test_without_noise_the_answer_is_exact(shot):
     table = shot.table(light(shot, oracle.GGX(0.002)).mean(-1))
-    found = fresnel(table, recorded.rig(), ndf="ggx", noise=PixelNoise(1e-3, 1e-5), every=EVERY)
+    found = fresnel(table, recorded.rig(), ndf="ggx", noise=PixelNoise(1e-3, 1e-5), slice_step=EVERY)
     theta = found["theta_d"].values
     truth = truth_at(theta)
     one = found.isel(channel=0)
@@ -93,7 +93,9 @@ def test_every_slice_of_a_table():
     """All 90, begun from every sixth: the same numbers, better known."""
     shot = recorded.made(1, oracle.Setup())
     table = noisy_table(shot, oracle.GGX(0.002), np.random.default_rng(2))
-    found, few = (fresnel(table, recorded.rig(), ndf="ggx", noise=QUIET, every=every) for every in (1, EVERY))
+    found, few = (
+        fresnel(table, recorded.rig(), ndf="ggx", noise=QUIET, slice_step=slice_step) for slice_step in (1, EVERY)
+    )
     theta = found["theta_d"].values
     assert theta.size == 90
     error = found["corrected"].values[:, 0] / normalised(theta, truth_at(theta)) - 1
@@ -120,7 +122,7 @@ def test_beckmanns_lobe_is_the_gaussian_one_when_it_is_sharp(shot):
     """alpha = sqrt(2) width, and the same Fresnel term."""
     table = shot.table(light(shot, GAUSSIAN).mean(-1))
     for ndf, width in (("beckmann", GAUSSIAN.beta), ("gaussian", GAUSSIAN.beta / np.sqrt(2))):
-        found = fresnel(table, recorded.rig(), ndf=ndf, noise=PixelNoise(1e-3, 1e-5), every=EVERY)
+        found = fresnel(table, recorded.rig(), ndf=ndf, noise=PixelNoise(1e-3, 1e-5), slice_step=EVERY)
         assert found.attrs["ndf"] == ndf
         assert float(found["width"]) == pytest.approx(width, rel=1e-3)
         theta = found["theta_d"].values
@@ -177,7 +179,7 @@ def test_right_source_of_chromium_is_the_nearest(noisy):
 def test_pulls_with_an_exact_camera(shot):
     random = np.random.default_rng(3)
     tables = [noisy_table(shot, oracle.GGX(0.003), random) for _ in range(8)]
-    found = np.array([relative_pulls(fresnel(t, recorded.rig(), ndf="ggx", every=EVERY)) for t in tables])
+    found = np.array([relative_pulls(fresnel(t, recorded.rig(), ndf="ggx", slice_step=EVERY)) for t in tables])
     # 8 trials of 13 angles, nearly independent: the share within 1 sigma is known to about 5 %
     assert 0.55 <= np.mean(np.abs(found) < 1) <= 0.82
     assert abs(found.mean()) < 0.3
@@ -188,7 +190,7 @@ def test_the_gain_of_each_picture_is_seen(shot, noisy):
     """1 % of gain in every picture: F is rougher than its noise, by about as much; without it nothing is said."""
     random = np.random.default_rng(6)
     gained = shot.table(shot.rule.noisy(light(shot, GAUSSIAN), random, gain=0.01))
-    found = fresnel(gained, recorded.rig(), ndf="epd", every=EVERY)
+    found = fresnel(gained, recorded.rig(), ndf="epd", slice_step=EVERY)
     assert noisy.attrs["picture_gain"] == 0
     assert 0.005 < found.attrs["picture_gain"] < 0.018
     assert "picture-gain" in found.attrs["remarks"]
@@ -202,7 +204,7 @@ def test_coverage_with_a_gain_in_each_picture(shot):
     random, pulls = np.random.default_rng(21), []
     for _ in range(30):
         gained = shot.table(shot.rule.noisy(light(shot, oracle.GGX(0.003)), random, gain=0.01))
-        pulls.append(relative_pulls(fresnel(gained, recorded.rig(), ndf="ggx", every=EVERY)))
+        pulls.append(relative_pulls(fresnel(gained, recorded.rig(), ndf="ggx", slice_step=EVERY)))
     share = np.mean(np.abs(np.array(pulls)) < 1)
     print(f"within 1 sigma under 1 % of gain: {share:.3f}")
     assert 0.6 <= share <= 0.78
@@ -214,7 +216,9 @@ def test_camera_uncertainty_reaches_the_result():
     is the camera's, and the data make it less than what refitting with the other lens would change."""
     shot = recorded.made(EVERY, oracle.Setup(sigma=0.515))
     table = noisy_table(shot, GAUSSIAN, np.random.default_rng(8))
-    exact, stated = (fresnel(table, rig, ndf="epd", every=EVERY) for rig in (recorded.rig(), recorded.rig(std=0.015)))
+    exact, stated = (
+        fresnel(table, rig, ndf="epd", slice_step=EVERY) for rig in (recorded.rig(), recorded.rig(std=0.015))
+    )
     assert stated.attrs["camera_uncertainty"] == "stated"
     assert np.abs(relative_pulls(stated)).max() < 4
     one = stated.isel(channel=0)
@@ -232,7 +236,9 @@ def test_a_wrong_camera_that_nobody_declared_is_seen_in_the_noise():
     """5 % wrong and undeclared: the estimated noise is several times that of the pixels, and F lies within the errors that
     follow from it."""
     shot = recorded.made(EVERY, oracle.Setup(sigma=0.525))
-    found = fresnel(noisy_table(shot, GAUSSIAN, np.random.default_rng(4)), recorded.rig(), ndf="gaussian", every=EVERY)
+    found = fresnel(
+        noisy_table(shot, GAUSSIAN, np.random.default_rng(4)), recorded.rig(), ndf="gaussian", slice_step=EVERY
+    )
     assert found.attrs["noise_relative"] > 0.025
     assert np.abs(relative_pulls(found)).max() < 4
 
@@ -246,7 +252,7 @@ def test_coverage_with_an_uncertain_camera():
         shot = recorded.made(EVERY, oracle.Setup(sigma=0.5 * (1 + 0.03 * ndtri((number + 0.5) / lenses))))
         for _ in range(trials):
             table = noisy_table(shot, oracle.GGX(0.002), random)
-            pulls.append(relative_pulls(fresnel(table, recorded.rig(std=0.015), ndf="ggx", every=EVERY)))
+            pulls.append(relative_pulls(fresnel(table, recorded.rig(std=0.015), ndf="ggx", slice_step=EVERY)))
     pulls = np.array(pulls)
     at = [7, 10, AT_75]
     shares = np.mean(np.abs(pulls[:, at]) < 1, axis=0)
@@ -260,7 +266,7 @@ def test_coverage_with_an_uncertain_camera():
 @pytest.mark.slow
 def test_lobes_of_two_families_are_told_apart(shot):
     for lobe, family in ((oracle.GGX(0.01), "ggx"), (oracle.EPD(0.01, 0.6), "epd")):
-        found = fresnel(noisy_table(shot, lobe, np.random.default_rng(5)), recorded.rig(), every=EVERY)
+        found = fresnel(noisy_table(shot, lobe, np.random.default_rng(5)), recorded.rig(), slice_step=EVERY)
         assert found.attrs["ndf"] == family
         assert float(found["width"]) == pytest.approx(0.01, rel=0.02)
 
@@ -273,7 +279,7 @@ def test_other_lenses_go_through_the_same_fit():
     rig = Rig(Camera(HaloOptics(core, 0.05, 4.0), BoxPixel(0.5)), Sphere(256.0))
     table = measure(Microfacet(GGX(0.004), 1.0), rig).isel(channel=[1])
     exact = PixelNoise(1e-3, 1e-5)
-    found, blind = (fresnel(table, r, ndf="ggx", noise=exact, every=EVERY) for r in (rig, recorded.rig()))
+    found, blind = (fresnel(table, r, ndf="ggx", noise=exact, slice_step=EVERY) for r in (rig, recorded.rig()))
     assert float(found["width"]) == pytest.approx(0.004, rel=1e-4)
     np.testing.assert_allclose(found["corrected"].values[:LAST, 0], 1, rtol=1e-3)
     assert abs(float(blind["width"]) / 0.004 - 1) > 1e-3
@@ -281,7 +287,7 @@ def test_other_lenses_go_through_the_same_fit():
 
 def test_a_lobe_too_narrow_for_the_camera_is_said_to_be(shot):
     table = shot.table(light(shot, oracle.GGX(2e-5)).mean(-1))
-    found = fresnel(table, recorded.rig(), ndf="ggx", noise=QUIET, every=EVERY).isel(channel=0)
+    found = fresnel(table, recorded.rig(), ndf="ggx", noise=QUIET, slice_step=EVERY).isel(channel=0)
     assert not found.attrs["width_determined"]
     assert np.isinf(found["width_std"])
     assert np.isnan(found["absolute"]).all()
@@ -297,7 +303,7 @@ def test_missing_data_stay_missing(shot):
     slices = shot.cells.slices
     three[:, slices[3]] = np.nan
     three[:, slices[9], :, 2] = np.nan
-    found = fresnel(three, recorded.rig(), ndf="ggx", noise=PixelNoise(1e-3, 1e-5), every=EVERY)
+    found = fresnel(three, recorded.rig(), ndf="ggx", noise=PixelNoise(1e-3, 1e-5), slice_step=EVERY)
     gone = np.isnan(found["corrected"].values)[:LAST]
     assert gone[3].all()
     assert gone[9].tolist() == [False, False, True]
@@ -315,7 +321,7 @@ def test_masking_is_divided_out(shot):
     """A wide lobe recorded with Smith's masking: F comes out with it; without it, F times what it took."""
     table = shot.table(light(shot, oracle.GGX(0.3)).mean(-1))
     with_, without = (
-        fresnel(table, recorded.rig(), ndf="ggx", masking=masking, noise=PixelNoise(1e-3, 1e-5), every=EVERY).isel(
+        fresnel(table, recorded.rig(), ndf="ggx", masking=masking, noise=PixelNoise(1e-3, 1e-5), slice_step=EVERY).isel(
             channel=0
         )
         for masking in ("smith", None)
@@ -332,7 +338,7 @@ def test_masking_is_divided_out(shot):
     [pytest.param(m, marks=pytest.mark.slow) for m in ("chrome", "steel", "ss440", "tungsten-carbide")],
 )
 def test_real_metals_run_through(stand_in, material):
-    found = fresnel(read_merl(stand_in(material)), rigs.merl(), every=EVERY)
+    found = fresnel(read_merl(stand_in(material)), rigs.merl(), slice_step=EVERY)
     inside = found["corrected"].values[2:12]
     assert np.all(np.isfinite(inside) & (inside > 0))
     assert np.all(found["corrected_std"].values[2:12] > 0)
@@ -369,4 +375,4 @@ def test_tables_without_a_highlight_are_refused(shot):
     table = shot.table(light(shot, GAUSSIAN).mean(-1))
     with pytest.raises(FitError, match="cannot normalise"):
         table[:, 10:45] = np.nan
-        fresnel(table, recorded.rig(), ndf="gaussian", every=EVERY)
+        fresnel(table, recorded.rig(), ndf="gaussian", slice_step=EVERY)

@@ -14,7 +14,7 @@ def variance(path, **options):
     """(sigma_mtf^2, its standard deviation, px^2, the fit), lens free."""
     table = read_merl(path).isel(channel=[1])
     rig = Rig(rigs.merl().camera, Sphere(24.0))
-    found = fit(table, rig, fresnel="free", diffuse=True, camera_parameters="free", every=18, **options)
+    found = fit(table, rig, fresnel="free", diffuse=True, camera_parameters="free", slice_step=18, **options)
     return *found.squared_width("optics.sigma_px"), found
 
 

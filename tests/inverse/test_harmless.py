@@ -174,7 +174,7 @@ def test_a_guess_may_be_no_lens_at_all_and_a_lens_without_a_statement_is_asked_o
     for sigma, rig in ((0.44, Rig(Camera(GaussianOptics(0.5)), Sphere(256.0))), (0.1, rigs.merl())):
         shot = recorded.made(EVERY, oracle.Setup(sigma=sigma))
         ways = shot.rule.ways(oracle.GGX(0.004)) * conductor(shot.cells.theta_d, *recorded.CHROMIUM)[:, None, None]
-        found = fit(shot.table(shot.rule.noisy(ways, np.random.default_rng(3))), rig, fresnel="free", every=EVERY)
+        found = fit(shot.table(shot.rule.noisy(ways, np.random.default_rng(3))), rig, fresnel="free", slice_step=EVERY)
         square, std = (
             found.squared_width(LENS) if sigma == 0.1 else (found.params[LENS] ** 2, 2 * sigma * found.std[LENS])
         )

@@ -155,7 +155,11 @@ def test_a_fit_under_a_disc():
     noise = PixelNoise(2e-3, 1e-5)
     values = rule.far.noisy(ways, np.random.default_rng(4), noise.relative, noise.floor, 0.0)
     found = fit(
-        recorded.table_of(cells, values), rig_with(recorded.rig(), {"lamp_radius": lamp}), "ggx", noise=noise, every=18
+        recorded.table_of(cells, values),
+        rig_with(recorded.rig(), {"lamp_radius": lamp}),
+        "ggx",
+        noise=noise,
+        slice_step=18,
     )
     truth = conductor(recorded.SEVENTY_FIVE, *recorded.CHROMIUM)
     f, f_std = (float(np.ravel(a)[0]) for a in found.fresnel(recorded.SEVENTY_FIVE))
@@ -194,7 +198,7 @@ def test_a_doubt_of_the_lamp_goes_as_far_as_the_data_ask(degrees, far):
     values = (
         np.asarray(operator.record(GGX(0.003), "smith", ())) * conductor(cells.theta_d, *recorded.CHROMIUM)[:, None]
     )
-    setup = free_setup([recorded.table_of(cells, values)], recorded.rig(), noise=PixelNoise(1e-3, 1e-5), every=18)
+    setup = free_setup([recorded.table_of(cells, values)], recorded.rig(), noise=PixelNoise(1e-3, 1e-5), slice_step=18)
     (doubt,) = rig_doubts(setup, setup.rig, setup.solve(), ("lamp_radius",))
     print(f"{degrees} degrees: {np.degrees(doubt.value):.4f} +- {np.degrees(doubt.std):.1g}, up to {doubt.axis.high}")
     assert (doubt.axis.high > 0.1) is far

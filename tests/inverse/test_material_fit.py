@@ -39,7 +39,7 @@ def test_exact_data_give_the_truth(lobe):
     """No noise in the data, little assumed: what is left is the operator's own error."""
     shot, ways = light(lobe)
     found = fit(
-        shot.table(ways.mean(-1)), recorded.rig(), recorded.family(lobe), noise=PixelNoise(1e-3, 1e-5), every=EVERY
+        shot.table(ways.mean(-1)), recorded.rig(), recorded.family(lobe), noise=PixelNoise(1e-3, 1e-5), slice_step=EVERY
     )
     np.testing.assert_allclose(list(found.params.values())[: len(lobe)], lobe, rtol=3e-5)
     assert found.params["n[G]"] == pytest.approx(recorded.CHROMIUM[0], rel=2e-3)
@@ -50,7 +50,7 @@ def test_exact_data_give_the_truth(lobe):
 
 def test_noisy_data_are_told_within_their_errors():
     lobe = oracle.GGX(0.003)
-    found = fit(noisy(lobe, 1), recorded.rig(), noise=recorded.NOISE, every=EVERY)
+    found = fit(noisy(lobe, 1), recorded.rig(), noise=recorded.NOISE, slice_step=EVERY)
     assert found.determined
     assert abs(found.params["alpha"] - 0.003) < 4 * found.std["alpha"]
     assert 0.8 < found.misfit < 1.25
@@ -61,7 +61,7 @@ def test_noisy_data_are_told_within_their_errors():
 
 
 def test_noise_is_estimated():
-    found = fit(noisy(oracle.GGX(0.01), 2), recorded.rig(), every=EVERY)
+    found = fit(noisy(oracle.GGX(0.01), 2), recorded.rig(), slice_step=EVERY)
     assert found.noise.relative == pytest.approx(0.01, rel=0.15)
     assert found.noise.floor == pytest.approx(1e-4, rel=0.15)
     assert found.noise.picture_gain < 0.02
@@ -74,13 +74,13 @@ def test_a_lens_with_a_prior_and_a_free_one():
     ways = shot.rule.ways(oracle.GGX(0.004)) * conductor(shot.cells.theta_d, *recorded.CHROMIUM)[:, None, None]
     table = shot.table(shot.rule.noisy(ways, np.random.default_rng(3)))
     for rig, use in ((recorded.rig(std=0.015), "prior"), (recorded.rig(), "free")):
-        found = fit(table, rig, noise=recorded.NOISE, every=EVERY, camera_parameters=use)
+        found = fit(table, rig, noise=recorded.NOISE, slice_step=EVERY, camera_parameters=use)
         lens, std = found.params["optics.sigma_px"], found.std["optics.sigma_px"]
         assert abs(lens - truth) < 4 * std < 0.01
         assert abs(found.params["alpha"] - 0.004) < 4 * found.std["alpha"]
         assert float(found.camera.optics.sigma) == pytest.approx(lens)
         assert found.camera.uncertainty.std()["optics.sigma_px"] == pytest.approx(std)
-    wrong = fit(table, recorded.rig(0.45), noise=recorded.NOISE, every=EVERY)
+    wrong = fit(table, recorded.rig(0.45), noise=recorded.NOISE, slice_step=EVERY)
     assert wrong.misfit > 2
     assert any("times the given noise" in remark.text for remark in wrong.remarks)
 
@@ -88,12 +88,12 @@ def test_a_lens_with_a_prior_and_a_free_one():
 def test_free_reflectance_and_a_blind_fit():
     lobe = oracle.GGX(0.002)
     table = noisy(lobe, 4, gain=0.0)
-    found = fit(table, recorded.rig(), fresnel="free", noise=recorded.NOISE._replace(picture_gain=0), every=EVERY)
+    found = fit(table, recorded.rig(), fresnel="free", noise=recorded.NOISE._replace(picture_gain=0), slice_step=EVERY)
     truth = conductor(found.curves["theta_d"].values, *recorded.CHROMIUM)
     pull = (found.curves["fresnel"].values[:, 0] - truth) / found.curves["fresnel_std"].values[:, 0]
     assert np.nanmax(np.abs(pull)) < 4.5
     assert isinstance(found.material.fresnel, Sampled)
-    blind = fit(table, None, fresnel="free", noise=recorded.NOISE, every=EVERY)
+    blind = fit(table, None, fresnel="free", noise=recorded.NOISE, slice_step=EVERY)
     assert blind.params["alpha"] > 1.3 * lobe.alpha
     assert blind.camera is None
     assert blind.remarks[0].text == "no rig: fitted as if the camera were perfect"
@@ -103,8 +103,8 @@ def test_free_reflectance_and_a_blind_fit():
 def test_two_materials_tell_one_lens():
     """Fitted together they know it better than each alone."""
     tables = [noisy(lobe, seed) for seed, lobe in enumerate((oracle.GGX(0.002), oracle.GGX(0.006)))]
-    both = fit(tables, recorded.rig(), camera_parameters="free", noise=recorded.NOISE, every=EVERY)
-    alone = [fit(t, recorded.rig(), camera_parameters="free", noise=recorded.NOISE, every=EVERY) for t in tables]
+    both = fit(tables, recorded.rig(), camera_parameters="free", noise=recorded.NOISE, slice_step=EVERY)
+    alone = [fit(t, recorded.rig(), camera_parameters="free", noise=recorded.NOISE, slice_step=EVERY) for t in tables]
     name = "optics.sigma_px"
     assert both.std[name] < min(a.std[name] for a in alone)
     assert abs(both.params[name] - 0.5) < 4 * both.std[name]
@@ -122,15 +122,15 @@ def test_diffuse_and_channels():
     table = xr.concat(values, "channel").transpose("theta_h", "theta_d", "phi_d", "channel")
     table = table.assign_coords(channel=["R", "G", "B"])
     table.attrs["sampling"] = "centre"
-    one = fit(table, recorded.rig(), diffuse=True, noise=recorded.NOISE, every=EVERY)
-    three = fit(table, recorded.rig(), diffuse=True, per_channel=True, noise=recorded.NOISE, every=EVERY)
+    one = fit(table, recorded.rig(), diffuse=True, noise=recorded.NOISE, slice_step=EVERY)
+    three = fit(table, recorded.rig(), diffuse=True, per_channel=True, noise=recorded.NOISE, slice_step=EVERY)
     assert abs(one.params["alpha"] - 0.02) < 4 * one.std["alpha"]
     for label, albedo in zip("RGB", albedos, strict=True):
         assert abs(one.params[f"diffuse[{label}]"] - albedo) < 4 * one.std[f"diffuse[{label}]"]
         assert abs(three.params[f"alpha[{label}]"] - 0.02) < 4 * three.std[f"alpha[{label}]"]
     assert three.std["alpha[R]"] > 1.4 * one.std["alpha"]
     # from one lobe for all on to one for each
-    setup = FitSetup((table,), recorded.rig(), diffuse=True, per_channel=True, noise=recorded.NOISE, every=EVERY)
+    setup = FitSetup((table,), recorded.rig(), diffuse=True, per_channel=True, noise=recorded.NOISE, slice_step=EVERY)
     again = setup.solve(start=one)
     assert again.misfit == pytest.approx(three.misfit, rel=1e-3)
     for name, value in three.params.items():
@@ -139,7 +139,7 @@ def test_diffuse_and_channels():
 
 def test_a_lobe_too_narrow_for_the_camera_is_said_to_be():
     table = noisy(oracle.GGX(2e-5), 8)
-    found = fit(table, recorded.rig(), noise=recorded.NOISE, every=EVERY)
+    found = fit(table, recorded.rig(), noise=recorded.NOISE, slice_step=EVERY)
     assert not found.determined
     assert any("narrower than this camera can tell" in remark.text for remark in found.remarks)
 
@@ -152,7 +152,7 @@ def test_bad_data_are_refused():
     torn[:, 20:] = np.nan
     for bad, words in ((empty, "every value is missing"), (dark, "no value is above 0"), (torn, "are needed")):
         with pytest.raises(FitError, match=words):
-            fit(bad, recorded.rig(), every=EVERY)
+            fit(bad, recorded.rig(), slice_step=EVERY)
 
 
 def test_bad_arguments_are_refused():
@@ -163,13 +163,13 @@ def test_bad_arguments_are_refused():
         ({"camera_parameters": "guess"}, "camera_parameters must be one of"),
         ({"camera_parameters": "prior"}, "states an uncertainty"),
         ({"camera_parameters": "free", "free": ["optics.f_number"]}, "which this camera has not"),
-        ({"every": 0}, "every must be"),
+        ({"slice_step": 0}, "slice_step must be"),
         ({"noise": PixelNoise(-1, 0)}, "noise.relative"),
         ({"masking": "none"}, "masking must be one of"),
     ]
     for options, words in cases:
         with pytest.raises(ArgumentError, match=words):
-            fit(table, rig, **{"every": EVERY, **options})
+            fit(table, rig, **{"slice_step": EVERY, **options})
     with pytest.raises(ArgumentError, match="no camera to fit"):
         fit(table, None, camera_parameters="free")
     with pytest.raises(ArgumentError, match="at least one"):

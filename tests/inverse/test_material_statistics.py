@@ -26,7 +26,7 @@ def fitted(shot, lobe, random, rig, **options):
     """A fit of one noisy record; reflectance chromium's."""
     light = shot.rule.ways(lobe) * conductor(shot.cells.theta_d, *recorded.CHROMIUM)[:, None, None]
     table = shot.table(shot.rule.noisy(light, random))
-    return [fit(table, r, recorded.family(lobe), noise=recorded.NOISE, every=EVERY, **options) for r in rig]
+    return [fit(table, r, recorded.family(lobe), noise=recorded.NOISE, slice_step=EVERY, **options) for r in rig]
 
 
 def rms(values):
@@ -121,8 +121,8 @@ def test_coverage_with_an_uncertain_camera():
 @pytest.mark.parametrize(("gain", "fresnel", "allowed"), [(0.0, "free", 0.005), (0.01, "conductor", 0.01)])
 def test_reflectance_at_75_degrees(gain, fresnel, allowed):
     """F at 75 degrees, absolute: free in every picture without a gain error; as (n, k), every sixth picture, with it."""
-    every = 10 if fresnel == "free" else 6
-    random, shot = np.random.default_rng(81), recorded.pictures(every)
+    slice_step = 10 if fresnel == "free" else 6
+    random, shot = np.random.default_rng(81), recorded.pictures(slice_step)
     noise = recorded.NOISE._replace(picture_gain=gain)
     at = np.radians(75.5) if fresnel == "free" else recorded.SEVENTY_FIVE
     truth = float(conductor(at, *recorded.CHROMIUM))
@@ -130,11 +130,11 @@ def test_reflectance_at_75_degrees(gain, fresnel, allowed):
     for lobe in recorded.draw(min(COUNT, 40), seed=80):
         light = shot.rule.ways(lobe) * conductor(shot.cells.theta_d, *recorded.CHROMIUM)[:, None, None]
         table = shot.table(shot.rule.noisy(light, random, gain=gain))
-        found = fit(table, recorded.rig(), recorded.family(lobe), fresnel=fresnel, noise=noise, every=every)
+        found = fit(table, recorded.rig(), recorded.family(lobe), fresnel=fresnel, noise=noise, slice_step=slice_step)
         errors.append(found.fresnel(at)[0] / truth - 1)
     print(f"F at 75 degrees, {fresnel}, gain error {gain:g}: rms {rms(errors):.4f} of {len(errors)}")
     assert rms(errors) <= allowed
     if gain:
-        told = fit(table, recorded.rig(), recorded.family(lobe), every=every).noise.picture_gain
+        told = fit(table, recorded.rig(), recorded.family(lobe), slice_step=slice_step).noise.picture_gain
         print(f"gain error as estimated from {shot.cells.theta_d.size} pictures: {told:.4f}")
         assert 0.006 < told < 0.015

@@ -43,10 +43,10 @@ def made(camera, lamp, radius, sigma=0.5, **more):
     return rig, lamp_record.Rig(radius, camera, lamp, sigma, 0.5)
 
 
-def missed(camera, lamp, radius, alphas, count, every=18, azimuth=0.0):
+def missed(camera, lamp, radius, alphas, count, slice_step=18, azimuth=0.0):
     """Errors of `count` random chosen cells for each alpha, over 1e-4 of the value or 1e-7 of the picture's peak."""
     rig, theirs = made(camera, lamp, radius, lamp_azimuth=azimuth)
-    cells, operator = lobe_operator(rig, "centre", every, (), NEVER)
+    cells, operator = lobe_operator(rig, "centre", slice_step, (), NEVER)
     random, errors = np.random.default_rng(5), []
     for alpha in alphas:
         found = np.asarray(operator.record(GGX(alpha), "smith", ()))
@@ -60,7 +60,7 @@ def missed(camera, lamp, radius, alphas, count, every=18, azimuth=0.0):
 
 
 def test_cells_of_a_near_rig():
-    assert np.max(missed(6.0, 4.0, 100.0, [0.02], 5, every=30)) < 1
+    assert np.max(missed(6.0, 4.0, 100.0, [0.02], 5, slice_step=30)) < 1
 
 
 @pytest.mark.slow
@@ -129,16 +129,16 @@ def test_the_place_of_a_highlight_and_its_light():
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("where", "azimuth", "every"), [((6.0, 4.0, 256.0), None, 18), ((np.inf, np.inf, 100.0), 0.5, 45)]
+    ("where", "azimuth", "slice_step"), [((6.0, 4.0, 256.0), None, 18), ((np.inf, np.inf, 100.0), 0.5, 45)]
 )
-def test_the_lens_and_a_lamp_are_followed(where, azimuth, every):
+def test_the_lens_and_a_lamp_are_followed(where, azimuth, slice_step):
     """Along its axis the operator of a near or turned rig is that of a rig with the other lens or lamp."""
     rig, _ = made(*where, lamp_azimuth=azimuth)
     for name, value in (("optics.sigma_px", 0.4), ("lamp_radius", 0.003)):
         axis = free_axis(name, rig)
         coordinate = 0.5 * np.log((value**2 + axis.softening**2) / (axis.base**2 + axis.softening**2))
-        _, along = lobe_operator(rig, "centre", every, (axis,), NEVER)
-        cells, there = lobe_operator(rig_with(rig, {name: value}), "centre", every, (), NEVER)
+        _, along = lobe_operator(rig, "centre", slice_step, (axis,), NEVER)
+        cells, there = lobe_operator(rig_with(rig, {name: value}), "centre", slice_step, (), NEVER)
         ours = np.asarray(along.record(GGX(0.01), "smith", np.array([coordinate])))
         truth = np.asarray(there.record(GGX(0.01), "smith", ()))
         inner = cells.valid & (cells.cos_i.min(-1) > 0.2) & (cells.cos_o.min(-1) > 0.2)
@@ -152,7 +152,7 @@ def test_the_lens_and_a_lamp_are_followed(where, azimuth, every):
 def test_bounds_of_a_very_distant_rig_are_a_distant_rigs():
     camera = rigs.merl().camera
     near, far = (
-        limits(rig, roughness=[0.002, 0.02], every=15, workspace=NEVER)
+        limits(rig, roughness=[0.002, 0.02], slice_step=15, workspace=NEVER)
         for rig in (Rig(camera, Sphere(256.0, 1e6), NearLamp(1e6)), Rig(camera, Sphere(256.0)))
     )
     for name in ("width_std", "width_std_free", "lens_std_free", "fresnel_std", "width_std_changed"):
@@ -176,13 +176,13 @@ def knowing(rig, std, **changes):
 def test_a_near_rigs_table_gives_its_material_back(near_table):
     """Noise-free; the same table taken for a distant rig's gives n 14 % too small."""
     rig, table = near_table
-    found = fit(table, knowing(rig, 0.0), "ggx", every=9, workspace=NEVER).params
+    found = fit(table, knowing(rig, 0.0), "ggx", slice_step=9, workspace=NEVER).params
     print(found)
     assert found["alpha"] == pytest.approx(0.02, rel=1e-5)
     assert found["n[G]"] == pytest.approx(2.9, rel=5e-5)
     assert found["k[G]"] == pytest.approx(4.23, rel=5e-5)
     far = knowing(rig, 0.0, sample=Sphere(100.0), lamp=DistantLamp())
-    assert fit(table, far, "ggx", every=9, workspace=NEVER).params["n[G]"] < 2.6
+    assert fit(table, far, "ggx", slice_step=9, workspace=NEVER).params["n[G]"] < 2.6
 
 
 @pytest.mark.slow
@@ -192,7 +192,7 @@ def test_a_near_rigs_table_is_corrected(near_table):
     rig = knowing(rig, 0.015)
     noisy = with_pixel_noise(table, rig, PixelNoise(0.01, 1e-4), 1)
     workspace = Workspace()
-    found = fresnel(noisy, rig, ndf="ggx", every=6, workspace=workspace)
+    found = fresnel(noisy, rig, ndf="ggx", slice_step=6, workspace=workspace)
     angles = found["theta_d"].values
     true = np.asarray(CHROMIUM.at(angles)).ravel()
     true = true / true[(angles >= np.radians(10)) & (angles <= np.radians(45))].mean()

@@ -13,11 +13,11 @@ from tests.oracle import sphere_cells as oracle
 from tests.oracle.merl_lobe import conductor
 
 
-def fitted(lobe, every=18, **more):
-    shot = recorded.made(every, oracle.Setup())
+def fitted(lobe, slice_step=18, **more):
+    shot = recorded.made(slice_step, oracle.Setup())
     ways = shot.rule.ways(lobe) * conductor(shot.cells.theta_d, *recorded.CHROMIUM)[:, None, None]
     table = shot.table(shot.rule.noisy(ways, np.random.default_rng(8)))
-    setup = FitSetup((table,), recorded.rig(), "ggx", fresnel="free", diffuse=True, every=every)
+    setup = FitSetup((table,), recorded.rig(), "ggx", fresnel="free", diffuse=True, slice_step=slice_step)
     return setup, setup.with_(**more).solve()
 
 
@@ -61,9 +61,9 @@ def test_a_bend_is_as_smooth_as_the_lobe():
     """Tails bend GGX by some tenths between knots. A bend that may be anything learns that from few slices, and is known
     better in all of them: its errors stay within what it says."""
     lobe = oracle.Tails(0.006, 3.0)
-    setup, _ = fitted(lobe, every=6)
-    few_setup = setup.with_(every=18, bend=1.0)
-    few = few_setup.solve(start=setup.with_(every=18).solve())
+    setup, _ = fitted(lobe, slice_step=6)
+    few_setup = setup.with_(slice_step=18, bend=1.0)
+    few = few_setup.solve(start=setup.with_(slice_step=18).solve())
     learned = learned_bend(few, 1.0)
     whole, whole_setup = in_all_slices(few, few_setup, 6)
     assert whole_setup.learned_bend == learned

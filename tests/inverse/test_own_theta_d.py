@@ -63,13 +63,13 @@ def truth(kind, camera, angles, alpha, f):
     return np.mean([lamp_record.recorded_line_cell(one, surface, theirs, orders=(10, 14)) for one in ways])
 
 
-def missed(kind, camera, alpha, every, count):
+def missed(kind, camera, alpha, slice_step, count):
     """Errors of F between 60 and 86 degrees, at a slice's highlight and in `count` random cells: by model, (cells, 2).
 
     Of F at the cell's theta_d, and of F at the nodes'. What the operator misses at F = 1 is none of F. Faint cells about a lobe
     of a tenth of a pixel are left out where that is more than 2 %.
     """
-    cells, operator = lobe_operator(near(kind, camera), "centre", every, (), NEVER)
+    cells, operator = lobe_operator(near(kind, camera), "centre", slice_step, (), NEVER)
     record, moment = (np.asarray(one.record(GGX(alpha), "smith", ())) for one in operator.orders)
     random = np.random.default_rng(1)
     errors = {chromium: [], schlick: []}
@@ -117,7 +117,7 @@ def test_derivatives_of_a_near_rigs_model_are_differences(model, unit):
     """By lobe, rig, Fresnel term and diffuse part: each is in F or its slope, the record or its moment."""
     optics = Camera(EXACT.optics, EXACT.pixel, uncertainty=Uncertainty.of({"optics.sigma_px": 0.05}))
     table = brdf_table(np.ones((90, 90, 180, 3)), "centre").isel(channel=[0, 1])
-    setup = FitSetup((table,), near(Sphere, optics=optics), fresnel=model, diffuse=True, every=18)
+    setup = FitSetup((table,), near(Sphere, optics=optics), fresnel=model, diffuse=True, slice_step=18)
     problem = setup.problem
     p = np.array([np.log(0.02), 0.1, *unit, 0.02, *(1.1 * np.array(unit)), 0.03])
     weight = np.ones(problem.data.values.shape)
@@ -132,10 +132,10 @@ def test_derivatives_of_a_near_rigs_model_are_differences(model, unit):
         np.testing.assert_allclose(slope, difference, rtol=1e-6, atol=1e-8 * np.abs(difference).max())
 
 
-@pytest.mark.parametrize("every", [1, 6])
-def test_slopes_of_free_strengths(every):
+@pytest.mark.parametrize("slice_step", [1, 6])
+def test_slopes_of_free_strengths(slice_step):
     """Up to 86 degrees, per rad: exact strengths of metals, dielectrics and Schlick's F, and such of 1 % noise."""
-    theta_d = np.radians(np.arange(every // 2, 90, every) + 0.5)
+    theta_d = np.radians(np.arange(slice_step // 2, 90, slice_step) + 0.5)
     inside, random = theta_d < np.radians(86), np.random.default_rng(2)
     slopes = StrengthSlopes(theta_d)
     indices = [(2.9, 4.23), (0.3, 2.7), (0.9, 6.2), (1.15, 2.4), (1.5, 0.0), (1.2, 0.0), (2.5, 0.0)]
@@ -177,14 +177,14 @@ def test_a_dielectrics_table_of_the_nearest_rig():
     """
     rig, material = near(Sphere), Microfacet(GGX(0.02), Schlick(0.04))
     table = measure(material, rig).isel(channel=[1])
-    free = fit(table, rig, "ggx", fresnel="free", every=5)
+    free = fit(table, rig, "ggx", fresnel="free", slice_step=5)
     strength, angles = free.curves["fresnel"].values[:, 0], free.theta_d
     there = np.isfinite(strength) & (angles > np.radians(30))
     off = strength[there] / schlick(angles[there]) - 1
     print("free F off by", np.abs(off).max(), "alpha by", free.params["alpha"] / 0.02 - 1)
     assert np.abs(off).max() < 3e-5
     noise, workspace = PixelNoise(1e-4, 1e-7), Workspace()
-    found = fresnel(table, rig, "ggx", noise=noise, every=6, workspace=workspace)
+    found = fresnel(table, rig, "ggx", noise=noise, slice_step=6, workspace=workspace)
     angles = found["theta_d"].values
     true = schlick(angles)
     true = true / true[(angles >= np.radians(10)) & (angles <= np.radians(45))].mean()

@@ -248,7 +248,7 @@ def test_fresnel_of_real_pixels(rule):
     errors, pulls = [], []
     for seed in range(4):
         found = fresnel(
-            shot.table(oracle.GGX(0.005), seed, gain=0.0), recorded.rig(std=0.015, cell_value=rule), every=6
+            shot.table(oracle.GGX(0.005), seed, gain=0.0), recorded.rig(std=0.015, cell_value=rule), slice_step=6
         )
         truth = conductor(found.theta_d.values, *recorded.CHROMIUM)
         truth /= truth[(found.theta_d.values > np.radians(10)) & (found.theta_d.values < np.radians(45))].mean()
@@ -265,9 +265,9 @@ def test_fresnel_of_real_pixels(rule):
 def test_a_fit_finds_the_pixels_by_itself():
     shot = real_shot("nearest", PHASES["nearest"])
     table = shot.table(oracle.GGX(0.005), 3)
-    found = fit(table, recorded.rig(cell_value="nearest"), fresnel="free", every=6)
+    found = fit(table, recorded.rig(cell_value="nearest"), fresnel="free", slice_step=6)
     assert abs(found.params["alpha"] - 0.005) < 4 * found.std["alpha"]
-    blind = fit(table, recorded.rig(cell_value="centre"), fresnel="free", every=6)
+    blind = fit(table, recorded.rig(cell_value="centre"), fresnel="free", slice_step=6)
     assert "misfit" in {remark.code for remark in blind.remarks} - {remark.code for remark in found.remarks}
     assert blind.std["alpha"] > 5 * found.std["alpha"]
     assert abs(blind.params["alpha"] - 0.005) < 3 * blind.std["alpha"]
@@ -280,6 +280,6 @@ def test_means_of_pixels_of_any_phase():
     table = measure(Microfacet(GGX(0.02), Schlick(0.7)), rig)
     noisy = with_pixel_noise(table, rig, PixelNoise(0.01, 1e-4), seed=1)
     assert located_rig(rig, noisy).rig.pixel_phase is None
-    found = fit(noisy, rig, fresnel="free", every=6)
+    found = fit(noisy, rig, fresnel="free", slice_step=6)
     assert not found.remarks
     assert abs(found.params["alpha"] - 0.02) < 3 * found.std["alpha"]

@@ -35,7 +35,7 @@ def shadowed(random):
 @pytest.mark.slow
 @pytest.mark.parametrize(("made", "winner"), [(seen_by_a_camera, "the camera"), (shadowed, "free shadowing")])
 def test_each_wins_on_its_own_data(made, winner):
-    found = rivals(made(np.random.default_rng(1)), recorded.rig(), every=EVERY)
+    found = rivals(made(np.random.default_rng(1)), recorded.rig(), slice_step=EVERY)
     best = found.camera if winner == "the camera" else found.shadowing
     print(f"{found.verdict}; parameters {found.camera.parameters:.1f} and {found.shadowing.parameters:.1f}")
     assert found.verdict.startswith(f"{winner} explains the data better")

@@ -28,7 +28,7 @@ GEOMETRIES = [
 
 
 def test_cells_of_a_turned_rig():
-    assert np.max(missed(np.inf, np.inf, 100.0, [0.02], 2, every=45, azimuth=0.6)) < 1
+    assert np.max(missed(np.inf, np.inf, 100.0, [0.02], 2, slice_step=45, azimuth=0.6)) < 1
 
 
 @pytest.mark.slow
@@ -139,13 +139,13 @@ def turned_table():
 def test_a_turned_rigs_table_gives_its_material_back(turned_table):
     """Noise-free; the same table taken for an aligned rig's gives n 0.2 % too small."""
     rig, table = turned_table
-    found = fit(table, knowing(rig, 0.0), "ggx", every=9, workspace=NEVER).params
+    found = fit(table, knowing(rig, 0.0), "ggx", slice_step=9, workspace=NEVER).params
     print(found)
     assert found["alpha"] == pytest.approx(0.02, rel=1e-6)
     assert found["n[G]"] == pytest.approx(2.9, rel=1e-5)
     assert found["k[G]"] == pytest.approx(4.23, rel=1e-5)
     taken = table.assign_attrs(lamp_azimuth=0.0)
-    assert fit(taken, knowing(rig, 0.0), "ggx", every=9, workspace=NEVER).params["n[G]"] < 2.895
+    assert fit(taken, knowing(rig, 0.0), "ggx", slice_step=9, workspace=NEVER).params["n[G]"] < 2.895
 
 
 @pytest.mark.slow
@@ -154,7 +154,7 @@ def test_a_turned_rigs_table_is_corrected(turned_table):
     rig, table = turned_table
     rig, workspace = knowing(rig, 0.015), Workspace()
     noisy = with_pixel_noise(table, rig, PixelNoise(0.01, 1e-4), 1)
-    found = fresnel(noisy, rig, ndf="ggx", every=6, workspace=workspace)
+    found = fresnel(noisy, rig, ndf="ggx", slice_step=6, workspace=workspace)
     angles = found["theta_d"].values
     true = np.asarray(CHROMIUM.at(angles)).ravel()
     true = true / true[(angles >= np.radians(10)) & (angles <= np.radians(45))].mean()

@@ -38,7 +38,7 @@ def test_two_lobes_are_found_and_read_by_their_half_width():
     shot = recorded.made(18, oracle.Setup())
     ways = shot.rule.ways(lobe) * conductor(shot.cells.theta_d, *recorded.CHROMIUM)[:, None, None]
     table = shot.table(shot.rule.noisy(ways, np.random.default_rng(8)))
-    found = FitSetup((table,), recorded.rig(), TWO_LOBES, fresnel="free", diffuse=True, every=18).solve()
+    found = FitSetup((table,), recorded.rig(), TWO_LOBES, fresnel="free", diffuse=True, slice_step=18).solve()
     width = recorded.half_width(lobe)
     print(f"half width {found.hwhm:.6f} +- {found.hwhm_std:.6f}, true {width:.6f}; noise {found.noise.relative:.4f}")
     assert abs(found.hwhm - width) < 4 * found.hwhm_std < 0.05 * width

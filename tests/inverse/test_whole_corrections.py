@@ -43,7 +43,7 @@ def corrected(name):
         done = Correction.of(table, rig)
     # `fresnel` of the same slices finds the same explanation: it is not made twice
     with patch("matcam.inverse.fresnel_term.explain", lambda *args, **more: kept[0]):
-        curve = fresnel(table, rig, every=EVERY)
+        curve = fresnel(table, rig, slice_step=EVERY)
     value, std, supported = (done.table[part].values for part in ("brdf", "brdf_std", "supported"))
     true = whole.true
     judged = np.isfinite(std) & (true > _DARKEST)

@@ -13,8 +13,8 @@ import matcam
 ALPHA = 0.004  # the true roughness
 
 table = matcam.io.example_table()
-through = matcam.fit(table, matcam.rigs.merl(), "ggx", every=18)
-blind = matcam.fit(table, None, "ggx", every=18)
+through = matcam.fit(table, matcam.rigs.merl(), "ggx", slice_step=18)
+blind = matcam.fit(table, None, "ggx", slice_step=18)
 
 figure, axes = plt.subplots(figsize=(7, 3), layout="constrained")
 for row, (title, found) in enumerate({"through the camera": through, "as if it were perfect": blind}.items()):

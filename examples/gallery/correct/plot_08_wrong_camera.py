@@ -18,7 +18,7 @@ found = []
 for sigma in sigmas:
     camera = matcam.Camera(matcam.GaussianOptics(sigma), matcam.rigs.merl().camera.pixel)
     rig = matcam.Rig(camera, matcam.Sphere(256.0))
-    found.append(matcam.fit(table, rig, "ggx", every=18, camera_parameters="fixed"))
+    found.append(matcam.fit(table, rig, "ggx", slice_step=18, camera_parameters="fixed"))
 
 figure, (noise, rough) = plt.subplots(1, 2, figsize=(8, 3.4), layout="constrained")
 noise.bar([f"{s:g}" for s in sigmas], [100 * f.noise.relative for f in found])

@@ -10,7 +10,7 @@ import matplotlib.pyplot as plt
 
 import matcam
 
-found = matcam.rivals(matcam.io.example_table(), matcam.rigs.merl(), every=18)
+found = matcam.rivals(matcam.io.example_table(), matcam.rigs.merl(), slice_step=18)
 print(found.verdict)
 
 figure, axes = plt.subplots(figsize=(7, 2.6), layout="constrained")

@@ -11,6 +11,6 @@ from matcam.figures.curves import fresnel_figure
 
 EVERY = 6  # the table holds every sixth slice
 
-result = matcam.fresnel(matcam.io.example_table(), matcam.rigs.merl(), ndf="ggx", every=EVERY)
+result = matcam.fresnel(matcam.io.example_table(), matcam.rigs.merl(), ndf="ggx", slice_step=EVERY)
 tables = matcam.inverse.tabulated_fresnel(result, "Cr")
 drawn = fresnel_figure(result, tables, "chromium, simulated")  # drawn.savefig("fresnel.png")

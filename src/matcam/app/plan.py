@@ -298,10 +298,10 @@ class PlanView:
 
     def _at_rest(self, planned: Planned) -> None:
         """Compute the exact values; stop between two of them when something moves."""
-        from matcam.forward.prediction import predict
+        from matcam.forward.prediction import predicted
 
         rig = planned.rig()
-        found = {"planned": planned, "curves": predict(rig, planned.lobes())}
+        found = {"planned": planned, "curves": predicted(rig, planned.lobes())}
         copies = self._copies(planned)
         self._exact.show(lambda: self._if_still(planned, found, copies))
         if self._exact.overtaken():
@@ -347,9 +347,9 @@ def _angle(radians: float) -> str:
 
 
 def _curves(planned: Planned) -> dict[str, Any]:
-    from matcam.forward.prediction import predict
+    from matcam.forward.prediction import predicted
 
-    return {"planned": planned, "curves": predict(planned.rig(), planned.lobes(), fast=True)}
+    return {"planned": planned, "curves": predicted(planned.rig(), planned.lobes(), fast=True)}
 
 
 def _close(planned: Planned) -> dict[str, Any]:

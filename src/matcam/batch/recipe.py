@@ -41,7 +41,7 @@ class Options(NamedTuple):
         ndf: family of the lobe, or "auto" for the likelier of "ggx" and "epd". Default: "auto".
         masking: masking function, or None for none. Default: "smith".
         glare: share of light that the lens may scatter without its profile saying so (no unit). Default: 1e-3.
-        anyway: whether to correct tables whose data contradict the rig. Default: False, they stay as they are.
+        force_correction: whether to correct tables whose data contradict the rig. Default: False, they stay as they are.
         workspace: keeps what depends on the rig alone; None: the process's own. It changes no result. Default: None.
 
     Example:
@@ -52,7 +52,7 @@ class Options(NamedTuple):
     ndf: str = "auto"
     masking: Masking = "smith"
     glare: float = 1e-3
-    anyway: bool = False
+    force_correction: bool = False
     workspace: Workspace | None = None
 
 
@@ -84,7 +84,7 @@ def correct_table(table: xr.DataArray, rig: Rig, options: Options) -> CorrectedT
         options.ndf,
         masking=options.masking,
         glare=options.glare,
-        anyway=options.anyway,
+        force_correction=options.force_correction,
         workspace=options.workspace,
     )
     document = {"camera": rig.camera.profile(), "glare": options.glare, **done.to_dict()}
@@ -132,7 +132,7 @@ class Recipe:
                 "ndf": self.options.ndf,
                 "masking": self.options.masking or "none",
                 "glare": self.options.glare,
-                "anyway": self.options.anyway,
+                "force_correction": self.options.force_correction,
                 "sampling": self.sampling,
                 "pages": self.page,
                 "compress": self.compress,

@@ -107,7 +107,7 @@ def correct_all(
     *,
     masking: Masking = "smith",
     glare: float = 1e-3,
-    anyway: bool = False,
+    force_correction: bool = False,
     sampling: Sampling = "centre",
     workers: int | None = None,
     cluster: str | None = None,
@@ -140,7 +140,7 @@ def correct_all(
         masking: masking function, as for `correct`; None for none. Default: "smith".
         glare: share of light that the lens may scatter without its profile saying so, in [0, 0.5] (no unit). It limits
             what is supported beside a highlight; raise it for a lens that scatters more. Default: 1e-3.
-        anyway: whether to correct tables whose data contradict the rig. Default: False, they stay as they are.
+        force_correction: whether to correct tables whose data contradict the rig. Default: False, they stay as they are.
         sampling: where in its cell a value was sampled, "centre" or "edge"; the file does not say. Default: "centre".
         workers: number of worker processes of one core each, in [1, 1024]. Default: None, one for each core that this
             process may use.
@@ -187,7 +187,7 @@ def correct_all(
     checks.choice("sampling", sampling, SAMPLINGS)
     checks.whole_number("workers", workers, 1, 1024, optional=True)
     switches = {
-        "anyway": anyway,
+        "force_correction": force_correction,
         "pages": pages,
         "compress": compress,
         "zarr": zarr,
@@ -200,7 +200,9 @@ def correct_all(
     executor = _executor(workers, cluster, time_limit)
     if zarr:
         checks.extra("a run's Zarr", "scale", "zarr")
-    recipe = Recipe(rig, Options(ndf, masking, glare, anyway, workspace), sampling, pages, compress, corrector)
+    recipe = Recipe(
+        rig, Options(ndf, masking, glare, force_correction, workspace), sampling, pages, compress, corrector
+    )
     _check_picklable(recipe)
     settings = recipe.settings(fit_camera=fit_camera)
     folder = RunFolder(Path(output))

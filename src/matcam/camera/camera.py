@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,6 +18,7 @@ from matcam.core.arrays import is_concrete, xp
 from matcam.core.arrays.module import Module, replaced, static_field
 from matcam.core.errors import ArgumentError, FileFormatError
 from matcam.core.io import write_json
+from matcam.core.results.summary import Quantity, Summarised, Summary, parameters
 
 if TYPE_CHECKING:
     from jax.typing import ArrayLike
@@ -24,7 +26,7 @@ if TYPE_CHECKING:
     from matcam.core.jax import jax
 
 
-class Camera(Module):
+class Camera(Module, Summarised):
     """Combine lens and pixel to the effective kernel of a camera's pictures.
 
     Three kernels are easily confused. `Optics.psf` is the light that the lens lays on the sensor. `PixelResponse.response` is
@@ -53,6 +55,13 @@ class Camera(Module):
         >>> camera = matcam.Camera(matcam.GaussianOptics(0.5), matcam.BoxPixel())
         >>> bool(camera.mtf(0.25) < camera.optics.mtf(0.25))  # the pixel blurs, too
         True
+        >>> print(camera.summary())
+        [[GaussianOptics on BoxPixel]]
+        [[Parameters]]
+            optics.sigma_px:     0.5
+            pixel.half_width_px: 0.5
+        [[Lens and pixel together]]
+            MTF50 along the rows: 0.3235 cycles/px
     """
 
     optics: Optics
@@ -297,6 +306,20 @@ class Camera(Module):
                 continue
             if abs(float(value) / float(pitch) - 1) > 1e-6:
                 raise ArgumentError(f"sensor has a pitch of {pitch:g} m, but {name} is {value:g}: give both the same")
+
+    def _summary(self) -> Summary:
+        std = self.uncertainty.std() if self.uncertainty else {}
+        stated = dataclasses.asdict(self.provenance)
+        sections = {
+            "Parameters": parameters(self.parameters(), std),
+            "Lens and pixel together": [
+                Quantity(f"MTF50 along the rows{f', {name}' if name else ''}", value, unit="cycles/px")
+                for name, value in effective.mtf50(self.optics, self.pixel).items()
+            ],
+            "Sensor": [] if self.sensor is None else [Quantity("noise and mosaic", repr(self.sensor))],
+            "Provenance": [Quantity(name, text) for name, text in stated.items() if text],
+        }
+        return Summary(f"{type(self.optics).__name__} on {type(self.pixel).__name__}", sections=sections)
 
     def __repr__(self) -> str:
         sensor = "" if self.sensor is None else f", {self.sensor!r}"

@@ -16,9 +16,12 @@ from collections.abc import Callable
 from functools import partial
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from matcam.camera.optics import optics as fourier
 from matcam.camera.optics.gaussian import GaussianOptics
 from matcam.camera.optics.optics import Optics
+from matcam.camera.optics.varying import VaryingOptics
 from matcam.camera.pixel import BoxPixel, PixelResponse, gaussian_over_interval, mean_over_interval
 from matcam.core.arrays import special, xp
 from matcam.numerics.normal import normal_density
@@ -28,6 +31,8 @@ if TYPE_CHECKING:
 
 _FAR = 40.0  # standard deviations, beyond which a normal distribution is 0
 _SLIVER = 0.05  # short half width / std
+_FREQUENCIES = np.linspace(0, 2, 4001)
+"""cycles/px, among which MTF50 is looked for; their step is below the standard deviation of any calibration."""
 _THINNEST = 1e-3  # px, short half width in `edge_and_slopes`: 2e-7 px^2 of blur too much, no digits lost
 
 
@@ -171,3 +176,24 @@ def _second_remainder(x: jax.Array, std: jax.Array) -> jax.Array:
     t = xp.minimum(xp.where(x > 0, x, -x) / std, _FAR)
     tail = std**2 / 2 * ((t**2 + 1) * special.ndtr(-t) - t * normal_density(t))
     return xp.where(x > 0, -tail, tail)
+
+
+def mtf50(optics: Optics, pixel: PixelResponse) -> dict[str, float]:
+    """Compute the frequency along a row at which lens and pixel together pass half.
+
+    Args:
+        optics: the lens.
+        pixel: response of a pixel.
+
+    Returns:
+        Frequency, cycles/px, by the name of each lens where the lens varies over colour or field, and by "" otherwise; NaN
+        where more than half passes up to 2 cycles/px.
+    """
+    lenses = optics.named_lenses if isinstance(optics, VaryingOptics) else {"": optics}
+    return {name: _half(lens, pixel) for name, lens in lenses.items()}
+
+
+def _half(lens: Optics, pixel: PixelResponse) -> float:
+    passed = np.abs(np.asarray(transfer_along(lens, pixel, xp.asarray(_FREQUENCIES), xp.zeros(_FREQUENCIES.size))))
+    below = np.flatnonzero(passed < 0.5)
+    return float(_FREQUENCIES[below[0]]) if below.size else float("nan")

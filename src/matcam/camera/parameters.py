@@ -99,7 +99,13 @@ class Uncertainty(Module):
         return dict(zip(self.names, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
 
     def __repr__(self) -> str:
-        return f"Uncertainty({self.names!r}, {xp.asarray(self.covariance).tolist()!r})"
+        if not is_concrete(self.covariance):
+            return f"Uncertainty({self.names!r}, {self.covariance!s})"
+        covariance = np.asarray(self.covariance)
+        if not np.any(covariance - np.diag(np.diag(covariance))):
+            return f"Uncertainty.of({self.std()!r})"
+        pairs = ", ".join(f"{name} ± {std:.3g}" for name, std in self.std().items())
+        return f"<Uncertainty: {pairs}, correlated>"
 
 
 @dataclass(frozen=True)

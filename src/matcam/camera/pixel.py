@@ -141,9 +141,6 @@ class BoxPixel(PixelResponse):
         above, below = (z * _normal_until(z) + xp.exp(-(z**2) / 2) / np.sqrt(2 * np.pi) for z in ends)
         return (above - below) * std / (2 * self.half_width)
 
-    def __repr__(self) -> str:
-        return f"BoxPixel(half_width={self.half_width!s})"
-
 
 _SIGMAS = (1e-12, 1e6)
 """A windowed Gaussian's standard deviation lies between these, px: a point, and a box."""
@@ -226,9 +223,6 @@ class WindowedGaussianPixel(PixelResponse):
     def _share_inside(self) -> jax.Array:
         """Share of the uncut Gaussian inside the window."""
         return special.erf(self.half_width / (xp.sqrt(2) * self.sigma))
-
-    def __repr__(self) -> str:
-        return f"WindowedGaussianPixel(sigma={self.sigma!s}, half_width={self.half_width!s})"
 
 
 def _normal_until(z: jax.Array) -> jax.Array:

@@ -283,14 +283,6 @@ class Sensor(Module):
 
         return jax.random.normal(jax.random.fold_in(jax.random.key(self.pattern_seed), _OFFSETS), shape)
 
-    def __repr__(self) -> str:
-        return (
-            f"Sensor(pitch={self.pitch!s}, full_well={self.full_well!s}, read_noise={self.read_noise!s}, "
-            f"gain={self.gain!s}, bits={self.bits!r}, cfa={self.cfa!r}, prnu={self.prnu!s}, "
-            f"dark_current={self.dark_current!s}, dark_nonuniformity={self.dark_nonuniformity!s}, "
-            f"black_level={self.black_level!s}, dsnu={self.dsnu!s}, pattern_seed={self.pattern_seed!r})"
-        )
-
 
 def _log_normal(key: jax.Array, shape: tuple[int, ...], std: jax.Array) -> jax.Array:
     """Draw positive values of mean 1 and standard deviation `std`."""

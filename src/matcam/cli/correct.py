@@ -10,7 +10,6 @@ import typer
 from matcam.cli import show
 from matcam.cli.fit import print_fit
 from matcam.cli.options import (
-    Anyway,
     AsJson,
     Budget,
     CameraProfile,
@@ -18,6 +17,7 @@ from matcam.cli.options import (
     Distance,
     FamilyOrAuto,
     Force,
+    ForceCorrection,
     LampAzimuth,
     LampDistance,
     LampRadius,
@@ -120,7 +120,7 @@ def command(
         ),
     ] = None,
     budget: Budget = None,
-    anyway: Anyway = False,
+    force_correction: ForceCorrection = False,
     force: Force = False,
     json: AsJson = False,
 ) -> int:
@@ -172,7 +172,7 @@ def command(
         "ndf": ndf,
         "masking": None if masking == "none" else masking,
         "glare": glare,
-        "anyway": anyway,
+        "force_correction": force_correction,
     }
     if alone:
         from matcam.batch.job import Job, write_corrected

@@ -76,7 +76,8 @@ def _draw(stem: str, source: Any) -> tuple[Any, Any]:
         return data, loss_figure(data)
     from matcam import rigs
     from matcam.figures.curves import fresnel_figure
-    from matcam.inverse.fresnel_term import fresnel, tabulated_fresnel
+    from matcam.inverse.fresnel_tables import tabulated_fresnel
+    from matcam.inverse.fresnel_term import fresnel
 
     if source is not None and not isinstance(source, Path):
         return source, fresnel_figure(source, tabulated_fresnel(source, "Cr"))

@@ -59,7 +59,7 @@ def command(
             "--rival", help="Compare with free shadowing: does it explain the data better than the camera does?"
         ),
     ] = False,
-    every: Annotated[int, typer.Option("--every", metavar="N", help="Use every n-th slice of theta_d.")] = 1,
+    slice_step: Annotated[int, typer.Option("--slice-step", metavar="N", help="Use every n-th slice of theta_d.")] = 1,
     masking: Masking = "smith",
     camera: CameraProfile = None,
     sample: SampleShape = "sphere",
@@ -122,12 +122,12 @@ def command(
             masking=None if masking == "none" else masking,
             camera_parameters=None if lens == "auto" else lens,
             bend=bend,
-            every=every,
+            slice_step=slice_step,
             workspace=Workspace.user(),
         )
     document = {"files": [str(file) for file in files], **found.to_dict()}
     if rival:
-        document["rival"] = _rival(files[0], rig, ndf, sampling, every)
+        document["rival"] = _rival(files[0], rig, ndf, sampling, slice_step)
     if output:
         from matcam.core.io import plain, write_json
 
@@ -145,13 +145,15 @@ def command(
             show.say(f"written: {', '.join(written)}")
 
 
-def _rival(file: Path, rig: Any, ndf: str, sampling: Any, every: int) -> dict[str, Any]:
+def _rival(file: Path, rig: Any, ndf: str, sampling: Any, slice_step: int) -> dict[str, Any]:
     from matcam.core.workspace import Workspace
     from matcam.exchange.contents import read_table
     from matcam.inverse.rival_fits import rivals
 
     with show.working(f"fitting {file} with free shadowing instead"):
-        return rivals(read_table(file, sampling=sampling), rig, ndf, every=every, workspace=Workspace.user()).to_dict()
+        return rivals(
+            read_table(file, sampling=sampling), rig, ndf, slice_step=slice_step, workspace=Workspace.user()
+        ).to_dict()
 
 
 def print_fit(summary: dict[str, Any], name: str) -> None:

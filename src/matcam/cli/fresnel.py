@@ -10,13 +10,13 @@ import typer
 
 from matcam.cli import show
 from matcam.cli.options import (
-    Anyway,
     AsJson,
     Budget,
     CameraProfile,
     Distance,
     FamilyOrAuto,
     Force,
+    ForceCorrection,
     LampAzimuth,
     LampDistance,
     LampRadius,
@@ -63,8 +63,8 @@ def command(
         ),
     ] = (10.0, 45.0),
     channel: Annotated[Literal["R", "G", "B"], typer.Option("--channel", help="Channel to draw and print.")] = "G",
-    every: Annotated[
-        int, typer.Option("--every", metavar="N", help="Use every n-th slice of theta_d.", min=1, max=30)
+    slice_step: Annotated[
+        int, typer.Option("--slice-step", metavar="N", help="Use every n-th slice of theta_d.", min=1, max=30)
     ] = 1,
     output: Annotated[
         Path | None,
@@ -76,7 +76,7 @@ def command(
         ),
     ] = None,
     budget: Budget = None,
-    anyway: Anyway = False,
+    force_correction: ForceCorrection = False,
     force: Force = False,
     json: AsJson = False,
 ) -> None:
@@ -105,7 +105,8 @@ def command(
 
         use_compilation_cache()
         from matcam.exchange.contents import read_table
-        from matcam.inverse.fresnel_term import fresnel, tabulated_fresnel
+        from matcam.inverse.fresnel_tables import tabulated_fresnel
+        from matcam.inverse.fresnel_term import fresnel
         from matcam.material.optical_constants import metals
 
         if metal is not None:
@@ -126,8 +127,8 @@ def command(
             ndf=ndf,
             masking=None if masking == "none" else masking,
             normalise=(math.radians(low), math.radians(high)),
-            every=every,
-            anyway=anyway,
+            slice_step=slice_step,
+            force_correction=force_correction,
             workspace=Workspace.user(),
         )
         tables = tabulated_fresnel(result, metal)

@@ -29,11 +29,10 @@ def command(
 
     Example: `matcam inspect chrome.binary`
     """
-    kind = formats.identify(file)
-    report = {"file": str(file), "format": kind, **_report(file, kind, sampling, radius)}
+    report = _report(file, sampling, radius)
     if json:
         show.as_json(report)
-    elif kind == "camera profile":
+    elif report["format"] == "camera profile":
         _print_profile(report)
     elif "albedo" in report:
         _print_brdf(report)
@@ -41,24 +40,15 @@ def command(
         _print_rest(report)
 
 
-def _report(file: Path, kind: str, sampling: Any, radius: float) -> dict[str, Any]:
-    if kind == "camera profile":
-        from matcam.exchange.camera_report import inspect_camera
+def _report(file: Path, sampling: Any, radius: float) -> dict[str, Any]:
+    from matcam.exchange.file_report import inspect
 
-        return inspect_camera(file)
-    if kind == "picture sidecar":
-        from matcam.files.sidecar import read_sidecar
+    if formats.identify(file) not in ("camera profile", "picture sidecar"):
+        from matcam.core.jax import use_compilation_cache
 
-        return read_sidecar(file)
-    from matcam.core import checks
-    from matcam.core.jax import use_compilation_cache
-    from matcam.exchange.contents import read_contents
-    from matcam.exchange.inspection import inspect_contents
-
-    use_compilation_cache()
-    checks.positive("radius", radius, "px")
+        use_compilation_cache()
     with show.working("looking into it"):
-        return inspect_contents(read_contents(file, sampling), radius)
+        return inspect(file, sampling=sampling, radius=radius)
 
 
 def _print_brdf(report: dict[str, Any]) -> None:

@@ -166,8 +166,9 @@ PixelPhase = Annotated[
         "Default: as the table shows.",
     ),
 ]
-Anyway = Annotated[
-    bool, typer.Option("--anyway", help="Correct a table whose data contradict the rig; else it stays as it is.")
+ForceCorrection = Annotated[
+    bool,
+    typer.Option("--force-correction", help="Correct a table whose data contradict the rig; else it stays as it is."),
 ]
 Force = Annotated[bool, typer.Option("--force", help="Replace existing output.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print the result as JSON, and nothing else, to standard output.")]
@@ -332,6 +333,7 @@ def in_options(message: str, command: TyperCommand) -> str:
 
 def _translated(message: str, option_of: Mapping[str, str]) -> str:
     """Translate a message by the option of each argument."""
+    message = re.sub(r"; if \S+ is in degrees, give np\.radians\(\S+\)$", "", message)  # options take degrees
     for phrase, words in _PHRASES.items():
         message = message.replace(phrase, words)
 

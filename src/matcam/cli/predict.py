@@ -103,13 +103,13 @@ def command(
 
         use_compilation_cache()
     from matcam.core.registry import family_ndf
-    from matcam.forward.prediction import predict
+    from matcam.forward.prediction import predicted
 
     rig = rig_of(camera, radius, lamp, sample, distance, glare, glare_radius, lamp_distance, sample_mm)
     values = roughness or [0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1]
     with show.working("predicting"):
         lobes = [family_ndf(ndf, value, power) for value in values]
-        data = predict(rig, lobes, dims, exact)
+        data = predicted(rig, lobes, dims, exact)
     false = _false_light(rig, lobes) if glare else []
     title = f"{ndf}{f' {power:g}' if power else ''} lobe on a {sample}: peak kept at 0°, and loss relative to that"
     if json:
@@ -185,10 +185,10 @@ def _map(rig: Any, ndf: str, power: float | None, how: tuple[int, bool], path: P
     from matcam.core.registry import family_ndf
     from matcam.figures.curves import plane_figure
     from matcam.figures.style import save
-    from matcam.forward.prediction import predict
+    from matcam.forward.prediction import predicted
 
     with show.working("drawing the plane"):
-        data = predict(rig, [family_ndf(ndf, value, power) for value in np.geomspace(3e-4, 0.3, 49)], *how)
+        data = predicted(rig, [family_ndf(ndf, value, power) for value in np.geomspace(3e-4, 0.3, 49)], *how)
         write_columns(path.with_suffix(".csv"), data.columns(), force=force)
         save(
             plane_figure(data, f"Share of the peak that is kept, relative to 0°: {rig.sample.in_words()}"),

@@ -119,11 +119,10 @@ def _camera(path: Path | None, pitch: float | None) -> tuple[Any, float]:
 
 
 def _print(found: Any, files: list[Path]) -> None:
-    from matcam.figures.sensor import values_of, verdict
 
-    rows = [[name, f"{value:.5g}", f"{std:.2g}"] for name, value, std in values_of(found)]
+    rows = [[name, f"{value:.5g}", f"{std:.2g}"] for name, value, std, _ in found.quantities()]
     show.table(["characteristic", "value", "std"], rows)
-    show.say(verdict(found))
+    show.say(found.verdict)
     for remark in found.remarks:
         show.say(f"note: {remark}")
     show.say("written: " + ", ".join(map(str, files)))

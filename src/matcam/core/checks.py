@@ -76,8 +76,20 @@ def within(
     fits = above & below
     if not np.all(fits):
         interval = f"{'(' if open_low else '['}{low:g}, {high:g}{')' if open_high else ']'}"
-        raise ArgumentError(f"{name} must lie in {interval}{unit and ' ' + unit}, got {_first_bad(array, fits)}")
+        hint = degrees_hint(array[~fits].max(), high) if unit.split(" ")[0] == "rad" else ""
+        raise ArgumentError(f"{name} must lie in {interval}{unit and ' ' + unit}, got {_first_bad(array, fits)}{hint}")
     return _kept(array, value)
+
+
+def degrees_hint(value: float, high: float) -> str:
+    """Return a hint for a message about an angle beyond its range that seems to be in degrees; "" otherwise.
+
+    Args:
+        value: the largest angle that was given.
+        high: end of the range, rad.
+    """
+    beyond = value > max(2 * np.pi if high > 1 else high, high)  # a value below a whole turn may well be in rad
+    return f"; if {value:g} is in degrees, give np.radians({value:g})" if beyond and np.radians(value) <= high else ""
 
 
 def positive(name: str, value: ArrayLike, unit: str = "") -> jax.Array:

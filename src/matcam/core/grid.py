@@ -174,20 +174,22 @@ def brdf_table(values: np.ndarray, sampling: Sampling, **attrs: object) -> xr.Da
     """Label BRDF values (90, 90, 180, channels), 1/sr, NaN where missing, sampled at each cell's `sampling` point."""
     import xarray as xr
 
+    from matcam.core.results.labelled import named
+
     grid = merl_grid(sampling)
     table = xr.DataArray(
         values,
         dims=DIMS,
         coords={
-            "theta_h": ("theta_h", grid.theta_h, {"units": "rad"}),
-            "theta_d": ("theta_d", grid.theta_d, {"units": "rad"}),
-            "phi_d": ("phi_d", grid.phi_d, {"units": "rad"}),
+            "theta_h": ("theta_h", grid.theta_h),
+            "theta_d": ("theta_d", grid.theta_d),
+            "phi_d": ("phi_d", grid.phi_d),
             "channel": list(CHANNELS),
         },
         name="brdf",
-        attrs={"units": "1/sr", "sampling": sampling, **attrs},
+        attrs={"units": "1/sr", "long_name": "BRDF", "sampling": sampling, **attrs},
     )
-    return checked_table(table)
+    return checked_table(named(table))
 
 
 def checked_table(table: xr.DataArray) -> xr.DataArray:
@@ -208,7 +210,12 @@ def checked_table(table: xr.DataArray) -> xr.DataArray:
     sampling = sampling_of(table)
     for name, expected in merl_grid(sampling)._asdict().items():
         if name not in table.coords or not np.allclose(table.coords[name], expected, rtol=0, atol=1e-9):
-            raise ArgumentError(f"coordinate {name} must be that of the MERL grid sampled at each cell's {sampling}")
+            given = table.coords.get(name)
+            in_degrees = given is not None and np.allclose(given, np.degrees(expected), rtol=0, atol=1e-7)
+            hint = f"; it is in degrees: give np.radians(table[{name!r}])" if in_degrees else ""
+            raise ArgumentError(
+                f"coordinate {name} must be that of the MERL grid sampled at each cell's {sampling}, rad{hint}"
+            )
         check_unit(f"coordinate {name}", table.coords[name], "rad")
     check_unit("a BRDF table", table, "1/sr")
     if np.isinf(table.values).any():

@@ -339,7 +339,9 @@ def write_columns(path: str | Path, data: xr.Dataset | dict[str, Sequence[Any]],
             raise ArgumentError(f"data must be an xarray.Dataset or columns by name, got {type(given).__name__}")
         frame = data.to_dataframe().reset_index()
         units = {
-            str(n): v.attrs["units"].replace("/", "_per_") for n, v in data.variables.items() if "units" in v.attrs
+            str(n): v.attrs["units"].replace("/", "_per_")
+            for n, v in data.variables.items()
+            if v.attrs.get("units", "1") != "1"
         }
         columns = {f"{n}_{units[n]}" if n in units else n: _cells(frame[n]) for n in frame.columns}
     text = StringIO()

@@ -84,7 +84,7 @@ def read(path: str | Path, *, sampling: Sampling = "centre") -> Any:
         >>> with tempfile.TemporaryDirectory() as folder:
         ...     path = Path(folder) / "picture.exr"
         ...     matcam.io.write_exr(path, np.ones((2, 3, 3)))
-        ...     picture = matcam.io.read(path)
+        ...     picture = matcam.read(path)
         >>> picture.shape
         (2, 3, 3)
     """
@@ -117,8 +117,8 @@ def write(path: str | Path, thing: Any, *, force: bool = False) -> None:
         >>> from pathlib import Path
         >>> with tempfile.TemporaryDirectory() as folder:
         ...     path = Path(folder) / "camera.json"
-        ...     matcam.io.write(path, matcam.rigs.merl().camera)
-        ...     matcam.io.read(path)
+        ...     matcam.write(path, matcam.rigs.merl().camera)
+        ...     matcam.read(path)
         Camera(...)
     """
     if isinstance(thing, Camera | Chart):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -39,7 +39,7 @@ def edge_figure(result: EdgeMTF, image: np.ndarray, roi: Sequence[int] | None, n
         reach = _reach(result)
         _draw_esf(axes["esf"], result, reach)
         _draw_lsf(axes["lsf"], result, reach)
-        _draw_edge_mtf(axes["mtf"], result)
+        draw_edge_mtf(axes["mtf"], result)
         _draw_edge_residuals(axes["residual"], result)
         figure.suptitle(
             f"{name}: edge with its normal at {np.degrees(result.angle):.2f}°",
@@ -103,7 +103,8 @@ def _draw_lsf(axes: Axes, result: EdgeMTF, reach: float) -> None:
     axes.set_title("LSF", loc="left")
 
 
-def _draw_edge_mtf(axes: Axes, result: EdgeMTF) -> None:
+def draw_edge_mtf(axes: Axes, result: EdgeMTF) -> None:
+    """Draw the MTF across an edge, free of a model and as a lens, with MTF50."""
     fit, f = result.parametric, result.frequency
     axes.axhline(0, color=BLACK, lw=0.6)
     nyquist_line(axes)
@@ -162,7 +163,7 @@ def calibration_figure(found: Calibration, picture: np.ndarray | None, lines: Se
             height_ratios=(1.15, 1, *([1.1] * len(maps)), 0.12 + 0.075 * len(lines)),
         )
         _draw_picture(axes["picture"], channel, picture, found.channel)
-        _draw_mtf(axes["mtf"], found)
+        draw_calibration(axes["mtf"], found)
         _draw_residuals(axes["residuals"], found)
         _draw_field(axes["field"], found, picture)
         if picture is not None and edges is not None:
@@ -207,10 +208,20 @@ def _draw_picture(axes: Axes, fit: CameraFit, picture: np.ndarray | None, channe
     axes.set(xlabel="x [px]", ylabel="y [px]")
 
 
-def _draw_mtf(axes: Axes, found: Calibration) -> None:
+def draw_calibration(axes: Axes, found: Calibration) -> None:
+    """Draw the mean MTF of the edges and that of the camera, by channel."""
+    _draw_mtf(axes, found.channels)
+
+
+def draw_camera_fit(axes: Axes, fit: CameraFit) -> None:
+    """Draw the mean MTF of the edges and that of the camera."""
+    _draw_mtf(axes, {"grey": fit})
+
+
+def _draw_mtf(axes: Axes, channels: Mapping[str, CameraFit]) -> None:
     axes.axhline(0, color=BLACK, lw=0.6)
     nyquist_line(axes, 0.6)
-    for name, fit in found.channels.items():
+    for name, fit in channels.items():
         colour = COLOURS[name]
         if np.isfinite(fit.curve.mtf).all():
             axes.fill_between(

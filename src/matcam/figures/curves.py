@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import matplotlib
 import numpy as np
 import xarray as xr
@@ -96,31 +98,38 @@ def _draw_loss(axes: Axes, result: xr.Dataset) -> None:
 
 
 def prediction_figure(data: Prediction, title: str) -> Figure:
-    """Draw relative response over theta, one line per roughness, with loss angles marked; `data` is from `predict`."""
+    """Draw relative response over theta, one line per roughness, with loss angles marked; `data` is from `predicted`."""
     with styled():
         figure = Figure(figsize=(7.4, 4.4), layout="constrained")
         axes = figure.subplots()
-        theta = np.degrees(data.theta)
-        colours = matplotlib.colormaps["cividis"](np.linspace(0.0, 0.88, data.roughness.size))
-        limit = 1 - LOSS
-        rows = zip(data.roughness, data.relative_response, np.degrees(data.loss_angle), colours, strict=True)
-        for value, relative, angle, colour in rows:
-            axes.plot(theta, relative, color=colour, label=f"{value:g}")
-            if angle < 90:
-                axes.plot([angle], [limit], "o", color=colour, ms=4.5, mec=BLACK, mew=0.5)
-        axes.axhline(limit, color=GREY, lw=0.8)
-        axes.annotate(_LIMIT, (1, limit), xytext=(0, 3), textcoords="offset points", fontsize=8, color=GREY)
-        axes.plot(theta, np.cos(np.radians(theta)), color=GREY, ls="--", lw=1.2, label=r"$\cos\,\theta_o$")
-        degrees_axis(axes, r"viewing angle $\theta_o$")
-        axes.set_ylim(0, 1.04)
-        axes.set_ylabel(r"recorded / true peak, relative to $\theta_o$ = 0 [-]")
+        draw_prediction(axes, data.dataset())
         axes.set_title(title, loc="left", fontsize=9.5)
-        axes.legend(title=f"roughness\n({data.family})", loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=8.5)
     return figure
 
 
+def draw_prediction(axes: Axes, data: xr.Dataset) -> None:
+    """Draw relative response over theta, one line per roughness, with loss angles marked; `data` is from `predict`."""
+    colours = matplotlib.colormaps["cividis"](np.linspace(0.0, 0.88, data.sizes["roughness"]))
+    limit, theta = 1 - LOSS, np.degrees(data["theta"].values)
+    angles = np.degrees(data["loss_angle"].values)
+    rows = zip(data["roughness"].values, data["relative_response"].values, angles, colours, strict=True)
+    for value, relative, angle, colour in rows:
+        axes.plot(theta, relative, color=colour, label=f"{value:g}")
+        if angle < 90:
+            axes.plot([angle], [limit], "o", color=colour, ms=4.5, mec=BLACK, mew=0.5)
+    axes.axhline(limit, color=GREY, lw=0.8)
+    axes.annotate(_LIMIT, (1, limit), xytext=(0, 3), textcoords="offset points", fontsize=8, color=GREY)
+    axes.plot(theta, np.cos(np.radians(theta)), color=GREY, ls="--", lw=1.2, label=r"$\cos\,\theta_o$")
+    degrees_axis(axes, r"viewing angle $\theta_o$")
+    axes.set_ylim(0, 1.04)
+    axes.set_ylabel(r"recorded / true peak, relative to $\theta_o$ = 0 [-]")
+    axes.legend(
+        title=f"roughness\n({data.attrs['family']})", loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=8.5
+    )
+
+
 def plane_figure(data: Prediction, title: str) -> Figure:
-    """Draw relative response over the plane of angle and roughness, and its loss angle; `data` is from `predict`."""
+    """Draw relative response over the plane of angle and roughness, and its loss angle; `data` is from `predicted`."""
     with styled():
         figure = Figure(figsize=(7.4, 4.6), layout="constrained")
         axes = figure.subplots()
@@ -199,3 +208,34 @@ def loss_figure(data: xr.Dataset) -> Figure:
             title="lobe width /\n" r"($\sigma_{mtf} / r_s$)", loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=8.5
         )
     return figure
+
+
+def draw_corrected_lobe(axes: Axes, table: xr.Dataset, recorded: xr.DataArray, at: tuple[Any, ...]) -> None:
+    """Draw the BRDF over theta_h as recorded and as corrected.
+
+    Args:
+        axes: to draw on.
+        table: from `correct`.
+        recorded: the table that was corrected, 1/sr.
+        at: index into the tables that leaves theta_h.
+    """
+    theta_h = np.degrees(recorded["theta_h"].values)
+    before = recorded.values[at]
+    after, std = (table[v].values[at] for v in ("brdf", "brdf_std"))
+    good = table["supported"].values[at]
+    seen = np.isfinite(before) & (before > 0)
+    if not seen.any():
+        axes.text(0.5, 0.5, "missing in this table", transform=axes.transAxes, ha="center", color=GREY)
+        return
+    axes.plot(theta_h[seen], before[seen], color=VERMILION, label="recorded")
+    axes.plot(theta_h[seen], after[seen], color=BLUE, label="corrected")
+    low = np.maximum(after - std, after * 1e-2)
+    axes.fill_between(theta_h[seen], low[seen], (after + std)[seen], color=BLUE, alpha=0.25, lw=0)
+    axes.plot(theta_h[good], after[good], ".", color=GREEN, ms=5, label="supported")
+    axes.set_xscale("log")
+    axes.set_yscale("log")
+    axes.minorticks_off()  # a hundred artists for each panel, two thirds of a page's time
+    top = np.nanmax(after[seen])
+    axes.set_ylim(max(top * 1e-7, np.nanmin(before[seen]) / 2), top * 2)
+    axes.set_xlabel(r"half angle $\theta_h$ [degrees]")
+    axes.set_ylabel("BRDF [1/sr]")

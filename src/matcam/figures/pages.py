@@ -20,6 +20,7 @@ from matplotlib.figure import Figure
 
 from matcam.core.grid import merl_grid, sampling_of
 from matcam.core.remark import texts
+from matcam.figures.curves import draw_corrected_lobe
 from matcam.figures.spheres import (
     encoded_for_screen,
     highlight_zoom,
@@ -28,7 +29,7 @@ from matcam.figures.spheres import (
     table_sphere,
     whole_sphere,
 )
-from matcam.figures.style import BLUE, GREEN, GREY, VERMILION, degrees_axis, inline_png, styled, write_page
+from matcam.figures.style import BLUE, GREY, VERMILION, degrees_axis, inline_png, styled, write_page
 from matcam.inverse.correction.correction import Correction
 from matcam.inverse.operator.rig_axes import LAMP, LENS
 
@@ -114,33 +115,15 @@ def reflectance_figure(raw: xr.DataArray, done: Correction) -> Figure:
 def lobe_figure(raw: xr.DataArray, done: Correction) -> Figure:
     """Draw the BRDF over theta_h at several theta_d, phi_d = 90 degrees, in the middle channel."""
     channel, grid = raw.sizes["channel"] // 2, merl_grid(sampling_of(raw))
-    theta_h = np.degrees(raw["theta_h"].values)
     with styled():
         figure = Figure(figsize=(9.6, 6.4))
         margins = {"left": 0.08, "right": 0.985, "bottom": 0.085, "top": 0.955}
         panels = figure.subplots(2, 2, gridspec_kw={**margins, "wspace": 0.22, "hspace": 0.36})
         for axes, theta_d in zip(panels.flat, np.radians(_SLICES), strict=True):
             at = (*grid.index(theta_d=theta_d, phi_d=np.pi / 2), channel)
-            before = raw.values[at]
-            after, std = (done.table[v].values[at] for v in ("brdf", "brdf_std"))
-            good = done.table["supported"].values[at]
-            seen = np.isfinite(before) & (before > 0)
-            if not seen.any():
-                axes.text(0.5, 0.5, "missing in this table", transform=axes.transAxes, ha="center", color=GREY)
-                continue
-            axes.plot(theta_h[seen], before[seen], color=VERMILION, label="recorded")
-            axes.plot(theta_h[seen], after[seen], color=BLUE, label="corrected")
-            low = np.maximum(after - std, after * 1e-2)
-            axes.fill_between(theta_h[seen], low[seen], (after + std)[seen], color=BLUE, alpha=0.25, lw=0)
-            axes.plot(theta_h[good], after[good], ".", color=GREEN, ms=5, label="supported")
-            axes.set_xscale("log")
-            axes.set_yscale("log")
-            axes.minorticks_off()  # a hundred artists for each of the four, two thirds of a page's time
-            top = np.nanmax(after[seen])
-            axes.set_ylim(max(top * 1e-7, np.nanmin(before[seen]) / 2), top * 2)
-            axes.set_title(rf"$\theta_d$ = {np.degrees(grid.theta_d[at[1]]):.1f}°", loc="left")
-            axes.set_xlabel(r"half angle $\theta_h$ [degrees]")
-            axes.set_ylabel("BRDF [1/sr]")
+            draw_corrected_lobe(axes, done.table, raw, at)
+            if axes.lines:
+                axes.set_title(rf"$\theta_d$ = {np.degrees(grid.theta_d[at[1]]):.1f}°", loc="left")
         drawn = [axes for axes in figure.axes if axes.lines]
         if drawn:
             drawn[0].legend(loc="lower left")

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from matcam.acquisition.merged_picture import MergedPicture
@@ -142,25 +143,29 @@ def overview_figure(result: Reconstruction, picture: MergedPicture) -> Figure:
 
 def reflectance_figure(result: Reconstruction) -> Figure:
     """Draw the strength of every picture with its error, and the curve through them, for each channel."""
+    with styled():
+        figure = Figure(figsize=(7.5, 4.2), layout="constrained")
+        draw_reflectance(figure.subplots(), result)
+    return figure
+
+
+def draw_reflectance(axes: Axes, result: Reconstruction) -> None:
+    """Draw the strength of every picture with its error, and the curve through them, for each channel."""
     fit = result.fit
     theta = fit.solution.theta_d
     units = np.array([one.value for one in result.units])
     strengths = fit.strengths / units
     std = fit.strengths_std / units
     fine = np.linspace(theta.min(), theta.max(), 200)
-    with styled():
-        figure = Figure(figsize=(7.5, 4.2), layout="constrained")
-        axes = figure.subplots()
-        for c, (channel, colour) in enumerate(zip(fit.channels, _colours(fit.channels), strict=True)):
-            axes.errorbar(
-                np.degrees(theta), strengths[:, c], std[:, c], color=colour, fmt="o", ms=4, label=f"{channel}, ± 1 std"
-            )
-            axes.plot(np.degrees(fine), result.curves[c].at(fine) / units[c], color=colour, lw=1.2)
-        degrees_axis(axes, r"difference angle $\theta_d$")
-        axes.set_ylabel("F [-]" if result.absolute else "F, relative [-]")
-        axes.set_ylim(0, None)
-        axes.legend(loc="lower left")
-    return figure
+    for c, (channel, colour) in enumerate(zip(fit.channels, _colours(fit.channels), strict=True)):
+        axes.errorbar(
+            np.degrees(theta), strengths[:, c], std[:, c], color=colour, fmt="o", ms=4, label=f"{channel}, ± 1 std"
+        )
+        axes.plot(np.degrees(fine), result.curves[c].at(fine) / units[c], color=colour, lw=1.2)
+    degrees_axis(axes, r"difference angle $\theta_d$")
+    axes.set_ylabel("F [-]" if result.absolute else "F, relative [-]")
+    axes.set_ylim(0, None)
+    axes.legend(loc="lower left")
 
 
 def lobe_figure(result: Reconstruction) -> Figure:

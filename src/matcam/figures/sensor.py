@@ -30,7 +30,7 @@ def sensor_figure(result: SensorCharacteristics, name: str) -> Figure:
     with styled():
         figure = Figure(figsize=(10.2, 6.4), layout="constrained")
         axes = figure.subplot_mosaic([["transfer", "snr", "linearity"], ["response", "dark", "spread"]])
-        _draw_transfer(axes["transfer"], result)
+        draw_transfer(axes["transfer"], result)
         _draw_snr(axes["snr"], result)
         _draw_linearity(axes["linearity"], result)
         _draw_map(
@@ -40,25 +40,6 @@ def sensor_figure(result: SensorCharacteristics, name: str) -> Figure:
         _draw_spread(axes["spread"], result)
         figure.suptitle(name, x=0.01, ha="left", fontsize=11, parse_math=False)
     return figure
-
-
-def values_of(result: SensorCharacteristics) -> list[tuple[str, float, float]]:
-    """List the values that a page and the command line show: name with unit, value, standard deviation."""
-    rows = [
-        ("gain, DN per e-", result.gain),
-        ("read noise" + (" (upper limit)" if result.read_noise_hidden else "") + ", e-", result.read_noise),
-        ("dark current, e-/s", result.dark_current),
-        ("black level, DN", result.black_level),
-        ("saturation capacity" + ("" if result.saturated else " (lower limit)") + ", e-", result.saturation),
-        ("full well, e-", result.full_well),
-        ("PRNU, %", _scaled(result.prnu, 100)),
-        ("PRNU of single pixels, %", _scaled(result.prnu_pixel, 100)),
-        ("DSNU, e-", result.dsnu),
-        ("largest signal over noise", result.snr_max),
-        ("dynamic range", result.dynamic_range),
-        ("quantum efficiency, %", _scaled(result.quantum_efficiency, 100)),
-    ]
-    return [(name, value, std) for name, (value, std) in rows if np.isfinite(value)]
 
 
 def write_sensor_page(path: str | Path, result: SensorCharacteristics, name: str, *, force: bool = False) -> None:
@@ -72,9 +53,9 @@ def write_sensor_page(path: str | Path, result: SensorCharacteristics, name: str
     """
     content = {
         "name": name,
-        "verdict": verdict(result),
+        "verdict": result.verdict,
         "remarks": texts(result.remarks),
-        "parameters": values_of(result),
+        "parameters": [(one.name, one.value, one.std) for one in result.quantities()],
         "figures": [
             (
                 "Photon transfer, signal over noise, linearity, and fixed patterns",
@@ -85,18 +66,8 @@ def write_sensor_page(path: str | Path, result: SensorCharacteristics, name: str
     write_page(path, "sensor_page.html", content, force=force)
 
 
-def verdict(result: SensorCharacteristics) -> str:
-    """State in one sentence how linear the sensor is."""
-    used = sum(int(plane.used.sum()) for plane in result.transfers)
-    low, high = (100 * error for error in result.linearity_error)
-    return f"{used} exposures give the gain; the signal departs from a straight line by {low:+.2f} to {high:+.2f} %"
-
-
-def _scaled(value: tuple[float, float], factor: float) -> tuple[float, float]:
-    return factor * value[0], factor * value[1]
-
-
-def _draw_transfer(axes: Axes, result: SensorCharacteristics) -> None:
+def draw_transfer(axes: Axes, result: SensorCharacteristics) -> None:
+    """Draw the photon transfer curve, and the line whose slope is the gain."""
     top = 1.0
     for plane in result.transfers:
         own = plane.variance - plane.dark_variance

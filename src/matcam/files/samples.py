@@ -30,6 +30,7 @@ from matcam.core.grid import (
 from matcam.core.io import reading, replacing
 from matcam.core.readers.apart import read_apart
 from matcam.core.readers.texts import SMALL_TEXT
+from matcam.core.results.labelled import named
 from matcam.files.table_decoders import HALF as _HALF
 from matcam.files.table_decoders import PAIR as _PAIR
 from matcam.files.table_decoders import VALUE as _VALUE
@@ -179,8 +180,11 @@ def read_samples(path: str | Path) -> xr.DataArray:
 def samples_from(values: np.ndarray, angles: list[np.ndarray], channels: list[str]) -> xr.DataArray:
     """Build samples from values (n, channels), 1/sr, at theta_h, theta_d and phi_d (n,) each, rad."""
     coords = {name: ("sample", angle, {"units": "rad"}) for name, angle in zip(_HALF, angles, strict=True)}
-    return xr.DataArray(
-        values, dims=("sample", "channel"), coords={**coords, "channel": channels}, name="brdf", attrs={"units": "1/sr"}
+    attrs = {"units": "1/sr", "long_name": "BRDF"}
+    return named(
+        xr.DataArray(
+            values, dims=("sample", "channel"), coords={**coords, "channel": channels}, name="brdf", attrs=attrs
+        )
     )
 
 

@@ -13,6 +13,7 @@ import xarray as xr
 from matcam.core.grid import CHANNELS
 from matcam.core.io import reading
 from matcam.core.readers.apart import read_apart
+from matcam.core.results.labelled import named
 from matcam.files.table_decoders import UTIA_SHAPE
 
 _STEP = np.radians(15.0)
@@ -49,4 +50,14 @@ def read_utia(path: str | Path) -> xr.Dataset:
     dims = ("theta_i", "phi_i", "theta_o", "phi_o", "channel")
     angles = {name: (name, polar if "theta" in name else azimuth, {"units": "rad"}) for name in dims[:4]}
     brdf = (dims, np.moveaxis(values, 0, -1), {"units": "1/sr"})
-    return xr.Dataset({"brdf": brdf}, coords={**angles, "channel": list(CHANNELS)}, attrs={"source": path.name})
+    data = xr.Dataset({"brdf": brdf}, coords={**angles, "channel": list(CHANNELS)}, attrs={"source": path.name})
+    return named(
+        data,
+        {
+            "brdf": "BRDF [1/sr]",
+            "theta_i": "angle between light and normal [rad]",
+            "phi_i": "azimuth of the light [rad]",
+            "theta_o": "angle between view and normal [rad]",
+            "phi_o": "azimuth of the view [rad]",
+        },
+    )

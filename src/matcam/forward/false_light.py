@@ -11,6 +11,7 @@ from matcam.core import checks
 from matcam.core.errors import ArgumentError
 from matcam.core.grid import cosines
 from matcam.core.jax import jnp
+from matcam.core.results.labelled import named
 from matcam.forward.integral.blur import imaging_of
 from matcam.forward.integral.plan import RecordPlaces, integration_plan
 from matcam.forward.integral.recording import record
@@ -21,6 +22,13 @@ from matcam.sample.curved import Sphere
 
 _FALSE_LIGHT_THETA_H = np.radians([0.5, 1, 2, 3, 5, 7, 10, 15, 20, 30, 40, 50, 60])
 _FAR_FROM_HIGHLIGHT = 29.9  # degrees of theta_h
+_NAMES = {
+    "true": "BRDF of the material [1/sr]",
+    "recorded": "BRDF as recorded, with the halo [1/sr]",
+    "added": "BRDF that the halo adds [1/sr]",
+    "false_diffuse": "albedo that the halo adds",
+}
+"""Names in words, and units, of the variables of the result."""
 
 
 def false_light(material: Material, rig: Rig, theta_d: float = np.pi / 8) -> xr.Dataset:
@@ -66,13 +74,14 @@ def false_light(material: Material, rig: Rig, theta_d: float = np.pi / 8) -> xr.
     dims = ("theta_h", "channel")
     added = with_halo - without
     far = np.degrees(theta_h) >= _FAR_FROM_HIGHLIGHT
-    return xr.Dataset(
+    data = xr.Dataset(
         {
-            "true": (dims, np.broadcast_to(true, added.shape), {"units": "1/sr"}),
-            "recorded": (dims, with_halo, {"units": "1/sr"}),
-            "added": (dims, added, {"units": "1/sr"}),
+            "true": (dims, np.broadcast_to(true, added.shape)),
+            "recorded": (dims, with_halo),
+            "added": (dims, added),
             "false_diffuse": ("channel", np.pi * added[far].mean(axis=0)),
         },
-        coords={"theta_h": ("theta_h", theta_h, {"units": "rad"})},
+        coords={"theta_h": theta_h},
         attrs={"theta_d": theta_d, "fraction": float(optics.fraction), "radius_px": float(optics.radius)},
     )
+    return named(data, _NAMES)

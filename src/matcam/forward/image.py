@@ -19,6 +19,7 @@ from matcam.camera.sensor import Seed, Sensor
 from matcam.core import checks
 from matcam.core.errors import ArgumentError
 from matcam.core.jax import jax, jnp
+from matcam.core.results.labelled import named
 from matcam.forward.integral.blur import kernel_error
 from matcam.forward.integral.blur_groups import groups_of
 from matcam.forward.integral.cylinder_discs import places_under
@@ -103,16 +104,17 @@ def picture(
     quantity, unit = "radiance", "1/sr"
     if raw is not None:
         values, quantity, unit = raw(values), "digital", "DN"
-    return xr.DataArray(
+    recorded = xr.DataArray(
         np.asarray(values),
         dims=("row", "column", "channel")[: values.ndim],
         coords={
-            "x": ("column", view.x, {"units": "px"}),
-            "y": ("row", view.y, {"units": "px"}),
+            "x": ("column", view.x),
+            "y": ("row", view.y),
         },
         name="picture",
         attrs={
             "units": unit,
+            "long_name": "radiance over irradiance" if raw is None else "raw code",
             "quantity": quantity,
             "lamp_angle": view.lamp_angle,
             "lamp_azimuth": view.azimuth,
@@ -120,6 +122,9 @@ def picture(
             "kernel_error": kernel_error(rig) if view.lens is None else view.lens.error,
             "route": "space" if view.lens is None else "frequencies",
         },
+    )
+    return named(
+        recorded, {"x": "position on the sample, to the right [px]", "y": "position on the sample, upwards [px]"}
     )
 
 

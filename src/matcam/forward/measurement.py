@@ -120,7 +120,8 @@ def measure(
     if rig.pixel_phase is not None:
         attrs["pixel_phase"] = np.ravel(rig.pixel_phase).tolist()
     table = brdf_table(values, cell_sampling(rig.cell_value), **attrs)
-    return table.assign_coords(pixels=(("theta_h", "theta_d", "phi_d"), pixels))
+    about = {"units": "1", "long_name": "number of pixels in which the cell is seen"}
+    return table.assign_coords(pixels=(("theta_h", "theta_d", "phi_d"), pixels, about))
 
 
 def table_values(

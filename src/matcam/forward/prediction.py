@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from matcam.core import checks
+from matcam.core.errors import ArgumentError
+from matcam.core.results.summary import Quantity, Summary
 from matcam.forward.peaks.peak import peak_response
 from matcam.material.ndf.distribution import NDF
 from matcam.rigs import Rig
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 LOSS = 0.05
 """Relative loss beyond which an angle is no longer trusted (`loss_angle`)."""
@@ -50,9 +56,90 @@ class Prediction(NamedTuple):
         }
         return {name: array.tolist() for name, array in arrays.items()}
 
+    def dataset(self) -> xr.Dataset:
+        """Return the values over (roughness, theta), with units."""
+        import xarray as xr
 
-def predict(rig: Rig, ndfs: Sequence[NDF], dims: int = 2, exact: bool = False, fast: bool = False) -> Prediction:
-    """Predict the loss at the peak for several lobes of one family.
+        from matcam.core.results.labelled import named
+
+        dims, unit = ("roughness", "theta"), "rad" if self.family == "gaussian" else "1"
+        data = xr.Dataset(
+            {
+                "response": (dims, self.response),
+                "relative_response": (dims, self.relative_response),
+                "loss_angle": ("roughness", self.loss_angle),
+            },
+            coords={"roughness": self.roughness, "theta": self.theta},
+            attrs={"family": self.family},
+        )
+        return named(
+            data,
+            {
+                "response": "recorded over true peak",
+                "relative_response": "recorded over true peak, relative to theta = 0",
+                "loss_angle": f"first angle that loses {LOSS:.0%} of the peak [rad]",
+                "roughness": f"roughness of the {self.family} lobe [{unit}]",
+            },
+        )
+
+
+def predict(rig: Rig, ndfs: NDF | Sequence[NDF], *, dims: int = 2, exact: bool = False) -> xr.Dataset:
+    """Predict which share of a highlight's peak a rig keeps.
+
+    `matcam predict` prints the same.
+
+    Args:
+        rig: camera, sample and lamp.
+        ndfs: lobes of one family, such as `[GGX(0.01), GGX(0.1)]`; or a single one.
+        dims: 2 for a real sample, 1 for the paper's one-dimensional model. Default: 2.
+        exact: True for the curved sample with its limb, as for `peak_response`; masking is Smith's. Default: False, its
+            tangent plane.
+
+    Returns:
+        Dataset over roughness and theta (rad, viewing angle of the highlight): `response`, recorded over true peak, and
+        `relative_response`, relative to theta = 0, both without unit; and `loss_angle`, rad, the first angle whose relative
+        loss exceeds 5 %, pi/2 where none below 89.9 degrees does. `result.matcam.plot()` draws it.
+
+    Raises:
+        ArgumentError: see `peak_response`, or the lobes are of several families.
+
+    Source:
+        Holzschuch and Pacanowski (2017), section 3; docs/model.md 4.
+
+    Example:
+        >>> found = matcam.predict(matcam.rigs.merl(), [matcam.GGX(0.005), matcam.GGX(0.02)])
+        >>> print(np.degrees(found["loss_angle"].values).round(1))
+        [32.4 57.1]
+        >>> print(found["response"].sel(roughness=0.02).sel(theta=np.radians(75), method="nearest").item().__round__(2))
+        0.84
+    """
+    lobes = [ndfs] if isinstance(ndfs, NDF) else checks.instances("ndfs", ndfs, NDF)  # type: ignore[type-abstract]
+    families = sorted({lobe.family for lobe in lobes})
+    if len(families) != 1:
+        raise ArgumentError(f"ndfs must be lobes of one family, got {', '.join(families) or 'none'}")
+    return predicted(rig, lobes, dims, exact).dataset()
+
+
+def prediction_summary(data: xr.Dataset) -> Summary:
+    """Summarise a result of `predict`."""
+    kept, angles = data["response"].values[:, 0], np.degrees(data["loss_angle"].values)
+    names = [f"roughness {value:g}" for value in data["roughness"].values]
+    losses = [f"{angle:.1f}°" if angle < 90 else "none below 90°" for angle in angles]
+    return Summary(
+        f"Peaks of {data.attrs['family']} lobes, as a rig records them",
+        sections={
+            "Share of the peak that is kept at 0°": [
+                Quantity(*pair) for pair in zip(names, kept.tolist(), strict=True)
+            ],
+            f"First angle that loses {100 * LOSS:g} % of that": [
+                Quantity(*pair) for pair in zip(names, losses, strict=True)
+            ],
+        },
+    )
+
+
+def predicted(rig: Rig, ndfs: Sequence[NDF], dims: int = 2, exact: bool = False, fast: bool = False) -> Prediction:
+    """Predict the loss at the peak for several lobes of one family, as arrays: small commands do without xarray.
 
     Args:
         rig: camera, sample and lamp.
@@ -104,7 +191,7 @@ def loss_angle(rig: Rig, ndf: NDF, dims: int = 2) -> float:
         >>> print(f"{np.degrees(angle):.1f} degrees")
         57.1 degrees
     """
-    return float(predict(rig, [ndf], dims).loss_angle[0])
+    return float(predicted(rig, [ndf], dims).loss_angle[0])
 
 
 def _first_beyond(theta: np.ndarray, relative: np.ndarray) -> float:

@@ -24,6 +24,7 @@ from matcam.camera.optics.halo import HaloOptics
 from matcam.core import checks
 from matcam.core.errors import ArgumentError
 from matcam.core.jax import jax, jnp
+from matcam.core.results.labelled import named
 from matcam.forward.integral.blur import blur_of
 from matcam.forward.integral.scene import Scene, highlight_x
 from matcam.lamp.lamps import NearLamp
@@ -193,15 +194,23 @@ def _mixture(material: Microfacet) -> MixtureNDF:
     return ndf
 
 
+_NAMES = {
+    "true": "BRDF of the material [1/sr]",
+    "recorded": "BRDF as recorded [1/sr]",
+    "difference": "recorded less true [1/sr]",
+}
+
+
 def _dataset(true: np.ndarray, recorded: np.ndarray, x: np.ndarray, y: np.ndarray, **attributes: float) -> xr.Dataset:
     difference = recorded - true
     most = {"largest": max(true.max(), recorded.max()), "largest_difference": np.abs(difference).max()}
     values = {"true": true, "recorded": recorded, "difference": difference}
-    return xr.Dataset(
-        {name: (("y", "x"), value, {"units": "1/sr"}) for name, value in values.items()},
-        coords={"x": ("x", x, {"units": "px"}), "y": ("y", y, {"units": "px"})},
+    data = xr.Dataset(
+        {name: (("y", "x"), value) for name, value in values.items()},
+        coords={"x": x, "y": y},
         attrs={**attributes, **{name: float(value) for name, value in most.items()}},
     )
+    return named(data, _NAMES)
 
 
 def _count(name: str, value: int, low: int) -> int:

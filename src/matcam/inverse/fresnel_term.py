@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -11,16 +10,17 @@ import xarray as xr
 from matcam.camera.sensor import PixelNoise
 from matcam.core import checks
 from matcam.core.errors import ArgumentError, FitError
-from matcam.core.grid import CHANNEL_WAVELENGTHS, checked_table, merl_grid, sampling_of
+from matcam.core.grid import checked_table, merl_grid, sampling_of
 from matcam.core.jax import jax, jnp, placed
 from matcam.core.programs import kept_program
 from matcam.core.registry import FAMILIES
 from matcam.core.remark import to_attribute
+from matcam.core.results.labelled import named
 from matcam.core.threads import available_cores, done_behind, in_order
 from matcam.core.workspace import Workspace, default_workspace
 from matcam.forward.peaks.peak import peak_response
 from matcam.inverse.correction.explanation import explain, first_setup
-from matcam.inverse.fit.fit_setup import AUTO, SEARCH_EVERY
+from matcam.inverse.fit.fit_setup import AUTO, SEARCH_STEP
 from matcam.inverse.fit.material_fit import MaterialFit
 from matcam.inverse.normalised_fresnel import (
     NormalisedFresnel,
@@ -38,9 +38,6 @@ from matcam.inverse.peak_curve import recorded_peak
 from matcam.inverse.picture_gain import gain_remarks, picture_gain
 from matcam.material.masking import MASKINGS, Masking, g2
 from matcam.material.ndf.distribution import NDF
-from matcam.material.optical_constants import metal as metal_index
-from matcam.material.optical_constants import metals
-from matcam.material.reflectance import fresnel_conductor
 from matcam.numerics.budget import UncertaintyBudget
 from matcam.numerics.fit_budget import parts_budget
 from matcam.rigs import Rig
@@ -58,10 +55,24 @@ _SHARP_LENS = 0.05
 """px."""
 _PARTS = 5
 """In which the angles of exact peaks are computed."""
-_DIMS = ("theta_d", "channel")
-_REFRACTIVE = (1.3, 1.4, 1.5, 1.6, 1.7, 1.8)
-"""Indices of dielectrics that a result is compared with."""
 _QUIET = np.radians(np.arange(6, 60, 3))  # theta_d where lobes of real tables are complete
+_NAMES = {
+    "raw": "F from the recorded peak",
+    "raw_std": "standard deviation of raw (noise)",
+    "corrected_peak": "F from the recorded peak alone, over the relative loss",
+    "corrected": "F corrected for the camera",
+    "corrected_std": "standard deviation of corrected",
+    "corrected_std_noise": "part of pixel noise in corrected_std",
+    "corrected_std_camera": "part of the camera's uncertainty in corrected_std",
+    "absolute": "F corrected, not normalised",
+    "absolute_std": "standard deviation of absolute",
+    "response": "recorded / true peak",
+    "masking": "G in the mirror direction",
+    "supported_angle": "last difference angle at which F is known to 5 % [rad]",
+    "hwhm": "half width of the lobe at half its maximum [rad]",
+    "hwhm_std": "standard deviation of hwhm [rad]",
+}
+"""Names in words, and units, of the variables of the results."""
 
 
 def fresnel(
@@ -72,8 +83,8 @@ def fresnel(
     masking: Masking = "smith",
     noise: PixelNoise | None = None,
     normalise: tuple[float, float] = NORMALISE,
-    every: int = 1,
-    anyway: bool = False,
+    slice_step: int = 1,
+    force_correction: bool = False,
     workspace: Workspace | None = None,
 ) -> xr.Dataset:
     """Extract the Fresnel term of a table, with and without its camera.
@@ -91,8 +102,8 @@ def fresnel(
         masking: the G that (13) divides by: "smith", "smith-separable", "van-ginneken" or None. Default: "smith".
         noise: noise of a pixel. Default: None, estimated from the residuals.
         normalise: range of theta_d, rad, over which the mean of the corrected F is 1. Default: 10 to 45 degrees.
-        every: spacing of the slices of theta_d that are used (no unit). Default: 1, all of them; more is quicker.
-        anyway: whether to correct a table whose data contradict the rig. Default: False, F is what it is without a camera.
+        slice_step: spacing of the slices of theta_d that are used (no unit). Default: 1, all of them; more is quicker.
+        force_correction: whether to correct a table whose data contradict the rig. Default: False, F is that without a camera.
         workspace: keeps what depends on the rig alone for the next call. Default: None, the process's own.
 
     Returns:
@@ -134,31 +145,34 @@ def fresnel(
     brdf = checked_table(brdf)
     _check(rig, ndf, normalise)
     checks.choice("masking", masking, MASKINGS)
-    checks.flag("anyway", anyway)
+    checks.flag("force_correction", force_correction)
     _check_highlight(brdf, normalise)
     located = located_rig(rig, brdf)
     setup = first_setup(
         brdf, located.rig, masking=masking, noise=noise, workspace=workspace or default_workspace(),
-        every=max(every, SEARCH_EVERY),
+        slice_step=max(slice_step, SEARCH_STEP),
     )  # fmt: skip
     setup.rule()  # by itself: what it compiles serves the others
-    with done_behind(setup.with_(every=every).rule):
+    with done_behind(setup.with_(slice_step=slice_step).rule):
         explained = explain(setup, located, ndf)
-    found = explained.setup.with_(every=every).solve(start=explained.fit)
+    found = explained.setup.with_(slice_step=slice_step).solve(start=explained.fit)
     terms = [NormalisedFresnel(found, normalise)]
-    held_back = explained.contradicts and not anyway
-    weight = 1.0 if held_back else explained.no_camera * (not anyway)
+    held_back = explained.contradicts and not force_correction
+    weight = 1.0 if held_back else explained.no_camera * (not force_correction)
     if explained.no_camera > _NEGLIGIBLE or held_back:
-        blind = explained.blind_setup.with_(every=every).solve(start=explained.blind)
+        blind = explained.blind_setup.with_(slice_step=slice_step).solve(start=explained.blind)
         terms.append(NormalisedFresnel(blind, normalise))
     members = [
-        (NormalisedFresnel(other.setup.with_(every=every).solve(start=other.fit), normalise), other.probability)
+        (
+            NormalisedFresnel(other.setup.with_(slice_step=slice_step).solve(start=other.fit), normalise),
+            other.probability,
+        )
         for other in explained.others
     ]
     others = []
     for doubt in explained.doubts:
         if doubt.contradicts and doubt.counted:  # what `correct` does not support is not stated here
-            free = explained.setup.with_(every=every, also=(doubt.axis.name,)).solve(start=doubt.fit)
+            free = explained.setup.with_(slice_step=slice_step, also=(doubt.axis.name,)).solve(start=doubt.fit)
             others.append((doubt.axis.name, NormalisedFresnel(free, normalise), doubt.counted))
     lobe, theta_d = found.ndf, found.theta_d
     term = averaged(terms, members, others, weight, held_back=held_back)
@@ -179,31 +193,31 @@ def fresnel(
     raw, corrected_peak = raw / scale, corrected_peak / scale
     width = next(iter(found.params))
 
-    def curve(values: np.ndarray, text: str) -> tuple[Any, ...]:
-        return ("theta_d", "channel"), values.T, {"long_name": text}
+    def curve(values: np.ndarray) -> tuple[Any, ...]:
+        return ("theta_d", "channel"), values.T
 
-    return xr.Dataset(
+    result = xr.Dataset(
         {
-            "raw": curve(raw, "F from the recorded peak"),
-            "raw_std": curve(raw * np.linalg.norm([*found.noise[:2], gain]), "standard deviation of raw (noise)"),
-            "corrected_peak": curve(corrected_peak, "F from the recorded peak alone, over the relative loss"),
-            "corrected": curve(term.normalised, "F corrected for the camera"),
-            "corrected_std": curve(np.hypot(term.std_noise, term.std_camera), "standard deviation of corrected"),
-            "corrected_std_noise": curve(term.std_noise, "its part from pixel noise"),
-            "corrected_std_camera": curve(term.std_camera, "its part from the camera's uncertainty"),
-            "absolute": curve(term.absolute, "F corrected, not normalised"),
-            "absolute_std": curve(term.absolute_std, "standard deviation of absolute"),
-            "response": ("theta_d", response, {"long_name": "recorded / true peak"}),
-            "masking": ("theta_d", hidden, {"long_name": "G in the mirror direction"}),
-            "supported_angle": ("channel", _supported_angle(term, theta_d), {"units": "rad"}),
-            "width": ((), found.params[width], {"long_name": f"width of the {found.lobe_name} lobe ({width})"}),
-            "width_std": ((), found.std[width] if found.resolved else np.inf, {"long_name": "its standard deviation"}),
-            "hwhm": ((), found.hwhm, {"units": "rad", "long_name": "half width of the lobe at half its maximum"}),
-            "hwhm_std": ((), found.hwhm_std, {"units": "rad", "long_name": "its standard deviation"}),
+            "raw": curve(raw),
+            "raw_std": curve(raw * np.linalg.norm([*found.noise[:2], gain])),
+            "corrected_peak": curve(corrected_peak),
+            "corrected": curve(term.normalised),
+            "corrected_std": curve(np.hypot(term.std_noise, term.std_camera)),
+            "corrected_std_noise": curve(term.std_noise),
+            "corrected_std_camera": curve(term.std_camera),
+            "absolute": curve(term.absolute),
+            "absolute_std": curve(term.absolute_std),
+            "response": ("theta_d", np.array(response)),
+            "masking": ("theta_d", hidden),
+            "supported_angle": ("channel", _supported_angle(term, theta_d)),
+            "width": ((), found.params[width]),
+            "width_std": ((), found.std[width] if found.resolved else np.inf),
+            "hwhm": ((), found.hwhm),
+            "hwhm_std": ((), found.hwhm_std),
             **budget_variables(term),
         },
         coords={
-            "theta_d": ("theta_d", theta_d, {"units": "rad", "long_name": "difference angle"}),
+            "theta_d": theta_d,
             "channel": brdf.coords["channel"] if "channel" in brdf.coords else np.arange(brdf.sizes["channel"]),
         },
         attrs={
@@ -224,95 +238,12 @@ def fresnel(
             "remarks": to_attribute(remarks),
         },
     )
-
-
-def _check_result(result: xr.Dataset) -> None:
-    """Refuse what is no Dataset as from `fresnel`. ArgumentError names what it lacks."""
-    checks.instance("result", result, xr.Dataset)
-    dims = {"theta_d": ("theta_d",), "raw": _DIMS, "corrected": _DIMS, "supported_angle": _DIMS[1:]}
-    lacking = [name for name, wanted in dims.items() if name not in result.variables or result[name].dims != wanted]
-    lacking += [] if np.shape(result.attrs.get("normalised_over", 0)) == (2,) else ["attrs['normalised_over']"]
-    if lacking:
-        raise ArgumentError(f"result must be a Dataset as from fresnel: it lacks {', '.join(lacking)}")
-
-
-def tabulated_fresnel(
-    result: xr.Dataset, metal: str | None = None, wavelengths: Sequence[float] = CHANNEL_WAVELENGTHS
-) -> xr.Dataset:
-    """Return the Fresnel curves of metals and dielectrics from tables.
-
-    Args:
-        result: Dataset as from `fresnel`.
-        metal: name of the metal, as in `metals`. Default: None, all metals, and dielectrics of index 1.3, 1.4 ... 1.8.
-        wavelengths: wavelength of each channel, m (channels,). Default: those of R, G and B. Give others for other channels.
-
-    Returns:
-        Dataset over (table, theta_d, channel), without unit:
-
-        - `tabulated`: F of the table's n and k, normalised over the same range of theta_d as `result`.
-        - `tabulated_f0`: F at normal incidence, (table, channel).
-        - `rms_corrected`, `rms_raw`: rms over theta_d of (result / tabulated - 1), (table, channel), from the start of the
-          normalisation to the supported angle; NaN where nothing is supported.
-
-    Raises:
-        ArgumentError: there is no such metal, not one wavelength for each channel, or `result` lacks something.
-
-    Source:
-        `metals` lists the tables.
-
-    Example:
-        >>> import xarray as xr
-        >>> theta_d = np.radians(np.arange(5.0, 80.0, 10.0))
-        >>> curve = (("theta_d", "channel"), np.ones((8, 1)))
-        >>> found = xr.Dataset(
-        ...     {"raw": curve, "corrected": curve, "supported_angle": ("channel", [1.3])},
-        ...     coords={"theta_d": theta_d, "channel": ["G"]},
-        ...     attrs={"normalised_over": [0.17, 0.79]},
-        ... )
-        >>> matcam.inverse.tabulated_fresnel(found, "Cr", [550e-9])["tabulated_f0"].values.round(2).ravel()
-        array([0.55, 0.65, 0.68])
-    """
-    _check_result(result)
-    channels = result.sizes["channel"]
-    if len(wavelengths) != channels:
-        raise ArgumentError(f"wavelengths must be {channels}, one per channel of the result, got {len(wavelengths)}")
-    theta_d = result["theta_d"].values
-    low, high = result.attrs["normalised_over"]
-    inside = (theta_d >= low) & (theta_d <= high)
-    judged = (theta_d[:, None] >= low) & (theta_d[:, None] <= result["supported_angle"].values)
-    tables = [(name, source) for name, sources in metals(metal).items() for source in sources]
-    indices = [metal_index(name, wavelengths, source) for name, source in tables]
-    names = [f"{name} ({source})" for name, source in tables]
-    n, k = (np.stack([getattr(index, part) for index in indices]) for part in ("n", "k"))
-    if metal is None:
-        names += [f"dielectric (n = {index:g})" for index in _REFRACTIVE]
-        clear = np.repeat(np.array(_REFRACTIVE)[:, None], channels, axis=1)
-        n, k = np.concatenate([n, clear]), np.concatenate([k, 0 * clear])
-    n, k = n[:, None, :], k[:, None, :]
-    *curves, f0 = np.asarray(fresnel_conductor(np.append(theta_d, 0.0)[:, None], n, k)).transpose(1, 0, 2)
-    normalised = np.stack(curves, axis=1)
-    normalised /= normalised[:, inside].mean(axis=1, keepdims=True)
-
-    def rms(name: str) -> np.ndarray:
-        squared = (result[name].values / normalised - 1) ** 2
-        used = judged & np.isfinite(squared)
-        count = used.sum(axis=1)
-        return np.sqrt(np.where(count > 0, np.where(used, squared, 0).sum(axis=1) / np.maximum(count, 1), np.nan))
-
-    return xr.Dataset(
-        {
-            "tabulated": (("table", "theta_d", "channel"), normalised),
-            "tabulated_f0": (("table", "channel"), f0),
-            "rms_corrected": (("table", "channel"), rms("corrected")),
-            "rms_raw": (("table", "channel"), rms("raw")),
-        },
-        coords={
-            "table": names,
-            "theta_d": result["theta_d"],
-            "channel": result["channel"],
-        },
-        attrs={"wavelengths_m": list(wavelengths)},
-    )
+    unit = " [rad]" if width.endswith("_rad") else ""
+    width_names = {
+        "width": f"{width}, width of the {found.lobe_name} lobe{unit}",
+        "width_std": f"standard deviation of width{unit}",
+    }
+    return named(result, _NAMES | width_names)
 
 
 def fresnel_budget(result: xr.Dataset, theta_d: float, channel: str | None = None) -> UncertaintyBudget:
@@ -433,4 +364,7 @@ def _check(rig: Rig, ndf: str, normalise: tuple[float, float]) -> None:
         raise ArgumentError(f"normalise must be two angles (low, high), rad, got shape {np.shape(normalise)}")
     low, high = normalise
     if not 0 <= low < high < np.pi / 2:
-        raise ArgumentError(f"normalise must be (low, high) with 0 <= low < high < pi/2 rad, got ({low:g}, {high:g})")
+        hint = checks.degrees_hint(high, np.pi / 2)
+        raise ArgumentError(
+            f"normalise must be (low, high) with 0 <= low < high < pi/2 rad, got ({low:g}, {high:g}){hint}"
+        )

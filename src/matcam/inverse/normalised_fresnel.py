@@ -124,15 +124,27 @@ def budget_variables(term: NormalisedFresnel) -> dict[str, tuple[Any, ...]]:
     own = [np.nan if part.uncertainty is None else part.uncertainty for part in parts]
     return {
         "source": ("source", [part.name for part in parts], {"long_name": "source of uncertainty"}),
-        "budget_std": (("source", "theta_d", "channel"), std.swapaxes(1, 2), {"long_name": "part in corrected_std"}),
+        "budget_std": (
+            ("source", "theta_d", "channel"),
+            std.swapaxes(1, 2),
+            {"long_name": "part in corrected_std", "units": "1"},
+        ),
         "budget_type": ("source", [part.kind for part in parts], {"long_name": "type of evaluation (GUM)"}),
-        "budget_value": ("source", [part.value for part in parts], {"long_name": "value of the source"}),
+        "budget_value": (
+            "source",
+            [part.value for part in parts],
+            {"long_name": "value, in the unit that the source states"},
+        ),
         "budget_uncertainty": (
             "source",
             own,
-            {"long_name": "its standard uncertainty; NaN: in the unit of the result"},
+            {"long_name": "standard uncertainty of the source, in its unit; NaN: in the unit of the result"},
         ),
-        "budget_degrees": ("source", [float(part.degrees) for part in parts], {"long_name": "degrees of freedom"}),
+        "budget_degrees": (
+            "source",
+            [float(part.degrees) for part in parts],
+            {"long_name": "degrees of freedom", "units": "1"},
+        ),
     }
 
 

@@ -41,6 +41,7 @@ def peak_curve(table: xr.DataArray) -> xr.DataArray:
         _normalised(values, theta_d),
         dims=("theta_d", "channel"),
         coords={"theta_d": table["theta_d"], "channel": table["channel"]},
+        attrs={"units": "1", "long_name": "recorded peak times cos^2, normalised"},
     )
 
 

@@ -14,6 +14,7 @@ from matcam.core import checks
 from matcam.core.errors import ArgumentError
 from matcam.core.grid import Sampling
 from matcam.core.registry import ONE_WIDTH
+from matcam.core.results.labelled import named
 from matcam.core.workspace import Workspace
 from matcam.inverse.fit.fit_parameters import LobeKind
 from matcam.inverse.fit.lobe_slopes import record_and_slopes
@@ -37,6 +38,19 @@ BLURS: dict[str, tuple[str, float]] = {
     "defocus (aperture / distance)": ("aperture", 0.004),
 }
 """What else widens a highlight: field of `Rig`, and the size at which its signature is taken."""
+_NAMES = {
+    "width_std": "bound of ln roughness, lens exact",
+    "width_std_stated": "bound of ln roughness, lens as its profile states",
+    "width_std_free": "bound of ln roughness, lens free",
+    "lens_std_free": "bound of ln sigma_mtf, lens free",
+    "fresnel_std": "bound of F, relative",
+    "alike": "correlation of the change by a blur with that by a wider lens",
+    "smallest": "size of a blur that is seen at 3 standard deviations [unit in the name of the blur]",
+    "width_bias": "change of ln roughness by an ignored blur",
+    "width_std_changed": "bound of ln roughness after a change of the rig",
+    "size": "size of the blur [unit in the name of the blur]",
+}
+"""Names in words, and units, of the variables of the result."""
 
 
 def limits(
@@ -45,7 +59,7 @@ def limits(
     *,
     roughness: Sequence[float] = ROUGHNESSES,
     noise: PixelNoise | None = None,
-    every: int = 10,
+    slice_step: int = 10,
     workspace: Workspace | None = None,
 ) -> xr.Dataset:
     """Bound which roughness and which angle a rig can recover at all.
@@ -58,8 +72,8 @@ def limits(
         ndf: family of the lobe, one with a single width. Default: "ggx". It is not "auto", as there are no data to choose by.
         roughness: roughnesses to judge, no unit (n,). Default: ten from 0.0003 to 0.2.
         noise: noise of a pixel and of the picture gain. Default: None, 1 % of the value, 1e-4 of the peak and 1 % of gain.
-        every: spacing of the slices of theta_d (no unit). Default: 10, unlike `fit`, as the bounds of nine slices are what a
-            reader compares rigs by. They shrink with more.
+        slice_step: spacing of the slices of theta_d (no unit). Default: 10, unlike `fit`: rigs are compared by the bounds of
+            nine slices. The bounds shrink with more slices.
         workspace: keeps what depends on the rig alone for the next call. Default: None, the process's own.
 
     Returns:
@@ -89,7 +103,7 @@ def limits(
         matcam.core.errors.ArgumentError: roughness must lie in [1e-05, 1], got -1
     """
     check_rig(rig)
-    checks.whole_number("every", every, 1, 30)
+    checks.whole_number("slice_step", slice_step, 1, 30)
     checks.choice("ndf", ndf, tuple(ONE_WIDTH))
     if LENS not in rig.camera.parameters():
         raise ArgumentError("limits need a camera whose lens is a Gaussian: it has no 'optics.sigma_px'")
@@ -97,7 +111,7 @@ def limits(
     if values.ndim != 1 or not values.size:
         raise ArgumentError(f"roughness must be a list of at least one number, got shape {values.shape}")
     noise = PixelNoise(picture_gain=0.01) if noise is None else checks.instance("noise", noise, PixelNoise)
-    view = _View(rig, ndf, noise.check(), every, workspace)
+    view = _View(rig, ndf, noise.check(), slice_step, workspace)
     stated_std = rig.camera.uncertainty.std().get(LENS, np.nan) if rig.camera.uncertainty else np.nan
     relative = stated_std / float(rig.camera.parameters()[LENS])
     own = [_Information(view, a) for a in values]
@@ -119,18 +133,25 @@ def limits(
         np.array([[_exact_and_free(_Information(view._replace(rig=r), a)) for r in changes.values()] for a in values]),
     )
     cells = own[0].cells
-    return xr.Dataset(
+    found = xr.Dataset(
         rest,
         coords={
             "roughness": values,
-            "theta_d": ("theta_d", cells.theta_d, {"units": "rad"}),
+            "theta_d": cells.theta_d,
             "blur": list(blurs),
             "size": ("blur", [float(np.degrees(s)) if f == LAMP else s for f, s in blurs.values()]),
             "change": list(changes),
             "lens": ["exact", "free"],
         },
-        attrs={"ndf": ndf, "noise": str(tuple(view.noise)), "every": every, "lens_std_stated": float(relative)},
+        attrs={
+            "ndf": ndf,
+            "noise": str(tuple(view.noise)),
+            "slice_step": slice_step,
+            "lens_std_stated": float(relative),
+        },
     )
+    unit = "rad" if ndf == "gaussian" else "1"
+    return named(found, _NAMES | {"roughness": f"roughness of the {ndf} lobe [{unit}]"})
 
 
 def changed_rigs(rig: Rig) -> dict[str, Rig]:
@@ -156,14 +177,14 @@ class _View(NamedTuple):
         rig: the rig.
         ndf: family of the lobe.
         noise: of a pixel and of the picture gain.
-        every: spacing of the slices of theta_d.
+        slice_step: spacing of the slices of theta_d.
         workspace: keeps what depends on the rig alone.
     """
 
     rig: Rig
     ndf: str
     noise: PixelNoise
-    every: int
+    slice_step: int
     workspace: Workspace | None
 
 
@@ -175,7 +196,7 @@ class _Information:
         rig, noise = view.rig, view.noise
         sampling: Sampling = "edge" if rig.cell_value == "edge" else "centre"
         axis = prior_axis(LENS, float(rig.camera.parameters()[LENS]), _STEP)
-        cells, operator = lobe_operator(rig, sampling, view.every, (axis,), view.workspace)
+        cells, operator = lobe_operator(rig, sampling, view.slice_step, (axis,), view.workspace)
         at = np.array([np.log(roughness), 0.0])
         record, slopes = record_and_slopes(operator, LobeKind(view.ndf, "smith"), at)
         peak = record.max(-1, keepdims=True, where=cells.valid, initial=0)

@@ -96,7 +96,7 @@ class Rivals(NamedTuple):
 
 
 def rivals(
-    brdf: xr.DataArray, rig: Rig, ndf: str = "ggx", *, every: int = 6, workspace: Workspace | None = None
+    brdf: xr.DataArray, rig: Rig, ndf: str = "ggx", *, slice_step: int = 6, workspace: Workspace | None = None
 ) -> Rivals:
     """Fit a table through its camera, and with free shadowing instead.
 
@@ -107,8 +107,8 @@ def rivals(
         rig: the rig that recorded it: a sphere; camera and lamp are distant or near.
         ndf: family that both lobes are bent away from. Default: "ggx". It hardly matters, as a bent lobe is as good as no
             family.
-        every: spacing of the slices of theta_d that are used (no unit). Default: 6, unlike `fit`, because bent lobes are slow
-            to fit and a few slices decide.
+        slice_step: spacing of the slices of theta_d that are used (no unit). Default: 6, unlike `fit`, because bent lobes
+            are slow to fit and a few slices decide.
         workspace: keeps what depends on the rig alone for the next call. Default: None, the process's own.
 
     Returns:
@@ -129,10 +129,10 @@ def rivals(
         ...
         matcam.core.errors.ArgumentError: a BRDF table must be an xarray.DataArray (see read_merl), got ndarray
     """
-    setup = free_setup([brdf], rig, every=every, workspace=workspace).with_(ndf=ndf)
+    setup = free_setup([brdf], rig, slice_step=slice_step, workspace=workspace).with_(ndf=ndf)
     camera = setup.with_(bend=_BEND).solve(start=setup.solve())
     blind = FitSetup(
-        (brdf,), None, ndf, fresnel="free", diffuse=True, masking="smith-separable", every=every,
+        (brdf,), None, ndf, fresnel="free", diffuse=True, masking="smith-separable", slice_step=slice_step,
         view=sample_view(setup.rig), pixels=grid_of(setup.rig or rig), workspace=workspace,
     )  # fmt: skip
     shadowing = blind.with_(bend=_BEND, free_masking=True).solve(start=blind.solve(), weights="start")

@@ -91,9 +91,6 @@ class DistantLamp(Lamp):
         """Return a distant lamp of another radius."""
         return replaced(self, "radius", xp.asarray(angular_radius))
 
-    def __repr__(self) -> str:
-        return f"DistantLamp(radius={self.radius!s})"
-
 
 class NearLamp(Lamp):
     """Describe a lamp close by, whose light falls off.
@@ -141,9 +138,6 @@ class NearLamp(Lamp):
     def with_angular_radius(self, angular_radius: float) -> NearLamp:
         """Return a lamp at the same distance with another radius."""
         return replaced(self, "radius", xp.tan(angular_radius) * self.distance)
-
-    def __repr__(self) -> str:
-        return f"NearLamp(distance={self.distance!s}, radius={self.radius!s})"
 
 
 def closeness(lamp_nearness: ArrayLike | None, cos_i: jax.Array) -> jax.Array:
@@ -232,7 +226,7 @@ def checked_azimuth(azimuth: ArrayLike, name: str = "azimuth") -> float:
 
 def checked_azimuths(azimuth: ArrayLike, name: str = "azimuth") -> jax.Array:
     """Return azimuths in [-2 pi, 2 pi] rad, any shape. name: of the argument, for the message."""
-    what = "rad (2 pi is a turn; of degrees give np.radians)"
+    what = "rad (2 pi is a turn)"
     return checks.within(name, azimuth, -_TURNS, _TURNS, what)
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from jax.typing import ArrayLike
 
 from matcam.core import checks
+from matcam.core.arrays.module import constructor_call
 from matcam.core.errors import ArgumentError
 from matcam.core.grid import cosines
 from matcam.core.jax import jax, jnp
@@ -19,6 +20,9 @@ _NODES, _AZIMUTHS = 720, 64  # of the albedo's half vectors: theta_h, phi_h
 
 class Material(eqx.Module):
     """An opaque surface with a BRDF. Channels, where it has them, are the last axis of every result."""
+
+    def __repr__(self) -> str:
+        return constructor_call(self)
 
     @abstractmethod
     def reflected(self, shading: Shading) -> jax.Array:

@@ -6,11 +6,15 @@ from abc import abstractmethod
 
 import equinox as eqx
 import numpy as np
+import numpy.typing as npt
 from jax.typing import ArrayLike
 
 from matcam.core import checks
+from matcam.core.arrays.module import constructor_call
 from matcam.core.errors import ArgumentError
+from matcam.core.grid import CHANNEL_WAVELENGTHS
 from matcam.core.jax import is_concrete, jax, jnp
+from matcam.material.optical_constants import metal
 
 _LARGEST_INDEX = 1e6  # of any material at any wavelength; fourth powers of it are still exact enough
 
@@ -61,6 +65,9 @@ def _modulus2(z: jax.Array) -> jax.Array:
 class Reflectance(eqx.Module):
     """Give the reflectance of a facet; its parameters are single ones or one per channel."""
 
+    def __repr__(self) -> str:
+        return constructor_call(self)
+
     @abstractmethod
     def at(self, theta: jax.Array) -> jax.Array:
         """Return the reflectance at an angle of incidence.
@@ -84,7 +91,7 @@ class Conductor(Reflectance):
         ArgumentError: a parameter is out of range, or not one per channel.
 
     Source:
-        Born & Wolf, 14.2; `metal` has values.
+        Born & Wolf, 14.2; `from_metal` takes published values.
 
     Example:
         >>> chromium = matcam.Conductor(3.1, 3.3)
@@ -100,6 +107,31 @@ class Conductor(Reflectance):
         if n.ndim and k.ndim and n.shape != k.shape and 1 not in (n.size, k.size):
             raise ArgumentError(f"n and k must have the same shape, got {n.shape} and {k.shape}")
         self.n, self.k = jnp.broadcast_arrays(per_channel("n", n), per_channel("k", k))
+
+    @classmethod
+    def from_metal(
+        cls, name: str, wavelengths: npt.ArrayLike = CHANNEL_WAVELENGTHS, source: str | None = None
+    ) -> Conductor:
+        """Build the Fresnel term of a metal from published optical constants.
+
+        Args:
+            name: one of `matcam.material.metals()`, such as "Cr" or "brass".
+            wavelengths: wavelength in vacuum of each channel, m, shape (channels,) or (). Default: those of R, G and B.
+            source: name of the table, as `metal` takes it. Default: None, the first.
+
+        Raises:
+            ArgumentError: the metal or the source is unknown, or a wavelength lies outside the table.
+
+        Source:
+            refractiveindex.info database (Polyanskiy 2024), CC0; `metal` has the citation of each table.
+
+        Example:
+            >>> copper = matcam.Conductor.from_metal("Cu", [650e-9, 450e-9])
+            >>> bool(copper.at(0.0)[0] > copper.at(0.0)[1])  # it reflects red light best
+            True
+        """
+        index = metal(name, wavelengths, source)
+        return cls(index.n, index.k)
 
     def at(self, theta: jax.Array) -> jax.Array:
         """Return `fresnel_conductor` at theta."""

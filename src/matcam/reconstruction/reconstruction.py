@@ -13,6 +13,7 @@ from matcam.acquisition.merged_picture import MergedPicture
 from matcam.camera.profile import field_document
 from matcam.core.errors import ArgumentError
 from matcam.core.remark import Remark
+from matcam.core.results.summary import Quantity, Summarised, Summary
 from matcam.inverse.fit.fit_setup import AUTO
 from matcam.material.masking import Masking
 from matcam.numerics.budget import UncertaintyBudget
@@ -47,8 +48,8 @@ _POOR = 0.03
 """Unexplained share of the light from which the verdict warns."""
 
 
-@dataclass(frozen=True)
-class Reconstruction:
+@dataclass(frozen=True, repr=False)
+class Reconstruction(Summarised):
     """Hold the material that photographs show, and how well they determine it.
 
     Attributes:
@@ -273,6 +274,15 @@ class Reconstruction:
         It is that of the entries that hold a value.
         """
         return float(self.table["supported"].values[np.isfinite(self.table["brdf"].values)].mean())
+
+    def _summary(self) -> Summary:
+        listed = (("Parameters", self.parameters), ("Outline and distances", self.lengths))
+        return Summary(
+            f"Material of a {self.sample}, reconstructed from {len(self.fit.names)} photographs",
+            self.verdict,
+            {title: [Quantity(name, *pair) for name, pair in values.items()] for title, values in listed},
+            self.remarks,
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """Return the result without its tables as plain numbers: the JSON file.

@@ -28,6 +28,7 @@ from matcam.core.errors import ArgumentError, FitError, MatcamError
 from matcam.core.io import plain
 from matcam.core.registry import FITTED_LENSES
 from matcam.core.remark import Remark, texts
+from matcam.core.results.summary import Quantity, Summarised, Summary
 from matcam.files.photographs import Photograph, open_photograph
 
 if TYPE_CHECKING:
@@ -37,8 +38,8 @@ _REFERENCE = "G"  # the colour whose picture has most sites
 Picture = str | Path | ArrayLike | Photograph | LinearImage
 
 
-@dataclass(frozen=True, eq=False)
-class Calibration:
+@dataclass(frozen=True, eq=False, repr=False)
+class Calibration(Summarised):
     """Hold a camera for every colour, and how it was found.
 
     Attributes:
@@ -89,20 +90,38 @@ class Calibration:
         """
         import xarray as xr
 
+        from matcam.core.results.labelled import named
+
         tables = {name: fit.edges for name, fit in self.channels.items() if fit.edges is not None}
-        units = {"x": "px", "y": "px", "angle": "rad", "sigma": "px", "mtf50": "cycles/px"}
-        units |= {"sigma_std": "px", "mtf50_std": "cycles/px"}
-        columns: dict[str, Any] = {
-            name: (
-                "edge",
-                np.concatenate([getattr(t, name) for t in tables.values()] or [np.zeros(0)]),
-                {"units": unit},
-            )
-            for name, unit in units.items()
+        names = {
+            "x": "position of the middle of the edge [px]",
+            "y": "position of the middle of the edge, downwards [px]",
+            "angle": "direction of the normal towards the bright side [rad]",
+            "sigma": "standard deviation of the Gaussian lens of the edge [px]",
+            "sigma_std": "standard deviation of sigma [px]",
+            "mtf50": "frequency at which the MTF is one half [cycles/px]",
+            "mtf50_std": "standard deviation of mtf50 [cycles/px]",
         }
-        columns["channel"] = ("edge", [name for name, t in tables.items() for _ in range(t.x.size)])
-        columns["picture"] = ("edge", [str(s) for t in tables.values() for s in t.source])
-        return xr.Dataset(columns)
+        columns: dict[str, Any] = {
+            name: ("edge", np.concatenate([getattr(t, name) for t in tables.values()] or [np.zeros(0)]))
+            for name in names
+        }
+        channels = [name for name, t in tables.items() for _ in range(t.x.size)]
+        columns["channel"] = ("edge", np.array(channels, dtype=str))
+        columns["picture"] = ("edge", np.array([str(s) for t in tables.values() for s in t.source], dtype=str))
+        return named(xr.Dataset(columns), names)
+
+    def _summary(self) -> Summary:
+        sections = {f"Channel {name}": fit.quantities() for name, fit in self.channels.items()}
+        sections["Pictures that failed"] = [Quantity(name, why) for name, why in self.failed.items()]
+        lines = [f"{name}: {fit.headline}." for name, fit in self.channels.items() if not fit.consistent]
+        remarks = (*self.remarks, *(r for fit in self.channels.values() for r in fit.remarks if r not in self.remarks))
+        return Summary(
+            f"Camera calibrated from {len(self.pictures)} image{'' if len(self.pictures) == 1 else 's'}",
+            " ".join(lines),
+            sections,
+            remarks,
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """Return the result as `matcam calibrate --json` prints it.
@@ -216,7 +235,7 @@ def calibrate(
             fit = fit.with_wider_errors(doubt_of(evidence.software, float(fit.values[0])))
         fit = replace(fit, camera=fit.camera.with_field(evidence.field()))
         measured.remarks += fit.remarks
-        fits[channel] = fit.with_provenance(measured.provenance(f"channel {channel}: {fit.summary}"))
+        fits[channel] = fit.with_provenance(measured.provenance(f"channel {channel}: {fit.headline}"))
     lateral = _lateral_colours(fits, {f.shape for f in findings if f.shape is not None})
     measured.remarks += [r for name, found in lateral.items() if (r := lateral_remark(found, name, _REFERENCE))]
     return Calibration(fits, measured.failed, tuple(measured.remarks), tuple(measured.used), lateral)

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from matcam.calibration.camera.consensus import strangers_remarks
-from matcam.calibration.camera.evidence import EdgeTable, Evidence, LensAt
+from matcam.calibration.camera.evidence import EdgeTable, Evidence, LensAt, MeanCurve
 from matcam.calibration.camera.joint_fit import (
     EdgeMeasurements,
     JointFit,
@@ -35,6 +35,7 @@ from matcam.core.errors import ArgumentError, FitError
 from matcam.core.jax import jax, jnp
 from matcam.core.programs import kept_program
 from matcam.core.remark import Remark
+from matcam.core.results.summary import Quantity, Summarised, Summary, correlations, parameters
 
 _LARGEST_STD = 0.1  # relative, of lens and pixel where both are fitted
 _MISSED, _SIGNIFICANT = 0.005, 4.0  # of the MTF, standard deviations: beyond both the model does not explain the edges
@@ -81,42 +82,8 @@ class CameraRequest:
         return lambda n: Separable(jnp.asarray(n, float), jnp.asarray(wavelength), jnp.asarray(self.pixel_pitch))
 
 
-@dataclass(frozen=True, eq=False)
-class MeanCurve:
-    """Hold the mean MTF of all edges, and a camera's.
-
-    Attributes:
-        frequency: (81,) cycles/px.
-        mtf: (81,) mean of the edges, free of a model; NaN without edges.
-        mtf_std: (81,) its standard deviation; NaN without edges.
-        camera_mtf: (81,) mean of the camera's in the edges' directions; along the rows without edges.
-
-    Example:
-        >>> f = np.linspace(0, 1, 5)
-        >>> curve = matcam.calibration.MeanCurve(f, 1 - f, np.full(5, 0.01), 1 - 1.1 * f)
-        >>> [round(value, 3) for value in curve.misfit]
-        [0.05, 0.01]
-    """
-
-    frequency: np.ndarray
-    mtf: np.ndarray
-    mtf_std: np.ndarray
-    camera_mtf: np.ndarray
-
-    @property
-    def misfit(self) -> tuple[float, float]:
-        """Return the largest difference below Nyquist, and its standard deviation.
-
-        Both are NaN without edges.
-        """
-        off = np.abs(self.mtf - self.camera_mtf)
-        below = (self.frequency > 0) & (self.frequency <= 0.5)
-        worst = int(np.argmax(np.where(below, off, -1)))
-        return float(off[worst]), float(self.mtf_std[worst])
-
-
-@dataclass(frozen=True, eq=False)
-class CameraFit:
+@dataclass(frozen=True, eq=False, repr=False)
+class CameraFit(Summarised):
     """Hold the camera of one colour, and how well it is known.
 
     Attributes:
@@ -180,8 +147,8 @@ class CameraFit:
         return not (self.misfit > _MISSED and self.misfit > _SIGNIFICANT * self.misfit_std)
 
     @property
-    def summary(self) -> str:
-        """Return the result in one line."""
+    def headline(self) -> str:
+        """Result in one line."""
         pairs = zip(self.names, self.values, self.std, strict=True)
         numbers = ", ".join(f"{name} {value:.4g} ± {std:.2g}" for name, value, std in pairs)
         count = 0 if self.edges is None else self.edges.x.size
@@ -189,6 +156,26 @@ class CameraFit:
             "" if self.consistent else ", model does not explain the edges"
         )
         return f"{numbers}; {count} edges, {sum(self.measurements.values()) - count} other measurements; {fit}"
+
+    def quantities(self) -> list[Quantity]:
+        """List the fitted parameters with their standard deviations."""
+        return parameters(dict(zip(self.names, self.values, strict=True)), dict(zip(self.names, self.std, strict=True)))
+
+    def _summary(self) -> Summary:
+        return Summary(
+            f"Camera fitted to {sum(self.measurements.values())} measurements",
+            f"The camera {'explains' if self.consistent else 'does not explain'} the mean MTF of the edges.",
+            {
+                "Parameters": self.quantities(),
+                "Correlations": correlations(self.names, self.covariance),
+                "Fit statistics": [
+                    Quantity("chi2", self.chi2),
+                    Quantity("degrees of freedom", self.degrees),
+                    Quantity("spread of the blur among edges, relative", self.spread),
+                ],
+            },
+            self.remarks,
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """Return the fit as `matcam calibrate --json` prints it.

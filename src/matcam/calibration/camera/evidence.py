@@ -96,6 +96,40 @@ class EdgeTable(NamedTuple):
         return float(np.sqrt(max(variance - np.mean(relative**2), 0.0)))
 
 
+@dataclass(frozen=True, eq=False)
+class MeanCurve:
+    """Hold the mean MTF of all edges, and a camera's.
+
+    Attributes:
+        frequency: (81,) cycles/px.
+        mtf: (81,) mean of the edges, free of a model; NaN without edges.
+        mtf_std: (81,) its standard deviation; NaN without edges.
+        camera_mtf: (81,) mean of the camera's in the edges' directions; along the rows without edges.
+
+    Example:
+        >>> f = np.linspace(0, 1, 5)
+        >>> curve = matcam.calibration.MeanCurve(f, 1 - f, np.full(5, 0.01), 1 - 1.1 * f)
+        >>> [round(value, 3) for value in curve.misfit]
+        [0.05, 0.01]
+    """
+
+    frequency: np.ndarray
+    mtf: np.ndarray
+    mtf_std: np.ndarray
+    camera_mtf: np.ndarray
+
+    @property
+    def misfit(self) -> tuple[float, float]:
+        """Return the largest difference below Nyquist, and its standard deviation.
+
+        Both are NaN without edges.
+        """
+        off = np.abs(self.mtf - self.camera_mtf)
+        below = (self.frequency > 0) & (self.frequency <= 0.5)
+        worst = int(np.argmax(np.where(below, off, -1)))
+        return float(off[worst]), float(self.mtf_std[worst])
+
+
 class Finding(NamedTuple):
     """Hold what one picture, or one who calls, says of one colour.
 

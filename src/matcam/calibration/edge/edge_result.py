@@ -5,17 +5,17 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, fields
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Generic, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from matcam.calibration.edge import free_curve
-from matcam.calibration.edge.free_curve import FREQUENCIES, GLARE, SampledCurve
+from matcam.calibration.edge.free_curve import FREQUENCIES, GLARE, EdgeSamples, SampledCurve
 from matcam.calibration.edge.maximum_likelihood import SHIFT, Noise, light_of
 from matcam.calibration.edge.measurement import EdgeFits
 from matcam.calibration.edge.parametric_result import (
-    Number,
+    EdgeValues,
     ParametricEdge,
     ParametricStack,
     parametric_stack,
@@ -27,80 +27,28 @@ from matcam.core import checks
 from matcam.core.arrays import tuple_map, xp
 from matcam.core.io import plain
 from matcam.core.remark import Remark, texts
-
-if TYPE_CHECKING:
-    from matcam.core.jax import AnyArray
+from matcam.core.results.summary import Quantity, Summarised, Summary
 
 if TYPE_CHECKING:
     import xarray as xr
+
+    from matcam.core.jax import AnyArray
 
 SHARPENED = 0.02
 """Overshoot, of the step, from which an edge is remarked on by itself."""
 MISFIT = 0.002
 """Misfit, of the step, from which an edge is remarked on."""
+_NAMES = {
+    "mtf": "MTF of lens and pixel", "mtf_std": "standard deviation of mtf", "core_mtf": "MTF without glare",
+    "core_mtf_std": "standard deviation of core_mtf", "parametric_mtf": "MTF of the fitted model",
+    "parametric_mtf_std": "standard deviation of parametric_mtf",
+}  # fmt: skip
 _LENGTH = 512
 _ROUGH = 0.03  # px, from which it is remarked on
 
 
-class EdgeSamples(NamedTuple):
-    """Hold the picture as an edge response.
-
-    Values are means over n cells of pixels at nearly one distance from the edge.
-
-    Attributes:
-        distance: distance from the edge (n,), px, negative on the dark side.
-        value: 0 on the dark side, 1 on the bright one, light made even (n,) (no unit).
-        std: standard deviation of `value` (n,).
-        parametric: what the parametric fit expects of the same cells (n,) (no unit).
-
-    Example:
-        >>> y, x = np.mgrid[-80:80, -40:40]
-        >>> result = matcam.edge_mtf(100 + 800 / (1 + np.exp(-2 * (x - 0.1 * y))))
-        >>> bool((np.diff(result.samples.distance) >= 0).all())
-        True
-    """
-
-    distance: np.ndarray
-    value: np.ndarray
-    std: np.ndarray
-    parametric: np.ndarray
-
-
-@dataclass(frozen=True, eq=False)
-class _EdgeNumbers(Generic[Number]):
-    """Hold the numbers of one edge, or of a stack."""
-
-    frequency: np.ndarray
-    mtf: np.ndarray
-    mtf_std: np.ndarray
-    mtf50: Number
-    mtf50_std: Number
-    core_mtf: np.ndarray
-    core_mtf_std: np.ndarray
-    core_mtf50: Number
-    core_mtf50_std: Number
-    glare_fraction: Number
-    glare_fraction_std: Number
-    glare_radius: Number
-    angle: Number
-    angle_std: Number
-    bow: Number
-    place: tuple[Number, Number]
-    dark: Number
-    bright: Number
-    light: tuple[Number, Number]
-    gain: Number
-    read_noise: Number
-    excess: Number
-    outliers: Number
-    roughness: Number
-    misfit: Number
-    overshoot: Number
-    overshoot_std: Number
-
-
-@dataclass(frozen=True, eq=False)
-class EdgeMTF(_EdgeNumbers[float]):
+@dataclass(frozen=True, eq=False, repr=False)
+class EdgeMTF(Summarised, EdgeValues[float]):
     """Hold the MTF of lens and pixel across one edge.
 
     It stands here twice: free of a model, and as a lens model (`parametric`). Standard
@@ -211,14 +159,25 @@ class EdgeMTF(_EdgeNumbers[float]):
         """
         import xarray as xr
 
+        from matcam.core.results.labelled import named
+
         (_, frequency), *curves = self.columns().items()
-        names = "mtf50", "mtf50_std", "angle", "angle_std", "bow"
-        glare = "glare_fraction", "glare_fraction_std", "glare_radius"
-        return xr.Dataset(
-            {name: ("frequency", curve) for name, curve in curves},
-            {"frequency": ("frequency", frequency, {"units": "cycles/px"})},
-            {name: getattr(self, name) for name in names + glare},
+        names = (
+            "mtf50",
+            "mtf50_std",
+            "angle",
+            "angle_std",
+            "bow",
+            "glare_fraction",
+            "glare_fraction_std",
+            "glare_radius",
         )
+        data = xr.Dataset(
+            {name: ("frequency", curve) for name, curve in curves},
+            {"frequency": frequency},
+            {name: getattr(self, name) for name in names},
+        )
+        return named(data, _NAMES)
 
     def columns(self) -> dict[str, np.ndarray]:
         """Return frequencies and MTFs (81,) as `matcam edge` writes them.
@@ -267,6 +226,28 @@ class EdgeMTF(_EdgeNumbers[float]):
             }
         )
 
+    def _summary(self) -> Summary:
+        fit, frequency = self.parametric, "cycles/px"
+        found = [Quantity("MTF50", self.mtf50, self.mtf50_std, frequency)]
+        if self.glare_found:
+            found += [
+                Quantity("MTF50 without glare", self.core_mtf50, self.core_mtf50_std, frequency),
+                Quantity("glare, share of the light", self.glare_fraction, self.glare_fraction_std),
+            ]
+        geometry = [
+            Quantity("direction of the normal", self.angle, self.angle_std, "rad"),
+            Quantity("bow", self.bow, unit="px"),
+        ]
+        return Summary(
+            f"Slanted edge with its normal at {np.degrees(self.angle):.2f}°",
+            sections={
+                "MTF of lens and pixel, without a model": found,
+                f"Model of the lens: {fit.model}{'' if fit.consistent else ' (does not explain the edge)'}": fit.quantities(),
+                "Edge": [*geometry, Quantity("overshoot, share of the step", self.overshoot, self.overshoot_std)],
+            },
+            remarks=self.remarks,
+        )
+
     @cached_property
     def samples(self) -> EdgeSamples:
         """Return the picture's own edge response, sorted by distance."""
@@ -294,8 +275,8 @@ class EdgeMTF(_EdgeNumbers[float]):
         return SampledCurve(*(np.asarray(a)[: at.size].reshape(at.shape) for a in found))
 
 
-@dataclass(frozen=True, eq=False)
-class EdgeStack(_EdgeNumbers[np.ndarray]):
+@dataclass(frozen=True, eq=False, repr=False)
+class EdgeStack(Summarised, EdgeValues[np.ndarray]):
     """Hold the results of n edges.
 
     Numbers of an edge that cannot be measured are NaN. `stack[i]` is the `EdgeMTF` of one edge, which explains every attribute.
@@ -358,6 +339,14 @@ class EdgeStack(_EdgeNumbers[np.ndarray]):
         """Return for each edge whether there is glare (n,)."""
         return self.glare_fraction != 0
 
+    def _summary(self) -> Summary:
+        found = f", median MTF50 {np.median(self.mtf50[self.good]):.4f} cycles/px" if self.good.size else ""
+        problems = {i: problem for i, problem in enumerate(self.problems) if problem is not None}
+        return Summary(
+            f"{len(self)} edges, {self.good.size} measured{found}",
+            sections={"Not measured": [Quantity(f"edge {i}", problem.text) for i, problem in problems.items()]},
+        )
+
     def to_dict(self) -> dict[str, Any]:
         """Return the results as a JSON object.
 
@@ -371,7 +360,7 @@ class EdgeStack(_EdgeNumbers[np.ndarray]):
 
     def __getitem__(self, index: int) -> EdgeMTF:
         lens = {f.name: _of_one(getattr(self.parametric, f.name), index) for f in fields(ParametricEdge)}
-        own = (f.name for f in fields(_EdgeNumbers) if f.name != "frequency")
+        own = (f.name for f in fields(EdgeValues) if f.name != "frequency")
         numbers = {"frequency": self.frequency} | {name: _of_one(getattr(self, name), index) for name in own}
         fits, given = tuple_map(lambda a: a[index], self.fits), self.given[index] if self.given else ()
         return EdgeMTF(**numbers, parametric=ParametricEdge(**lens), fits=fits, given=given)

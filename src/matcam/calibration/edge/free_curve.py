@@ -48,6 +48,30 @@ _TAIL = 1.5  # s, half width at half maximum of the Cauchy
 _FINE = 11  # samples within an interval of `FREQUENCIES`: over 1.6e-3 cycles/px a curve bends by 1e-6
 
 
+class EdgeSamples(NamedTuple):
+    """Hold the picture as an edge response.
+
+    Values are means over n cells of pixels at nearly one distance from the edge.
+
+    Attributes:
+        distance: distance from the edge (n,), px, negative on the dark side.
+        value: 0 on the dark side, 1 on the bright one, light made even (n,) (no unit).
+        std: standard deviation of `value` (n,).
+        parametric: what the parametric fit expects of the same cells (n,) (no unit).
+
+    Example:
+        >>> y, x = np.mgrid[-80:80, -40:40]
+        >>> result = matcam.edge_mtf(100 + 800 / (1 + np.exp(-2 * (x - 0.1 * y))))
+        >>> bool((np.diff(result.samples.distance) >= 0).all())
+        True
+    """
+
+    distance: np.ndarray
+    value: np.ndarray
+    std: np.ndarray
+    parametric: np.ndarray
+
+
 class CoreShape(NamedTuple):
     """Hold what the basis is made of: scalars.
 

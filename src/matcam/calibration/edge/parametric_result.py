@@ -1,4 +1,4 @@
-"""The parametric estimate of an edge as a result: of one edge, or of a stack of them, with standard deviations."""
+"""Values of an edge, or of a stack of edges, and their parametric estimate as a result, with standard deviations."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from matcam.camera.parameters import Provenance, Uncertainty
 from matcam.camera.pixel import BoxPixel
 from matcam.core.arrays import xp
 from matcam.core.io import plain
+from matcam.core.results.summary import Quantity, Summarised, Summary, correlations, parameters
 
 if TYPE_CHECKING:
     from matcam.core.jax import AnyArray
@@ -23,6 +24,39 @@ _WRONG = 1e-3  # probability below which a model is called wrong
 
 Number = TypeVar("Number", float, np.ndarray)
 """A float of one edge; an array (n,) of a stack."""
+
+
+@dataclass(frozen=True, eq=False)
+class EdgeValues(Generic[Number]):
+    """Values of one edge, or of a stack of edges; `EdgeMTF` explains each."""
+
+    frequency: np.ndarray
+    mtf: np.ndarray
+    mtf_std: np.ndarray
+    mtf50: Number
+    mtf50_std: Number
+    core_mtf: np.ndarray
+    core_mtf_std: np.ndarray
+    core_mtf50: Number
+    core_mtf50_std: Number
+    glare_fraction: Number
+    glare_fraction_std: Number
+    glare_radius: Number
+    angle: Number
+    angle_std: Number
+    bow: Number
+    place: tuple[Number, Number]
+    dark: Number
+    bright: Number
+    light: tuple[Number, Number]
+    gain: Number
+    read_noise: Number
+    excess: Number
+    outliers: Number
+    roughness: Number
+    misfit: Number
+    overshoot: Number
+    overshoot_std: Number
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,8 +79,8 @@ class _LensNumbers(Generic[Number]):
     half_width: float
 
 
-@dataclass(frozen=True, eq=False)
-class ParametricEdge(_LensNumbers[float]):
+@dataclass(frozen=True, eq=False, repr=False)
+class ParametricEdge(Summarised, _LensNumbers[float]):
     """Hold the maximum likelihood fit of a family of lenses.
 
     Attributes:
@@ -86,6 +120,27 @@ class ParametricEdge(_LensNumbers[float]):
             BoxPixel(self.half_width),
             uncertainty=Uncertainty(self.names, self.covariance),
             provenance=Provenance(source=f"slanted edge, {self.model} model"),
+        )
+
+    def quantities(self) -> list[Quantity]:
+        """List the fitted parameters and MTF50, with their standard deviations."""
+        std = np.sqrt(np.diag(self.covariance))
+        fitted = parameters(dict(zip(self.names, self.values, strict=True)), dict(zip(self.names, std, strict=True)))
+        return [*fitted, Quantity("MTF50", self.mtf50, self.mtf50_std, "cycles/px")]
+
+    def _summary(self) -> Summary:
+        return Summary(
+            f"{self.model} lens fitted to a slanted edge",
+            f"The model {'explains' if self.consistent else 'does not explain'} the edge.",
+            {
+                "Parameters": self.quantities(),
+                "Correlations": correlations(self.names, self.covariance),
+                "Fit statistics": [
+                    Quantity("chi2", self.chi2),
+                    Quantity("degrees of freedom", self.degrees),
+                    Quantity("probability of the residuals' structure", self.misfit_probability),
+                ],
+            },
         )
 
     def to_dict(self) -> dict[str, Any]:

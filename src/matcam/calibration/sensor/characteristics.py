@@ -13,13 +13,14 @@ from matcam.calibration.sensor.photon_transfer import Transfer
 from matcam.camera.sensor import Sensor
 from matcam.core import checks
 from matcam.core.remark import Remark
+from matcam.core.results.summary import Quantity, Summarised, Summary
 from matcam.files.capture_settings import Stated
 
 _MOST_READ_NOISE = 1e6  # e-, the limits of `Sensor`
 
 
-@dataclass(frozen=True)
-class SensorCharacteristics:
+@dataclass(frozen=True, repr=False)
+class SensorCharacteristics(Summarised):
     """Characteristics of a sensor, measured as EMVA Standard 1288 does.
 
     Each value has its standard deviation.
@@ -64,6 +65,8 @@ class SensorCharacteristics:
         ...     found = matcam.characterise_sensor(folder, bits=12)
         >>> abs(found.gain.value - 0.5) < 4 * found.gain.std, found.saturated
         (True, False)
+        >>> print(found.summary().splitlines()[0])
+        [[Sensor characteristics (EMVA 1288)]]
     """
 
     gain: Stated
@@ -178,6 +181,36 @@ class SensorCharacteristics:
             )
         return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
+    @property
+    def verdict(self) -> str:
+        """Linearity of the sensor, in one sentence."""
+        used = sum(int(plane.used.sum()) for plane in self.transfers)
+        low, high = (100 * error for error in self.linearity_error)
+        return f"{used} exposures give the gain; the signal departs from a straight line by {low:+.2f} to {high:+.2f} %"
+
+    def quantities(self) -> list[Quantity]:
+        """List the values that are determined: name with unit, value, standard deviation."""
+        rows = [
+            ("gain, DN per e-", self.gain),
+            ("read noise" + (" (upper limit)" if self.read_noise_hidden else "") + ", e-", self.read_noise),
+            ("dark current, e-/s", self.dark_current),
+            ("black level, DN", self.black_level),
+            ("saturation capacity" + ("" if self.saturated else " (lower limit)") + ", e-", self.saturation),
+            ("full well, e-", self.full_well),
+            ("PRNU, %", _scaled(self.prnu, 100)),
+            ("PRNU of single pixels, %", _scaled(self.prnu_pixel, 100)),
+            ("DSNU, e-", self.dsnu),
+            ("largest signal over noise", self.snr_max),
+            ("dynamic range", self.dynamic_range),
+            ("quantum efficiency, %", _scaled(self.quantum_efficiency, 100)),
+        ]
+        return [Quantity(name, value, std) for name, (value, std) in rows if np.isfinite(value)]
+
+    def _summary(self) -> Summary:
+        return Summary(
+            "Sensor characteristics (EMVA 1288)", f"{self.verdict}.", {"Values": self.quantities()}, self.remarks
+        )
+
     def to_dict(self) -> dict[str, Any]:
         """Return the result as a JSON object, which `matcam sensor --json` prints.
 
@@ -213,3 +246,7 @@ class SensorCharacteristics:
 
 def _or_zero(value: float) -> float:
     return value if math.isfinite(value) else 0.0
+
+
+def _scaled(value: Stated, factor: float) -> Stated:
+    return Stated(factor * value.value, factor * value.std)

@@ -97,9 +97,6 @@ class GaussianOptics(Optics):
         """Return this lens, with weight 1."""
         return ((xp.ones(()), self),)
 
-    def __repr__(self) -> str:
-        return f"GaussianOptics(sigma={self.sigma!s})"
-
 
 class GaussianSum(Module):
     """Hold a lens as a sum of Gaussians.

@@ -53,8 +53,39 @@ class Module(ABC):  # noqa: B024  # its heirs have abstract methods
     __hash__ = None  # type: ignore[assignment]  # arrays have none
 
     def __repr__(self) -> str:
-        fields = ", ".join(f"{name}={getattr(self, name)!s}" for name in self.__dataclass_fields__)  # type: ignore[attr-defined]
-        return f"{type(self).__name__}({fields})"
+        return constructor_call(self)
+
+
+def constructor_call(thing: Any) -> str:
+    """Write an object with the values of its fields, as a call of its constructor.
+
+    Args:
+        thing: instance of a dataclass, such as a module.
+
+    Example:
+        >>> constructor_call(matcam.Conductor([0.2, 0.3], [3.5, 4.0]))
+        'Conductor(n=[0.2, 0.3], k=[3.5, 4.0])'
+    """
+    fields = ", ".join(f"{field.name}={_in_words(getattr(thing, field.name))}" for field in dataclasses.fields(thing))
+    return f"{type(thing).__name__}({fields})"
+
+
+_MOST_SHOWN = 16
+"""Entries of an array that a `repr` writes out: four rows of four. Of more it states shape and range."""
+
+
+def _in_words(value: Any) -> str:
+    """Write the value of a field: an array of a few entries in full, of many by its shape and range."""
+    if not hasattr(value, "dtype"):
+        return repr(value)
+    if not is_concrete(value):
+        return str(value)
+    array = np.asarray(value)
+    if array.size <= _MOST_SHOWN or array.dtype.kind not in "biuf":
+        return repr(array.tolist())
+    shape, finite = " x ".join(map(str, array.shape)), array[np.isfinite(array)]
+    span = f" from {finite.min():.6g} to {finite.max():.6g}" if finite.size else ""
+    return f"<{shape} values{span}>"
 
 
 def replaced(module: M, path: str, value: Any) -> M:

@@ -19,9 +19,9 @@ TRIED_BENDS = 16
 """Scales of a bend that are tried."""
 
 
-def in_all_slices(few: MaterialFit, setup: FitSetup, every: int) -> tuple[MaterialFit, FitSetup]:
+def in_all_slices(few: MaterialFit, setup: FitSetup, slice_step: int) -> tuple[MaterialFit, FitSetup]:
     """Return a bent lobe in every `every`-th slice, and its setup. few: the solution of `setup`, in fewer of them."""
-    whole = setup.with_(every=every, learned_bend=learned_bend(few, setup.bend))
+    whole = setup.with_(slice_step=slice_step, learned_bend=learned_bend(few, setup.bend))
     return whole.solve(start=few), whole
 
 

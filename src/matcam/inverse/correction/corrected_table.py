@@ -9,6 +9,7 @@ import xarray as xr
 
 from matcam.camera.sensor import PixelNoise
 from matcam.core.grid import Sampling, sampling_of
+from matcam.core.results.labelled import named
 from matcam.inverse.correction.farthest_glare import FarthestGlare
 from matcam.inverse.correction.harmless import PEAK, ROWS, EnergyLimit, LobeRatio, above_noise, energy_limit
 from matcam.inverse.correction.other_body import other_body
@@ -22,10 +23,13 @@ SUPPORTED = 0.05
 TABLE_ATTRIBUTES = {
     "brdf": {"units": "1/sr", "long_name": "BRDF freed from the camera"},
     "brdf_std": {"units": "1/sr", "long_name": "standard deviation of brdf: correction and noise"},
-    "correction_std": {"long_name": "standard deviation of true / recorded value: what the camera leaves open"},
+    "correction_std": {
+        "units": "1",
+        "long_name": "standard deviation of true / recorded value: what the camera leaves open",
+    },
     "noise_std": {"units": "1/sr", "long_name": "standard deviation of brdf: what pixel noise leaves open"},
-    "supported": {"long_name": "standard deviation of the correction under 5 %"},
-    "response": {"long_name": "recorded / true lobe"},
+    "supported": {"units": "1", "long_name": "standard deviation of the correction under 5 %"},
+    "response": {"units": "1", "long_name": "recorded / true lobe"},
 }
 """Attributes of the variables of a corrected table."""
 CORRECTED = "corrected_for_camera"
@@ -121,7 +125,7 @@ def corrected_table(
         coords=brdf.coords,
         attrs={"body": body.tolist()},
     )
-    return table, limit, tuple(parts)
+    return named(table), limit, tuple(parts)
 
 
 def _noise_floor(found: MaterialFit, noise: PixelNoise, peak: np.ndarray, sampling: Sampling) -> np.ndarray:

@@ -15,6 +15,7 @@ from matcam.core.errors import ArgumentError
 from matcam.core.grid import Grid, checked_table, merl_grid, sampling_of
 from matcam.core.registry import FAMILIES
 from matcam.core.remark import Remark, to_attribute
+from matcam.core.results.summary import Quantity, Summarised, Summary, parameters
 from matcam.core.threads import done_behind
 from matcam.core.workspace import Workspace, default_workspace
 from matcam.inverse.correction.corrected_table import CORRECTED, corrected_table
@@ -47,19 +48,19 @@ _MATTERS = 0.01
 _WITHHELD = Remark(
     "correction-withheld",
     "rig and data contradict each other: the table stays as it is, and what the rig would have changed is the standard "
-    "deviation of the correction; anyway=True corrects it",
+    "deviation of the correction; force_correction=True corrects it",
 )
 _UNSEEN = Remark(
     "blur-not-seen",
     "the lens is a guess, and the data do not show whether it blurs: the table stays as it is, and what the rig would have "
-    "changed is the standard deviation of the correction; state the lens, or anyway=True corrects it",
+    "changed is the standard deviation of the correction; state the lens, or force_correction=True corrects it",
 )
 _ANGLES = (5, 45, 75)
 """Degrees of theta_d at which the loss of the peak is reported."""
 
 
-@dataclass(frozen=True)
-class Correction:
+@dataclass(frozen=True, repr=False)
+class Correction(Summarised):
     """Hold a corrected table, and the fits that it was corrected by.
 
     Attributes:
@@ -77,7 +78,8 @@ class Correction:
 
     Example:
         >>> done = matcam.inverse.Correction.of(table, matcam.rigs.merl())  # doctest: +SKIP
-        >>> print(done.verdict)  # doctest: +SKIP
+        >>> print(done.summary())  # doctest: +SKIP
+        >>> axes = done.plot(theta_d=np.radians(45))  # doctest: +SKIP
         >>> list(matcam.inverse.Correction.__dataclass_fields__)
         ['table', 'recorded', 'fit', 'doubts', 'shape', 'remarks', 'without_camera', 'no_camera', 'withheld', 'peak_parts']
     """
@@ -103,7 +105,7 @@ class Correction:
         masking: Masking = "smith",
         noise: PixelNoise | None = None,
         glare: float = 1e-3,
-        anyway: bool = False,
+        force_correction: bool = False,
         workspace: Workspace | None = None,
     ) -> Correction:
         """Correct a table as `correct` does, and keep the fits.
@@ -115,7 +117,7 @@ class Correction:
             masking: as for `correct`. Default: "smith".
             noise: as for `correct`. Default: None, estimated.
             glare: as for `correct` (no unit). Default: 1e-3.
-            anyway: as for `correct`. Default: False.
+            force_correction: as for `correct`. Default: False.
             workspace: as for `correct`. Default: None, the process's own.
 
         Returns:
@@ -134,7 +136,7 @@ class Correction:
         checks.choice("ndf", ndf, (AUTO, *FAMILIES))
         checks.choice("masking", masking, MASKINGS)
         checks.within("glare", glare, 0, 0.5)
-        checks.flag("anyway", anyway)
+        checks.flag("force_correction", force_correction)
         workspace = checks.instance("workspace", default_workspace() if workspace is None else workspace, Workspace)
         sampling, located = sampling_of(brdf), located_rig(rig, brdf)
         setup = first_setup(brdf, located.rig, masking=masking, noise=noise, workspace=workspace)
@@ -147,9 +149,9 @@ class Correction:
         maskings = other_maskings(best, min(found.weighing.kappa, UNKNOWN_SHARE))
         fits = CorrectionFits(best, found.shape, found.base, found.doubts, found.others, maskings, expected)
         fitted = lobe_ratio(located.rig, sampling, fits, workspace, located.std)
-        held_back = found.contradicts and not anyway
+        held_back = found.contradicts and not force_correction
         said = held_back and _matters(fitted)
-        if anyway:
+        if force_correction:
             added = found.no_camera * fitted.log**2
             ratio = fitted._replace(std=np.sqrt(fitted.std**2 + added), parts=fitted.parts_with(NO_CAMERA, added))
         else:
@@ -173,7 +175,7 @@ class Correction:
             remarks = (*remarks, found.no_blur_remark)
         if said:
             remarks = (*remarks, _WITHHELD)
-        elif found.undecided and not anyway and _matters(fitted):
+        elif found.undecided and not force_correction and _matters(fitted):
             remarks = (*remarks, _UNSEEN)
         table.attrs.update(
             ndf=best.family, bent=int(best.is_bent), masking=masking or "none", glare=glare,
@@ -293,6 +295,21 @@ class Correction:
             f"{self.supported_share:.0%} of the entries that can be judged."
         )
 
+    def _summary(self) -> Summary:
+        lost = zip(_ANGLES, self.peak_loss(np.radians(_ANGLES)), strict=True)
+        source = str(self.recorded.attrs.get("source", ""))
+        return Summary(
+            f"Corrected table{f' of {source}' if source else ''}",
+            self.verdict,
+            {
+                "Share of the peak that the camera lost": [
+                    Quantity(f"theta_d = {a}°", float(loss)) for a, loss in lost
+                ],
+                f"Lobe ({self.fit.lobe_name}): {self.determination}": parameters(self.fit.params, self.fit.std),
+            },
+            self.remarks,
+        )
+
     def to_dict(self) -> dict[str, Any]:
         """Return everything but the table, as plain numbers and texts.
 
@@ -340,7 +357,7 @@ def correct(
     masking: Masking = "smith",
     noise: PixelNoise | None = None,
     glare: float = 1e-3,
-    anyway: bool = False,
+    force_correction: bool = False,
     workspace: Workspace | None = None,
 ) -> xr.Dataset:
     """Correct a whole table for the camera that recorded it.
@@ -358,7 +375,7 @@ def correct(
         noise: noise of a pixel. Default: None, estimated from the residuals.
         glare: share of light (no unit) that the lens may scatter far beyond what its profile says. Default: 1e-3. It limits
             what is supported beside a highlight; a lens that is known to be clean allows less.
-        anyway: whether to correct a table whose data contradict the rig. Default: False, it stays as it is.
+        force_correction: whether to correct a table whose data contradict the rig. Default: False, it stays as it is.
         workspace: keeps what depends on the rig alone for the next call. Default: None, the process's own.
 
     Returns:
@@ -388,7 +405,14 @@ def correct(
         matcam.core.errors.ArgumentError: a BRDF table must be an xarray.DataArray (see read_merl), got ndarray
     """
     return Correction.of(
-        brdf, rig, ndf, masking=masking, noise=noise, glare=glare, anyway=anyway, workspace=workspace
+        brdf,
+        rig,
+        ndf,
+        masking=masking,
+        noise=noise,
+        glare=glare,
+        force_correction=force_correction,
+        workspace=workspace,
     ).table
 
 

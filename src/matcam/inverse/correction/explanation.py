@@ -36,7 +36,7 @@ from matcam.inverse.correction.doubts import (
 )
 from matcam.inverse.correction.evidence import Weighing, noise_without_model
 from matcam.inverse.fit.fit_parameters import STUDENT, TWO_LOBES
-from matcam.inverse.fit.fit_setup import AUTO, CANDIDATES, SEARCH_EVERY, FitSetup, free_setup
+from matcam.inverse.fit.fit_setup import AUTO, CANDIDATES, SEARCH_STEP, FitSetup, free_setup
 from matcam.inverse.fit.material_fit import MaterialFit
 from matcam.inverse.operator.pixel_phase import LocatedRig
 from matcam.inverse.operator.rig_axes import LAMP, LENS, is_guess, known_lens, widths_of
@@ -48,7 +48,7 @@ _MOST_BEND = 1.0
 """Standard deviation of the second differences of ln D of a lobe that is as free as no family at all."""
 _STIFF = 0.125
 """Share of a lobe's half width below which its correction is stiff: a broad lobe has no fine structure."""
-_RANKED_EVERY = 3 * SEARCH_EVERY
+_RANKED_STEP = 3 * SEARCH_STEP
 """Spacing of the slices in which the members are ranked."""
 _SMOOTH_CORES = ("ggx", STUDENT)
 """Families that a correction may start from: unlike EPD's they have no cusp, which no pixel could resolve."""
@@ -175,7 +175,7 @@ def first_setup(
     masking: Masking,
     noise: PixelNoise | None,
     workspace: Workspace | None,
-    every: int = SEARCH_EVERY,
+    slice_step: int = SEARCH_STEP,
 ) -> FitSetup:
     """Return the setup that `explain` begins with.
 
@@ -185,9 +185,9 @@ def first_setup(
         masking: as of `correct`.
         noise: as of `correct`.
         workspace: as of `correct`.
-        every: spacing of the slices that are used (no unit).
+        slice_step: spacing of the slices that are used (no unit).
     """
-    setup = free_setup([brdf], rig, masking=masking, noise=noise, every=every, workspace=workspace)
+    setup = free_setup([brdf], rig, masking=masking, noise=noise, slice_step=slice_step, workspace=workspace)
     doubted = tuple(name for name in (LAMP,) if name in widths_of(rig))
     return setup.with_(lens_shape=not known_lens(rig.camera).exact, doubted=doubted)
 
@@ -200,9 +200,9 @@ def explain(setup: FitSetup, located: LocatedRig, ndf: str) -> Explanation:
         located: the setup's rig.
         ndf: family of the lobe, or "auto".
     """
-    rig, every = located.rig, setup.every
+    rig, slice_step = located.rig, setup.slice_step
     families = CANDIDATES if ndf == AUTO else (ndf,)
-    few = setup.with_(every=max(_RANKED_EVERY, every))
+    few = setup.with_(slice_step=max(_RANKED_STEP, slice_step))
     try:
         ranked = [_solved(few.with_(ndf=family)) for family in families]
     except FitError:  # the table's values lie in other slices
@@ -235,7 +235,7 @@ def explain(setup: FitSetup, located: LocatedRig, ndf: str) -> Explanation:
     shadowed = without.fit if without.setup.free_masking else None
 
     kept = [one for one, log in zip(ranked, logs, strict=True) if log > max(logs) - _HOPELESS]
-    whole = [_in_more_slices(one, every) for one in kept]
+    whole = [_in_more_slices(one, slice_step) for one in kept]
     weighing = weighing.at_most(_weighing(whole, noise))
     shares = weighing.probabilities([one.fit for one in whole])
     first = int(np.argmax(shares))
@@ -288,8 +288,8 @@ def _without_camera(best: Member, rig: Rig) -> Member:
     """Return the same lobe as a perfect camera would have recorded it, in the same cells."""
     own = best.setup
     setup = FitSetup(
-        own.tables, None, own.ndf, fresnel="free", diffuse=True, masking=own.masking, noise=own.noise, every=own.every,
-        view=sample_view(rig), pixels=grid_of(rig), workspace=own.workspace,
+        own.tables, None, own.ndf, fresnel="free", diffuse=True, masking=own.masking, noise=own.noise,
+        slice_step=own.slice_step, view=sample_view(rig), pixels=grid_of(rig), workspace=own.workspace,
     )  # fmt: skip
     plain = _solved(setup)
     if not own.bend:
@@ -305,12 +305,12 @@ def _shadowed(core: Member, rig: Rig) -> Member:
     return Member(setup, setup.solve(start=blind.fit, weights="start"))
 
 
-def _in_more_slices(member: Member, every: int) -> Member:
+def _in_more_slices(member: Member, slice_step: int) -> Member:
     """Return the same lobe in every `every`-th slice; how smooth a correction is where it is shown is learned on the way."""
-    if member.setup.every == every:
+    if member.setup.slice_step == slice_step:
         return member
     if member.setup.bend:
-        fit, setup = in_all_slices(member.fit, member.setup, every)
+        fit, setup = in_all_slices(member.fit, member.setup, slice_step)
         return Member(setup, fit)
-    setup = member.setup.with_(every=every)
+    setup = member.setup.with_(slice_step=slice_step)
     return Member(setup, setup.solve(start=member.fit))

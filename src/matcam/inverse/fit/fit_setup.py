@@ -64,9 +64,9 @@ CAMERA_PARAMETERS: tuple[CameraParameters, ...] = ("fixed", "prior", "free")
 AUTO = "auto"
 """Family of the lobe where the user names none: the likelier of the candidates."""
 CANDIDATES = ("ggx", "epd")
-SEARCH_EVERY = 6
+SEARCH_STEP = 6
 """Spacing of the slices of theta_d in which a lobe is looked for before it is fitted to more."""
-_LOOK_EVERY = 3 * SEARCH_EVERY
+_LOOK_STEP = 3 * SEARCH_STEP
 """Spacing of the slices in which starts are compared and the better ones followed."""
 _LOOK_ROUNDS = 2
 """Rounds of weights there: the rest is done in all slices."""
@@ -97,7 +97,7 @@ class FitSetup:
         learned_bend: as `bend`, of the slopes where it is not stiff, if the data said it. Default: None, as `bend`.
         free_masking: whether G is any smooth function of the angle. Default: False.
         noise: noise of a pixel. Default: None, estimated from the residuals.
-        every: spacing of the slices of theta_d (no unit). Default: 1.
+        slice_step: spacing of the slices of theta_d (no unit). Default: 1.
         view: the sphere whose pixels are distinguished without a rig: its radius, px, and how near camera and lamp are.
             Default: 256 px, distant.
         pixels: real pixels in which cells are looked up without a rig. Default: None, each cell has its own.
@@ -107,7 +107,7 @@ class FitSetup:
         ArgumentError: a field is out of its range, or the tables do not belong together.
 
     Example:
-        >>> setup = matcam.inverse.FitSetup((table,), matcam.rigs.merl(), every=6)  # doctest: +SKIP
+        >>> setup = matcam.inverse.FitSetup((table,), matcam.rigs.merl(), slice_step=6)  # doctest: +SKIP
         >>> found = setup.solve()  # doctest: +SKIP
         >>> bent = setup.with_(bend=1.0).solve(start=found)  # doctest: +SKIP
         >>> matcam.inverse.FitSetup((), None)
@@ -134,7 +134,7 @@ class FitSetup:
     learned_bend: float | None = None
     free_masking: bool = False
     noise: PixelNoise | None = None
-    every: int = 1
+    slice_step: int = 1
     view: SampleView = FAR_AWAY
     pixels: PixelGrid | None = None
     workspace: Workspace | None = None
@@ -148,7 +148,7 @@ class FitSetup:
         checks.choice("ndf", self.ndf, (*FAMILIES, STUDENT, TWO_LOBES))
         checks.choice("fresnel", self.fresnel, tuple(FRESNEL_MODELS))
         checks.choice("masking", self.masking, MASKINGS)
-        checks.whole_number("every", self.every, 1, 30)
+        checks.whole_number("slice_step", self.slice_step, 1, 30)
         checks.scalar("bend", checks.within("bend", self.bend, 0, 10))
         for name in ("diffuse", "per_channel", "nearby", "lens_shape", "free_masking"):
             checks.flag(name, getattr(self, name))
@@ -209,9 +209,9 @@ class FitSetup:
 
     def _in_few_slices(self) -> Solution | None:
         """Return the best fit to a few of the slices, where a search costs little; None where these are all there are."""
-        if self.every >= _LOOK_EVERY:
+        if self.slice_step >= _LOOK_STEP:
             return None
-        few = self.with_(every=_LOOK_EVERY)
+        few = self.with_(slice_step=_LOOK_STEP)
         try:
             return few._search.best(rounds=_LOOK_ROUNDS)
         except FitError:  # the table's values lie in other slices
@@ -247,8 +247,8 @@ class FitSetup:
         """
         sampling = sampling_of(self.tables[0])
         if self.rig is None:
-            return perfect_operator(sampling, self.every, self.view, self.workspace, self.pixels)
-        return lobe_operator(self.rig, sampling, self.every, self.prior.axes, self.workspace, self._whole)
+            return perfect_operator(sampling, self.slice_step, self.view, self.workspace, self.pixels)
+        return lobe_operator(self.rig, sampling, self.slice_step, self.prior.axes, self.workspace, self._whole)
 
     @cached_property
     def problem(self) -> FitProblem:
@@ -266,9 +266,9 @@ class FitSetup:
     @property
     def _whole(self) -> WholeRule:
         """Return of which slices and axes the rule is made: those of a search, and of doubts, which follow in its slices."""
-        every, axes = SEARCH_EVERY if self.every == _LOOK_EVERY else self.every, self.prior.axes
-        doubted = self.axes_with_doubts if every >= SEARCH_EVERY else axes
-        return WholeRule(every, doubted if set(axes) <= set(doubted) else axes)
+        slice_step, axes = SEARCH_STEP if self.slice_step == _LOOK_STEP else self.slice_step, self.prior.axes
+        doubted = self.axes_with_doubts if slice_step >= SEARCH_STEP else axes
+        return WholeRule(slice_step, doubted if set(axes) <= set(doubted) else axes)
 
     @cached_property
     def layout(self) -> Layout:
@@ -347,7 +347,7 @@ def fit(
     free: Sequence[str] = (LENS,),
     bend: float = 0.0,
     noise: PixelNoise | None = None,
-    every: int = 1,
+    slice_step: int = 1,
     workspace: Workspace | None = None,
 ) -> MaterialFit:
     """Fit a microfacet material to a table through its camera.
@@ -376,7 +376,7 @@ def fit(
         bend: how far D may leave its family, smoothly (no unit). It is the standard deviation of the second differences of ln D
             between knots that are half a power of e apart. Default: 0, not at all; 1 is as good as no family.
         noise: noise of a pixel and of the picture gain. Default: None, estimated from the residuals, misfit and all.
-        every: spacing of the slices of theta_d that are used (no unit). Default: 1, all of them; more is quicker.
+        slice_step: spacing of the slices of theta_d that are used (no unit). Default: 1, all of them; more is quicker.
         workspace: keeps what depends on the rig alone for the next call. Default: None, the process's own.
 
     Returns:
@@ -391,7 +391,7 @@ def fit(
 
     Example:
         >>> table = matcam.read_merl("chrome.binary")  # doctest: +SKIP
-        >>> found = matcam.fit(table, matcam.rigs.merl(), "epd", every=6)  # doctest: +SKIP
+        >>> found = matcam.fit(table, matcam.rigs.merl(), "epd", slice_step=6)  # doctest: +SKIP
         >>> found.params["beta"], found.std["beta"]  # doctest: +SKIP
         >>> matcam.fit([], matcam.rigs.merl())
         Traceback (most recent call last):
@@ -401,7 +401,7 @@ def fit(
     setup = FitSetup(
         tables=(brdf,) if isinstance(brdf, xr.DataArray) else tuple(brdf), rig=rig, ndf=ndf, fresnel=fresnel,
         diffuse=diffuse, per_channel=per_channel, masking=masking, camera_parameters=camera_parameters,
-        free=tuple(free), bend=bend, noise=noise, every=every, workspace=workspace,
+        free=tuple(free), bend=bend, noise=noise, slice_step=slice_step, workspace=workspace,
     )  # fmt: skip
     return setup.solve()
 
@@ -413,13 +413,13 @@ def free_setup(
     masking: Masking = "smith",
     camera_parameters: CameraParameters | None = None,
     noise: PixelNoise | None = None,
-    every: int = SEARCH_EVERY,
+    slice_step: int = SEARCH_STEP,
     workspace: Workspace | None = None,
 ) -> FitSetup:
     """Return the setup that assumes least: F free in every slice, and a Lambertian part."""
     return FitSetup(
         tuple(tables), rig, fresnel="free", diffuse=True, masking=masking, camera_parameters=camera_parameters,
-        noise=noise, every=every, workspace=workspace,
+        noise=noise, slice_step=slice_step, workspace=workspace,
     )  # fmt: skip
 
 

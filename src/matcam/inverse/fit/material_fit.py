@@ -13,6 +13,8 @@ from matcam.camera.sensor import PixelNoise
 from matcam.core.errors import ArgumentError
 from matcam.core.jax import jnp, placed
 from matcam.core.remark import Remark
+from matcam.core.results.labelled import named
+from matcam.core.results.summary import Quantity, Summarised, Summary, correlations, parameters
 from matcam.inverse.fit.fit_data import cell_variance, standardised_residual
 from matcam.inverse.fit.fit_parameters import reflectance_at
 from matcam.inverse.fit.fit_readings import (
@@ -40,8 +42,8 @@ from matcam.numerics.budget import UncertaintyBudget
 from matcam.numerics.fit_budget import posterior_budget
 
 
-@dataclass(frozen=True)
-class MaterialFit:
+@dataclass(frozen=True, repr=False)
+class MaterialFit(Summarised):
     """Hold a material as `fit` found it, with its errors.
 
     Attributes:
@@ -70,6 +72,8 @@ class MaterialFit:
     Example:
         >>> found = matcam.fit(table, matcam.rigs.merl(), "ggx")  # doctest: +SKIP
         >>> found.params["alpha"], found.std["alpha"]  # doctest: +SKIP
+        >>> print(found.summary())  # doctest: +SKIP
+        >>> axes = found.plot()  # doctest: +SKIP
         >>> list(matcam.inverse.MaterialFit.__dataclass_fields__)[:3]
         ['family', 'params', 'std']
     """
@@ -297,6 +301,26 @@ class MaterialFit:
         """
         return linearised_fit(self._solution)
 
+    def _summary(self) -> Summary:
+        half_width = [] if HALF_WIDTH in self.params else [Quantity(HALF_WIDTH, self.hwhm, self.hwhm_std)]
+        source = "given" if self.noise_given else "estimated from the residuals"
+        noise = f"{self.noise.relative:.2g} of the value, {self.noise.floor:.2g} of the peak ({source})"
+        return Summary(
+            f"{self.lobe_name} lobe, fitted {'without a' if self.camera is None else 'through the'} camera",
+            f"The data {'determine' if self.determined else 'do not determine'} the roughness to 5 %.",
+            {
+                "Parameters": [*parameters(self.params, self.std), *half_width],
+                "Correlations": correlations(self.params, self.covariance),
+                "Fit statistics": [
+                    Quantity("noise of a pixel", noise),
+                    Quantity("squared residual per degree of freedom", self.misfit),
+                    Quantity("degrees of freedom", self.freedom),
+                    Quantity("ln likelihood", self.log_likelihood),
+                ],
+            },
+            self.remarks,
+        )
+
     def to_dict(self) -> dict[str, Any]:
         """Return everything that fits on a page, as plain numbers and texts.
 
@@ -327,18 +351,21 @@ class MaterialFit:
 def material_fit(solution: Solution, camera: Camera | None, *, noise_given: bool) -> MaterialFit:
     """Gather the result of a solved fit. camera: that of the rig; None without one."""
     problem, data = solution.problem, solution.problem.data
-    named = named_parameters(solution)
-    std = np.sqrt(np.diag(named.covariance))
+    readings = named_parameters(solution)
+    std = np.sqrt(np.diag(readings.covariance))
     lobe = fit_coordinates(solution)
     own = slice(0, len(lobe.lobe))
     hwhm, hwhm_std = half_maximum_angle(lobe.kind, lobe.lobe, lobe.covariance[own, own])
     strength, strength_std = strength_curves(solution)
     labels = ("theta_d", "channel")
     coords: dict[str, Any] = {
-        "theta_d": ("theta_d", problem.theta_d, {"units": "rad"}),
+        "theta_d": problem.theta_d,
         "channel": [label if data.tables == 1 else f"{label}{u}" for u, label in enumerate(data.labels)],
     }
-    curves = xr.Dataset({"fresnel": (labels, strength.T), "fresnel_std": (labels, strength_std.T)}, coords=coords)
+    curves = named(
+        xr.Dataset({"fresnel": (labels, strength.T), "fresnel_std": (labels, strength_std.T)}, coords=coords),
+        {"fresnel": "F of the fitted lobe", "fresnel_std": "standard deviation of fresnel"},
+    )
     value, noise = solution.model.value, solution.noise
     scaled = standardised_residual(data, problem.residual(solution.model), value, noise, problem.gain(noise))
     residual = xr.Dataset(
@@ -350,14 +377,15 @@ def material_fit(solution: Solution, camera: Camera | None, *, noise_given: bool
         },
         attrs={"units": "standard deviations of the noise"},
     )
+    named(residual, {"residual": "residual over the standard deviation of the noise"})
     variance = cell_variance(data, value, noise)
     likelihood = -0.5 * (np.log(variance[data.used]).sum() + (scaled[data.used] ** 2).sum())
     verdict = lobe_verdict(solution)
     return MaterialFit(
         family=lobe.kind.family,
-        params=dict(zip(named.names, named.values.tolist(), strict=True)),
-        std=dict(zip(named.names, std.tolist(), strict=True)),
-        covariance=named.covariance,
+        params=dict(zip(readings.names, readings.values.tolist(), strict=True)),
+        std=dict(zip(readings.names, std.tolist(), strict=True)),
+        covariance=readings.covariance,
         hwhm=hwhm,
         hwhm_std=hwhm_std,
         determined=verdict.determined,

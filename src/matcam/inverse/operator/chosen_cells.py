@@ -102,13 +102,15 @@ class ChosenCells(NamedTuple):
         return np.where(self.one_pixel, 1.0, 0.5) if self.real is None else self.real.noise_share
 
 
-def chosen_cells(view: SampleView, sampling: Sampling, every: int = 1, pixels: PixelGrid | None = None) -> ChosenCells:
+def chosen_cells(
+    view: SampleView, sampling: Sampling, slice_step: int = 1, pixels: PixelGrid | None = None
+) -> ChosenCells:
     """Choose cells in every `every`-th slice of a table recorded from a sphere.
 
     pixels: the real grid that the cells are looked up in; None: each has pixels of its own.
     """
     grid = merl_grid(sampling)
-    slices = np.arange(every // 2, GRID_SHAPE[1], every)
+    slices = np.arange(slice_step // 2, GRID_SHAPE[1], slice_step)
     columns = [_slice_cells(view, sampling, int(j), pixels) for j in slices]
     i, k, valid = (np.stack([getattr(column, name) for column in columns]) for name in ("i", "k", "valid"))
     theta_h, phi_d = grid.theta_h[i], grid.phi_d[k]

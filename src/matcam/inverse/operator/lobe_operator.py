@@ -246,18 +246,18 @@ class WholeRule(NamedTuple):
     """Slices and axes of a rule of which a part is taken.
 
     Attributes:
-        every: spacing of the slices; those of the part are among them.
+        slice_step: spacing of the slices; those of the part are among them.
         axes: parameters of the rig that may change; those of the part are among them.
     """
 
-    every: int
+    slice_step: int
     axes: tuple[Axis, ...]
 
 
 def lobe_operator(
     rig: Rig | None,
     sampling: Sampling,
-    every: int = 1,
+    slice_step: int = 1,
     axes: tuple[Axis, ...] = (),
     workspace: Workspace | None = None,
     whole: WholeRule | None = None,
@@ -268,17 +268,19 @@ def lobe_operator(
     or axes, which will be asked for, too: this one is a part of it. Default: None, it is made by itself.
     """
     if rig is None:
-        return perfect_operator(sampling, every, FAR_AWAY, workspace)
+        return perfect_operator(sampling, slice_step, FAR_AWAY, workspace)
     workspace = checks.instance("workspace", default_workspace() if workspace is None else workspace, Workspace)
     known = rig_key(rig)  # raises for rigs that cannot be fitted
     pixels = grid_of(rig)
-    key = (known, sampling, every, axes, pixels)
-    if whole is not None and whole != (every, axes):
+    key = (known, sampling, slice_step, axes, pixels)
+    if whole is not None and whole != (slice_step, axes):
         cells, operator = lobe_operator(rig, sampling, *whole, workspace)
         operator = operator.along_axes(axes)
-        if whole.every == every:
+        if whole.slice_step == slice_step:
             return cells, operator
-        part = slice((every // 2 - whole.every // 2) // whole.every, None, every // whole.every)
+        part = slice(
+            (slice_step // 2 - whole.slice_step // 2) // whole.slice_step, None, slice_step // whole.slice_step
+        )
 
         def cut() -> tuple[ChosenCells, LobeOperator]:
             return cells.in_slices(part), operator.in_slices(part)
@@ -286,7 +288,7 @@ def lobe_operator(
         return workspace.remember("part of an operator", (key, whole), cut)
 
     def make() -> tuple[ChosenCells, LobeOperator]:
-        cells = chosen_cells(sample_view(rig), sampling, every, pixels)
+        cells = chosen_cells(sample_view(rig), sampling, slice_step, pixels)
         return cells, operator_in(rig, cells, axes, repr(key), workspace)
 
     return workspace.remember("lobe operator", key, make)
@@ -346,7 +348,7 @@ def operator_in(
 
 def perfect_operator(
     sampling: Sampling,
-    every: int,
+    slice_step: int,
     view: SampleView,
     workspace: Workspace | None = None,
     pixels: PixelGrid | None = None,
@@ -357,10 +359,10 @@ def perfect_operator(
     """
 
     def make() -> tuple[ChosenCells, LobeOperator]:
-        cells = chosen_cells(view, sampling, every, pixels)
+        cells = chosen_cells(view, sampling, slice_step, pixels)
         return cells, point_operator(cells)
 
-    key = (sampling, every, view, pixels)
+    key = (sampling, slice_step, view, pixels)
     return (workspace or default_workspace()).remember("perfect operator", key, make)
 
 

@@ -65,9 +65,6 @@ class Beckmann(SlopeNDF, MixtureNDF):
         """First parameter, alpha."""
         return self.alpha
 
-    def __repr__(self) -> str:
-        return f"Beckmann(alpha={self.alpha!s})"
-
 
 class AnisotropicBeckmann(StretchedSlopes):
     """Stretch Beckmann's slopes: one roughness along the surface's first tangent, one across.

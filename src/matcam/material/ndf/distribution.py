@@ -211,9 +211,6 @@ class StretchedSlopes(SlopeDistribution):
         self.alpha_along = checked_roughness("alpha_along", alpha_along)
         self.alpha_across = checked_roughness("alpha_across", alpha_across)
 
-    def __repr__(self) -> str:
-        return f"{type(self).__name__}(alpha_along={self.alpha_along!s}, alpha_across={self.alpha_across!s})"
-
     @abstractmethod
     def unit_density(self, slope2: jax.Array) -> jax.Array:
         """Return P22 of the surface of roughness 1.

@@ -93,6 +93,3 @@ class GaussianNDF(MixtureNDF):
     def roughness(self) -> jax.Array:
         """First parameter, the width, rad."""
         return self.width
-
-    def __repr__(self) -> str:
-        return f"GaussianNDF(width={self.width!s})"

@@ -75,9 +75,6 @@ class GGX(SlopeNDF, MixtureNDF):
         """First parameter, alpha."""
         return self.alpha
 
-    def __repr__(self) -> str:
-        return f"GGX(alpha={self.alpha!s})"
-
 
 class AnisotropicGGX(StretchedSlopes):
     """Stretch GGX's slopes: one roughness along the surface's first tangent, one across.

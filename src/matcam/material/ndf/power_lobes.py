@@ -70,9 +70,6 @@ class EPD(SlopeNDF):
         """First parameter, beta."""
         return self.beta
 
-    def __repr__(self) -> str:
-        return f"EPD(beta={self.beta!s}, power={self.power!s})"
-
 
 class SGD(SlopeNDF, MixtureNDF):
     """Distribute slopes by the shifted gamma distribution.
@@ -155,9 +152,6 @@ class SGD(SlopeNDF, MixtureNDF):
     def roughness(self) -> jax.Array:
         """First parameter, alpha."""
         return self.alpha
-
-    def __repr__(self) -> str:
-        return f"SGD(alpha={self.alpha!s}, power={self.power!s})"
 
 
 _power = with_derivatives(lambda x, p: x**p, lambda dx, u, x, p: dx * u * p / x, lambda dp, u, x, p: dp * u * xp.log(x))

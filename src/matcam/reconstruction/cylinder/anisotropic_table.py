@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import xarray as xr
 
+from matcam.core.results.labelled import named
 from matcam.inverse.correction.corrected_table import SUPPORTED
 from matcam.reconstruction.material_table import ATTRIBUTES, channel_entries, covered, unit_entries
 from matcam.reconstruction.reflectance_curve import ReflectanceCurve
@@ -46,16 +47,19 @@ def anisotropic_table(fit: SphereFit, curves: Sequence[ReflectanceCurve], units:
     with np.errstate(invalid="ignore"):
         supported = covered(fit, theta_d)[:, None, None] & (std < SUPPORTED * value)
     dims = ("theta_h", "phi_h", "theta_d", "phi_d", "channel")
-    return xr.Dataset(
+    table = xr.Dataset(
         {
             "brdf": (dims, value.astype(np.float32), ATTRIBUTES["brdf"]),
             "brdf_std": (dims, std.astype(np.float32), ATTRIBUTES["brdf_std"]),
             "supported": (dims, supported, ATTRIBUTES["supported"]),
         },
         coords={
-            name: (name, angle, {"units": "rad"})
-            for name, angle in (("theta_h", theta_h), ("phi_h", phi_h), ("theta_d", theta_d), ("phi_d", phi_d))
-        }
-        | {"channel": list(fit.channels)},
+            "theta_h": theta_h,
+            "phi_h": phi_h,
+            "theta_d": theta_d,
+            "phi_d": phi_d,
+            "channel": list(fit.channels),
+        },
         attrs={"phi_h": "from the material's x axis about the normal", "period": "phi_h and phi_d repeat after pi"},
     )
+    return named(table)

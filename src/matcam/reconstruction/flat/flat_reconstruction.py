@@ -17,6 +17,8 @@ from matcam.camera.camera import Camera
 from matcam.core.errors import ArgumentError, FileFormatError, FitError
 from matcam.core.registry import ONE_WIDTH
 from matcam.core.remark import Remark
+from matcam.core.results.labelled import named
+from matcam.core.results.summary import Quantity, Summarised, Summary
 from matcam.files.capture import Capture
 from matcam.inverse.fit.fit_setup import AUTO
 from matcam.material.masking import Masking
@@ -37,8 +39,8 @@ _LOOSE = 0.05  # standard deviation of ln alpha from which it is remarked
 _MISFIT = 1.3
 
 
-@dataclass(frozen=True)
-class FlatReconstruction:
+@dataclass(frozen=True, repr=False)
+class FlatReconstruction(Summarised):
     """Hold maps of a flat sample, and how well pictures determine them.
 
     Attributes:
@@ -109,6 +111,23 @@ class FlatReconstruction:
         return (
             f"{len(self.names)} pictures show a {self.family} lobe of roughness {alpha:.4g} +- {std:.1g} and two maps. "
             f"Resolved: {resolved}. Finer texture is lost: the maps' errors contain it."
+        )
+
+    def _summary(self) -> Summary:
+        cutoffs = [
+            Quantity(f"{name}, {along}", value, unit="cycles/px")
+            for name, pair in self.cutoffs.items()
+            for along, value in zip(("along the rows", "across them"), pair, strict=True)
+        ]
+        return Summary(
+            f"Maps of a flat sample, reconstructed from {len(self.names)} photographs",
+            self.verdict,
+            {
+                "Parameters": [Quantity(name, *pair) for name, pair in self.parameters.items()],
+                "Highest resolved frequency": cutoffs,
+                "Fit statistics": [Quantity("mean squared residual over the noise", self.misfit)],
+            },
+            self.remarks,
         )
 
     def to_dict(self) -> dict[str, Any]:
@@ -324,26 +343,22 @@ def _maps(
     root = np.sqrt((stack.taper**2).sum())
     x, y = (np.arange(n) - (n - 1) / 2 for n in (width, height))
     variables: dict[str, Any] = {}
+    names = {"x": "to the right, on the sample seen head-on [px]", "y": "upwards [px]"}
     for i, name in enumerate(MAPS):
         field = means[i] + np.fft.ifft2(posterior.estimate[i]).real * root
         variance = posterior.variance[i] + posterior.by_lens[i]
         std = np.sqrt(variance.mean())
-        variables[name] = ("y", "x"), field[inner] / unit, {"long_name": f"{name} part, relative"}
-        variables[f"{name}_std"] = (
-            ("y", "x"),
-            np.full(field[inner].shape, std / unit),
-            {"long_name": f"standard deviation of {name} about its mean, with the texture that is lost"},
-        )
-        variables[f"{name}_error"] = (
-            ("frequency_y", "frequency_x"),
-            np.fft.fftshift(variance) / unit**2,
-            {"long_name": f"variance of {name} at each frequency; their mean is the variance of a texel"},
-        )
-        variables[f"{name}_resolved"] = (
-            ("frequency_y", "frequency_x"),
-            np.fft.fftshift(posterior.resolved[i]),
-            {"long_name": "share of the prior variance that the pictures take away"},
-        )
+        plane, frequencies = ("y", "x"), ("frequency_y", "frequency_x")
+        variables[name] = plane, field[inner] / unit
+        variables[f"{name}_std"] = plane, np.full(field[inner].shape, std / unit)
+        variables[f"{name}_error"] = frequencies, np.fft.fftshift(variance) / unit**2
+        variables[f"{name}_resolved"] = frequencies, np.fft.fftshift(posterior.resolved[i])
+        names |= {
+            name: f"{name} part, relative",
+            f"{name}_std": f"standard deviation of {name} about its mean, with the texture that is lost",
+            f"{name}_error": f"variance of {name} at each frequency; their mean is the variance of a texel",
+            f"{name}_resolved": "share of the prior variance that the pictures take away",
+        }
     along, across = (np.fft.fftshift(one.ravel()) for one in stack.frequency)
     attrs: dict[str, Any] = {
         f"{name}_cutoff_cycles_per_px": posterior.cutoff(stack.frequency, i) for i, name in enumerate(MAPS)
@@ -352,16 +367,17 @@ def _maps(
         attrs[f"{name}_prior"] = f"power {law.level / unit**2:.4g} (frequency / 0.1 cycles/px)^{law.slope:.3g}"
     if mm_per_px is not None:
         attrs["mm_per_px"] = float(mm_per_px[0])
-    return xr.Dataset(
+    data = xr.Dataset(
         variables,
         coords={
-            "x": ("x", x[inner[1]], {"units": "px", "long_name": "to the right, on the sample seen head-on"}),
-            "y": ("y", -y[inner[0]], {"units": "px", "long_name": "upwards"}),
-            "frequency_x": ("frequency_x", along, {"units": "cycles/px"}),
-            "frequency_y": ("frequency_y", across, {"units": "cycles/px"}),
+            "x": x[inner[1]],
+            "y": -y[inner[0]],
+            "frequency_x": along,
+            "frequency_y": across,
         },
         attrs=attrs,
     )
+    return named(data, names)
 
 
 def _tilts(capture: Capture) -> dict[str, float]:

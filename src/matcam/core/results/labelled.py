@@ -1,0 +1,114 @@
+"""Labelled results: variables with unit and name, and the accessor `matcam` of their Datasets.
+
+`result.matcam.summary()` and `result.matcam.plot()` are for Datasets what the methods of the same names are for other results.
+Importing this module registers the accessor with xarray.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple, TypeVar
+
+import xarray as xr
+
+from matcam.core.errors import ArgumentError
+from matcam.core.registry import Registry
+from matcam.core.results.summary import Summarised, Summary, draw
+
+D = TypeVar("D", xr.Dataset, xr.DataArray)
+
+_COORDINATES = {
+    "theta_h": "half angle [rad]",
+    "phi_h": "azimuth of the half vector about the normal [rad]",
+    "theta_d": "difference angle [rad]",
+    "phi_d": "azimuth of the light about the half vector [rad]",
+    "theta": "viewing angle of the highlight [rad]",
+    "theta_o": "viewing angle [rad]",
+    "x": "position to the right [px]",
+    "y": "position [px]",
+    "frequency": "spatial frequency [cycles/px]",
+    "frequency_x": "spatial frequency along the rows [cycles/px]",
+    "frequency_y": "spatial frequency across the rows [cycles/px]",
+}
+"""Name in words and unit of the coordinates that results share."""
+
+
+def named(data: D, texts: Mapping[str, str] | None = None) -> D:
+    """Give variables and coordinates their attributes `long_name` and `units`, which xarray's plots and NetCDF use.
+
+    Args:
+        data: a new result. Its attributes are set in place; a `long_name` or `units` that is there stays.
+        texts: name in words and unit of each variable and coordinate, "BRDF [1/sr]". Without a unit it is "1", a pure number,
+            as in the CF conventions. Default: None, only the coordinates that results share are named.
+
+    Returns:
+        `data`.
+
+    Example:
+        >>> import xarray as xr
+        >>> named(xr.Dataset({"a": ("theta_d", [1.0])}, {"theta_d": [0.5]}), {"a": "share of light"})["a"].attrs
+        {'long_name': 'share of light', 'units': '1'}
+    """
+    for name, text in {**_COORDINATES, **(texts or {})}.items():
+        if name in data.coords or (isinstance(data, xr.Dataset) and name in data.data_vars):
+            words, _, unit = text.removesuffix("]").partition(" [")
+            attrs = data[name].attrs
+            data[name].attrs = {"long_name": words, "units": unit or "1", **attrs}
+    return data
+
+
+class _Kind(NamedTuple):
+    """A kind of Dataset, known by some of its variables, which no other kind has."""
+
+    name: str
+    variables: frozenset[str]
+
+
+_KINDS = (
+    _Kind("Fresnel term", frozenset({"raw", "corrected", "supported_angle"})),
+    _Kind("corrected table", frozenset({"brdf", "correction_std", "supported"})),
+    _Kind("bounds", frozenset({"width_std", "lens_std_free", "fresnel_std"})),
+    _Kind("prediction", frozenset({"response", "relative_response", "loss_angle"})),
+)
+_SUMMARIES: Registry[Any] = Registry(
+    {
+        "Fresnel term": "matcam.inverse.dataset_summaries:fresnel_summary",
+        "corrected table": "matcam.inverse.dataset_summaries:corrected_summary",
+        "bounds": "matcam.inverse.dataset_summaries:bounds_summary",
+        "prediction": "matcam.forward.prediction:prediction_summary",
+    }
+)
+"""Function that summarises each kind of Dataset, imported when one is summarised."""
+
+
+@xr.register_dataset_accessor("matcam")
+class DatasetAccessor(Summarised):
+    """Summary and figure of a Dataset that matcam has made: `result.matcam.summary()`, `result.matcam.plot()`.
+
+    Args:
+        data: a result of `fresnel`, `correct`, `limits` or `predict`, from memory or from a file.
+    """
+
+    def __init__(self, data: xr.Dataset):
+        self._data = data
+
+    @property
+    def kind(self) -> str:
+        """Kind of the result: "Fresnel term", "corrected table", "bounds" or "prediction".
+
+        ArgumentError where it is none of them.
+        """
+        names = set(map(str, self._data.variables))
+        found = [kind.name for kind in _KINDS if kind.variables <= names]
+        if not found:
+            raise ArgumentError(
+                "a summary is for the results of fresnel, correct, limits and predict: this is none of them"
+            )
+        return found[0]
+
+    def _summary(self) -> Summary:
+        return _SUMMARIES[self.kind](self._data)
+
+    def plot(self, ax: Any = None, **options: Any) -> Any:
+        """Draw the result; see `Summarised.plot`."""
+        return draw(self.kind, self._data, ax, options)

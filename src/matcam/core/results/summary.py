@@ -1,0 +1,219 @@
+"""Summaries of results: quantities with standard deviations as plain text, as HTML for notebooks, and as a figure.
+
+A result derives from `Summarised` and states its content once (`_summary`). Datasets have the same methods by an accessor
+(`matcam.core.results.labelled`).
+"""
+
+from __future__ import annotations
+
+import math
+import textwrap
+from collections.abc import Iterable, Mapping, Sequence
+from html import escape
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from matcam.core.registry import Registry
+from matcam.core.remark import Remark
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+_MOST_ROWS = 12
+"""Quantities of one section that are shown. A measured MTF has hundreds of parameters, which nobody reads one by one."""
+_LEAST_CORRELATION = 0.1
+"""Smallest correlation that is listed, as in lmfit: a smaller one changes a standard deviation by less than 1 %."""
+_WIDTH = 100
+"""Characters of a line of text, as in the reports of lmfit and statsmodels."""
+
+_FIGURES: Registry[Any] = Registry({"draw": "matcam.figures.artists:draw"})
+"""Function that draws results. It is imported with the first figure, so that no layer below depends on figures."""
+
+
+class Quantity(NamedTuple):
+    """A named value of a result.
+
+    Attributes:
+        name: of the quantity.
+        value: the value, or a text.
+        std: standard deviation, in the value's unit. Default: NaN, none is stated.
+        unit: unit. Default: "", no unit, or the name has it.
+    """
+
+    name: str
+    value: float | str
+    std: float = math.nan
+    unit: str = ""
+
+    @property
+    def text(self) -> str:
+        """Value, standard deviation and unit, with as many digits as the standard deviation determines."""
+        if isinstance(self.value, str):
+            return self.value
+        unit = f" {self.unit}" if self.unit else ""
+        if math.isnan(self.std):
+            return f"{self.value:.6g}{unit}"
+        if math.isinf(self.std):
+            return f"{self.value:.6g}{unit} (not determined)"
+        if self.std == 0:
+            return f"{self.value:.6g}{unit} (exact)"
+        return f"{with_std(self.value, self.std)}{unit}{self._share}"
+
+    @property
+    def _share(self) -> str:
+        """Standard deviation in percent of the value."""
+        assert not isinstance(self.value, str)
+        share = 100 * self.std / abs(self.value) if self.value else math.inf
+        return f" ({share:.2g} %)" if share < 99.5 else f" ({share:.0f} %)" if share < 1000 else ""
+
+
+def with_std(value: float, std: float) -> str:
+    """Write a value and its standard deviation with two significant digits of the latter.
+
+    Args:
+        value: the value.
+        std: its standard deviation, positive.
+
+    Example:
+        >>> with_std(0.0051234, 0.000012)
+        '0.005123 ± 0.000012'
+        >>> with_std(6.54321e-7, 1e-9)
+        '(6.543 ± 0.010)e-07'
+    """
+    size = max(abs(value), std)
+    power = math.floor(math.log10(size))
+    scale = power if not -4 <= power < 6 else 0
+    digits = min(max(0, 1 - math.floor(math.log10(std)) + scale), 12)
+    text = f"{value / 10.0**scale:.{digits}f} ± {std / 10.0**scale:.{digits}f}"
+    return f"({text})e{scale:+03d}" if scale else text
+
+
+class Summary(NamedTuple):
+    """Content of a summary.
+
+    Attributes:
+        title: noun phrase that names the result.
+        verdict: what was found, in complete sentences. Default: "".
+        sections: quantities by the title of their section. Default: none.
+        remarks: limitations and warnings. Default: none.
+    """
+
+    title: str
+    verdict: str = ""
+    sections: Mapping[str, Sequence[Quantity]] = {}
+    remarks: Sequence[Remark] = ()
+
+    @property
+    def text(self) -> str:
+        """The summary as plain text, in the manner of lmfit's `fit_report`."""
+        lines = [f"[[{self.title}]]"]
+        if self.verdict:
+            lines += textwrap.wrap(self.verdict, _WIDTH, initial_indent="    ", subsequent_indent="    ")
+        for title, quantities in self.sections.items():
+            shown, more = quantities[:_MOST_ROWS], len(quantities) - _MOST_ROWS
+            width = max((len(one.name) for one in shown), default=0)
+            lines += [f"[[{title}]]"] if shown else []
+            lines += [f"    {one.name + ':':<{width + 1}} {one.text}" for one in shown]
+            lines += [f"    and {more} more"] if more > 0 else []
+        lines += ["[[Remarks]]"] if self.remarks else []
+        for remark in self.remarks:
+            lines += textwrap.wrap(remark.text, _WIDTH, initial_indent="    - ", subsequent_indent="      ")
+        return "\n".join(lines)
+
+    @property
+    def html(self) -> str:
+        """The summary as HTML without styles, which a notebook draws in its own theme."""
+        parts = [f"<strong>{escape(self.title)}</strong>"]
+        parts += [f"<p>{escape(self.verdict)}</p>"] if self.verdict else []
+        for title, quantities in self.sections.items():
+            rows = [
+                f"<tr><th scope='row'>{escape(one.name)}</th><td>{escape(one.text)}</td></tr>"
+                for one in quantities[:_MOST_ROWS]
+            ]
+            more = len(quantities) - _MOST_ROWS
+            rows += [f"<tr><td colspan='2'>and {more} more</td></tr>"] if more > 0 else []
+            parts += [f"<table><caption>{escape(title)}</caption>{''.join(rows)}</table>"] if rows else []
+        items = "".join(f"<li>{escape(remark.text)}</li>" for remark in self.remarks)
+        parts += [f"<ul>{items}</ul>"] if items else []
+        return f"<div>{''.join(parts)}</div>"
+
+
+def parameters(values: Mapping[str, Any], std: Mapping[str, Any]) -> list[Quantity]:
+    """List parameters with their standard deviations.
+
+    Args:
+        values: value of each by its name, which has the unit.
+        std: standard deviation of each by the same name; NaN and a missing one: none is stated.
+    """
+    return [Quantity(name, float(value), float(std.get(name, math.nan))) for name, value in values.items()]
+
+
+def correlations(names: Iterable[str], covariance: np.ndarray) -> list[Quantity]:
+    """List the correlations of parameters from 0.1 on, the largest first.
+
+    Args:
+        names: of the parameters.
+        covariance: their covariance, (parameters, parameters).
+
+    Example:
+        >>> [one.name for one in correlations(["a", "b", "c"], np.array([[4.0, 1.0, 0], [1.0, 1.0, 0], [0, 0, 1]]))]
+        ['C(a, b)']
+    """
+    names = list(names)
+    scale = np.sqrt(np.diag(covariance))
+    correlation = covariance / np.maximum(np.outer(scale, scale), 1e-300)
+    pairs = [(i, j) for i in range(len(names)) for j in range(i) if abs(correlation[i, j]) >= _LEAST_CORRELATION]
+    pairs.sort(key=lambda pair: -abs(correlation[pair]))
+    return [Quantity(f"C({names[j]}, {names[i]})", f"{correlation[i, j]:+.3f}") for i, j in pairs]
+
+
+class Summarised:
+    """Base of results that have a summary and a figure."""
+
+    def _summary(self) -> Summary:
+        """Gather the content of the summary."""
+        raise NotImplementedError
+
+    def summary(self) -> str:
+        """Summarise the result in plain text.
+
+        Returns:
+            Sections with quantities, their standard deviations and units; the correlations of fitted parameters; remarks. A
+            notebook shows the same as a table where a cell ends in the result.
+        """
+        return self._summary().text
+
+    def plot(self, ax: Axes | None = None, **options: Any) -> Axes:
+        """Draw the result.
+
+        Args:
+            ax: Matplotlib Axes to draw on. None: those of a new figure.
+            **options: what is drawn, by the kind of result: `channel`, the index of a channel; `theta_d`, rad, of a
+                correction; `metal`, a name as in `matcam.material.metals`, of a Fresnel term.
+
+        Returns:
+            The Axes.
+
+        Raises:
+            ArgumentError: an option is wrong, or this kind of result has no figure of one panel.
+        """
+        return draw(type(self).__name__, self, ax, options)
+
+    def _repr_html_(self) -> str:
+        return self._summary().html
+
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__}: {self._summary().title}>"
+
+
+def draw(kind: str, result: Any, ax: Axes | None, options: Mapping[str, Any]) -> Axes:
+    """Draw a result.
+
+    Args:
+        kind: of the result: the name of its class, or that of its kind of Dataset.
+        result: the result.
+        ax: Axes to draw on. None: those of a new figure.
+        options: options of its figure.
+    """
+    return _FIGURES["draw"](kind, result, ax, options)

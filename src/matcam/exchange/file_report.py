@@ -1,0 +1,78 @@
+"""The contents of a file of any format, or of a result in memory, as plain values."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+from matcam.camera.camera import Camera
+from matcam.camera.kernel import mtf50
+from matcam.core import checks
+from matcam.core.grid import Sampling
+from matcam.files.formats import identify
+
+_RADIUS = 256.0
+"""px, of the MERL rig's sphere."""
+
+
+def inspect(source: Any, *, sampling: Sampling = "centre", radius: float = _RADIUS) -> dict[str, Any]:
+    """Report what a file or a result holds.
+
+    `matcam inspect` prints the same.
+
+    Args:
+        source: path of a file of any format that matcam reads; or a table, a result, a picture or a `Camera`.
+        sampling: where in its cell a MERL file's value was sampled, "centre" or "edge" (see `read_merl`). Default: "centre".
+        radius: radius of the sphere that a table was recorded from, px. Default: 256, the MERL rig's.
+
+    Returns:
+        Plain values that JSON can hold; the names state units. A file has `file` and `format`. A BRDF has its grid, missing
+        shares, range, reciprocity, albedo, lobe widths, and the trace of a camera; a camera its parameters and MTF50.
+
+    Raises:
+        FileFormatError: the file is of no format that matcam reads, or is damaged.
+        ArgumentError: there is nothing to report of `source`, or the radius is out of range.
+
+    Example:
+        >>> report = matcam.inspect(matcam.rigs.merl().camera)
+        >>> report["parameters"], report["mtf50_cycles_per_px"]
+        ({'optics.sigma_px': 0.5, 'pixel.half_width_px': 0.5}, 0.3235)
+    """
+    checks.positive("radius", radius, "px")
+    if isinstance(source, Camera):
+        return {"holds": "a camera profile", **_camera_report(source)}
+    if not isinstance(source, str | Path):
+        from matcam.exchange.contents import contents_of
+        from matcam.exchange.inspection import inspect_contents
+
+        return inspect_contents(contents_of(source), radius)
+    kind = identify(source)
+    return {"file": str(source), "format": kind, **_file_report(source, kind, sampling, radius)}
+
+
+def _file_report(path: str | Path, kind: str, sampling: Sampling, radius: float) -> dict[str, Any]:
+    if kind == "camera profile":
+        return _camera_report(Camera.load(path))
+    if kind == "picture sidecar":
+        from matcam.files.sidecar import read_sidecar
+
+        return read_sidecar(path)
+    from matcam.exchange.contents import read_contents
+    from matcam.exchange.inspection import inspect_contents
+
+    return inspect_contents(read_contents(path, sampling), radius)
+
+
+def _camera_report(camera: Camera) -> dict[str, Any]:
+    """Report on a camera: parameters, standard deviations, MTF50 (cycles/px, along a row) and provenance.
+
+    Of a lens that has colours, or changes over the picture, MTF50 is that of each lens that stands for it, by name.
+    """
+    found = mtf50(camera.optics, camera.pixel)
+    return {
+        "parameters": {name: float(value) for name, value in camera.parameters().items()},
+        "std": camera.uncertainty.std() if camera.uncertainty else {},
+        "mtf50_cycles_per_px": found.get("", found),
+        "provenance": dataclasses.asdict(camera.provenance),
+    }

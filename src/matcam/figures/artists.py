@@ -1,0 +1,207 @@
+"""Artists: each draws one kind of result on one panel, which a user may give (`Summarised.plot`)."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import xarray as xr
+from matplotlib.axes import Axes
+
+from matcam.core import checks
+from matcam.core.errors import ArgumentError, unknown_name
+from matcam.core.grid import merl_grid, sampling_of
+from matcam.figures.calibration import draw_calibration, draw_camera_fit, draw_edge_mtf
+from matcam.figures.curves import draw_corrected_lobe, draw_fresnel, draw_prediction
+from matcam.figures.sensor import draw_transfer
+from matcam.figures.style import BLUE, CYCLE, GREY, VERMILION, degrees_axis, nyquist_line, styled
+
+if TYPE_CHECKING:
+    from matcam.camera.camera import Camera
+    from matcam.inverse.correction.correction import Correction
+    from matcam.inverse.fit.material_fit import MaterialFit
+    from matcam.reconstruction.flat.flat_reconstruction import FlatReconstruction
+    from matcam.reconstruction.reconstruction import Reconstruction
+
+_SIZE = (7.5, 4.4)
+"""inches, of a figure of one panel."""
+_COLOURS = {"R": "#C0392B", "G": "#009E73", "B": "#0072B2"}
+"""Colours of the channels; those of other names follow the cycle of the style."""
+_SHOWN = np.pi / 4
+"""theta_d of the lobe that is drawn where none is chosen, rad: most tables hold a whole highlight there."""
+
+
+def draw_camera(axes: Axes, camera: Camera) -> None:
+    """Draw the MTF of a camera along its rows and diagonal, and that of its lens."""
+    from matcam.camera.optics.varying import VaryingOptics
+
+    if isinstance(camera.optics, VaryingOptics):
+        raise ArgumentError(
+            "the lens of this camera varies: draw one of the cameras of its parts, such as camera.optics.red"
+        )
+    frequency = np.linspace(0, 1, 201)
+    axes.axhline(0, color=GREY, lw=0.6)
+    axes.plot(frequency, np.asarray(camera.mtf(frequency)), color=BLUE, label="lens and pixel, along the rows")
+    diagonal = np.asarray(camera.mtf(frequency, np.pi / 4))
+    axes.plot(frequency, diagonal, color=BLUE, ls="--", lw=1.2, label="lens and pixel, along the diagonal")
+    if camera.optics.isotropic:
+        axes.plot(frequency, np.asarray(camera.optics.mtf(frequency)), color=GREY, lw=1.2, label="lens")
+    nyquist_line(axes)
+    axes.set(xlim=(0, 1), xlabel="frequency [cycles/px]", ylabel="MTF [-]")
+    axes.legend(loc="upper right")
+
+
+def draw_fit(axes: Axes, fit: MaterialFit, channel: int | None = None) -> None:
+    """Draw F of every slice of a fit with its standard deviation. channel: its index; None: all."""
+    curves = fit.curves
+    theta = np.degrees(curves["theta_d"].values)
+    names = [str(name) for name in curves["channel"].values]
+    for index in _channels(channel, names):
+        value, std = (curves[name].values[:, index] for name in ("fresnel", "fresnel_std"))
+        colour = _colour(names[index], index)
+        axes.plot(theta, value, color=colour, marker="o", ms=3, lw=1.2, label=names[index])
+        axes.fill_between(theta, value - std, value + std, color=colour, alpha=0.25, lw=0)
+    degrees_axis(axes, r"difference angle $\theta_d$")
+    axes.set_ylabel("F, ± 1 std [-]")
+    axes.set_ylim(0, None)
+    axes.legend(loc="lower left", title=f"{fit.lobe_name} lobe")
+
+
+def draw_correction(axes: Axes, done: Correction, theta_d: float = _SHOWN, channel: int | None = None) -> None:
+    """Draw a lobe as recorded and as corrected, over theta_h at phi_d = 90 degrees.
+
+    theta_d: rad. channel: its index; None: the middle one.
+    """
+    _draw_lobe(axes, done.table, theta_d, channel, done.recorded)
+
+
+def draw_corrected_table(axes: Axes, table: xr.Dataset, theta_d: float = _SHOWN, channel: int | None = None) -> None:
+    """Draw a lobe of a result of `correct` as `draw_correction` does; what was recorded is recovered from the result."""
+    from matcam.inverse.correction.corrected_table import recorded_table
+
+    _draw_lobe(axes, table, theta_d, channel, recorded_table(table))
+
+
+def _draw_lobe(axes: Axes, table: xr.Dataset, theta_d: float, channel: int | None, recorded: xr.DataArray) -> None:
+    theta_d = float(checks.scalar("theta_d", checks.within("theta_d", theta_d, 0, np.pi / 2, "rad")))
+    names = [str(name) for name in table["channel"].values]
+    (channel,) = _channels(len(names) // 2 if channel is None else channel, names)
+    grid = merl_grid(sampling_of(table["brdf"]))
+    at = (*grid.index(theta_d=theta_d, phi_d=np.pi / 2), channel)
+    draw_corrected_lobe(axes, table, recorded, at)
+    axes.set_title(rf"$\theta_d$ = {np.degrees(grid.theta_d[at[1]]):.1f}°, channel {names[channel]}", loc="left")
+    if axes.lines:
+        axes.legend(loc="lower left")
+
+
+def draw_fresnel_term(axes: Axes, result: xr.Dataset, metal: str | None = None, channel: int | None = None) -> None:
+    """Draw raw and corrected F. metal: name of a metal whose tables are drawn, too. channel: index; None: the middle one."""
+    from matcam.inverse.fresnel_tables import tabulated_fresnel
+
+    names = [str(name) for name in result["channel"].values]
+    (channel,) = _channels(len(names) // 2 if channel is None else channel, names)
+    tables = None if metal is None else tabulated_fresnel(result, metal)
+    draw_fresnel(axes, result, tables, channel)
+    axes.set_title(f"Fresnel term, channel {names[channel]}", loc="left")
+    axes.legend(loc="upper left", fontsize=8)
+
+
+def draw_bounds(axes: Axes, data: xr.Dataset) -> None:
+    """Draw the bounds of ln roughness over roughness, by what is known of the lens."""
+    for name, label, colour in (
+        ("width_std", "lens exact", BLUE),
+        ("width_std_stated", "lens as its profile states", GREY),
+        ("width_std_free", "lens free", VERMILION),
+    ):
+        if np.isfinite(data[name].values).any():
+            axes.plot(data["roughness"], data[name], marker="o", ms=4, color=colour, label=label)
+    unit = "rad" if data.attrs["ndf"] == "gaussian" else "slope"
+    label = f"roughness ({data.attrs['ndf']}) [{unit}]"
+    axes.set(xscale="log", yscale="log", xlabel=label, ylabel="bound of ln roughness [-]")
+    axes.legend()
+
+
+def draw_reconstruction(axes: Axes, result: Reconstruction) -> None:
+    """Draw F of every photograph with its error, and the curve through them, for each channel."""
+    from matcam.figures.reconstruction_page import draw_reflectance
+
+    draw_reflectance(axes, result)
+
+
+def draw_flat_reconstruction(axes: Axes, result: FlatReconstruction, map: str = "diffuse") -> None:  # noqa: A002
+    """Draw one of the maps. map: "diffuse" or "specular"."""
+    shown = result.maps[checks.choice("map", map, ("diffuse", "specular"))]
+    x, y = shown["x"].values, shown["y"].values
+    drawn = axes.imshow(
+        shown.values, cmap="gray", extent=(x[0] - 0.5, x[-1] + 0.5, y[-1] - 0.5, y[0] + 0.5), interpolation="nearest"
+    )
+    axes.grid(visible=False)
+    axes.figure.colorbar(drawn, ax=axes, label=f"{map} part, relative [-]")
+    axes.set(xlabel="x [px]", ylabel="y [px]")
+
+
+def _channels(channel: int | None, names: list[str]) -> range:
+    """Return the indices of the channels to draw: one, or all."""
+    if channel is None:
+        return range(len(names))
+    index = checks.whole_number("channel", channel, 0, len(names) - 1)
+    assert index is not None
+    return range(index, index + 1)
+
+
+def _colour(name: str, index: int) -> str:
+    return _COLOURS.get(name[:1] if name[1:].isdigit() or len(name) == 1 else name, CYCLE[index % len(CYCLE)])
+
+
+_ARTISTS: dict[str, Callable[..., None]] = {
+    "Calibration": draw_calibration,
+    "Camera": draw_camera,
+    "CameraFit": draw_camera_fit,
+    "Correction": draw_correction,
+    "EdgeMTF": draw_edge_mtf,
+    "FlatReconstruction": draw_flat_reconstruction,
+    "MaterialFit": draw_fit,
+    "Reconstruction": draw_reconstruction,
+    "SensorCharacteristics": draw_transfer,
+    "bounds": draw_bounds,
+    "corrected table": draw_corrected_table,
+    "Fresnel term": draw_fresnel_term,
+    "prediction": draw_prediction,
+}
+"""Artist of each kind of result. The parameters after the first two are the options of `plot`."""
+
+
+def draw(kind: str, result: Any, ax: Axes | None, options: Mapping[str, Any]) -> Axes:
+    """Draw a result on Axes by the artist of its kind.
+
+    Args:
+        kind: of the result.
+        result: the result.
+        ax: Axes to draw on. None: those of a new figure of pyplot, which a notebook and plt.show() show.
+        options: options of the artist.
+
+    Raises:
+        ArgumentError: this kind of result has no artist, `ax` is no Axes, or an option is unknown.
+    """
+    if kind not in _ARTISTS:
+        raise ArgumentError(f"{kind} has no figure of one panel: draw its arrays")
+    artist = _ARTISTS[kind]
+    known = list(inspect.signature(artist).parameters)[2:]
+    for name in options:
+        if name not in known:
+            raise unknown_name(f"option of plot() of a {kind}", name, known)
+    if ax is not None:
+        artist(checks.instance("ax", ax, Axes), result, **options)
+        return ax
+    import matplotlib.pyplot as plt
+
+    with styled():
+        figure, ax = plt.subplots(figsize=_SIZE, layout="constrained")
+        try:
+            artist(ax, result, **options)
+        except Exception:
+            plt.close(figure)
+            raise
+    return ax
