@@ -21,7 +21,7 @@ pair among them, would prefer noise of opposite signs."""
 
 
 class BracketSample(NamedTuple):
-    """Hold chosen pixels of one lamp position.
+    """Chosen pixels of one lamp position.
 
     Attributes:
         lamp: name of the lamp position.

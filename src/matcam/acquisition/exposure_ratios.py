@@ -20,7 +20,7 @@ _ROBUST = 1.4826
 
 
 class ClipLevel(NamedTuple):
-    """Hold the code at which pixels clip.
+    """Code at which pixels clip.
 
     Attributes:
         level: DN as read.

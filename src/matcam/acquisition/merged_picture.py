@@ -7,7 +7,7 @@ import numpy as np
 
 @dataclass(frozen=True)
 class MergedPicture:
-    """Hold the linear radiance of one lamp position on the sensor's own pixels, with noise and clipping.
+    """Linear radiance of one lamp position on the sensor's own pixels, with noise and clipping.
 
     Attributes:
         name: the lamp position, as `frames.csv` calls it.

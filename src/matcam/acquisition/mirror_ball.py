@@ -20,7 +20,7 @@ def unit(vectors: np.ndarray) -> np.ndarray:
 
 
 class MirrorBall(NamedTuple):
-    """Describe a sphere in a frame.
+    """Sphere in a frame.
 
     Attributes:
         row: of the picture of its centre, px.

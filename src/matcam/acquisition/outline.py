@@ -79,7 +79,7 @@ class Sighting(NamedTuple):
 
 @dataclass(frozen=True)
 class Outline:
-    """Hold a sphere's outline in the frame.
+    """Sphere's outline in the frame.
 
     Attributes:
         row: of the picture of the sphere's centre, px, rows down, pixel centres on integers.

@@ -27,7 +27,7 @@ _KEPT = 64
 
 
 class Downloads:
-    """Hold the files that pages offer."""
+    """Files that pages offer."""
 
     def __init__(self) -> None:
         self._files: dict[str, tuple[str, bytes]] = {}

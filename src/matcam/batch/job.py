@@ -27,7 +27,7 @@ from matcam.numerics.budget import write_budgets
 
 @dataclass(frozen=True)
 class Job:
-    """Describe one table to correct.
+    """One table to correct.
 
     Attributes:
         source: MERL file to read.

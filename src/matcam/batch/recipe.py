@@ -35,7 +35,7 @@ SETTINGS_FORMAT = "matcam run"
 
 
 class Options(NamedTuple):
-    """Hold the options of a correction.
+    """Options of a correction.
 
     Attributes:
         ndf: family of the lobe, or "auto" for the likelier of "ggx" and "epd". Default: "auto".

@@ -22,7 +22,7 @@ _ROUNDS = 3
 
 
 class RadianceEstimate(NamedTuple):
-    """Hold the radiance that a bracket of exposures saw.
+    """Radiance that a bracket of exposures saw.
 
     Attributes:
         radiance: estimate, in the unit that the exposures are per, shape (H, W) or (H, W, channels); NaN where every picture

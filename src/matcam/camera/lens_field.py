@@ -17,7 +17,7 @@ _LARGEST = 0.5  # of a coefficient: beyond it no lens would be called one with a
 
 
 class Coefficient(NamedTuple):
-    """Hold a coefficient of a lens over the field.
+    """Coefficient of a lens over the field.
 
     Attributes:
         value: no unit. Default: 0.
@@ -37,7 +37,7 @@ _NONE = Coefficient()
 
 @dataclass(frozen=True)
 class LensField:
-    """Describe distortion and blur of a lens over the field.
+    """Distortion and blur of a lens over the field.
 
     A place at rho units from the centre is seen at rho (1 + k1 rho^2 + k2 rho^4). The lens's width grows as
     1 + growth (rho^2 - rho0^2), rho0 being where the profile's own lens holds.

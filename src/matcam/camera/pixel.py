@@ -31,7 +31,7 @@ _GAUSS48 = np.polynomial.legendre.leggauss(48)
 
 
 class PixelResponse(Module):
-    """Describe the sensitivity of one pixel over its area, without the lens.
+    """Sensitivity of one pixel over its area, without the lens.
 
     In astronomy PRF means *point* response function, which contains the lens: not this.
 

@@ -210,7 +210,7 @@ def stepping() -> Iterator[Any]:
 
 
 class _Log:
-    """Report progress as lines, at most one in half a minute."""
+    """Progress as lines, at most one in half a minute."""
 
     def __init__(self, what: str):
         self.what, self.started, self.last, self.first = what, time.monotonic(), -math.inf, 0

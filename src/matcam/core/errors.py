@@ -8,7 +8,7 @@ from collections.abc import Iterable
 
 
 class MatcamError(Exception):
-    """Report an error that a user's input can cause.
+    """Error that a user's input can cause.
 
     All errors of the family are of this class. Their text is one line: what was wrong, where, and what would be right.
 
@@ -25,23 +25,23 @@ class MatcamError(Exception):
 
 
 class ArgumentError(MatcamError, ValueError):
-    """Report an argument that is out of its range, of the wrong shape, or of the wrong kind."""
+    """Argument that is out of its range, of the wrong shape, or of the wrong kind."""
 
 
 class FileFormatError(MatcamError):
-    """Report a file that is not what it should be. The message names the file and the byte or field."""
+    """File that is not what it should be. The message names the file and the byte or field."""
 
 
 class OutputError(MatcamError):
-    """Report an output that cannot be written where it was asked for, or would destroy something."""
+    """Output that cannot be written where it was asked for, or would destroy something."""
 
 
 class DownloadError(MatcamError):
-    """Report a file that could not be fetched, or is not what its checksum says."""
+    """File that could not be fetched, or is not what its checksum says."""
 
 
 class FitError(MatcamError):
-    """Report data that do not determine what was asked of them."""
+    """Data that do not determine what was asked of them."""
 
 
 def unknown_name(kind: str, name: object, known: Iterable[str]) -> ArgumentError:

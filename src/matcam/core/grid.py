@@ -40,7 +40,7 @@ spectral response; these are the middles of the bands of a common RGB sensor."""
 
 
 class Grid(NamedTuple):
-    """Hold the angles at which the cells of a MERL table are sampled.
+    """Angles at which the cells of a MERL table are sampled.
 
     Attributes:
         theta_h: half angles, rad (90,).

@@ -114,7 +114,7 @@ def _one_processor() -> bool:
 
 
 class _Program(NamedTuple):
-    """Hold a program that is ready to run.
+    """Program that is ready to run.
 
     Attributes:
         run: takes the arrays among a function's arguments; None: the program cannot be named.
@@ -126,7 +126,7 @@ class _Program(NamedTuple):
 
 
 class _HeldPrograms:
-    """Hold the programs that were used last; what there is no room for is read from disk when it is wanted again."""
+    """Programs that were used last; what there is no room for is read from disk when it is wanted again."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -151,7 +151,7 @@ _held = _HeldPrograms()
 
 
 class _Kept(NamedTuple):
-    """Hold a function and what is known of its arguments: their leaves, their tree, and the kind of each leaf.
+    """Function and what is known of its arguments: their leaves, their tree, and the kind of each leaf.
 
     Besides, how often it runs, and what it returns where that is more than a tuple of arrays.
     """

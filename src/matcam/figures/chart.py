@@ -22,7 +22,7 @@ _MOST = 2e8  # pixels of a raster
 
 
 class Polygon(NamedTuple):
-    """Hold a polygon of one level.
+    """Polygon of one level.
 
     Attributes:
         points: corners, mm (n, 2).

@@ -22,7 +22,7 @@ _ROUNDING = 0.02  # of the width: range below which colours would show nothing b
 
 
 class BlurMap(NamedTuple):
-    """Hold the median blur in parts of the picture (rows, columns), NaN where too few edges lie, and how many do.
+    """Median blur in parts of the picture (rows, columns), NaN where too few edges lie, and how many do.
 
     Attributes:
         x: borders of the columns, px.

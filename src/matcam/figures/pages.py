@@ -185,7 +185,7 @@ INLINE = 1000
 
 
 class _Cell(NamedTuple):
-    """Hold one cell of the index.
+    """One cell of the index.
 
     Attributes:
         value: what the column is sorted by; "" sorts last.
@@ -201,7 +201,7 @@ class _Cell(NamedTuple):
 
 
 class _Column(NamedTuple):
-    """Describe one column of the index: lines of its head, "text" or "number", and its cell of a record."""
+    """One column of the index: lines of its head, "text" or "number", and its cell of a record."""
 
     head: tuple[str, ...]
     kind: str

@@ -20,7 +20,7 @@ _TOO_LARGE = 1e12
 
 
 class Stated(NamedTuple):
-    """Hold a stated value with its standard deviation, in one unit; a standard deviation of 0 says that it is exact."""
+    """Stated value with its standard deviation, in one unit; a standard deviation of 0 says that it is exact."""
 
     value: float
     std: float = 0.0

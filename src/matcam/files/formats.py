@@ -38,7 +38,7 @@ MEASUREMENTS = ("table", "fields", "samples", "result", "picture")
 
 @dataclass(frozen=True)
 class Format:
-    """Describe one file format.
+    """One file format.
 
     Attributes:
         name: short name, as in reports.

@@ -33,7 +33,7 @@ PICTURES = (".tif", ".tiff", ".png", ".jpg", ".jpeg", ".exr", *SUFFIXES)
 
 
 class Mosaic(NamedTuple):
-    """Hold a linear mosaic.
+    """Linear mosaic.
 
     Attributes:
         values: counts above the black level, float32 (height, width).
@@ -61,7 +61,7 @@ def read_raw(path: str | Path, region: tuple[int, int, int, int] | None = None) 
 
 
 class Photograph(NamedTuple):
-    """Hold a picture as it lies in its file, and what the file says of it.
+    """Picture as it lies in its file, and what the file says of it.
 
     Attributes:
         values: (height, width) or (height, width, 3), in the file's own type.

@@ -28,7 +28,7 @@ _TURN = 1e-9
 
 
 class CylinderCells(NamedTuple):
-    """Hold the cells of a table on a cylinder. Arrays over (theta_h, theta_d, phi_d, way).
+    """Cells of a table on a cylinder. Arrays over (theta_h, theta_d, phi_d, way).
 
     Attributes:
         places: those that are seen.

@@ -57,7 +57,7 @@ def grid_of(rig: Rig) -> PixelGrid | None:
 
 
 class PlacePixels(NamedTuple):
-    """Hold the pixels that are looked up for places in a picture; the last axis is over the pixels of one place.
+    """Pixels that are looked up for places in a picture; the last axis is over the pixels of one place.
 
     Attributes:
         x: centres, px from the sphere's centre.
@@ -71,7 +71,7 @@ class PlacePixels(NamedTuple):
 
 
 class SlicePixels(NamedTuple):
-    """Hold the pixels behind all cells of one theta_d slice.
+    """Pixels behind all cells of one theta_d slice.
 
     Attributes:
         x: (pixels,), centres in the plane of light and view, px from the sphere's centre, the lamp towards +x.
@@ -109,7 +109,7 @@ def looked_up(rule: CellValue, phase: ArrayLike, x: np.ndarray, y: np.ndarray) -
 
 
 class PixelAngles(NamedTuple):
-    """Hold the angles at which a distant sphere's picture shows pixels; arrays of one shape.
+    """Angles at which a distant sphere's picture shows pixels; arrays of one shape.
 
     Attributes:
         theta_h: half angle, rad.

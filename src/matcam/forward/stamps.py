@@ -35,7 +35,7 @@ _LARGEST = 4096
 
 
 class Highlights(NamedTuple):
-    """Describe elliptical Gaussian highlights on the sensor.
+    """Elliptical Gaussian highlights on the sensor.
 
     The values broadcast against each other, one entry per highlight.
 

@@ -34,7 +34,7 @@ _AT_CAMERA = 1e-6
 
 
 class Lamp(Module):
-    """Describe a lamp: a point, or a disc that faces the sample's centre."""
+    """Lamp: a point, or a disc that faces the sample's centre."""
 
     @property
     @abstractmethod
@@ -56,7 +56,7 @@ class Lamp(Module):
 
 
 class DistantLamp(Lamp):
-    """Describe a lamp whose light falls parallel on the sample.
+    """Lamp whose light falls parallel on the sample.
 
     Args:
         radius: angular radius of the lamp's disc seen from the sample, rad, [0, pi/8]. Default: 0, a point.
@@ -96,7 +96,7 @@ class DistantLamp(Lamp):
 
 
 class NearLamp(Lamp):
-    """Describe a lamp close by, whose light falls off.
+    """Lamp close by, whose light falls off.
 
     Irradiance goes as the inverse square of the distance from the lamp, and as the cosine at the surface.
 
@@ -162,7 +162,7 @@ def closeness(lamp_nearness: ArrayLike | None, cos_i: jax.Array) -> jax.Array:
 
 
 class LampPoint(NamedTuple):
-    """Hold one point of a lamp in some pictures, as the sample's centre sees it.
+    """One point of a lamp in some pictures, as the sample's centre sees it.
 
     Attributes:
         angle: between the point and the optical axis in each picture, rad.

@@ -21,7 +21,7 @@ CHORD_RULE = (COUNTS, _SMALL, _LEAST, _ACROSS, _ALONG)
 
 
 class Chords(NamedTuple):
-    """Hold the chords of the unit disc: arrays of one shape.
+    """Chords of the unit disc: arrays of one shape.
 
     Attributes:
         at: distances from its centre.

@@ -44,7 +44,7 @@ _GUESSED = 0.25
 
 
 class ChosenFit(NamedTuple):
-    """Hold the best fit, what else was tried, and what is remarkable.
+    """Best fit, what else was tried, and what is remarkable.
 
     Attributes:
         fit: the best.

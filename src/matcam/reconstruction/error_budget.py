@@ -53,7 +53,7 @@ class Inseparable(NamedTuple):
 
 
 class Ratio(NamedTuple):
-    """Hold F at an angle over its mean from 10 to 45 degrees, with its standard deviation."""
+    """F at an angle over its mean from 10 to 45 degrees, with its standard deviation."""
 
     theta_d: float
     value: float
@@ -61,7 +61,7 @@ class Ratio(NamedTuple):
 
 
 class _Shared(NamedTuple):
-    """Hold the parameters that all pictures share, as users read them: a bent lobe has no coefficients, but a half width.
+    """Parameters that all pictures share, as users read them: a bent lobe has no coefficients, but a half width.
 
     Attributes:
         names: in the order of `slopes`.

@@ -24,7 +24,7 @@ _LIT = 0.1  # least cosine to the lamp: near the terminator a pixel's own rule m
 
 
 class ObservedPixels(NamedTuple):
-    """Hold the chosen pixels of one picture: those of the window, row by row of (v, u), then the scattered ones.
+    """Chosen pixels of one picture: those of the window, row by row of (v, u), then the scattered ones.
 
     Attributes:
         window: nodes and pixels about the highlight, as the model takes them.

@@ -29,7 +29,7 @@ OWN = ("column", "row", "lamp_a", "lamp_b")
 
 
 class LampFrame(NamedTuple):
-    """Hold the base direction of a picture's lamp, and two tangents: unit vectors, (3,) each."""
+    """Base direction of a picture's lamp, and two tangents: unit vectors, (3,) each."""
 
     base: np.ndarray
     first: np.ndarray
@@ -51,7 +51,7 @@ class Recorded(NamedTuple):
 
 
 class ShownLight(NamedTuple):
-    """Hold the parameters of one picture that change the radiance; their derivatives are found apart.
+    """Parameters of one picture that change the radiance; their derivatives are found apart.
 
     Attributes:
         lobe: coordinates of the lobe: they change no angle.
@@ -69,7 +69,7 @@ class ShownLight(NamedTuple):
 
 
 class ShownSlopes(NamedTuple):
-    """Hold derivatives by the parameters of a `ShownLight`, each with a trailing axis for the parameters."""
+    """Derivatives by the parameters of a `ShownLight`, each with a trailing axis for the parameters."""
 
     lobe: Any
     pose: Any
@@ -77,7 +77,7 @@ class ShownSlopes(NamedTuple):
 
 
 class KernelSlopes(NamedTuple):
-    """Hold one term of the kernel along one axis, 1/px, and its derivatives by the offset and by ln of the lens's scale."""
+    """One term of the kernel along one axis, 1/px, and its derivatives by the offset and by ln of the lens's scale."""
 
     value: jax.Array
     by_offset: jax.Array

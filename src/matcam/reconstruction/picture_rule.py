@@ -28,7 +28,7 @@ _NO_DISC = 0.1  # of the lobe's width: a lamp whose disc is smaller is a point
 
 
 class Window(NamedTuple):
-    """Hold the nodes of one highlight's window, and the pixels about it.
+    """Nodes of one highlight's window, and the pixels about it.
 
     The first axis of the product, u, runs along `pixel_u`: columns, or rows where `turned`. A lens that distorts shows a place
     at stretch @ place + shift, both along (u, v). The nodes' disc is turned by `tilt`, so that all nodes of one v are seen in
@@ -195,7 +195,7 @@ def lamp_disc(points: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 class LampPlaces(NamedTuple):
-    """Hold the places on a lamp's disc that stand for it.
+    """Places on a lamp's disc that stand for it.
 
     Attributes:
         turns: of the lamp towards each place, rad, (points, 2).

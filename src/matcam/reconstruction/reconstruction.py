@@ -49,7 +49,7 @@ _POOR = 0.03
 
 @dataclass(frozen=True)
 class Reconstruction:
-    """Hold the material that photographs show, and how well they determine it.
+    """Material that photographs show, and how well they determine it.
 
     Attributes:
         table: Dataset with `brdf` and `brdf_std` (1/sr), `supported`: over the MERL grid; of an anisotropic material over

@@ -27,7 +27,7 @@ _LOG_BOUNDS = ((-5.0, 4.0), (-9.0, 4.0))
 
 @dataclass(frozen=True)
 class ReflectanceCurve:
-    """Hold F of one channel as a function of theta_d.
+    """F of one channel as a function of theta_d.
 
     Attributes:
         model: "conductor", or "smooth" where n and k do not explain the strengths.

@@ -69,7 +69,7 @@ class LayProblem(Protocol):
 
 @dataclass(frozen=True)
 class SphereFit:
-    """Hold the joint fit of the pictures of a sphere, or of another sample whose parameters are the same.
+    """Joint fit of the pictures of a sphere, or of another sample whose parameters are the same.
 
     Attributes:
         scene: what was known.

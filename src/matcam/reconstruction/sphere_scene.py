@@ -31,7 +31,7 @@ _DEPARTURE = 0.5
 
 
 class Known(NamedTuple):
-    """Hold a value with its standard deviation."""
+    """Value with its standard deviation."""
 
     value: float
     std: float

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 
 class Sphere(Curved):
-    """Describe a sphere, which shows every normal in one picture.
+    """Sphere, which shows every normal in one picture.
 
     u and v are longitude and latitude of its normal about the y axis.
 
@@ -216,7 +216,7 @@ class Sphere(Curved):
 
 
 class Cylinder(Curved):
-    """Describe a cylinder seen across its axis, which is the y axis.
+    """Cylinder seen across its axis, which is the y axis.
 
     It reaches beyond the picture. v is the place along the axis, in radii. An anisotropic material's first direction runs
     around it.

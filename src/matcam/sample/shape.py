@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 
 class Element(NamedTuple):
-    """Hold pieces of surface in the picture; arrays that broadcast.
+    """Pieces of surface in the picture; arrays that broadcast.
 
     Attributes:
         normal: of the surface.
@@ -62,7 +62,7 @@ class Place(NamedTuple):
 
 
 class Sample(Module):
-    """Describe a shape that is photographed."""
+    """Shape that is photographed."""
 
     @property
     def kind(self) -> str:
@@ -87,7 +87,7 @@ class Sample(Module):
 
 
 class Flat(Sample):
-    """Describe a flat sample, tilted away from the camera.
+    """Flat sample, tilted away from the camera.
 
     Its normal is the same everywhere: the camera cannot blur its reflectance, only its texture.
 
@@ -124,7 +124,7 @@ class Flat(Sample):
 
 
 class Curved(Sample):
-    """Describe a sample whose one picture shows many normals.
+    """Sample whose one picture shows many normals.
 
     The surface has two coordinates: u, the angle of its normal from the optical axis in the plane of camera and lamp,
     and v, out of that plane. What is visible and lit is, at every v, one interval of u: its ends are sharp, and what lies

@@ -137,7 +137,7 @@ def _turn(lamps: np.ndarray, table: np.ndarray) -> np.ndarray:
 
 
 class LampArc(NamedTuple):
-    """Describe lamps on an arc: directions at one angle from an axis.
+    """Lamps on an arc: directions at one angle from an axis.
 
     Attributes:
         axis: unit vector about which the arm turns (3,).

@@ -37,7 +37,7 @@ _ROBUST = 1.4826
 
 @dataclass(frozen=True)
 class FlatField:
-    """Hold the response of the pixels, about 1 in the middle of the frames.
+    """Response of the pixels, about 1 in the middle of the frames.
 
     Attributes:
         response: of each pixel over the usual one of its colour, float32 (height, width); NaN: too small to be corrected.

@@ -32,7 +32,7 @@ _STEADY = 0.001
 
 
 class SeenReference(NamedTuple):
-    """Hold the reference in the frames of one lamp position.
+    """Reference in the frames of one lamp position.
 
     Attributes:
         lamp: name of the lamp position.

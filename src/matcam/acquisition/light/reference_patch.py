@@ -27,7 +27,7 @@ _UNKNOWN_DEPTH = Stated(0.0, 0.5)
 
 
 class ReferencePatch(NamedTuple):
-    """Describe a white patch beside the sphere.
+    """White patch beside the sphere.
 
     Attributes:
         region: first column, first row, width, height in the whole frame, px.

@@ -18,7 +18,7 @@ _STRAIGHT = 0.9  # cosine between an edge's normal and the circle's
 
 
 class FoundCircle(NamedTuple):
-    """Hold a circle that edges lie on.
+    """Circle that edges lie on.
 
     Attributes:
         row: of its centre, px.

@@ -27,7 +27,7 @@ _FAR = 0.5  # px: no position moves further in one turn
 
 
 class LimbSectors(NamedTuple):
-    """Hold the edges of a limb, one for each sector.
+    """Edges of a limb, one for each sector.
 
     Attributes:
         azimuth: of each sector's middle, from +column towards +row, rad (n,).
@@ -121,7 +121,7 @@ def _transmitted(cosine: np.ndarray) -> np.ndarray:
 
 
 class BandPixels(NamedTuple):
-    """Hold the pixels near a limb.
+    """Pixels near a limb.
 
     Attributes:
         inside: distance inside the assumed curve, px (n,).

@@ -24,7 +24,7 @@ _CONTRAST = 3.0  # of the bright field over the dark sample
 
 
 class StraightOutline(NamedTuple):
-    """Hold the outline of an upright cylinder.
+    """Outline of an upright cylinder.
 
     Attributes:
         column: of its axis at the middle row, px.

@@ -41,7 +41,7 @@ _LOCAL = re.compile(r"local:([1-9][0-9]{0,3})")
 
 
 class ClusterError(MatcamError):
-    """Report that a cluster cannot be reached, or must not be used as it is."""
+    """That a cluster cannot be reached, or must not be used as it is."""
 
 
 @dataclass(frozen=True)

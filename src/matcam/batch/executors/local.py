@@ -34,7 +34,7 @@ _PATIENCE = 10.0  # seconds for a worker to remove its temporary files
 
 
 class WorkerError(MatcamError):
-    """Report that workers cannot be started at all."""
+    """That workers cannot be started at all."""
 
 
 @dataclass(frozen=True)

@@ -39,7 +39,7 @@ Picture = str | Path | ArrayLike | Photograph | LinearImage
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """Hold a camera for every colour, and how it was found.
+    """Camera for every colour, and how it was found.
 
     Attributes:
         channels: fits by channel: "R", "G", "B", "Y" or "grey".

@@ -83,7 +83,7 @@ class CameraRequest:
 
 @dataclass(frozen=True, eq=False)
 class MeanCurve:
-    """Hold the mean MTF of all edges, and a camera's.
+    """Mean MTF of all edges, and a camera's.
 
     Attributes:
         frequency: (81,) cycles/px.
@@ -117,7 +117,7 @@ class MeanCurve:
 
 @dataclass(frozen=True, eq=False)
 class CameraFit:
-    """Hold the camera of one colour, and how well it is known.
+    """Camera of one colour, and how well it is known.
 
     Attributes:
         camera: lens and pixel, with their uncertainty.
@@ -319,7 +319,7 @@ def _without_strangers(
 
 
 class _FittedLens:
-    """Hold a lens with its fitted parameters, and what follows from them.
+    """Lens with its fitted parameters, and what follows from them.
 
     Attributes:
         lens: the family.

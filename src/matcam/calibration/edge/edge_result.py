@@ -43,7 +43,7 @@ _ROUGH = 0.03  # px, from which it is remarked on
 
 
 class EdgeSamples(NamedTuple):
-    """Hold the picture as an edge response.
+    """Picture as an edge response.
 
     Values are means over n cells of pixels at nearly one distance from the edge.
 
@@ -68,7 +68,7 @@ class EdgeSamples(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class _EdgeNumbers(Generic[Number]):
-    """Hold the numbers of one edge, or of a stack."""
+    """Numbers of one edge, or of a stack."""
 
     frequency: np.ndarray
     mtf: np.ndarray
@@ -101,7 +101,7 @@ class _EdgeNumbers(Generic[Number]):
 
 @dataclass(frozen=True, eq=False)
 class EdgeMTF(_EdgeNumbers[float]):
-    """Hold the MTF of lens and pixel across one edge.
+    """MTF of lens and pixel across one edge.
 
     It stands here twice: free of a model, and as a lens model (`parametric`). Standard
     deviations are those that repeated pictures with this noise would show.
@@ -296,7 +296,7 @@ class EdgeMTF(_EdgeNumbers[float]):
 
 @dataclass(frozen=True, eq=False)
 class EdgeStack(_EdgeNumbers[np.ndarray]):
-    """Hold the results of n edges.
+    """Results of n edges.
 
     Numbers of an edge that cannot be measured are NaN. `stack[i]` is the `EdgeMTF` of one edge, which explains every attribute.
 

@@ -67,7 +67,7 @@ class CoreShape(NamedTuple):
 
 
 class Basis(NamedTuple):
-    """Hold the basis: P (n,), B_k (EVEN, n), O_k (ODD, n)."""
+    """Basis: P (n,), B_k (EVEN, n), O_k (ODD, n)."""
 
     pilot: jax.Array
     even: jax.Array
@@ -75,7 +75,7 @@ class Basis(NamedTuple):
 
 
 class FreeCurve(NamedTuple):
-    """Hold a fitted edge response.
+    """Fitted edge response.
 
     Attributes:
         shape: of the basis.
@@ -93,7 +93,7 @@ class FreeCurve(NamedTuple):
 
 
 class SampledCurve(NamedTuple):
-    """Hold a curve and its standard deviation, of one shape."""
+    """Curve and its standard deviation, of one shape."""
 
     value: AnyArray
     std: AnyArray

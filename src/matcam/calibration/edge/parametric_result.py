@@ -27,7 +27,7 @@ Number = TypeVar("Number", float, np.ndarray)
 
 @dataclass(frozen=True, eq=False)
 class _LensNumbers(Generic[Number]):
-    """Hold the parametric estimate of one edge, or of a stack."""
+    """Parametric estimate of one edge, or of a stack."""
 
     model: str
     names: tuple[str, ...]
@@ -47,7 +47,7 @@ class _LensNumbers(Generic[Number]):
 
 @dataclass(frozen=True, eq=False)
 class ParametricEdge(_LensNumbers[float]):
-    """Hold the maximum likelihood fit of a family of lenses.
+    """Maximum likelihood fit of a family of lenses.
 
     Attributes:
         model: name of the family (no unit).
@@ -111,7 +111,7 @@ class ParametricEdge(_LensNumbers[float]):
 
 @dataclass(frozen=True, eq=False)
 class ParametricStack(_LensNumbers[np.ndarray]):
-    """Hold the parametric estimates of a stack.
+    """Parametric estimates of a stack.
 
     Attributes:
         model: name of the family (no unit).

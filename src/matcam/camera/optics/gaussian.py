@@ -102,7 +102,7 @@ class GaussianOptics(Optics):
 
 
 class GaussianSum(Module):
-    """Hold a lens as a sum of Gaussians.
+    """Lens as a sum of Gaussians.
 
     Attributes:
         weights: signed, of sum 1, shape (n,).

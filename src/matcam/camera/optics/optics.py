@@ -44,7 +44,7 @@ class Wave(NamedTuple):
 
 
 class Rule(NamedTuple):
-    """Hold nodes f (cycles/px, >= 0) and weights of a quadrature over the band of a transfer function."""
+    """Nodes f (cycles/px, >= 0) and weights of a quadrature over the band of a transfer function."""
 
     frequency: AnyArray
     weight: AnyArray
@@ -180,7 +180,7 @@ def _at_each(function: Callable[..., jax.Array], *positions: jax.Array) -> jax.A
 
 
 class Optics(Module):
-    """Describe a lens; the pixel is not in it.
+    """Lens; the pixel is not in it.
 
     Most lenses blur isotropically and without shift: one MTF of one frequency is all of them. Those that do not say so
     (`isotropic`), and their transfer function `otf` is complex. Places count from the point's image, x to the right and y

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 class VaryingOptics(Optics):
-    """Describe a lens that is no single one: what a single one answers is asked of its parts."""
+    """Lens that is no single one: what a single one answers is asked of its parts."""
 
     @property
     def isotropic(self) -> bool:

@@ -123,7 +123,7 @@ def _chosen(frequencies: tuple[float, ...], passed: tuple[tuple[float, ...], ...
 
 
 class FineLine(NamedTuple):
-    """Hold the places along one axis at which a picture is recorded before it is filtered.
+    """Places along one axis at which a picture is recorded before it is filtered.
 
     Attributes:
         at: px, in steps of a share of a pixel, in the direction of the picture's own.
@@ -147,7 +147,7 @@ def fine_line(pixels: np.ndarray, low: float, high: float, per_px: int) -> FineL
 
 
 class FineRecord(NamedTuple):
-    """Hold the transform of a fine record.
+    """Transform of a fine record.
 
     Attributes:
         spectrum: (rows, columns, channels), complex, of real values.

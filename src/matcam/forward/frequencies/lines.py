@@ -14,7 +14,7 @@ _LEAST = 1e-12
 
 
 class Lines(NamedTuple):
-    """Hold lines of the sensor.
+    """Lines of the sensor.
 
     A place on one is an angle from the optical axis about the line's own, rad: 0 is its middle, pi / 2 its right or upper end.
 

@@ -61,7 +61,7 @@ class RegionWidths(NamedTuple):
 
 
 class Regions(NamedTuple):
-    """Hold the regions of a scene's light.
+    """Regions of a scene's light.
 
     Attributes:
         scene: a sphere before a distant camera, under one lamp.

@@ -27,7 +27,7 @@ _LEAST_FINENESS = 0.25
 
 
 class LinePlaces(NamedTuple):
-    """Hold places on the line that a cylinder shows at height 0, arrays of one shape; each has a lamp of its own.
+    """Places on the line that a cylinder shows at height 0, arrays of one shape; each has a lamp of its own.
 
     Attributes:
         x: px from the axis.

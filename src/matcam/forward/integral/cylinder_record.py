@@ -47,7 +47,7 @@ _RULE = 5
 
 
 class CylinderPlaces(NamedTuple):
-    """Hold places in pictures of a cylinder, arrays of shape (places,), each under a lamp of its own.
+    """Places in pictures of a cylinder, arrays of shape (places,), each under a lamp of its own.
 
     Attributes:
         x: px from the axis.
@@ -63,7 +63,7 @@ class CylinderPlaces(NamedTuple):
 
 
 class PlacedLamps(NamedTuple):
-    """Hold lamps of some places, ready to broadcast: directions, and nearness; None: distant."""
+    """Lamps of some places, ready to broadcast: directions, and nearness; None: distant."""
 
     towards: Vector
     nearness: AnyArray | None
@@ -290,7 +290,7 @@ def _record_smooth(material: Material, cylinder: Cylinder, through: BlurTerms, p
 
 
 class _Nodes(NamedTuple):
-    """Hold nodes of an integral in one direction, and their weights; the nodes on the last axis."""
+    """Nodes of an integral in one direction, and their weights; the nodes on the last axis."""
 
     at: jax.Array
     weight: jax.Array

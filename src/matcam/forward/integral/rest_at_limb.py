@@ -37,7 +37,7 @@ _BEYOND = 3
 
 
 class LimbRule(eqx.Module):
-    """Hold the weights of nodes about places at the limb.
+    """Weights of nodes about places at the limb.
 
     Attributes:
         weights: (depths, azimuths, nodes), px^2 times the kernel's 1/px^2.

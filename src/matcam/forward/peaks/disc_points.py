@@ -29,7 +29,7 @@ _UNKNOWN_FINENESS = 6.0
 
 
 class DiscPoints(NamedTuple):
-    """Hold points about some highlights.
+    """Points about some highlights.
 
     Attributes:
         x: px towards the limb, (slices, points).

@@ -1,8 +1,9 @@
-"""The parameters of a rig that a fit may change, each along an axis of its own, and their priors.
+"""Parameters of a rig that a fit may change, each along its own axis, and their priors.
 
-A width - of the lens, the lamp, the registration - acts through its square, which adds to the variance of all other blurs. Its
-coordinate is half the logarithm of that total variance: what a pixel records is smooth in it down to a width of 0. Where a
-parameter is known to a few per cent, and for parameters that are no widths, the coordinate is ln(value / rig's).
+A width - of the lens, the lamp, the registration - acts through its square, which adds to the variance of all other
+blurs. Its coordinate is half the logarithm of that total variance: the record of a pixel is smooth in it down to a
+width of 0. For parameters that are known to a few per cent or are not widths, the coordinate is ln(value / value of the
+rig).
 """
 
 from __future__ import annotations
@@ -26,42 +27,47 @@ LENS = "optics.sigma_px"
 """Name of the width of a Gaussian lens."""
 LAMP, APERTURE = "lamp_radius", "aperture"
 SHAPE = "lens shape"
-"""Name of the shape of the lens's kernel, its variance unchanged: 0 as the rig says, -1 as flat as a disc, above 0 with longer
-tails."""
+"""Name of the shape of the lens's kernel, its variance unchanged: 0 as in the rig, -1 as flat as a disc, above 0 with
+longer tails.
+"""
 STRETCH = "lens stretch"
 """Name of the variance of the lens's kernel along the plane of camera and lamp less that across it, over its variance."""
 SHAPES = (SHAPE, STRETCH)
-"""Changes of the lens's kernel at its variance, linear in their coordinates."""
+"""Changes of the kernel of the lens at constant variance, linear in their coordinates."""
 WIDTHS = (LAMP, "jitter", APERTURE)
 """Fields of `Rig` that widen a highlight."""
 
 _FREE_RANGE = 0.5
-"""Half range of ln(value / rig's), for a free parameter that is no width."""
+"""Half range of ln(value / value of the rig), for a free parameter that is not a width."""
 _WIDEST_LENS, _WIDEST = 0.5, 0.2
-"""Largest coordinate of a free width: of the lens, and of the others, whose blur varies over the picture."""
+"""Largest coordinate of a free width: of the lens, and of the others, whose blur varies over the image."""
 _NEARBY = 0.03
-"""Largest coordinate of a lamp that is followed nearby."""
+"""Largest coordinate of a lamp that is fitted only near the value of the rig."""
 _SHARPEST = 0.1
-"""px; below this a lens makes the pixel's border a step, which the rule's nodes do not follow: extrapolated from here."""
+"""Width of a lens below which rules are extrapolated, px: the border of a pixel becomes a step that their nodes do not
+resolve.
+"""
 _NARROWEST = 1e-3
-"""px; the smallest width of a lens, whose logarithm must exist."""
+"""Smallest width of a lens, px, so that its logarithm exists."""
 _PRIOR_RANGE = 5.0
-"""Half range in standard deviations, where something is known."""
+"""Half range in standard deviations, for a parameter with a prior."""
 _GUESS = 0.25
-"""Relative standard deviation of a lens's width from which it is a guess, which may come down to 0."""
+"""Relative standard deviation of the width of a lens above which it is a guess, whose width may be 0."""
 _LENS_WIDTHS = ("sigma_px", "f_number", "blur_diameter_px")
 """Parameters of lenses that scale their kernel."""
 ASSUMED = 0.1
-"""Relative standard deviation of a lens's width of which its profile states none."""
+"""Relative standard deviation of the width of a lens if its profile gives none."""
 SHAPE_SPREAD = 0.55
-"""Relative change of variance of the two kernels that change a lens's shape; with it"""
+"""Relative change of variance of the two kernels that change the shape of a lens; see `SHAPE_SHARE`."""
 SHAPE_SHARE = 1 / (6 * SHAPE_SPREAD**2)
-"""of both, less twice the lens itself, gives a Gaussian the fourth moment of a disc of its variance, and half its centre."""
+"""Share of both kernels, less twice the lens itself, that gives a Gaussian the fourth moment of a disc of its variance
+and half its central value.
+"""
 _SHAPE_RANGE, _STRETCH_RANGE = (-1.5, 4.0), (-1.5, 1.5)
 STRETCH_SPREAD = 0.3
 """Relative change of variance of the two kernels whose difference changes the stretch: one is widened along, one across."""
 _STRETCH_STD = 0.5
-"""Standard deviation of the stretch before the table is seen. Third-order coma has a stretch of 1."""
+"""Prior standard deviation of the stretch. Third-order coma has a stretch of 1."""
 _COUNTS = ((0.03, 3), (0.15, 5), (np.inf, 9))
 """Half range of an axis -> number of its points."""
 
@@ -95,12 +101,12 @@ class Axis(NamedTuple):
         return float(np.sqrt(self.square(coordinate, 0.0)[0]))
 
     def square(self, coordinate: float, std: float) -> tuple[float, float]:
-        """Return the parameter's square and its standard deviation: blurs add up in it, so it is what to judge near 0."""
+        """Return the square of the parameter and its standard deviation: blurs add in quadrature, so it is linear near 0."""
         total = float((self.base**2 + self.softening**2) * np.exp(2 * coordinate))
         return max(total - self.softening**2, 0.0), 2 * total * std
 
     def slope(self, coordinate: float, std: float) -> float:
-        """Return d value / d coordinate, as a secant to one standard deviation up.
+        """Compute d value / d coordinate, as a secant to one standard deviation up.
 
         At a width of 0 the derivative is infinite.
         """
@@ -111,9 +117,9 @@ class Axis(NamedTuple):
 
 
 def shape_axes(rig: Rig) -> tuple[tuple[Axis, ...], tuple[float, ...]]:
-    """Return the axes of what may be unknown of the lens's kernel at its variance, and their standard deviations.
+    """Return the axes of unknown shape of the kernel of a lens at its variance, and their standard deviations.
 
-    A cylinder's pictures show one direction of the kernel.
+    Images of a cylinder show one direction of the kernel.
     """
     axes = Axis(SHAPE, 0.0, 0.0, *_SHAPE_RANGE, (0.0, 1.0)), Axis(STRETCH, 0.0, 0.0, *_STRETCH_RANGE, (0.0, 1.0))
     count = 1 if isinstance(rig.sample, Cylinder) else 2
@@ -124,10 +130,10 @@ class KnownLens(NamedTuple):
     """Prior knowledge of a camera's lens.
 
     Attributes:
-        uncertainty: of the camera's parameters; None: there is none to state.
+        uncertainty: of the camera's parameters; None: it has none.
         words: the same, in words.
-        assumed: whether nothing was stated, so that a tenth of the width is assumed.
-        exact: whether the lens is stated as exact, or has no width to doubt.
+        assumed: whether no uncertainty was specified, so that a tenth of the width is assumed.
+        exact: whether the lens is specified as exact, or has no width.
     """
 
     uncertainty: Uncertainty | None
@@ -137,7 +143,7 @@ class KnownLens(NamedTuple):
 
 
 def known_lens(camera: Camera) -> KnownLens:
-    """Return the prior of a camera's lens: that of its profile, or a tenth of its width."""
+    """Return the prior of the lens of a camera: that of its profile, or a tenth of its width."""
     if camera.uncertainty is not None and camera.uncertainty.names:
         if any(std > 0 for std in camera.uncertainty.std().values()):
             return KnownLens(camera.uncertainty, "stated", assumed=False, exact=False)
@@ -155,37 +161,37 @@ def known_lens(camera: Camera) -> KnownLens:
 
 
 def is_guess(name: str, relative: float) -> bool:
-    """Judge whether a relative standard deviation makes a width a guess, whose axis is `free_axis`."""
+    """Check whether a relative standard deviation makes a width a guess, whose axis is `free_axis`."""
     return name == LENS and relative >= _GUESS
 
 
 def guess_std(axis: Axis, relative: float) -> float:
-    """Return the standard deviation along a free axis of a width known to a relative one: the step upwards."""
+    """Return the standard deviation along a free axis of a width with a relative one: the step upwards."""
     wider = (axis.base * (1 + relative)) ** 2 + axis.softening**2
     return float(0.5 * np.log(wider / (axis.base**2 + axis.softening**2)))
 
 
 def prior_axis(name: str, base: float, std: float) -> Axis:
-    """Return the axis of a parameter that is known to a relative standard deviation."""
+    """Return the axis of a parameter with a relative standard deviation."""
     half = round(float(np.clip(_PRIOR_RANGE * std, 0.02, _FREE_RANGE)), 6)
     return Axis(name, base, 0.0, -half, half, _points(-half, half))
 
 
 def widths_of(rig: Rig) -> tuple[str, ...]:
-    """Name the widths that may be left free or doubted: before a cylinder a lamp's disc is as stated."""
+    """Name the widths that may be free. The source disc of a cylinder is fixed."""
     return tuple(name for name in WIDTHS if name != LAMP or not isinstance(rig.sample, Cylinder))
 
 
 def free_axis(name: str, rig: Rig, *, nearby: bool = False) -> Axis:
-    """Return the axis of a parameter of which nothing is known. ArgumentError for one that the rig has not.
+    """Return the axis of a parameter without a prior. ArgumentError for one that the rig lacks.
 
-    nearby: whether the lamp's radius is followed about the rig's value alone, and from a point on by its variance: where rig
-        and data agree nobody asks for more, and discs take long.
+    nearby: whether the radius of the lamp is fitted only near the value of the rig, a point source by its variance.
+    This suffices where rig and data agree, and discs are slow.
     """
     parameters = rig.camera.parameters()
     if name not in parameters and name not in widths_of(rig):
         raise ArgumentError(
-            f"free names {name!r}, which this camera has not; it has {', '.join(sorted(parameters))}; the rig has "
+            f"free names {name!r}, which this camera lacks; it has {', '.join(sorted(parameters))}; the rig has "
             f"{', '.join(widths_of(rig))}"
         )
     base = float(getattr(rig, name) if name in WIDTHS else parameters[name])
@@ -220,7 +226,7 @@ class MovedBlur(NamedTuple):
 
     Attributes:
         blur: the blur.
-        rough: whether a lamp's disc counts as a Gaussian, wherever it is. Default: False.
+        rough: whether a source disc counts as a Gaussian at all positions. Default: False.
         stretch: variances that are added to it along the plane of camera and lamp and across it, px^2. Default: none.
     """
 
@@ -238,14 +244,14 @@ def blurs_along(rig: Rig, own: Blur, axis: Axis) -> list[MovedBlur]:
         scales = (1 + SHAPE_SPREAD, 1 - SHAPE_SPREAD)
         return [MovedBlur(dataclasses.replace(own, stds=own.stds * np.sqrt(scale))) for scale in scales]
     moved = (rig_with(rig, {axis.name: axis.value(point)}) for point in axis.points if point)
-    # rings that come and go with a lens's numbers are small of the small
+    # the dependence of the residual on lens parameters is second order and is neglected
     rest = own.rest if own.rest is not None and own.rest.even else None
     blurs = (blur_of(one, in_discs=True, whole=own.rest is not None, rest=rest) for one in moved)
     return [MovedBlur(blur, axis.by_variance) for blur in blurs]
 
 
 def along_axes(axes: tuple[Axis, ...], name: str, along: str, values: Sequence[np.ndarray]) -> dict[str, np.ndarray]:
-    """Return the rig's own values by name, and by how much they differ at every point of every axis."""
+    """Return the values of the rig by name, and their differences at every point of every axis."""
     own, *others = values
     named = {name: own}
     for n, changes in enumerate(_changes_along(axes, own, others)):
@@ -254,7 +260,7 @@ def along_axes(axes: tuple[Axis, ...], name: str, along: str, values: Sequence[n
 
 
 def _changes_along(axes: tuple[Axis, ...], weight: np.ndarray, others: list[np.ndarray]) -> list[list[np.ndarray]]:
-    """Return by how much the weights differ at every point of every axis. others: weights of `blurs_along`, in order."""
+    """Compute the differences of the weights at every point of every axis. others: weights of `blurs_along`, in order."""
     changes = (other - weight for other in others)
     along = []
     for axis in axes:
@@ -268,12 +274,14 @@ def _changes_along(axes: tuple[Axis, ...], weight: np.ndarray, others: list[np.n
 
 
 def axis_selection(axes: Sequence[Axis], among: Sequence[Axis]) -> np.ndarray:
-    """Return the (axes, among) matrix that turns coordinates along some axes into those along more."""
+    """Return the (axes, among) matrix that maps coordinates along some axes to those along more."""
     return np.array([[axis == other for other in among] for axis in axes], dtype=float).reshape(len(axes), len(among))
 
 
 def _softening(name: str, rig: Rig) -> float:
-    """Return the root of the variance of all other blurs at the sphere's middle, in the parameter's unit; 0 for no width."""
+    """Compute the root of the variance of all other blurs at the middle of the sphere, in the unit of the parameter; 0
+    for no width.
+    """
     pixel = float(rig.camera.pixel.half_width) / np.sqrt(3)
     if name == LENS:
         return float(np.hypot(pixel, rig.jitter))
@@ -288,7 +296,7 @@ def _softening(name: str, rig: Rig) -> float:
 
 
 def _points(low: float, high: float) -> tuple[float, ...]:
-    """Return Chebyshev's points, the one next to 0 moved there."""
+    """Return Chebyshev's points, with the one next to 0 moved to 0."""
     half = (high - low) / 2
     count = next(count for largest, count in _COUNTS if half <= largest)
     points = (low + high) / 2 + half * np.cos(np.pi * np.arange(count) / (count - 1))

@@ -31,7 +31,7 @@ _FLAT = 1e-30  # squared sine of a direction that is the normal itself
 
 
 class SlopeDistribution(Module):
-    """Describe the facets of a microfacet material, isotropic or not."""
+    """Facets of a microfacet material, isotropic or not."""
 
     @abstractmethod
     def density(self, along: jax.Array, across: jax.Array) -> jax.Array:
@@ -62,7 +62,7 @@ class SlopeDistribution(Module):
 
 
 class NDF(SlopeDistribution):
-    """Describe an isotropic distribution of microfacet normals.
+    """Isotropic distribution of microfacet normals.
 
     Attributes:
         family: name of the family, as in `FAMILIES`.
@@ -176,7 +176,7 @@ class SlopeNDF(NDF):
 
 
 class MixtureNDF(NDF):
-    """Describe an NDF that is a mixture of Gaussians in its coordinate.
+    """NDF that is a mixture of Gaussians in its coordinate.
 
     shape(r) = sum_j weight_j exp(-r^2 / (2 width_j^2)). A camera's record of such a lobe has a closed form. `GaussianNDF`,
     `Beckmann`, `GGX` and `SGD` are such lobes.

@@ -25,7 +25,7 @@ _NODES = 224
 
 
 class ProfileWindow(NamedTuple):
-    """Hold the nodes and columns about the highlight of each strip.
+    """Nodes and columns about the highlight of each strip.
 
     Attributes:
         u: nodes, rad, (strips, nodes).

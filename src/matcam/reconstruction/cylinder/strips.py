@@ -39,7 +39,7 @@ class Strip(NamedTuple):
 
 
 class StripProfiles(NamedTuple):
-    """Hold the profiles of one picture, arrays of shape (channels, strips, columns).
+    """Profiles of one picture, arrays of shape (channels, strips, columns).
 
     Attributes:
         column: px in the frame, (columns,).

@@ -39,7 +39,7 @@ _MISFIT = 1.3
 
 @dataclass(frozen=True)
 class FlatReconstruction:
-    """Hold maps of a flat sample, and how well pictures determine them.
+    """Maps of a flat sample, and how well pictures determine them.
 
     Attributes:
         maps: Dataset over y and x (px of the sample seen head-on): `diffuse`, `specular` and their `_std`, relative; over

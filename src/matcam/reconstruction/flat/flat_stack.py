@@ -30,7 +30,7 @@ _CLIPPED = 0.001  # share of clipped pixels up to which a picture is used
 
 
 class FlatPicture(NamedTuple):
-    """Hold one picture, and how it was taken.
+    """One picture, and how it was taken.
 
     Attributes:
         picture: merged picture, grey.
@@ -46,7 +46,7 @@ class FlatPicture(NamedTuple):
 
 
 class FlatStack(NamedTuple):
-    """Hold the pictures' transforms over the grid of texels.
+    """Pictures' transforms over the grid of texels.
 
     Attributes:
         mean: of each picture, (pictures,).

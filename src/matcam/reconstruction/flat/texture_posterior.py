@@ -22,7 +22,7 @@ _NOTHING = 1e-12
 
 
 class PowerLaw(NamedTuple):
-    """Hold the power of a texture: level times (frequency / 0.1)^slope, per texel frequency.
+    """Power of a texture: level times (frequency / 0.1)^slope, per texel frequency.
 
     Attributes:
         level: at 0.1 cycles/px.
@@ -38,7 +38,7 @@ class PowerLaw(NamedTuple):
 
 
 class TexturePosterior(NamedTuple):
-    """Hold both maps' transforms with their errors, over the grid's frequencies; first axis: diffuse, specular.
+    """Both maps' transforms with their errors, over the grid's frequencies; first axis: diffuse, specular.
 
     Attributes:
         estimate: posterior mean, (2, rows, columns).

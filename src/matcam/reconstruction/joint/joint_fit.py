@@ -34,7 +34,7 @@ _MOST_AT_ONCE = 8  # pictures; the derivatives of one take up to 12 MB
 
 
 class JointSolution(NamedTuple):
-    """Hold the best fit.
+    """Best fit.
 
     Attributes:
         problem: what was solved.
@@ -250,7 +250,7 @@ def _of_the_unstated(problem: JointProblem, normal: np.ndarray, covariance: np.n
 
 
 class _Assembled(NamedTuple):
-    """Hold cost, half its gradient and half its curvature (Gauss and Newton), and the model of each picture."""
+    """Cost, half its gradient and half its curvature (Gauss and Newton), and the model of each picture."""
 
     cost: float
     gradient: np.ndarray

@@ -111,7 +111,7 @@ class PixelModel(Protocol):
 
 @dataclass(frozen=True)
 class JointProblem:
-    """Hold pictures, model and what is known beforehand.
+    """Pictures, model and what is known beforehand.
 
     Attributes:
         model: what pixels record.
@@ -230,7 +230,7 @@ class JointProblem:
 
 
 class PictureFit(NamedTuple):
-    """Hold the model of one picture's chosen pixels.
+    """Model of one picture's chosen pixels.
 
     Attributes:
         value: (pixels,).
