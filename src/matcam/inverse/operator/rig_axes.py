@@ -31,7 +31,9 @@ SHAPE = "lens shape"
 longer tails.
 """
 STRETCH = "lens stretch"
-"""Name of the variance of the lens's kernel along the plane of camera and lamp less that across it, over its variance."""
+"""Name of the stretch: variance of the kernel of the lens along the plane of camera and lamp less that across it, over the
+variance.
+"""
 SHAPES = (SHAPE, STRETCH)
 """Changes of the kernel of the lens at constant variance, linear in their coordinates."""
 WIDTHS = (LAMP, "jitter", APERTURE)
