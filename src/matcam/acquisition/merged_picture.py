@@ -1,4 +1,4 @@
-"""The light of one lamp position, merged from its exposures: what a reconstruction reads instead of photographs."""
+"""Light of one lamp position, merged from its exposures: the input of a reconstruction."""
 
 from dataclasses import dataclass
 
