@@ -21,7 +21,13 @@ _GRID = np.geomspace(0.03, 300.0, 120)
 
 
 def picture_gain(theta_d: np.ndarray, curves: np.ndarray, covariances: np.ndarray) -> float:
-    """Estimate the relative standard deviation of the gain of an image; 0 if noise explains the roughness."""
+    """Estimate the relative standard deviation of the gain of an image; 0 if noise explains the roughness.
+
+    Args:
+        theta_d: of the slices (n,), rad, equally spaced.
+        curves: F of the channels (channels, n), on any scale; NaN where it is unknown.
+        covariances: of the noise of ln F (channels, n, n).
+    """
     quiet = int((theta_d < _STEEP).sum())
     # one gain per image for all channels, which do not count as several
     found = [
