@@ -1,4 +1,4 @@
-"""The contents of a camera profile."""
+"""Contents of a camera profile."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from matcam.camera.optics.varying import VaryingOptics
 def inspect_camera(path: str | Path) -> dict[str, Any]:
     """Report on a camera profile, as plain values (JSON).
 
-    Reported are its parameters, their standard deviations, MTF50 (cycles/px, along a row) and provenance. Of a lens that has
-    colours, or changes over the picture, MTF50 is that of each lens that stands for it, by name.
+    The report has parameters, standard deviations, MTF50 (cycles/px, along a row) and provenance. For a lens with
+    colours, or one that varies over the image, it has MTF50 of each representative lens, by name.
     """
     camera = Camera.load(path)
     mtf50: float | dict[str, float]
-    if isinstance(camera.optics, VaryingOptics):  # and so has no MTF of its own
+    if isinstance(camera.optics, VaryingOptics):  # and thus without its own MTF
         mtf50 = {name: _mtf50(Camera(lens, camera.pixel)) for name, lens in camera.optics.named_lenses.items()}
     else:
         mtf50 = _mtf50(camera)
@@ -33,7 +33,7 @@ def inspect_camera(path: str | Path) -> dict[str, Any]:
 
 
 def _mtf50(camera: Camera) -> float:
-    """Return the frequency along a row at which a camera passes half, cycles/px; NaN where it passes more up to 2."""
+    """Compute the frequency along a row at which the MTF of a camera is one half, cycles/px; NaN beyond 2."""
     frequency = np.linspace(0, 2, 4001)
     below = np.flatnonzero(np.asarray(camera.mtf(frequency)) < 0.5)
     return float(frequency[below[0]]) if below.size else float("nan")
