@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 _LARGEST = 400  # px of a map as it is drawn
 _SPREAD = 3.0
-"""Standard deviations that a map's grey levels span on either side of the mean."""
+"""Number of standard deviations that the grey levels of a map span on either side of the mean."""
 
 
 def sensor_figure(result: SensorCharacteristics, name: str) -> Figure:
@@ -43,7 +43,7 @@ def sensor_figure(result: SensorCharacteristics, name: str) -> Figure:
 
 
 def values_of(result: SensorCharacteristics) -> list[tuple[str, float, float]]:
-    """List the values that a page and the command line show: name with unit, value, standard deviation."""
+    """List the values for a page and the command line: name with unit, value, standard deviation."""
     rows = [
         ("gain, DN per e-", result.gain),
         ("read noise" + (" (upper limit)" if result.read_noise_hidden else "") + ", e-", result.read_noise),
@@ -86,7 +86,7 @@ def write_sensor_page(path: str | Path, result: SensorCharacteristics, name: str
 
 
 def verdict(result: SensorCharacteristics) -> str:
-    """State in one sentence how linear the sensor is."""
+    """Summarise the linearity of the sensor in one sentence."""
     used = sum(int(plane.used.sum()) for plane in result.transfers)
     low, high = (100 * error for error in result.linearity_error)
     return f"{used} exposures give the gain; the signal departs from a straight line by {low:+.2f} to {high:+.2f} %"
