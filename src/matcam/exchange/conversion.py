@@ -202,8 +202,8 @@ def _write_surface(target: Path, contents: Contents, force: bool) -> dict[str, A
     error = resampling_error(material, surface.material)
     kind = "metal" if surface.metalness else f"dielectric of index {surface.specular_ior:.3g}"
     note = (
-        f"fitted as a {kind}, specular_roughness {surface.specular_roughness:.4g} (the square root of alpha): no measured BRDF "
-        "is kept as it was"
+        f"fitted as a {kind}, specular_roughness {surface.specular_roughness:.4g} (the square root of alpha): the measured "
+        "values are not kept"
     )
     residual = f"Residual: {error['peak']:.1%} at the peak, {error['median']:.1%} at random directions (median)."
     write_openpbr(target, surface, note=residual, force=force)
