@@ -1,7 +1,7 @@
-"""matcam: what a camera does to a reflectance measurement, and how to undo it.
+"""matcam: effect of a camera on reflectance measurements, and its correction.
 
-Angles in rad, lengths on the sensor in px (pixel pitches), wavelengths and other lengths in m. The public names stand in
-`__init__.pyi`; each is loaded when it is first used, so that importing matcam costs nothing.
+Angles in rad, lengths on the sensor in px (pixel pitches), wavelengths and other lengths in m. The public names are
+listed in `__init__.pyi`; each is loaded on first use, so that importing matcam is fast.
 """
 
 import lazy_loader

@@ -1,4 +1,4 @@
-"""`python -m matcam`: the command line."""
+"""Command line as `python -m matcam`."""
 
 from matcam.cli import main
 

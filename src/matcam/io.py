@@ -1,4 +1,4 @@
-"""Read and write files: any of the formats by recognition, or one of them by name."""
+"""Reading and writing of files, in any format by recognition, or in a specific one."""
 
 import lazy_loader
 

@@ -1,5 +1,5 @@
-"""The paper as printed: Holzschuch & Pacanowski, "The Effects of Digital Cameras Optics and Electronics for Material
-Acquisition", Workshop on Material Appearance Modeling 2017 (hal-01576742).
+"""Equations and figures of the paper: Holzschuch & Pacanowski, "The Effects of Digital Cameras Optics and Electronics
+for Material Acquisition", Workshop on Material Appearance Modeling 2017 (hal-01576742).
 
 Its equation (11), and the data of its Figures 3, 4 and 5 (`figures.paper` draws them; Figure 6 is `fresnel`).
 """
@@ -22,7 +22,7 @@ FIGURE_5_RATIOS = (0.01, 0.1, 0.5, 1.0, 2.0, 5.0, 10.0, 100.0)
 """Widths of the lobe in units of sigma_mtf / radius."""
 
 _FIGURE_3_ANGLES = (0.0, 45.0, 60.0, 75.0)
-_POINTS_PER_PX = 31  # odd, so that the peak itself is among them
+_POINTS_PER_PX = 31  # odd, so that the peak itself is a sample
 _NAMES = {
     "signal": "signal over the true peak, as it arrives on the sensor",
     "after_optics": "signal over the true peak, after the optics",
@@ -32,19 +32,19 @@ _NAMES = {
     "cosine": "cosine of theta",
     "ratio": "width of the lobe over sigma_mtf / radius",
 }
-"""Names in words of the variables of the figures."""
+"""Descriptive names of the variables of the figures."""
 
 
 def peak_eq11(
     sigma: ArrayLike, sigma_mtf: ArrayLike, sigma_p: ArrayLike, radius: ArrayLike, theta: ArrayLike
 ) -> jax.Array:
-    """Return the paper's equation (11) as printed: recorded peak over true peak.
+    """Evaluate the paper's equation (11): recorded peak over true peak.
 
     erf((sigma_p / radius) / (sqrt2 sigma_m)) with sigma_m = sqrt(sigma^2 + (sigma_mtf / (radius cos theta))^2), equation (10).
     Arguments broadcast.
 
-    Use it to reproduce Figure 5 only, and `peak_response` for everything else. The equation starts from a lobe of unit area
-    and forgets that a pixel seen as an angle is sigma_p / (radius cos theta) wide (docs/model.md 4).
+    Use it to reproduce Figure 5 only, and `peak_response` for everything else. The equation uses a lobe of unit area
+    and omits that the angular width of a pixel is sigma_p / (radius cos theta) (docs/model.md 4).
 
     Args:
         sigma: width of the lobe, rad, positive.
@@ -78,16 +78,16 @@ def peak_eq11(
 def figure_3_4(ratio: float, rig: Rig | None = None) -> xr.Dataset:
     """Compute the paper's Figure 3 (ratio 10) or 4 (ratio 1).
 
-    A Gaussian highlight of standard deviation ratio sigma_mtf / radius is shown as it arrives on the sensor, after the
-    optics, and as the pixels record it, across the plane of camera and lamp at several theta_o.
+    A Gaussian highlight of standard deviation ratio sigma_mtf / radius is given on the sensor, after the optics, and as
+    recorded by the pixels, across the plane of camera and lamp at several theta_o.
 
     Args:
         ratio: width of the lobe over sigma_mtf / radius, no unit.
-        rig: the paper's kind of rig: Gaussian optics and a sphere. None: `rigs.merl()`.
+        rig: rig as in the paper: Gaussian optics and a sphere. None: `rigs.merl()`.
 
     Returns:
-        Dataset over (theta_o, x) of the signals over the true peak, no unit: `signal`, `after_optics`, and `recorded` by the
-        pixel that x lies in. x is the distance from the peak, px.
+        Dataset over (theta_o, x) of the signals over the true peak, no unit: `signal`, `after_optics`, and `recorded`
+        by the pixel that contains x. x is the distance from the peak, px.
 
     Source:
         Holzschuch & Pacanowski (2017), Figures 3 and 4.
@@ -107,7 +107,7 @@ def figure_3_4(ratio: float, rig: Rig | None = None) -> xr.Dataset:
     x = pixel + np.tile(within, 2 * reach + 1)
     std = (ratio * sigma * np.cos(theta))[:, None]
     blurred = np.hypot(std, sigma)
-    # the figure is one-dimensional: divide out what the direction across takes from every pixel alike
+    # the figure is one-dimensional: divide by the loss in the other direction, which is equal for all pixels
     recorded = lobe_record(rig, ndf, theta, np.tile(pixel, (theta.size, 1)), np.zeros((theta.size, x.size)))
     across = peak_response(rig, ndf, 0.0, dims=1)
     data = xr.Dataset(
@@ -128,7 +128,7 @@ def figure_5(rig: Rig | None = None) -> xr.Dataset:
     The loss is relative to theta = 0, for lobes of several widths.
 
     Args:
-        rig: the paper's kind of rig: Gaussian optics and a sphere. None: `rigs.merl()`.
+        rig: rig as in the paper: Gaussian optics and a sphere. None: `rigs.merl()`.
 
     Returns:
         Dataset over (ratio, theta): `loss` by docs/model.md 4 and `loss_printed` by equation (11), no unit; and over theta:
@@ -161,6 +161,6 @@ def figure_5(rig: Rig | None = None) -> xr.Dataset:
 
 
 def _gaussian_numbers(rig: Rig) -> tuple[float, float, float]:
-    """Return (sigma_mtf, sigma_p, radius) of a rig of the paper's kind."""
+    """Return (sigma_mtf, sigma_p, radius) of a rig as in the paper."""
     sigma = rig.camera.parameters()["optics.sigma_px"]
     return float(sigma), float(rig.camera.pixel.half_width), float(rig.sample.radius)  # type: ignore[attr-defined]

@@ -26,47 +26,47 @@ if TYPE_CHECKING:
 
 CellValue = Literal["centre", "edge", "mean", "nearest", "bilinear", "unknown"]
 UNKNOWN: CellValue = "unknown"
-"""Nobody says what a cell stands for: a table that is read shows it, and one that is written has pixels of its own."""
+"""Unknown meaning of a cell: it is determined from a table that is read; in a simulated table each cell has its own pixel."""
 CELL_VALUES: tuple[CellValue, ...] = tuple(value for value in get_args(CellValue) if value != UNKNOWN)
-"""Meaning of a table's cell: the pixel at its centre, the one at its edge, the mean of the pixels inside, the nearest pixel
-of a real picture, or the bilinear interpolation between its pixels. At a sharp peak these differ by up to 45 % (docs/model.md
-3)."""
+"""Meaning of a cell of a table: the pixel at its centre, the one at its edge, the mean of the pixels inside, the
+nearest pixel of a real picture, or the bilinear interpolation between its pixels. At a sharp peak these differ by up to
+45 % (docs/model.md 3).
+"""
 ON_REAL_PIXELS: tuple[CellValue, ...] = ("nearest", "bilinear")
-"""Meanings that need a real grid of pixels, whose phase is stated or found from the table."""
+"""Meanings that require a real grid of pixels, whose phase is specified or estimated from the table."""
 
 
 PixelPhase = tuple[float, float] | tuple[tuple[float, float], ...]
-"""Where real pixels lie, px: (x, y), or a pair for each slice of theta_d."""
+"""Position of the real pixels, px: (x, y), or a pair for each slice of theta_d."""
 
 
 class Rig(Module):
-    """Combine camera, sample and lamp to a rig.
+    """Camera, sample and lamp that measure a material.
 
-    A rig measures a material by photographing it.
+    The rig photographs a sample of the material.
 
     Args:
-        camera: the camera, with its uncertainty where that is known.
-        sample: the shape that is photographed: `Sphere`, `Cylinder` or `Flat`.
+        camera: the camera, with its uncertainty if it is known.
+        sample: shape of the sample: `Sphere`, `Cylinder` or `Flat`.
         lamp: the lamp: `DistantLamp` or `NearLamp`. Default: None, a distant point.
-        lamp_radius: short for a distant lamp with this angular radius, rad, [0, pi/8]. Default: None, `lamp` says it.
-        jitter: standard deviation of the pictures' registration, px, [0, 10]. Default: 0. Raise it where several exposures
-            are merged or the rig shakes.
+        lamp_radius: short for a distant lamp with this angular radius, rad, [0, pi/8]. Default: None, that of `lamp`.
+        jitter: standard deviation of the pictures' registration, px, [0, 10]. Default: 0. Increase it if several
+            exposures are merged or the rig vibrates.
         aperture: diameter of the lens's entrance pupil over its distance from the sample, no unit, [0, 1]. Default: 0, a
             pinhole's depth of field.
         focus: angle from the optical axis of the normals that are in focus, rad, [0, pi/2]. Default: 0, the point of the
             sample closest to the camera.
-        crop: (height, width) of the part of the sensor that is used, px, about the optical axis. None: all that the sample
-            needs.
-        cell_value: meaning of a cell of the recorded table: "centre" or "edge", the pixel there; "mean", that of the pixels
-            inside, or the nearest where there is none; "nearest", the pixel whose centre is nearest to the cell's place;
-            "bilinear", the interpolation between four pixels; "unknown", whichever of these a table shows
-            that is fitted, and as "centre" where it shows none or is written. Default: "centre".
-        pixel_phase: where the real pixels lie that "nearest", "bilinear" and "mean" look up: their centres are whole numbers
-            plus this (x, y) from the sphere's centre, px, each in [-0.5, 0.5]; or 90 such pairs, one for the picture of each
-            slice of theta_d. Default: None: a fit finds it from the table, and takes a "mean" that shows no pixels for that
-            of pixels of any phase.
-        lamp_azimuth: of the lamp about the optical axis in pictures and those behind a table, from +x towards +y, rad, in
-            [-2 pi, 2 pi]; the pixels do not turn. Default: None, as the table's attrs["lamp_azimuth"] says, or 0.
+        crop: (height, width) of the part of the sensor that is used, px, about the optical axis. None: the area of the sample.
+        cell_value: meaning of a cell of the recorded table: "centre" or "edge", the pixel there; "mean", that of the
+            pixels inside, or the nearest if there is none; "nearest", the pixel whose centre is nearest to the cell;
+            "bilinear", the interpolation between four pixels; "unknown", estimated from a table that is fitted, and
+            "centre" without evidence or for a simulated table. Default: "centre".
+        pixel_phase: position of the real pixels for "nearest", "bilinear" and "mean": their centres are whole numbers
+            plus this (x, y) from the sphere's centre, px, each in [-0.5, 0.5]; or 90 such pairs, one for the picture of
+            each slice of theta_d. Default: None: a fit estimates it from the table, and averages a "mean" without
+            evidence of pixels over all phases.
+        lamp_azimuth: of the lamp about the optical axis in pictures and those behind a table, from +x towards +y, rad,
+            in [-2 pi, 2 pi]; the pixels do not turn. Default: None, attrs["lamp_azimuth"] of the table, or 0.
 
     Raises:
         ArgumentError: a part is of the wrong kind, or a parameter is out of range.
@@ -134,11 +134,11 @@ class Rig(Module):
 
     @property
     def lamp_radius(self) -> jax.Array:
-        """Return the lamp's angular radius, seen from the sample, rad."""
+        """Return the angular radius of the lamp, seen from the sample, rad."""
         return self.lamp.angular_radius
 
     def azimuths(self, azimuth: ArrayLike | None = None) -> jax.Array:
-        """Return where the lamp stands about the optical axis, rad.
+        """Return the azimuths of the lamp about the optical axis, rad.
 
         Args:
             azimuth: in [-2 pi, 2 pi], rad, any shape. Default: None, the rig's `lamp_azimuth`, or 0, towards +x.
@@ -155,20 +155,20 @@ class Rig(Module):
     def px_per_rad(self, theta_d: jax.Array) -> tuple[jax.Array, jax.Array]:
         """Return the picture's shift per turn of the normal, px/rad.
 
-        It turns away from the half vector, which a near camera or lamp turns, too.
+        The turn is relative to the half vector, which a near camera or lamp turns, too.
 
         Args:
-            theta_d: half the angle between lamp and camera as the highlight sees it, rad.
+            theta_d: half the angle between lamp and camera, seen from the highlight, rad.
 
         Returns:
-            Shift in the plane of camera and lamp and across it; infinite where the normal does not turn.
+            Shift in the plane of camera and lamp and across it; infinite for a constant normal.
         """
         return self.sample.px_per_rad(theta_d, self.lamp.nearness)
 
     def lamp_spread(self, theta_d: jax.Array) -> tuple[jax.Array, jax.Array]:
         """Return the spread of the half vector over the lamp's disc, rad.
 
-        The highlight sees a near lamp's disc larger than the sample's centre does.
+        The disc of a near lamp is larger from the highlight than from the centre of the sample.
 
         Args:
             theta_d: difference angle, rad, any shape.
@@ -180,11 +180,11 @@ class Rig(Module):
         return quarter, quarter / xp.cos(theta_d)
 
     def description(self) -> dict[str, Any]:
-        """Return the rig as plain numbers, as a picture's sidecar holds it.
+        """Return the rig as numbers and texts, as in a sidecar.
 
         Returns:
             Sections "camera", "sample" and "blur", the lamp's angular radius and its distance (None: infinite); units
-            stand in the names.
+            are in the names.
         """
         sample: dict[str, Any] = {"kind": self.sample.kind}
         if isinstance(self.sample, Curved):
@@ -240,7 +240,7 @@ def picture_shape(name: str, shape: tuple[int, int]) -> tuple[int, int]:
         shape: two whole numbers in [1, 65535], px.
 
     Raises:
-        ArgumentError: it is something else.
+        ArgumentError: it is not such a pair.
 
     Example:
         >>> matcam.rigs.picture_shape("crop", (480, 640))
@@ -260,10 +260,10 @@ def picture_shape(name: str, shape: tuple[int, int]) -> tuple[int, int]:
 def merl() -> Rig:
     """Return the rig of the MERL database, as the paper reconstructs it.
 
-    It has a QImaging Retiga 1300 and a sphere over half the picture's height: a limb of radius 256 px. Pixels have 100 %
-    fill, and the optics blur by sigma_mtf = half a pixel. That blur is the paper's guess, and it is stated as one: with a
-    standard deviation as large as itself. So a fit asks the data, down to no blur at all. Nobody published how cells were
-    read from pixels: a table that shows it is believed.
+    It has a QImaging Retiga 1300 and a sphere over half the height of the image: a limb of radius 256 px. Pixels have
+    100 % fill, and the blur of the optics is sigma_mtf = half a pixel. That blur is an assumption of the paper, and its
+    standard deviation is as large as itself, so that a fit estimates it from the data, down to no blur. The lookup of
+    cells in pixels is unpublished, and is estimated from each table.
 
     Returns:
         The rig; replace its parts to describe another.

@@ -1,4 +1,4 @@
-"""Charts to photograph, and the targets on them: design, find, measure."""
+"""Design, detection and measurement of charts and their targets."""
 
 import lazy_loader
 

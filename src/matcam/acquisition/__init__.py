@@ -1,1 +1,1 @@
-"""From photographs of a sample under a moved lamp to observations: linear values, their noise, and where everything was."""
+"""Observations from photographs of a sample under a moved lamp: linear values, their noise, and the geometry."""

@@ -1,7 +1,7 @@
-"""Chosen pixels of every lamp position in all its exposures: what exposure ratios, gain, and clip level are estimated from.
+"""Selected pixels of every lamp position in all its exposures, for estimates of exposure ratios, gain and clip level.
 
-Pixels are chosen and grouped by the light of their NEIGHBOURS of the same colour, never by their own codes: a choice by a noisy
-value prefers its noise, and would bias what is estimated from it.
+Pixels are selected and grouped by the light of their NEIGHBOURS of the same colour, never by their own codes, because
+selection by a noisy value would bias estimates from it.
 """
 
 from __future__ import annotations
@@ -12,16 +12,17 @@ import numpy as np
 from scipy.ndimage import uniform_filter
 
 MOST = 30_000
-"""Pixels of one lamp position that are used at most."""
+"""Largest number of pixels per lamp position."""
 _FAR = 4
-"""Distance, px, at which the noise of sharpened or demosaiced frames no longer correlates: a Gaussian of 1 px leaves 2 %."""
+"""Distance, px, at which the noise of sharpened or demosaiced frames is uncorrelated: a Gaussian of 1 px leaves 2 %."""
 _SURROUNDINGS = 9
-"""Side, px, of the square whose mean says whether a pixel is dark. A choice by few neighbours, the other pixel of a
-pair among them, would prefer noise of opposite signs."""
+"""Side, px, of the square whose mean determines whether a pixel is dark. Selection by few neighbours, including the
+other pixel of a pair, would favour noise of opposite signs.
+"""
 
 
 class BracketSample(NamedTuple):
-    """Hold chosen pixels of one lamp position.
+    """Chosen pixels of one lamp position.
 
     Attributes:
         lamp: name of the lamp position.
@@ -31,7 +32,7 @@ class BracketSample(NamedTuple):
         around: mean of the neighbours in each exposure without dark, float32 (k, n), DN.
         reference: mean of the reference region in each exposure and channel without dark, (k, channels), DN; NaN: none, or
             clipped.
-        reference_pixels: how many pixels of each channel it is the mean of, (channels,).
+        reference_pixels: number of pixels of each channel in that mean, (channels,).
         median: median code of each frame, (k,), DN.
         tops: `light.pile_up.TopCodes` of each frame, (k, 8).
     """
@@ -48,7 +49,7 @@ class BracketSample(NamedTuple):
 
     @property
     def reference_total(self) -> np.ndarray:
-        """Return the sum over the reference region in each exposure, (k,), DN; NaN: none, or clipped."""
+        """Return the sum over the reference region in each exposure, (k,), DN; NaN: no reference, or clipped."""
         return np.asarray(self.reference @ self.reference_pixels.astype(float))
 
     def part(self, frames: np.ndarray) -> BracketSample:
@@ -69,7 +70,7 @@ class BracketSample(NamedTuple):
 
 
 def same_colour_neighbours(light: np.ndarray, step: int) -> np.ndarray:
-    """Return the mean of the eight nearest pixels of the same colour, without the pixel itself.
+    """Average the eight nearest pixels of the same colour, without the pixel itself.
 
     Args:
         light: picture, (height, width).
@@ -87,7 +88,7 @@ def same_colour_neighbours(light: np.ndarray, step: int) -> np.ndarray:
 
 
 def noise_correlation(light: np.ndarray, noise: float) -> tuple[float, float]:
-    """Return the correlation of neighbouring pixels' noise where a frame is dark, and its standard deviation.
+    """Estimate the correlation of noise between neighbouring dark pixels, and its standard deviation.
 
     Raw pixels have none. Sharpening makes it negative, demosaicing and smoothing positive.
 
@@ -102,7 +103,7 @@ def noise_correlation(light: np.ndarray, noise: float) -> tuple[float, float]:
         product, square, pairs = _lagged(light, dark, axis, 1)
         if pairs < 100:
             continue
-        # faint light is smooth and correlates over several pixels; what sharpening or demosaicing does to noise does not
+        # faint light is smooth and correlated over several pixels, unlike noise after sharpening or demosaicing
         smooth, _, others = _lagged(light, dark, axis, _FAR)
         smooth = min(max(smooth, 0.0), 0.9 * square) if others >= 100 else 0.0
         products, squares, count = (
@@ -114,7 +115,7 @@ def noise_correlation(light: np.ndarray, noise: float) -> tuple[float, float]:
 
 
 def _lagged(light: np.ndarray, dark: np.ndarray, axis: int, lag: int) -> tuple[float, float, int]:
-    """Return covariance and variance of dark pixels at a distance along an axis, and the number of pairs."""
+    """Compute covariance and variance of dark pixels at a distance along an axis, and the number of pairs."""
     first, second = ((slice(None),) * axis + (part,) for part in (slice(lag, None), slice(-lag)))
     both = dark[first] & dark[second]
     a, b = light[first][both].astype(np.float64), light[second][both].astype(np.float64)
@@ -125,12 +126,12 @@ def _lagged(light: np.ndarray, dark: np.ndarray, axis: int, lag: int) -> tuple[f
 
 
 def choose_pixels(around: np.ndarray, noise: float, seed: int) -> np.ndarray:
-    """Return indices of pixels for a sample: the brightest by their neighbours, and some of the others that hold light.
+    """Select indices of pixels for a sample: the brightest by their neighbours, and some of the other lit ones.
 
     Args:
         around: neighbours' mean in each exposure, flat, (k, n), the shortest first.
         noise: standard deviation of one pixel's read noise, DN.
-        seed: of the choice among the others.
+        seed: of the selection among the others.
     """
     top = max(float(around.max()), 1.0)
     score = (np.minimum(around, 0.9 * top)).sum(0)

@@ -1,8 +1,8 @@
-"""Check of a capture while still in the lab: clipping, gaps, wrong times, a drifting lamp, a moved sample, a turned table.
+"""Check of a capture in the lab: clipping, gaps, wrong times, a drifting lamp, a moved sample, a turned table.
 
-It reads a few lamp positions whole and the shortest frame of the others: seconds, not the whole measurement. Each kind of
-sample is judged by its own geometry: a sphere by its disc and highlights, a cylinder by its stripe and bright lines. A flat
-sample shows neither.
+It reads few lamp positions completely and only the shortest frame of the others, which takes seconds. Each kind of
+sample is checked by its own geometry: a sphere by its disc and highlights, a cylinder by its stripe and bright lines. A
+flat sample has neither.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ from matcam.files.capture import Capture
 from matcam.files.capture_frames import LampGuess
 
 _WHOLE = 4
-"""Lamp positions of which all exposures are read."""
+"""Number of lamp positions of which all exposures are read."""
 _FIRST, _LAST, _GAP = 10.0, 70.0, 12.0
 """Degrees of theta_d: a capture should begin below, end above, and have no larger gap."""
 HARMLESS = frozenset({"clip-by-pile-up", "clip-not-seen", "gain-stated", "not-checked", "processed", "times-missing"})
-"""Remarks that a capture may have and still be found good."""
+"""Codes of remarks that do not make a capture faulty."""
 
 
 @dataclass(frozen=True)
@@ -41,15 +41,15 @@ class CaptureCheck:
     """Result of the check of a capture.
 
     Attributes:
-        findings: what should be mended, each naming its frame or lamp position; empty: nothing was found.
-        notes: what a reader should know, though it is no fault.
-        radiometry: of the lamp positions that were read whole; None: it could not be measured.
+        findings: faults, each with its frame or lamp position; empty: no faults.
+        notes: remarks that are not faults.
+        radiometry: of the lamp positions that were read whole; None: not measurable.
         highlights: position of each lamp position's highlight, (column, row) px; of a cylinder's line, row is NaN.
-        centre: (column, row) px and radius, px, of the sample that outline, highlights and stated directions agree on; NaN:
-            not known.
+        centre: (column, row) px and radius, px, of the sample that outline, highlights and stated directions agree on;
+            NaN: unknown.
         turn: rotation vector that takes the lamp table to the highlights, rad (3,), about x (right), y (up) and z (to the
             camera).
-        turn_std: its standard deviations, rad (3,); NaN: nothing indicates a turn about that axis.
+        turn_std: its standard deviations, rad (3,); NaN: a turn about that axis is not determined.
     """
 
     findings: tuple[Remark, ...]
@@ -62,13 +62,13 @@ class CaptureCheck:
 
 
 def check_capture(capture: Capture) -> CaptureCheck:
-    """Check a capture without measuring it whole.
+    """Check a capture without a complete measurement.
 
     Args:
         capture: as from `read_capture`.
 
     Returns:
-        What was found. Bad frames are findings, not errors.
+        The faults and notes. Bad frames are faults, not errors.
     """
     found: list[Remark] = []
     names = list(capture.lamps)
@@ -76,7 +76,7 @@ def check_capture(capture: Capture) -> CaptureCheck:
     radiometry = None
     try:
         radiometry = measure_radiometry(capture, lamps=chosen)
-        # of the lamp positions that were read whole; the shortest frames of all follow
+        # of the lamp positions that were read completely, followed by the shortest frames of all
         found += [remark for remark in radiometry.remarks if remark.code != "peak-clipped"]
     except MatcamError as error:
         found += [*capture.problems, Remark("no-radiometry", str(error))]
@@ -84,7 +84,7 @@ def check_capture(capture: Capture) -> CaptureCheck:
     try:
         profile = capture_camera(capture)
         if profile is None:
-            found.append(Remark("no-profile", f"capture.toml states no camera.profile: {unmeasured_lens()}"))
+            found.append(Remark("no-profile", f"capture.toml gives no camera.profile: {unmeasured_lens()}"))
     except MatcamError as error:
         found.append(Remark("bad-profile", str(error)))
     if radiometry is not None:
@@ -120,10 +120,10 @@ def check_capture(capture: Capture) -> CaptureCheck:
 
 
 def coverage_remarks(lamps: dict[str, LampGuess]) -> list[Remark]:
-    """Return which angles the lamp positions leave out.
+    """List gaps in the angles of the lamp positions.
 
     Args:
-        lamps: where they are stated to be. Without angles nothing is said.
+        lamps: their stated directions. Without angles there are no remarks.
     """
     angles = np.array([guess.angle for guess in lamps.values()])
     if np.isnan(angles).any() or not angles.size:
@@ -152,20 +152,20 @@ def _lamp_remarks(capture: Capture, radiometry: Radiometry | None, sample: tuple
     """Compare the scatter of the lamp's light on the reference with the stated one.
 
     Args:
-        capture: what is stated of the lamps.
+        capture: stated properties of the lamps.
         radiometry: the light of the reference.
-        sample: column, row and radius, px, from which the position of a diffuse reference is counted; NaN: not known.
+        sample: column, row and radius, px, the origin of the position of a diffuse reference; NaN: unknown.
     """
     if radiometry is None or capture.reference_place is None:
         return []
     seen = {lamp: out for lamp, out in radiometry.lamp_output.items() if math.isfinite(out.value)}
     if len(seen) < 2:
-        return [Remark("no-reference", "the reference is dark, clipped or not there: lamp drift is not measured")]
+        return [Remark("no-reference", "the reference is dark, clipped or absent: lamp drift is not measured")]
     light = np.array([out.value for out in seen.values()]) / _near_light(capture, list(seen), sample)
     light /= light.mean()
     values = dict(zip(seen, light.tolist(), strict=True))
     stated = capture.settings["lamp"]["gain_std"]
-    # what is not known of the lamps' directions scatters the light on a diffuse reference, too
+    # errors of the directions of the lamps scatter the light on a diffuse reference, too
     unknown = float(np.mean([(out.std / out.value) ** 2 for out in seen.values()]))
     scatter = math.sqrt(max(float(np.var(light, ddof=1)) - unknown, 0.0))
     if scatter <= 2 * stated + 0.002:
@@ -176,7 +176,7 @@ def _lamp_remarks(capture: Capture, radiometry: Radiometry | None, sample: tuple
 
 
 def _near_light(capture: Capture, lamps: Sequence[str], sample: tuple[float, float, float]) -> np.ndarray:
-    """Return the light of near lamps on a white patch over that of distant ones; 1 where it is not determined."""
+    """Compute the light of near lamps on a white patch over that of distant ones; 1 if it is not determined."""
     section, place, far = capture.settings["reference"], capture.reference_place, capture.lamp_radii
     towards = np.array([capture.lamps[lamp].direction for lamp in lamps])
     column, row, radius = sample

@@ -1,4 +1,4 @@
-"""What a camera reads without light, by exposure: level, fixed pattern, read noise, hot pixels."""
+"""Codes of a camera without light, by exposure: level, fixed pattern, read noise, hot pixels."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ from matcam.core.remark import Remark
 from matcam.files.capture import Capture, Region
 from matcam.numerics.frame_noise import clipped_variance, fixed_pattern_variance, pair_variance
 
-_HOT = 12.0  # standard deviations of a dark mean by which a hot pixel stands out
+_HOT = 12.0  # standard deviations of a dark mean above which a pixel is hot
 _ROBUST = 1.4826
 
 
 @dataclass(frozen=True)
 class Darkness:
-    """Hold what is subtracted from the frames of one exposure.
+    """Dark level of the frames of one exposure, which is subtracted.
 
     Attributes:
         level: dark code of each pixel, float32 (height, width), or one number.
         hot: pixels whose dark code is too high to trust, (height, width), or False.
-        read_noise: standard deviation of one dark frame's noise, DN; NaN: one frame cannot tell.
-        frames: how many dark frames it is from.
+        read_noise: standard deviation of one dark frame's noise, DN; NaN: not determined by one frame.
+        frames: number of dark frames.
     """
 
     level: np.ndarray | float
@@ -37,10 +37,9 @@ class Darkness:
 
 
 def dark_of(stack: Sequence[np.ndarray]) -> Darkness:
-    """Return level and noise of the dark frames of one exposure, (height, width) each.
+    """Estimate level and noise of the dark frames of one exposure, (height, width) each.
 
-    A pixel's own dark mean counts by how much more pixels differ than their noise explains: James and Stein's shrinkage towards
-    the frame's level.
+    The mean of each pixel is shrunk towards the level of the frame by the excess of the scatter over noise (James and Stein).
     """
     n = len(stack)
     mean = np.mean(np.asarray(stack, np.float32), axis=0)
@@ -51,7 +50,7 @@ def dark_of(stack: Sequence[np.ndarray]) -> Darkness:
         return Darkness(level, np.abs(mean - level) > _HOT * max(spread, noise, 0.5), noise, n)
     variance = float(np.mean([pair_variance(a, b) for a, b in pairwise(stack)]))
     pattern = max(fixed_pattern_variance(clipped_variance(mean - level), variance, n), 0.0)
-    # a pattern that is not seen beyond chance is none
+    # an insignificant pattern is set to 0
     if pattern < 4 * variance / n * np.sqrt(2 / mean.size):
         pattern = 0.0
     share = pattern / (pattern + variance / n) if pattern else 0.0
@@ -66,17 +65,17 @@ def measure_darkness(
     exposures: Sequence[str],
     frame_levels: dict[str, float],
 ) -> tuple[dict[str, Darkness], list[Remark]]:
-    """Return the darkness of every exposure, and what was noticed.
+    """Measure the darkness of every exposure, and collect remarks.
 
     Args:
-        reader: how frames are read.
-        capture: where they lie.
-        region: part of the frames that is used; None: all of it.
+        reader: the reader of frames.
+        capture: the capture.
+        region: part of the frames that is used; None: the whole frame.
         exposures: names of the exposures.
-        frame_levels: of each exposure, what its darkest frame's median code is, DN.
+        frame_levels: median code of the darkest frame of each exposure, DN.
 
     Returns:
-        Darkness by exposure; where an exposure has no dark frames, that of the others, or of what is stated.
+        Darkness by exposure; without dark frames, that of other exposures, or the stated one.
     """
     found: dict[str, Darkness] = {}
     remarks = []
@@ -127,7 +126,7 @@ def measure_darkness(
 
 
 def pair_correlation(pairs: Sequence[np.ndarray], step: int = 1) -> tuple[float, float]:
-    """Return the correlation of pixels' noise with that of the next one, and its standard deviation.
+    """Estimate the correlation of noise between neighbouring pixels, and its standard deviation.
 
     Args:
         pairs: differences of two frames without light, (height, width) each, DN.
@@ -151,7 +150,7 @@ def pair_correlation(pairs: Sequence[np.ndarray], step: int = 1) -> tuple[float,
 
 
 def _trimmed_mean(values: np.ndarray) -> float:
-    """Return the mean without hot pixels: exact for rounded codes, where a median is not."""
+    """Average without hot pixels: exact for rounded codes, unlike a median."""
     middle = np.median(values)
     width = 6 * max(_ROBUST * float(np.median(np.abs(values - middle))), 1.0)
     return float(values[np.abs(values - middle) <= width].mean(dtype=np.float64))

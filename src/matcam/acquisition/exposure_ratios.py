@@ -1,8 +1,9 @@
-"""Exposure ratios, clip level, photon transfer and linearity from brackets: pictures of one thing in several exposures.
+"""Exposure ratios, clip level, photon transfer and linearity from brackets: images of one scene in several exposures.
 
-The light of a pixel in exposure k is e_k f: f its flux, e_k the exposure. Sums over groups of pixels obey the same law, and the
-quasi-likelihood's equations sum_p w (d_k - e_k f) = 0 are linear in the data d: no bias by noise in f, as a regression has.
-A group holds pixels of one lamp position, one brightness and one set of exposures that do not clip them.
+The light of a pixel in exposure k is e_k f: f its flux, e_k the exposure. Sums over groups of pixels obey the same law.
+The quasi-likelihood equations sum_p w (d_k - e_k f) = 0 are linear in the data d, so noise in f causes no bias, unlike
+in a regression. A group contains pixels of one lamp position, one brightness and one set of exposures that do not clip
+them.
 """
 
 from __future__ import annotations
@@ -15,18 +16,18 @@ import numpy as np
 from matcam.acquisition.bracket_sample import BracketSample
 
 _SAFE = 0.85
-"""Share of the clip level up to which a pixel is predicted from shorter exposures to be usable."""
+"""Share of the clip level below which the prediction from shorter exposures makes a pixel usable."""
 _ROBUST = 1.4826
 
 
 class ClipLevel(NamedTuple):
-    """Hold the code at which pixels clip.
+    """Code at which pixels clip.
 
     Attributes:
         level: DN as read.
         std: standard deviation of the level, DN.
         spread: standard deviation of a clipped pixel's code, DN.
-        pixels: how many clipped pixels it is from; 0: none was seen, and `level` is the largest code.
+        pixels: number of clipped pixels; 0: no clipping, and `level` is the largest code.
     """
 
     level: float
@@ -36,19 +37,20 @@ class ClipLevel(NamedTuple):
 
     @property
     def threshold(self) -> float:
-        """Return the code from which a pixel is taken to be clipped, DN."""
+        """Return the code above which a pixel counts as clipped, DN."""
         if not self.pixels:
             return self.level + 1.0
         return self.level - max(6 * self.spread, 0.002 * abs(self.level), 0.5)
 
 
 class ExposureRatios(NamedTuple):
-    """Hold what the brackets say of the exposures.
+    """Exposure ratios from brackets.
 
     Attributes:
         value: exposure relative to the shortest, (k,).
-        covariance: of their logarithms, (k, k); 0 for the shortest, infinite on the diagonal where nothing links one to it.
-        misfit: scatter over what noise explains, chi2 a degree of freedom.
+        covariance: of their logarithms, (k, k); 0 for the shortest, infinite on the diagonal for exposures without a
+            link to it.
+        misfit: scatter relative to noise, chi2 per degree of freedom.
         curve: code above dark over the largest one, relative departure from a straight line there, and its standard deviation;
             (n, 3).
         linked: whether overlapping pixels link all exposures.
@@ -61,7 +63,7 @@ class ExposureRatios(NamedTuple):
     linked: bool
 
     def std(self, reference: int = 0) -> np.ndarray:
-        """Return the relative standard deviation of each exposure over the one of that index, (k,)."""
+        """Return the relative standard deviation of each exposure over the one at that index, (k,)."""
         own = np.diag(self.covariance)
         with np.errstate(invalid="ignore"):
             variance = own + own[reference] - 2 * self.covariance[reference]
@@ -73,7 +75,7 @@ class ExposureRatios(NamedTuple):
 def first_guess(
     samples: Sequence[BracketSample], count: int, top: float, noise: float, nominal: np.ndarray
 ) -> np.ndarray:
-    """Return relative exposures from medians of neighbouring exposures' ratios; the nominal ones where nothing overlaps."""
+    """Estimate relative exposures from medians of ratios of neighbouring exposures; the nominal ones without overlap."""
     guess = np.ones(count)
     for k in range(1, count):
         ratios = []
@@ -91,7 +93,7 @@ def first_guess(
 
 
 def measure_clip_level(samples: Sequence[BracketSample], guess: np.ndarray, largest: float) -> ClipLevel:
-    """Return the code of pixels that a shorter exposure says must be clipped.
+    """Measure the code of pixels that must be clipped according to a shorter exposure.
 
     Args:
         samples: of all lamp positions.
@@ -114,7 +116,7 @@ def measure_clip_level(samples: Sequence[BracketSample], guess: np.ndarray, larg
 
 
 def usable(sample: BracketSample, exposures: np.ndarray, clip: ClipLevel, noise: float) -> np.ndarray:
-    """Return which pixels can be used in which exposure, (k, n): the shorter exposures say so, not the pixel itself."""
+    """Find the usable pixels in each exposure, (k, n), from the shorter exposures, not from the pixel itself."""
     relative = exposures[sample.exposures]
     below = sample.codes < clip.threshold
     height = max(clip.level - float(np.median(sample.codes[0] - sample.light[0])), 1.0)
@@ -123,7 +125,7 @@ def usable(sample: BracketSample, exposures: np.ndarray, clip: ClipLevel, noise:
     for k in range(1, len(relative)):
         total, weight = total + sample.light[k - 1] * fits[k - 1], weight + relative[k - 1] * fits[k - 1]
         predicted = np.maximum(total / np.maximum(weight, 1e-300), 0) + 2 * noise / relative[k - 1]
-        # the neighbours see what a shorter exposure's noise hides
+        # the neighbours determine what the noise of a shorter exposure hides
         fits[k] = fits[k - 1] & (relative[k] * predicted < _SAFE * height) & (sample.around[k] < _SAFE * height)
     return below & (fits if clip.pixels else True)
 
@@ -131,12 +133,12 @@ def usable(sample: BracketSample, exposures: np.ndarray, clip: ClipLevel, noise:
 def fit_ratios(
     samples: Sequence[BracketSample], guess: np.ndarray, clip: ClipLevel, noise: float, gain: float
 ) -> ExposureRatios:
-    """Return the exposure ratios that explain all brackets together.
+    """Fit exposure ratios to all brackets together.
 
     Args:
         samples: of all lamp positions.
-        guess: relative exposures to begin with.
-        clip: where pixels clip.
+        guess: initial relative exposures.
+        clip: the clip level.
         noise: read noise, DN.
         gain: DN per electron.
     """
@@ -169,7 +171,7 @@ def fit_ratios(
 def fit_gain(
     samples: Sequence[BracketSample], ratios: np.ndarray, clip: ClipLevel, noise: float
 ) -> tuple[float, float]:
-    """Return the gain, DN per electron, and its standard deviation, from how exposures of one thing differ.
+    """Fit the gain, DN per electron, and its standard deviation, from differences between exposures of one scene.
 
     u = d_a - (e_a/e_b) d_b has variance K m (1 + e_a/e_b) + read noise^2 (1 + (e_a/e_b)^2), m the mean of d_a: the slope over m
     is K, with no pairs of equal frames. Bins of brightness, robust in each.
@@ -195,7 +197,7 @@ def fit_gain(
     difference, mean, brightness, share = difference[inside], mean[inside], brightness[inside], share[inside]
     if difference.size < 200:
         return float("nan"), float("inf")
-    # bins by the neighbours: inside a bin of its own brightness a pixel's noise would be cut off
+    # bins by the neighbours: bins by the pixel itself would truncate its noise
     cuts = np.unique(np.quantile(brightness, np.linspace(0, 1, 25)))
     place = np.clip(np.searchsorted(cuts, brightness, side="right") - 1, 0, len(cuts) - 2)
     slope, extra, size = [], [], []
@@ -212,7 +214,7 @@ def fit_gain(
         size.append(kept.size)
     if not slope:
         return float("nan"), float("inf")
-    # weights by the expected scatter: by the measured one, bins that happen to be low would count more
+    # weights by the expected scatter: weights by the measured one would favour bins that are low by chance
     value = float(np.median(slope))
     for _ in range(4):
         error = (max(value, 1e-9) + np.asarray(extra)) * np.sqrt(2 / np.asarray(size))
@@ -222,9 +224,9 @@ def fit_gain(
 
 
 def fit_gain_of_single(samples: Sequence[BracketSample], clip: ClipLevel, noise: float) -> tuple[float, float]:
-    """Return an upper bound of the gain from how pixels differ from their neighbours, where there is one exposure only.
+    """Bound the gain of a single exposure from differences between neighbouring pixels.
 
-    Texture and gradients are taken for noise: bins of brightness give the lower quartile of variance over mean.
+    Texture and gradients count as noise: bins of brightness give the lower quartile of variance over mean.
     """
     light = np.concatenate([sample.light[-1] for sample in samples])
     around = np.concatenate([sample.around[-1] for sample in samples])
@@ -240,7 +242,7 @@ def fit_gain_of_single(samples: Sequence[BracketSample], clip: ClipLevel, noise:
         part = place == one
         if part.sum() >= 30:
             spread = _ROBUST * float(np.median(np.abs((light - around)[part])))
-            # eight neighbours' mean adds an eighth of the variance
+            # the mean of eight neighbours adds an eighth of the variance
             found.append((spread**2 / 1.125 - noise**2) / float(around[part].mean()))
     value = float(np.quantile(found, 0.25)) if found else float("nan")
     return (value, 0.5 * value) if value > 0 else (float("nan"), float("inf"))
@@ -249,7 +251,7 @@ def fit_gain_of_single(samples: Sequence[BracketSample], clip: ClipLevel, noise:
 def _groups(
     samples: Sequence[BracketSample], exposures: np.ndarray, clip: ClipLevel, noise: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return sums of light (DN) and pixel counts, (groups, exposures) each; where a group is not used, both are 0."""
+    """Compute sums of light (DN) and pixel counts, (groups, exposures) each; both are 0 for an unused group."""
     sums, counts = [], []
     for sample in samples:
         use = usable(sample, exposures, clip, noise)
@@ -280,7 +282,7 @@ def _groups(
 def _solve(
     sums: np.ndarray, counts: np.ndarray, exposures: np.ndarray, noise: float, gain: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return exposures and flux of each group (DN a pixel at exposure 1) that solve the quasi-likelihood's equations."""
+    """Solve the quasi-likelihood equations for exposures and flux of each group (DN per pixel at exposure 1)."""
     used = counts > 0
     exposures = exposures.copy()
     flux = sums.sum(1) / np.maximum((counts * exposures).sum(1), 1e-300)
@@ -299,7 +301,7 @@ def _solve(
 
 
 def _curve(sums: np.ndarray, counts: np.ndarray, mean: np.ndarray, variance: np.ndarray) -> np.ndarray:
-    """Return code, relative departure from linear, and its standard deviation, by octaves of the code."""
+    """Compute code, relative departure from linearity, and its standard deviation, by octaves of the code."""
     used = counts > 0
     code, rest, var, size = mean[used], (sums - counts * mean)[used], variance[used], (counts * mean)[used]
     if not code.size:

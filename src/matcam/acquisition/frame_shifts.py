@@ -1,7 +1,8 @@
-"""Find where the sphere lies in every frame: it, or the camera, moves by tenths of a pixel between pictures.
+"""Position of the sphere in every frame: sphere or camera move by tenths of a pixel between images.
 
-One lamp lights part of the limb. What many such crescents say of one radius, one centre and a shift in every frame is solved
-for together: a mean of shifted frames would have a limb that is neither round nor of the sphere's radius.
+One lamp lights part of the limb. One radius, one centre and the shift of every frame are solved for jointly from many
+such crescents, because a mean of shifted frames would have a limb that is neither round nor of the radius of the
+sphere.
 """
 
 from __future__ import annotations
@@ -24,14 +25,14 @@ _OUTLIER = 4.0
 
 
 class FrameShift(NamedTuple):
-    """Tell how far the sphere of one frame lies from the outline.
+    """Shift of the sphere in one frame relative to the outline.
 
     Attributes:
         row: shift, px, rows down.
         column: likewise.
-        covariance: of both, px^2 (2, 2). Where the limb is lit on one side only, it is large in one direction; where no limb
-            stands out, it is what was said beforehand.
-        sectors: parts of the limb that it rests on.
+        covariance: of both, px^2 (2, 2). If the limb is lit on one side only, it is large in one direction; without a
+            visible limb it is the prior.
+        sectors: number of parts of the limb.
     """
 
     row: float
@@ -48,18 +49,18 @@ def find_shifts(
     shift_std: float = 0.5,
     same_radius: bool = True,
 ) -> tuple[Outline, list[FrameShift]]:
-    """Find the sphere's shift in every frame, and the outline that all frames agree on.
+    """Estimate the shift of the sphere in every frame, and the common outline.
 
     Args:
         pictures: one of each lamp.
         outline: of the sphere, from one picture or from all of them stacked.
         light: "lit" or "backlit". Default: "lit".
-        shift_std: how far the sphere may move between frames, standard deviation, px. Default: 0.5.
-        same_radius: whether the outline came from other pictures than these, and counts as a measurement of its own.
-            False where it came from their stack. Default: True.
+        shift_std: prior standard deviation of the motion between frames, px. Default: 0.5.
+        same_radius: whether the outline is an independent measurement from other images. False if it is from their
+            stack. Default: True.
 
     Returns:
-        The outline of the mean place, and a shift for each picture.
+        The outline at the mean position, and a shift for each image.
 
     Raises:
         FitError: no picture shows the limb.
@@ -77,7 +78,7 @@ def find_shifts(
             edges = fit.edges(here, sigma, fit.exponents)
             with np.errstate(invalid="ignore"):
                 chosen = fit.usable(edges) & (np.abs(edges.offset) < 2.0)
-                # towards the terminator's ends light changes along the limb faster than a sector is narrow
+                # towards the ends of the terminator light varies along the limb within a sector
                 chosen &= edges.contrast > _BRIGHT * np.max(edges.contrast, where=chosen, initial=0.0)
                 floor = 1.4826 * np.nanmedian(np.abs(edges.offset[chosen])) if chosen.any() else 0.0
                 std = np.sqrt(edges.std**2 * np.maximum(edges.misfit, 1.0) + min(outline.scatter, 0.2) ** 2)
@@ -134,7 +135,7 @@ def _solved(
     outline: Outline,
     same_radius: bool,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the step of (row, column, radius, shifts...) and its covariance; shifts are about their mean."""
+    """Compute the step of (row, column, radius, shifts...) and its covariance; shifts are about their mean."""
     count = len(blocks)
     information, pull = np.zeros((3 + 2 * count, 3 + 2 * count)), np.zeros(3 + 2 * count)
     information[:3, :3], pull[:3] = blocks.sum(0), pulls.sum(0)

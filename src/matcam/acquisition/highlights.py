@@ -1,8 +1,8 @@
-"""Find the highlight in a picture of a sphere, and the lamp that made it.
+"""Highlight in an image of a sphere, and the direction of its lamp.
 
-The highlight is fitted on the sphere: a round lobe about one normal, seen foreshortened, blurred by the lens, on an even
-background. So the pull of the foreshortening towards the limb is in the model, and the place that comes out is the mirror's.
-Clipped pixels say that there is at least so much light.
+The highlight is fitted on the sphere: a round lobe about one normal, foreshortened, blurred by the lens, on a uniform
+background. The model thus includes the shift by foreshortening towards the limb, and the fitted position is the mirror
+point. Clipped pixels are lower bounds.
 """
 
 from __future__ import annotations
@@ -19,19 +19,19 @@ from matcam.acquisition.mirror_ball import MirrorBall, unit
 from matcam.core.errors import FitError
 from matcam.core.remark import Remark, gathered
 
-_LEVEL = 0.3  # of the highlight's height: what is above belongs to it
-_WORTH = 0.05  # of its light: another bright spot that is named
-_FAINTEST = 0.3  # of the sphere's own light
-_BROADEST = 0.12  # of the disc's area
-_LOST = 0.3  # of the disc
-_RIM = 0.995  # of the radius
+_LEVEL = 0.3  # share of the height of the highlight above which pixels belong to it
+_WORTH = 0.05  # share of its light above which another bright spot is reported
+_FAINTEST = 0.3  # share of the light of the sphere
+_BROADEST = 0.12  # share of the area of the disc
+_LOST = 0.3  # share of the disc
+_RIM = 0.995  # share of the radius
 _PIXELS = 3000
-_SHAPE = 0.05  # share by which a highlight may differ from the lobe that is fitted
+_SHAPE = 0.05  # share by which a highlight may differ from the fitted lobe
 
 
 @dataclass(frozen=True)
 class Highlight:
-    """Hold where a picture shows the lamp mirrored.
+    """Position of the mirror image of a lamp.
 
     Attributes:
         name: of the picture.
@@ -57,7 +57,7 @@ class Highlight:
 
 
 def find_highlight(picture: MergedPicture, ball: MirrorBall, *, blur: float = 0.6) -> Highlight:
-    """Find the lamp's highlight in one picture.
+    """Find the highlight of the lamp in one image.
 
     Args:
         picture: of one lamp.
@@ -65,7 +65,7 @@ def find_highlight(picture: MergedPicture, ball: MirrorBall, *, blur: float = 0.
         blur: standard deviation of lens and pixel together, px. Default: 0.6.
 
     Returns:
-        The mirror point. Other bright spots are named with it.
+        The mirror point, with a list of other bright spots.
 
     Raises:
         FitError: no highlight, a clipped sphere, or a spot as broad as the sphere.
@@ -76,7 +76,7 @@ def find_highlight(picture: MergedPicture, ball: MirrorBall, *, blur: float = 0.
     main = np.bincount(picture.channel[on].ravel(), minlength=1).argmax() if on.any() else 0
     one = on & np.isfinite(picture.values) & (picture.channel == main)
     if one.sum() < 30:
-        raise FitError(f"{picture.name}: the sphere's disc holds {one.sum()} values; it must lie in the frame")
+        raise FitError(f"{picture.name}: the sphere's disc contains {one.sum()} values; it must lie in the frame")
     lost = float(np.mean(picture.clipped[on]))
     if lost > _LOST:
         raise FitError(f"{picture.name}: {lost:.0%} of the sphere is clipped; take a shorter exposure too")
@@ -123,11 +123,11 @@ def find_highlight(picture: MergedPicture, ball: MirrorBall, *, blur: float = 0.
 def _spots(
     picture: MergedPicture, one: np.ndarray, on: np.ndarray
 ) -> tuple[list[tuple[float, float, float, int]], float]:
-    """Return bright spots as (row, column, light, pixels), the brightest first, and the light around them."""
+    """Find bright spots as (row, column, light, pixels), the brightest first, and the light around them."""
     light = np.where(one, picture.values, -np.inf)
     background = float(np.median(picture.values[one]))
     noise = float(np.median(picture.std[one]))
-    if not np.all(one[on]):  # a mosaic, or holes
+    if not np.all(one[on]):  # mosaic or missing pixels
         light = ndimage.maximum_filter(light, 3)
     light = np.where(on, light, -np.inf)
     peak = float(light.max())
@@ -144,7 +144,7 @@ def _spots(
 
 
 class _LobeFit:
-    """Fit a lobe on the sphere to the pixels of a highlight."""
+    """Fit of a lobe on the sphere to the pixels of a highlight."""
 
     def __init__(
         self,
@@ -168,7 +168,9 @@ class _LobeFit:
         self.size, self.background = size, max(abs(background), float(np.median(self.std)))
 
     def model(self, p: np.ndarray) -> np.ndarray:
-        """Return the light of each pixel: place, logarithms of widths and exponent, then height and background by channel."""
+        """Evaluate the light of each pixel: position, logarithms of widths and exponent, then height and background by
+        channel.
+        """
         centre = self.ball.normals(*(self.start + p[:2]))
         if not np.isfinite(centre).all():
             return np.full(len(self.values), 1e9)
@@ -182,20 +184,20 @@ class _LobeFit:
         radial, tangential, exponent = np.hypot(lobe[0], lens / cosine), np.hypot(lobe[1], lens), np.exp(p[4])
         off = self.normals - centre
         turn = ((off @ outwards) / radial) ** 2 + ((off @ across) / tangential) ** 2
-        # what the lens has widened is not foreshortened further
+        # the width of the lens is not foreshortened
         share = (lobe[0] / radial) ** 2
         shape = (1 + turn / exponent) ** -exponent * (cosine / self.cosine) ** share
         height, level = p[5::2][self.channel], p[6::2][self.channel]
         return np.exp(height) * shape + level * self.background
 
     def residual(self, p: np.ndarray) -> np.ndarray:
-        """Return (light - model) over its error; a clipped pixel counts where the model stays below it."""
+        """Compute (light - model) over its error; a clipped pixel counts if the model is below it."""
         rest = (self.values - self.model(p)) / self.error
-        # weak knowledge: the lobe's exponent lies about 2
+        # weak prior: the exponent of the lobe is about 2
         return np.append(np.where(self.clipped, np.maximum(rest, 0.0), rest), (p[4] - np.log(2.0)) / 1.0)
 
     def solved(self) -> tuple[np.ndarray, np.ndarray, float]:
-        """Return the place, px (2,), its covariance, px^2 (2, 2), and the lobe's width, rad."""
+        """Solve for the position, px (2,), its covariance, px^2 (2, 2), and the width of the lobe, rad."""
         width = max(np.sqrt(self.size / np.pi), self.blur) / self.ball.radius
         first = [0.0, 0.0, np.log(width), np.log(width), np.log(2.0)]
         for k in range(len(self.channels)):
@@ -214,7 +216,7 @@ class _LobeFit:
         )
         place = self.start + found.x[:2]
         if not np.isfinite(self.ball.normals(*place)).all() or np.abs(found.x[:2]).max() > 0.99 * room:
-            raise FitError(f"{self.name}: the bright spot is no lobe on the sphere: only its centroid can be used")
+            raise FitError(f"{self.name}: the bright spot is not a lobe on the sphere: only its centroid can be used")
         spread = np.linalg.pinv(found.jac.T @ found.jac)[:2, :2]
         freedom = max(len(self.values) - len(first), 1)
         return place, spread * max(1.0, 2 * found.cost / freedom), float(np.exp(found.x[3]))
@@ -223,10 +225,10 @@ class _LobeFit:
 def lamp_from_highlight(
     highlight: Highlight, ball: MirrorBall, lamp_distance: float = np.inf
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return a lamp's direction from the place of its highlight.
+    """Compute the direction of a lamp from the position of its highlight.
 
     Args:
-        highlight: its place is the mirror point.
+        highlight: its position is the mirror point.
         ball: the sphere in this frame.
         lamp_distance: of the lamp from the sphere's centre, radii. Default: infinite.
 
@@ -244,7 +246,7 @@ def lamp_from_highlight(
 
 
 def lamp_angles_apart(lamps: np.ndarray, others: np.ndarray) -> np.ndarray:
-    """Return the angles between directions (..., 3), rad."""
+    """Compute the angles between directions (..., 3), rad."""
     lamps, others = np.broadcast_arrays(unit(np.asarray(lamps, float)), unit(np.asarray(others, float)))
     return np.arctan2(np.linalg.norm(np.cross(lamps, others), axis=-1), (lamps * others).sum(-1))
 
@@ -252,7 +254,7 @@ def lamp_angles_apart(lamps: np.ndarray, others: np.ndarray) -> np.ndarray:
 def find_highlights(
     pictures: Sequence[MergedPicture], ball: MirrorBall, *, blur: float = 0.6
 ) -> tuple[list[Highlight | None], tuple[Remark, ...]]:
-    """Find the highlight of every picture; one without any is None and named.
+    """Find the highlight of every image; images without one give None and a remark.
 
     Args:
         pictures: one of each lamp.
@@ -260,7 +262,7 @@ def find_highlights(
         blur: standard deviation of lens and pixel together, px. Default: 0.6.
 
     Returns:
-        A highlight or None for each picture, and the remarks of all; what is said of many pictures is one remark.
+        A highlight or None for each image, and all remarks; a remark on many images is given once.
     """
     found: list[Highlight | None] = []
     remarks: list[tuple[str, Remark]] = []

@@ -1,4 +1,4 @@
-"""The light of one lamp position, merged from its exposures: what a reconstruction reads instead of photographs."""
+"""Light of one lamp position, merged from its exposures: the input of a reconstruction."""
 
 from dataclasses import dataclass
 
@@ -7,7 +7,7 @@ import numpy as np
 
 @dataclass(frozen=True)
 class MergedPicture:
-    """Hold the linear radiance of one lamp position on the sensor's own pixels, with noise and clipping.
+    """Linear radiance of one lamp position on the sensor's own pixels, with noise and clipping.
 
     Attributes:
         name: the lamp position, as `frames.csv` calls it.

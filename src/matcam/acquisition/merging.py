@@ -1,8 +1,8 @@
-"""One linear picture of each lamp position from its exposures, with its noise; clipped pixels are censored, never dropped.
+"""One linear image per lamp position from its exposures, with its noise; clipped pixels are censored, never dropped.
 
-The flux of a pixel is the weighted mean of its exposures, f = sum w d / sum w e with w = e / (K e f + r^2): K the gain, r the
-read noise.
-Which exposures a pixel clips in is predicted from its shorter ones, because a choice by its own noisy code would bias it.
+The flux of a pixel is the weighted mean of its exposures, f = sum w d / sum w e with w = e / (K e f + r^2): K the gain,
+r the read noise. Clipping of a pixel in an exposure is predicted from shorter exposures, because selection by its own
+noisy code would bias it.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ from matcam.core.threads import in_order
 from matcam.files.capture import Capture, Region
 
 _SAFE = 0.93
-"""Share of the clip level that a pixel may be predicted to reach."""
+"""Largest predicted share of the clip level of a usable pixel."""
 _DIM = 10.0
-"""Read noises in the longest exposure below which a pixel's variance is that of its neighbours."""
+"""Signal in the longest exposure, in read noises, below which the variance of a pixel comes from its neighbours."""
 _ALIKE = 4.0
-"""Standard deviations by which a pixel may differ from its neighbours where these say what its variance is."""
+"""Standard deviations by which a pixel may differ from the neighbours that determine its variance."""
 _BRIGHT = 30.0
-"""Read noises above which a pixel tells whether its exposures agree."""
+"""Signal, in read noises, above which a pixel tests the agreement of its exposures."""
 
 
 def merge(
@@ -46,9 +46,9 @@ def merge(
     The frames of as many lamp positions as there are workers are in memory at a time.
 
     Args:
-        capture: where the frames lie.
-        region: first column, first row, width, height of the part that is used, px; the first two even. None: the capture's
-            own, or all. Default: None.
+        capture: the capture.
+        region: first column, first row, width, height of the part that is used, px; the first two even. None: that of
+            the capture, or the whole frame. Default: None.
         progress: called after each lamp position of both passes. Default: None.
         workers: lamp positions that are read at a time. Default: 1.
         kept: where what was read is kept for a run that goes on. Default: None, nowhere.
@@ -57,8 +57,8 @@ def merge(
         The merged pictures in the order of the lamps, and the radiometry.
 
     Raises:
-        FitError: no lamp position has a frame that can be read, or the frames were sharpened or went through a tone curve and
-            nobody accepted that.
+        FitError: no lamp position has a frame that can be read, or the frames are processed (sharpened, tone curve)
+            without accept_processed.
     """
     radiometry = measure_radiometry(capture, region, progress, workers=workers, kept=kept)
     if not capture.settings["camera"]["accept_processed"]:
@@ -86,10 +86,10 @@ def merged_pictures(
     """Yield the merged picture of each lamp position, one at a time.
 
     Args:
-        capture: where the frames lie.
-        radiometry: what their codes mean, as from `measure_radiometry`.
+        capture: the capture.
+        radiometry: meaning of the codes, from `measure_radiometry`.
         workers: lamp positions that are merged at a time. Default: 1.
-        kept: where merged pictures are kept for a run that goes on. Default: None, nowhere.
+        kept: cache of merged images, from which an interrupted run resumes. Default: None, no cache.
     """
     reader = MosaicReader(capture)
     if kept is not None:
@@ -101,7 +101,7 @@ def merged_pictures(
 def _kept_pictures(
     capture: Capture, radiometry: Radiometry, reader: MosaicReader, workers: int, kept: KeptWork
 ) -> Iterator[MergedPicture]:
-    """Yield merged pictures, those that were kept from disk."""
+    """Yield merged images, from the cache if possible."""
     known = radiometry.to_dict()
     del known["remarks"], known["lamp_output"], known["reference_between"]
     flat = radiometry.flat
@@ -136,13 +136,13 @@ def merge_position(
     """Merge the exposures of one lamp position.
 
     Args:
-        capture: where the frames lie.
+        capture: the capture.
         lamp: name of the lamp position.
-        radiometry: what their codes mean.
-        reader: how frames are read; None: a new one. Default: None.
+        radiometry: meaning of the codes.
+        reader: the reader of frames; None: a new one. Default: None.
 
     Returns:
-        The picture in electrons (or DN, as `radiometry.unit` says) of the reference exposure.
+        The picture in electrons (or DN, see `radiometry.unit`) of the reference exposure.
     """
     reader = reader or MosaicReader(capture)
     frames = radiometry.used[lamp]
@@ -164,7 +164,7 @@ def merge_position(
     use = _usable(light, full, relative, heights, noise, step, bool(clip.pixels))
     flux, variance = _weighted(light, use, relative, gain, noise, step)
     none = ~np.any(use, axis=0)
-    # clipped everywhere: the truth is at least what the shortest exposure holds
+    # clipped in all exposures: the value of the shortest is a lower bound
     floor = min(heights[0], clip.threshold - (clip.level - heights[0])) / relative[0]
     flux = np.where(none, floor, flux)
     variance = np.where(none, (gain * floor * relative[0] + noise**2) / relative[0] ** 2, variance)
@@ -183,7 +183,7 @@ def merge_position(
 
 
 def bracket_misfit(capture: Capture, lamp: str, radiometry: Radiometry, picture: MergedPicture) -> float:
-    """Return how much the exposures of a lamp position differ beyond their noise, chi2 a degree of freedom.
+    """Compute the differences between exposures of a lamp position relative to their noise, chi2 per degree of freedom.
 
     Well above 1 the sample, camera or lamp moved between the exposures.
     """
@@ -193,7 +193,7 @@ def bracket_misfit(capture: Capture, lamp: str, radiometry: Radiometry, picture:
     total, count = 0.0, 0
     flat, std = radiometry.flat, picture.std
     response = np.ones_like(std) if flat is None else np.nan_to_num(flat.response)
-    if flat is not None:  # what is not known of the pixels is common to all exposures
+    if flat is not None:  # errors of the pixels are common to all exposures
         std = np.sqrt(np.maximum(std**2 - (picture.values * flat.std[picture.channel]) ** 2, 0))
     steep = np.nan_to_num(picture.values) * response * gain
     for frame in radiometry.used[lamp]:
@@ -213,7 +213,7 @@ def bracket_misfit(capture: Capture, lamp: str, radiometry: Radiometry, picture:
 
 
 def misfit_remark(lamp: str, misfit: float) -> Remark | None:
-    """Return the remark that a lamp position's exposures differ; None where they do not."""
+    """Return the remark on different exposures of a lamp position; None if they agree."""
     if not misfit > 2.0:
         return None
     text = f"lamp {lamp}: its exposures differ {math.sqrt(misfit):.1f} times more than noise: "
@@ -229,7 +229,7 @@ def _usable(
     step: int,
     seen: bool,
 ) -> np.ndarray:
-    """Return which exposures of which pixel are used, (k, height, width)."""
+    """Find the usable exposures of each pixel, (k, height, width)."""
     use = np.stack([~one for one in full])
     if not seen:
         return use
@@ -239,7 +239,7 @@ def _usable(
         weight += np.where(use[k - 1], relative[k - 1], 0).astype(np.float32)
         predicted = np.where(weight > 0, total / np.maximum(weight, 1e-30), np.inf)
         use[k] &= (relative[k] * predicted < _SAFE * heights[k]) | (
-            # dim in the shorter exposure: its noise says little, the neighbours' light does
+            # dim in the shorter exposure: the light of the neighbours is a better estimate
             (predicted * relative[k - 1] < 8 * noise) & (same_colour_neighbours(light[k], step) < _SAFE * heights[k])
         )
     return use
@@ -248,14 +248,14 @@ def _usable(
 def _weighted(
     light: list[np.ndarray], use: np.ndarray, relative: np.ndarray, gain: float, noise: float, step: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the flux of every pixel (DN at the reference exposure) and its variance, float32."""
+    """Compute the flux of every pixel (DN at the reference exposure) and its variance, float32."""
     top, under, own = (np.zeros(light[0].shape, np.float32) for _ in range(3))
     for one, d, e in zip(use, light, relative.astype(np.float32), strict=True):
         top += np.multiply(d, one, out=own)
         under += np.multiply(one, e, out=own)
     flux = top / np.maximum(under, 1e-30)
-    # a pixel's own noise would weigh against what made it bright: its neighbours say what variance to expect, where it differs
-    # from them by no more than noise
+    # weights by the noise of the pixel itself would bias it low; its neighbours give the expected variance if it agrees
+    # with them within noise
     around = same_colour_neighbours(flux, step)
     np.maximum(under, np.float32(relative.min()), out=under)
     variance = (np.float32(gain) * np.maximum(around, 0) + np.float32(len(light) * noise**2) / under) / under

@@ -1,7 +1,8 @@
-"""A sphere before a camera as a mirror: which normal a pixel shows, and where a lamp is seen in it (Alhazen's problem).
+"""Sphere in front of a camera as a mirror: normals of pixels, and mirror images of lamps (Alhazen's problem).
 
-Axes: x right, y up, z to the camera and parallel to its axis; the origin is the sphere's centre, lengths are in its radii.
-Rows run down. Everything is exact for a near camera, a near lamp and a sphere beside the camera's axis.
+Axes: x right, y up, z to the camera and parallel to its axis; the origin is the sphere's centre, lengths are in its
+radii. Rows increase downwards. Everything is exact for a near camera, a near lamp and a sphere beside the camera's
+axis.
 """
 
 from __future__ import annotations
@@ -20,12 +21,12 @@ def unit(vectors: np.ndarray) -> np.ndarray:
 
 
 class MirrorBall(NamedTuple):
-    """Describe a sphere in a frame.
+    """Sphere in a frame.
 
     Attributes:
         row: of the picture of its centre, px.
         column: likewise.
-        radius: of its limb if the camera looked at its centre, px.
+        radius: of its limb if its centre were on the optical axis, px.
         distance: of the camera from its centre, radii; infinite: orthographic. Default: infinite.
         axis: (row, column) where the camera's axis meets the frame, px. Default: the centre.
 
@@ -56,7 +57,7 @@ class MirrorBall(NamedTuple):
         return unit(np.array([self.axis[1] - self.column, self.row - self.axis[0], self._focal]))
 
     def normals(self, rows: ArrayLike, columns: ArrayLike) -> np.ndarray:
-        """Return the normal that each place in the frame shows.
+        """Compute the normal at each position in the frame.
 
         Args:
             rows: px; broadcasts with columns.
@@ -73,14 +74,14 @@ class MirrorBall(NamedTuple):
             back = -self.towards_camera
             centre = back * (self._focal / -back[2])  # in px, from the pinhole
             ray = unit(centre + np.stack([x, y, np.zeros_like(x)], axis=-1))
-            # the foot of the perpendicular on the ray, without the digits that a far camera costs
+            # foot of the perpendicular on the ray, without loss of digits for a distant camera
             off = ray - back
             size = (off**2).sum(-1, keepdims=True)
             foot = self.distance * ((1 - size / 2) * off - size / 2 * back)
             return foot - np.sqrt(1 - (foot**2).sum(-1, keepdims=True)) * ray
 
     def place(self, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the row and column at which the frame shows normals (..., 3), px; NaN for those that it does not."""
+        """Compute the row and column of normals (..., 3) in the frame, px; NaN for invisible ones."""
         normals = np.asarray(normals, float)
         camera = self.towards_camera
         seen = normals @ camera > 1 / self.distance
@@ -96,16 +97,16 @@ class MirrorBall(NamedTuple):
         return self.row - y + hidden, self.column + x + hidden
 
     def views(self, normals: np.ndarray) -> np.ndarray:
-        """Return unit vectors from points of the sphere, given by their normals (..., 3), to the camera."""
+        """Compute unit vectors from points of the sphere, given by their normals (..., 3), to the camera."""
         if np.isinf(self.distance):
             return np.broadcast_to(self.towards_camera, np.shape(normals))
         return unit(self.towards_camera * self.distance - normals)
 
     def lamp_seen_at(self, normals: np.ndarray, lamp_distance: float | np.ndarray = np.inf) -> np.ndarray:
-        """Return the direction, from the sphere's centre, of the lamp that is mirrored at a normal.
+        """Compute the direction, from the centre of the sphere, of the lamp that is mirrored at a normal.
 
         Args:
-            normals: at which the camera sees the lamp (..., 3).
+            normals: normals of the mirror points (..., 3).
             lamp_distance: of the lamp from the centre, radii. Default: infinite.
 
         Returns:
@@ -116,12 +117,12 @@ class MirrorBall(NamedTuple):
         cosine = (views * normals).sum(-1, keepdims=True)
         light = 2 * cosine * normals - views
         nearness = 1 / np.asarray(lamp_distance, float)[..., None]
-        # normal + s light has the length of the lamp's distance
+        # the length of normal + s light is the distance of the lamp
         length = np.sqrt(1 - nearness**2 * (1 - cosine**2)) - nearness * cosine
         return unit(nearness * normals + length * light)
 
     def mirror_normals(self, lamps: np.ndarray, lamp_distance: float | np.ndarray = np.inf) -> np.ndarray:
-        """Return the normals at which the camera sees lamps mirrored.
+        """Compute the normals at which the camera sees lamps mirrored.
 
         Args:
             lamps: directions from the sphere's centre, unit vectors (..., 3).
@@ -135,7 +136,7 @@ class MirrorBall(NamedTuple):
         size = np.linalg.norm(across, axis=-1)
         full = np.arctan2(size, lamps @ camera)
         nearness = 1 / np.asarray(lamp_distance, float)
-        # the angle of the light grows over that of the view as the normal turns towards the camera: bisection
+        # as the normal turns towards the camera, the angle of the light grows relative to that of the view: bisection
         low, high = np.zeros_like(full), full
         for _ in range(_TURNS):
             t = (low + high) / 2
@@ -149,15 +150,15 @@ class MirrorBall(NamedTuple):
     def mirror_place(
         self, lamps: np.ndarray, lamp_distance: float | np.ndarray = np.inf
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return the row and column at which lamps are seen mirrored, px; arguments as for `mirror_normals`."""
+        """Compute the row and column of the mirror images of lamps, px; arguments as for `mirror_normals`."""
         return self.place(self.mirror_normals(lamps, lamp_distance))
 
 
 def pull_to_limb(theta_o: float | np.ndarray, width: float | np.ndarray) -> np.ndarray:
-    """Return by how much the brightest point of a rough sphere lies beyond the mirror's, as a turn of the normal, rad.
+    """Compute the shift of the brightest point of a rough sphere from the mirror point, as a turn of the normal, rad.
 
-    Foreshortening packs more facets into a pixel near the limb: the lobe D is seen as D / cos(theta_o), and its maximum moves
-    by width^2 tan(theta_o) to first order. The lamp would be wrong by twice that.
+    Foreshortening packs more facets into a pixel near the limb: the lobe D appears as D / cos(theta_o), and its maximum
+    moves by width^2 tan(theta_o) to first order. The error of the direction of the lamp would be twice that.
 
     Args:
         theta_o: angle between normal and view, rad.

@@ -1,7 +1,7 @@
-"""Frames of a capture as mosaics of linear codes: one value a pixel, with the colour that it sees.
+"""Frames of a capture as mosaics of linear codes: one value per pixel, with its colour.
 
-A grey picture and a raw mosaic are taken as they are. Of a picture in full colour each pixel gives one of its three values, as
-a mosaic of the stated colours would have: where the picture was demosaiced from that mosaic, these are what was measured.
+Grey images and raw mosaics are used directly. From an image in full colour each pixel keeps one of its three values, as
+in a mosaic of the stated colours: if the image was demosaiced from that mosaic, these are the measured values.
 """
 
 from __future__ import annotations
@@ -20,17 +20,17 @@ from matcam.files.tone_curve import decoded
 _TILES = {"R": 0, "G": 1, "B": 2}
 _EIGHT = 255
 ASSUMED_CFA = "RGGB"
-"""The mosaic as which a picture in full colour is read whose own is not stated: colours are not mixed, whichever it was."""
+"""Mosaic as which an image in full colour is read if the capture gives none: colours are not mixed, for any original mosaic."""
 
 
 @dataclass
 class MosaicReader:
-    """Read frames of a capture as mosaics, and check that they are of one kind.
+    """Reader of the frames of a capture as mosaics, which checks that they are of one kind.
 
     Attributes:
-        capture: where the frames lie.
-        remarks: what was noticed of the frames' kind, once each.
-        saturation: largest code that the frames' format can hold; infinite: not known.
+        capture: the capture.
+        remarks: remarks on the kind of the frames, once each.
+        saturation: largest code that the frames' format can hold; infinite: unknown.
     """
 
     capture: Capture
@@ -43,13 +43,13 @@ class MosaicReader:
 
     @property
     def cfa(self) -> str | None:
-        """Return the colours of the first 2 x 2 px of a whole frame, as stated or as the frames' files say."""
+        """Return the colours of the first 2 x 2 px of a whole frame, as stated or from the files of the frames."""
         stated = self.capture.settings["camera"]["cfa"] or (self._first[1] if self._first else None)
         return stated or (ASSUMED_CFA if self._first and self._first[3] else None)
 
     @property
     def channels(self) -> tuple[str, ...]:
-        """Return the names of the colours, which `channel_map` counts."""
+        """Return the names of the colours, to which `channel_map` refers."""
         return ("grey",) if self.cfa is None else ("R", "G", "B")
 
     def channel_map(self, shape: tuple[int, int], origin: tuple[int, int] = (0, 0)) -> np.ndarray:
@@ -61,9 +61,10 @@ class MosaicReader:
         return tile[rows[:, None] % 2, columns % 2]
 
     def read(self, frame: CaptureFrame, region: Region | None = None) -> np.ndarray:
-        """Return the codes of a frame or a region, float32 (height, width).
+        """Read the codes of a frame or a region, float32 (height, width).
 
-        FileFormatError naming the frame where it is of another kind than the first, or was processed and nobody accepted that.
+        FileFormatError that names the frame if its kind differs from that of the first, or if it is processed without
+        accept_processed.
         """
         photograph = self.capture.read(frame, region)
         self._check(frame, photograph)
@@ -97,15 +98,17 @@ class MosaicReader:
             raise FileFormatError(f"{path}: is of another kind than the frames before: {', '.join(what)}")
         processed = []
         if colour:
-            processed.append("demosaiced: blur by up to half a pixel that no profile of the raw camera knows")
+            processed.append(
+                "demosaiced: a blur of up to half a pixel that a profile of the raw camera does not contain"
+            )
             if camera["cfa"] is None:
                 processed.append(
                     f"in full colour, and capture.toml states no camera.cfa: each pixel is read in its colour of {ASSUMED_CFA}"
                 )
         if values.dtype.kind == "u" and values.dtype.itemsize == 1:
-            processed.append("of 8 bits: rounding of 0.3 codes, and probably a tone curve that bends every ratio")
+            processed.append("of 8 bits: rounding of 0.3 codes, and probably a tone curve that changes every ratio")
         if camera["tone"] != "linear":
-            processed.append("through a tone curve: exposure ratios and clip level are no better than that curve")
+            processed.append("through a tone curve: it limits the accuracy of exposure ratios and clip level")
         if processed and not camera["accept_processed"]:
             raise FileFormatError(
                 f"{path}: is {processed[0].split(':')[0]}: give raw frames, or accept it with camera.accept_processed = true"

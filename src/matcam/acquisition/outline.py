@@ -1,8 +1,8 @@
-"""Find a sphere's outline in a picture: centre and radius of the limb, through the lens, with covariance.
+"""Outline of a sphere in an image: centre and radius of the limb, through the lens, with covariance.
 
-A picture shows the limb where a lamp lights the sphere up to it, or as a dark disc before a bright field. Its edges are
-measured one sector of azimuth at a time (`limb/limb_edges.py`), and the outline is the conic that a sphere at a known distance
-makes: a circle on the camera's axis, an ellipse beside it. Sectors that a stand, dust or a highlight spoils are left out.
+An image shows the limb where a lamp lights the sphere up to it, or as a dark disc in front of a bright field. Its edges
+are measured one sector of azimuth at a time (`limb/limb_edges.py`), and the outline is the conic of a sphere at a known
+distance: a circle on the camera's axis, an ellipse beside it. Sectors with a stand, dust or a highlight are left out.
 """
 
 from __future__ import annotations
@@ -24,26 +24,26 @@ from matcam.core.remark import Remark
 
 LimbLight = Literal["lit", "backlit"]
 EXPONENTS: dict[str, tuple[float, ...]] = {"lit": (0, 0.5, 1), "coated": (0, 0.5, 1), "backlit": (0, 1)}
-"""Powers of the distance inside the limb that its light is made of: the cosine of the viewing angle goes as the root.
-"coated": they are multiplied with the transmittance of a clear coat, as on glossy plastic; a lit sphere is tried as both."""
+"""Powers of the distance inside the limb in the model of its light. The cosine of the viewing angle is proportional to
+the root. "coated": they are multiplied with the transmittance of a clear coat. A lit sphere is fitted with and without."""
 
-_SIGMAS = (0.05, 0.2, 0.5, 0.9, 1.6, 2.5)  # px, of a lens that nobody has measured
+_SIGMAS = (0.05, 0.2, 0.5, 0.9, 1.6, 2.5)  # px, of an unmeasured lens
 _PIXELS_IN_SECTOR = 80
-_CONTRAST = 8.0  # a step of light over its noise
-_LARGEST_STD = 0.3  # px, of a sector's edge
-_MISFIT = 6.0  # times the usual chi squared: dust, a stand
+_CONTRAST = 8.0  # step of light over its noise
+_LARGEST_STD = 0.3  # px, standard deviation of the edge of a sector
+_MISFIT = 6.0  # factor of the typical chi squared: dust, a stand
 _OUTLIER = 4.0  # standard deviations
-_RAGGED = 0.4  # px, rms of the edges about the outline: no limb
+_RAGGED = 0.4  # px, rms distance of the edges from the outline: no limb
 _TEMPER = 15.0
-"""Difference in chi squared between two models of the light that makes one e times likelier; 2, were the models exact."""
+"""Difference in chi squared between two models of the light that corresponds to a likelihood ratio of e; 2 for exact models."""
 _SIMPLER = 30.0
-"""A sphere is taken for one without a coat, unless chi squared falls by more than this with it."""
+"""Decrease of chi squared with a coat below which a sphere counts as uncoated."""
 _FIT = ("chi2", "freedom")
 FEWEST_SECTORS = 8
 
 
 class Sighting(NamedTuple):
-    """Tell how the camera stands to the sphere.
+    """Geometry of the camera relative to the sphere.
 
     Attributes:
         distance: of the camera from the sphere's centre, radii; infinite: orthographic.
@@ -54,13 +54,13 @@ class Sighting(NamedTuple):
     axis: tuple[float, float] | None = None
 
     def radius_at(self, azimuth: np.ndarray, row: float, column: float, radius: float) -> np.ndarray:
-        """Return the distance of the limb from the centre's picture along an azimuth, px.
+        """Compute the distance of the limb from the centre's picture along an azimuth, px.
 
         Args:
             azimuth: from +column towards +row, rad.
             row: of the picture of the sphere's centre, px.
             column: likewise, px.
-            radius: that the limb would have if the camera looked at the centre, px.
+            radius: of the limb if the centre were on the optical axis, px.
         """
         if self.axis is None or np.isinf(self.distance):
             return np.full(np.shape(azimuth), radius)
@@ -79,18 +79,18 @@ class Sighting(NamedTuple):
 
 @dataclass(frozen=True)
 class Outline:
-    """Hold a sphere's outline in the frame.
+    """Sphere's outline in the frame.
 
     Attributes:
         row: of the picture of the sphere's centre, px, rows down, pixel centres on integers.
         column: of the same.
-        radius: of the limb if the camera looked at the sphere's centre, px: focal length / sqrt(distance^2 - 1).
+        radius: of the limb if the centre of the sphere were on the optical axis, px: focal length / sqrt(distance^2 - 1).
         covariance: of (row, column, radius), px^2 (3, 3), with noise, scatter of the edges, lens and light near the limb.
         sigma: standard deviation of the lens's blur, px.
         sigma_std: its standard deviation, px.
-        sighting: how the camera stands to the sphere.
-        sectors: edges that were measured.
-        used: those of them that the outline follows.
+        sighting: geometry of the camera relative to the sphere.
+        sectors: number of measured edges.
+        used: number of edges used for the outline.
         scatter: rms distance of the used edges from the outline, px.
         noise: the part of `covariance` that is noise and scatter, px^2 (3, 3).
         coated: whether the light near the limb is that of a sphere under a clear coat.
@@ -118,11 +118,11 @@ class Outline:
 
     @property
     def ball(self) -> MirrorBall:
-        """The sphere of this outline, as a mirror."""
+        """Sphere of this outline, as a mirror."""
         return MirrorBall(self.row, self.column, self.radius, self.sighting.distance, self.sighting.axis)
 
     def curve(self, azimuth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return rows and columns of the outline, px, for an overlay.
+        """Compute rows and columns of the outline, px, for an overlay.
 
         Args:
             azimuth: from +column towards +row, rad.
@@ -132,14 +132,14 @@ class Outline:
 
 
 def stacked(pictures: Sequence[MergedPicture], name: str = "all lamps") -> MergedPicture:
-    """Return the mean of several pictures: all lamps together light the whole limb.
+    """Average several images, so that all lamps together light the whole limb.
 
     Args:
-        pictures: of one sphere at one place, of one shape and origin.
+        pictures: of one sphere at one position, of one shape and origin.
         name: of the result.
 
     Returns:
-        The mean over the pictures that have a value, pixel by pixel. What was clipped in any picture is clipped.
+        The mean over the pictures that have a value, pixel by pixel. Pixels that are clipped in any image are clipped.
     """
     shapes = {(one.values.shape, one.origin) for one in pictures}
     if len(shapes) != 1:
@@ -174,12 +174,12 @@ def find_outline(
     Args:
         picture: one lamp's, all lamps' (`stacked`), or a frame with light from behind.
         light: "lit" for a sphere brighter than what is behind it, "backlit" for a dark one before a bright field.
-        sighting: how the camera stands. Default: infinitely far.
-        lens: standard deviation of the lens's blur and its standard deviation, px. Default: found from the limb.
-        backlight_reach: angle by which the bright field reaches beyond the limb, seen from the sphere, and its standard
-            deviation, rad. The sphere mirrors that much of it. Default: not known, a field of 3 degrees counts as error.
+        sighting: geometry of the camera. Default: infinitely distant.
+        lens: standard deviation of the lens's blur and its standard deviation, px. Default: estimated from the limb.
+        backlight_reach: angular extent of the bright field beyond the limb, seen from the sphere, and its standard
+            deviation, rad, which the sphere mirrors. Default: unknown, a field of 3 degrees counts as error.
         start: row, column and radius, px. Default: searched for.
-        exponents: powers of the distance inside the limb that its light is made of, from 0. Default: those of `EXPONENTS`.
+        exponents: powers of the distance inside the limb in the model of its light, from 0. Default: those of `EXPONENTS`.
 
     Returns:
         The outline, in px of the frame.
@@ -209,7 +209,7 @@ def find_outline(
 
 
 def _likelier(one: Outline, other: Outline) -> Outline:
-    """Return the outline whose light follows the pixels better; where both do, what parts them counts as error."""
+    """Choose the outline whose light fits the pixels better; if both do, their difference counts as error."""
     both = one.used & other.used
     chi2, freedom = (np.array([np.sum(getattr(each.sectors, name)[both]) for each in (one, other)]) for name in _FIT)
     # the bands differ by a few pixels
@@ -221,7 +221,7 @@ def _likelier(one: Outline, other: Outline) -> Outline:
 
 
 def _searched(picture: MergedPicture, light: LimbLight) -> tuple[float, float, float]:
-    """Return (row, column, radius) of the one sphere in the picture."""
+    """Search (row, column, radius) of the one sphere in the image."""
     circles = find_circles(
         picture.values, picture.std, bright_inside=light == "lit", mosaic=len(np.unique(picture.channel)) > 1
     )
@@ -241,7 +241,7 @@ def _searched(picture: MergedPicture, light: LimbLight) -> tuple[float, float, f
 
 
 def _refuse_cut(picture: MergedPicture, circle: FoundCircle) -> None:
-    """Refuse a circle that leaves the frame."""
+    """Raise FitError for a circle that leaves the frame."""
     height, width = picture.values.shape
     left = min(circle.row, height - 1 - circle.row, circle.column, width - 1 - circle.column) - circle.radius
     if left < -0.5:
@@ -252,12 +252,12 @@ def _refuse_cut(picture: MergedPicture, circle: FoundCircle) -> None:
 
 
 class OutlineFit:
-    """Fit an outline: sectors' edges for the present curve, then the curve for the edges, until both stand.
+    """Fit of an outline: edges of sectors for the current curve, then the curve for the edges, until convergence.
 
     Args:
-        picture: in which the limb is.
+        picture: image with the limb.
         light: a key of `EXPONENTS`.
-        sighting: how the camera stands.
+        sighting: geometry of the camera.
         exponents: powers of the distance inside the limb.
         start: row, column, radius, px (3,).
     """
@@ -280,7 +280,7 @@ class OutlineFit:
         self.count = int(np.clip(area / _PIXELS_IN_SECTOR, 24, 72))
 
     def band(self, place: np.ndarray, wider: float = 0.0) -> BandPixels:
-        """Return the pixels near the curve."""
+        """Select the pixels near the curve."""
         row, column = self.rows + self.picture.origin[0] - place[0], self.columns + self.picture.origin[1] - place[1]
         reach = place[2] * 1.02 + self.outside + wider
         near = self.good & (np.abs(row) < reach) & (np.abs(column) < reach)
@@ -292,18 +292,18 @@ class OutlineFit:
         return BandPixels(inside[chosen], azimuth[chosen], values, std, channel, float(place[2]))
 
     def edges(self, place: np.ndarray, sigma: float, exponents: Sequence[float], wider: float = 0.0) -> LimbSectors:
-        """Return the sectors' edges about a curve."""
+        """Fit the edges of the sectors about a curve."""
         coated = float(self.place[2]) if self.light == "coated" else None
         return sector_edges(self.band(place, wider), blurred_powers(sigma, tuple(exponents), coated), self.count)
 
     def usable(self, edges: LimbSectors) -> np.ndarray:
-        """Return which sectors show a limb: it stands out, is sharp enough to place, and nothing lies on it."""
+        """Check which sectors show a limb: visible, sharp enough, and unobstructed."""
         with np.errstate(invalid="ignore"):
             sharp = (edges.contrast > _CONTRAST) & (edges.std < _LARGEST_STD)
             return sharp & (edges.misfit < _MISFIT * np.median(edges.misfit[sharp])) if sharp.any() else sharp
 
     def slopes(self, place: np.ndarray, azimuth: np.ndarray) -> np.ndarray:
-        """Return the derivatives of an edge's distance along its azimuth by row, column and radius (n, 3)."""
+        """Compute the derivatives of the distance of an edge along its azimuth by row, column and radius (n, 3)."""
         matrix = np.stack([np.sin(azimuth), np.cos(azimuth), np.ones_like(azimuth)], axis=1)
         if self.sighting.axis is not None:
             at = self.sighting.radius_at(azimuth, *place)
@@ -315,7 +315,7 @@ class OutlineFit:
     def settle(
         self, place: np.ndarray, sigma: float, exponents: Sequence[float], turns: int = 6, wider: float = 0.0
     ) -> tuple[np.ndarray, LimbSectors, np.ndarray, np.ndarray, float]:
-        """Return the place, its edges, those used, the covariance by noise and scatter, and the rms distance."""
+        """Iterate to convergence; return position, edges, used ones, covariance by noise and scatter, and rms distance."""
         for _ in range(turns):
             edges = self.edges(place, sigma, exponents, wider)
             step, used, covariance, scatter = self.solve(place, edges, wider)
@@ -327,7 +327,7 @@ class OutlineFit:
     def solve(
         self, place: np.ndarray, edges: LimbSectors, wider: float
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
-        """Return the step to the curve that the edges follow, those used, the covariance and the rms distance."""
+        """Compute the step to the curve through the edges, the used ones, the covariance and the rms distance."""
         with np.errstate(invalid="ignore"):
             used = self.usable(edges) & (np.abs(edges.offset) < 2.0 + wider)
         if used.sum() < FEWEST_SECTORS:
@@ -344,7 +344,7 @@ class OutlineFit:
             step, *_ = np.linalg.lstsq(a, edges.offset[used] * weight, rcond=None)
             left = np.nan_to_num(edges.offset - matrix @ step, nan=np.inf)
             freedom = used.sum() - 3
-            # further scatter, such that chi squared is its degrees of freedom; robust: from the median
+            # additional scatter that makes chi squared equal to its degrees of freedom; robust, from the median
             middle = 1.4826 * np.median(np.abs(left[used]))
             extra = float(np.sqrt(max(middle**2 - np.median(std[used]) ** 2, 0.0)))
             keep = used & (np.abs(left) < _OUTLIER * np.hypot(std, max(extra, 0.01)))
@@ -355,15 +355,15 @@ class OutlineFit:
         covariance = np.linalg.pinv(a.T @ a) * max(1.0, chi2 / freedom)
         if np.sqrt(np.diag(covariance)).max() > 1.0:
             raise FitError(
-                f"{self.picture.name}: the limb that is lit spans too little of the outline to tell its centre; "
+                f"{self.picture.name}: the limb that is lit spans too little of the outline to determine its centre; "
                 f"use pictures of more lamps, or one with light from behind"
             )
         return step, used, covariance, float(np.sqrt(np.mean(left[used] ** 2)))
 
     def outline(self, lens: tuple[float, float] | None, backlight_reach: tuple[float, float] | None) -> Outline:
-        """Return the outline with everything that is uncertain about it."""
+        """Build the outline with all its uncertainties."""
         remarks = []
-        # a step and a line do not run away, wherever the search has left them
+        # a step and a line converge from any result of the search
         place, *_ = self.settle(self.place, 1.0, (0, 1), turns=4, wider=2.0)
         if lens is None:
             sigma, _ = self.lens(place)
@@ -372,13 +372,13 @@ class OutlineFit:
         sigma, sigma_std = lens
         place, edges, used, covariance, scatter = self.settle(place, sigma, self.exponents)
         noise = covariance
-        # how the outline moves with the lens
+        # derivative of the outline by the lens
         step = 0.1 * sigma + 0.02
         wider = self.settle(place, sigma + step, self.exponents, turns=1)[0]
         by_lens = (wider - place) / step * sigma_std
         covariance = covariance + np.outer(by_lens, by_lens)
         if self.light != "backlit" and len(self.exponents) > 2:
-            # how it moves with what light may do inside the limb
+            # change of the outline with the model of the light inside the limb
             by_light = (self.settle(place, sigma, self.exponents[:-1], turns=1)[0] - place) / 2
             covariance = covariance + np.outer(by_light, by_light)
         if self.light == "backlit":
@@ -421,12 +421,12 @@ class OutlineFit:
         )
 
     def refuse_outside(self, place: np.ndarray) -> None:
-        """Refuse an outline that leaves the frame."""
+        """Raise FitError for an outline that leaves the frame."""
         row, column = place[0] - self.picture.origin[0], place[1] - self.picture.origin[1]
         _refuse_cut(self.picture, FoundCircle(row, column, float(place[2]), 1.0))
 
     def lens(self, place: np.ndarray, about: float | None = None) -> tuple[float, float]:
-        """Return the lens's blur that the edges show, and its standard deviation, px."""
+        """Estimate the blur of the lens from the edges, and its standard deviation, px."""
 
         def misfit(log_sigma: float) -> float:
             edges = self.edges(place, float(np.exp(log_sigma)), self.exponents)
@@ -442,7 +442,7 @@ class OutlineFit:
         bounds = (float(tried[max(best - 1, 0)]), float(tried[min(best + 1, len(tried) - 1)]))
         found = minimize_scalar(misfit, bounds=bounds, method="bounded", options={"xatol": 0.02, "maxiter": 7})
         sigma, least = float(np.exp(found.x)), float(found.fun)
-        # chi squared rises by its own scale one standard deviation away
+        # chi squared rises by its own scale at one standard deviation
         freedom = float(self.edges(place, sigma, self.exponents).freedom.sum())
         step = 0.15
         rise = (misfit(found.x + step) + misfit(found.x - step) - 2 * least) / step**2 / 2

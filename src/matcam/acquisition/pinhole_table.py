@@ -1,8 +1,8 @@
-"""Bin pictures of a sphere as if the camera were a pinhole: what a table looks like that no lens was allowed for.
+"""Binning of images of a sphere as if the camera were a pinhole: a table without correction for the lens.
 
-Each pixel stands for the normal at its centre. Its light over its irradiance goes into the cell of its half and difference
-angles; a cell is the mean of its pixels. This is how measured tables were made; beside a reconstruction it shows what the
-camera has done. Pictures come one at a time, so that memory does not grow with their number.
+Each pixel represents the normal at its centre. Its light over its irradiance goes into the cell of its half and
+difference angles; a cell is the mean of its pixels. Measured tables were made in this way; next to a reconstruction it
+shows the effect of the camera. Images are added one at a time, so that memory does not grow with their number.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ _STEEPEST = np.radians(87.0)
 
 
 class PinholeTable:
-    """Gather pixels of a sphere's pictures in the cells of the MERL grid.
+    """Mean of the pixels of images of a sphere in the cells of the MERL grid.
 
     Args:
-        channels: colours of the pictures, ("R", "G", "B") or one of any name, which then stands for all three.
+        channels: colours of the pictures, ("R", "G", "B") or one of any name, which is used for all three.
         isotropic: fill the mirrored azimuth of a pixel, too. Default: True.
         steepest: angle of light or view to the normal beyond which a pixel is left out, rad. Default: 87 degrees.
 
@@ -97,7 +97,7 @@ class PinholeTable:
 
     @staticmethod
     def _cells(normals: np.ndarray, light: np.ndarray, view: np.ndarray) -> np.ndarray:
-        """Return the number of each pixel's cell."""
+        """Return the number of the cell of each pixel."""
         total, difference = light + view, light - view
         half = unit(total)
         cosine, across = (half * normals).sum(-1), np.cross(normals, half)
@@ -114,14 +114,14 @@ class PinholeTable:
         return np.ravel_multi_index((i, j, k), GRID_SHAPE)
 
     def table(self) -> xr.DataArray:
-        """Return the table: the mean of every cell's pixels, 1/sr; NaN where no pixel fell.
+        """Return the table: the mean of the pixels of every cell, 1/sr; NaN without pixels.
 
         Raises:
             FitError: no pixel was added.
         """
         if not self.pixels:
             raise FitError(
-                "no pixel of any picture is lit and seen: check the lamps' directions, which must point to the lamp"
+                "no pixel of any picture is lit and visible: check the lamps' directions, which must point to the lamp"
             )
         total, number = (a.reshape(-1, *GRID_SHAPE) for a in (self._sum, self._number))
         if self.isotropic:  # phi_d and pi - phi_d mirror each other

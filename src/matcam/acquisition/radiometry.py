@@ -1,7 +1,7 @@
-"""What the codes of a capture's frames mean: dark, gain, read noise, exposure ratios, clip level, linearity, lamp output.
+"""Meaning of the codes of a capture: dark, gain, read noise, exposure ratios, clip level, linearity, lamp output.
 
-All of it comes from the pictures; what is printed on a dial or stands in metadata is compared with it and never
-used in its place (docs/model.md 10). Two passes: this one keeps some pixels of every lamp position, `merging.py` reads the
+All are estimated from the images. Nominal values and metadata are compared with the estimates and never replace them
+(docs/model.md 10). There are two passes: this one keeps some pixels of every lamp position, and `merging.py` reads the
 frames again.
 """
 
@@ -41,7 +41,7 @@ from matcam.files.capture import Capture, Region, Stated
 from matcam.files.capture_frames import CaptureFrame
 
 Progress = Callable[[str, int, int], None]
-"""Called with what is done, how many of it, and of how many."""
+"""Function that receives the name of a step, and the numbers of finished and of all parts."""
 
 _ROUNDING = 1 / 12
 """Variance of a rounded code, DN^2."""
@@ -49,17 +49,17 @@ _ROUNDING = 1 / 12
 
 @dataclass(frozen=True)
 class Radiometry:
-    """Hold what the codes of a capture's frames mean.
+    """Meaning of the codes of a capture.
 
     Attributes:
         exposures: light of each exposure relative to `reference_exposure`, by name, the shortest first, with standard
             deviation.
-        reference_exposure: the exposure in whose unit merged values are.
+        reference_exposure: the exposure that defines the unit of merged values.
         clip: code at which pixels clip, DN as read.
         gain: DN per electron, with standard deviation; NaN: not determined, and merged values are DN.
         read_noise: DN, with standard deviation.
-        lamp_output: light of each lamp position by the reference, relative to their mean, with standard deviation; NaN where
-            there is no reference. Merged values are not divided by it: it is the prior of a picture's gain.
+        lamp_output: light of each lamp position by the reference, relative to their mean, with standard deviation; NaN
+            without a reference. Merged values are not divided by it: it is the prior of a picture's gain.
         reference_light: merged value of the reference in each lamp position, by channel, with standard deviation; NaN where it
             is clipped.
         reference_between: standard deviation of the change of the lamp's light between a picture of the reference and one of
@@ -68,13 +68,13 @@ class Radiometry:
             deviation, (n, 3).
         tone_exponent: power of the nominal exposure time with which codes grow, with standard deviation; 1 for linear frames,
             NaN where the frames do not determine it.
-        misfit: scatter of exposures about one law over what noise explains, chi2 a degree of freedom.
-        darkness: what is subtracted, by exposure.
-        used: files of each lamp position that can be used, the shortest exposure first.
+        misfit: scatter of exposures about one law relative to noise, chi2 per degree of freedom.
+        darkness: dark level to subtract, by exposure.
+        used: usable files of each lamp position, the shortest exposure first.
         channels: names of the colours.
-        region: part of the frames that is used; None: all of it.
+        region: part of the frames that is used; None: the whole frame.
         remarks: what a reader should know, frames named.
-        flat: how evenly the pixels see; None: there are no flat frames.
+        flat: uniformity of the pixels; None without flat frames.
     """
 
     exposures: dict[str, Stated]
@@ -97,7 +97,7 @@ class Radiometry:
 
     @property
     def clip_level(self) -> float:
-        """Return the code at which pixels clip, DN as read; the largest code where none is seen to."""
+        """Return the code at which pixels clip, DN as read; the largest code without clipping."""
         return self.clip.level
 
     @property
@@ -106,7 +106,7 @@ class Radiometry:
         return "electrons" if math.isfinite(self.gain.value) else "DN"
 
     def to_dict(self) -> dict[str, Any]:
-        """Return what was found as a JSON object."""
+        """Return the result as a JSON object."""
         return {
             "exposures": {name: list(value) for name, value in self.exposures.items()},
             "reference_exposure": self.reference_exposure,
@@ -126,7 +126,7 @@ class Radiometry:
 
 
 def capture_camera(capture: Capture) -> Camera | None:
-    """Load the camera profile of a capture; None where it states none.
+    """Load the camera profile of a capture; None without one.
 
     FileFormatError where the profile is wrong, or its sensor has another mosaic than the capture states.
     """
@@ -151,19 +151,19 @@ def measure_radiometry(
     workers: int = 1,
     kept: KeptWork | None = None,
 ) -> Radiometry:
-    """Measure what the codes of a capture's frames mean.
+    """Measure the meaning of the codes of a capture.
 
     Args:
-        capture: where the frames lie.
-        region: first column, first row, width, height of the part that is used, px; the first two even. None: the capture's
-            own, or all. Default: None.
+        capture: the capture.
+        region: first column, first row, width, height of the part that is used, px; the first two even. None: that of
+            the capture, or the whole frame. Default: None.
         progress: called after each lamp position. Default: None.
         lamps: names of the lamp positions that are read. Default: None, all.
         workers: lamp positions that are read at a time. Default: 1.
         kept: where what was read is kept for a run that goes on. Default: None, nowhere.
 
     Returns:
-        The radiometry; frames that cannot be used are named in its remarks.
+        The radiometry; its remarks name unusable frames.
 
     Raises:
         FitError: no lamp position has a frame that can be read.
@@ -230,7 +230,7 @@ def measure_radiometry(
     samples = [sample._replace(exposures=np.searchsorted(seen_in, sample.exposures)) for sample in samples]
     gain = Stated(1.0)
     ratios = ExposureRatios(guess, np.zeros((len(names), len(names))), np.nan, np.zeros((0, 3)), False)
-    for _ in range(2):  # weights need the gain, the gain needs ratios
+    for _ in range(2):  # weights require the gain, and the gain requires ratios
         ratios = fit_ratios(samples, ratios.value, clip, noise, gain.value)
         measured = fit_gain(samples, ratios.value, clip, noise)
         if math.isfinite(measured[0]) and measured[0] > 0:
@@ -285,7 +285,9 @@ def _clip_level(
     saturation: float,
     noise: float,
 ) -> tuple[ClipLevel, list[Remark]]:
-    """Return the clip level: by shorter exposures, else by a pile-up at one code, else the largest code of the file."""
+    """Determine the clip level: from shorter exposures, otherwise from a pile-up at one code, otherwise the largest
+    code of the file.
+    """
     clip = measure_clip_level(samples, guess, largest)
     if clip.pixels:
         return clip, []
@@ -313,10 +315,9 @@ def _without_clipped(
     clip: ClipLevel,
     noise: float,
 ) -> tuple[list[BracketSample], list[Remark]]:
-    """Return the samples without frames that are clipped all over, which `used` loses, too, and what was left out.
+    """Remove frames that are clipped everywhere from the samples and from `used`, and list them.
 
-    A frame of one bright code is such a frame whatever is known of the clip level, unless all frames are (a render of an even
-    sample).
+    A frame of one bright code is such a frame at any clip level, unless all frames are (a render of a uniform sample).
     """
     least, level, height = (TopCodes._fields.index(name) for name in ("least", "level", "height"))
     every = np.concatenate([sample.tops for sample in samples])
@@ -351,7 +352,7 @@ def _between(
     noise: float,
     remarks: list[Remark],
 ) -> float:
-    """Return how much the light changes between a picture of the reference and one of the sample, as stated or as seen."""
+    """Return the relative change of light between an image of the reference and one of the sample, as stated or estimated."""
     stated = capture.settings["reference"]["between_std"]
     if stated is not None:
         return float(stated)
@@ -360,10 +361,8 @@ def _between(
     if math.isfinite(found):
         return found
     if any(one.light.size for one in shown):
-        text = (
-            "the pictures in reference/ are too few to tell how the light changes between them and the sample's: what "
-        )
-        text += "lamp.gain_std states of it was taken; take two at each lamp position, or state reference.between_std"
+        text = "the pictures in reference/ are too few to determine the change of light to those of the sample: the value of "
+        text += "lamp.gain_std was used; take two at each lamp position, or state reference.between_std"
         remarks.append(Remark("reference-once", text))
     return float(capture.settings["lamp"]["gain_std"])
 
@@ -371,7 +370,7 @@ def _between(
 def _frame_levels(
     capture: Capture, reader: MosaicReader, region: Region | None, names: Sequence[str]
 ) -> dict[str, float]:
-    """Return a low code (5 % of the pixels lie below) of one frame of each exposure, DN."""
+    """Compute a low code (5 % quantile) of one frame of each exposure, DN."""
     found = {}
     for name in names:
         for frame in capture.of("frames", exposure=name):
@@ -384,7 +383,7 @@ def _frame_levels(
 
 
 def _order(samples: Sequence[BracketSample], count: int) -> np.ndarray:
-    """Return the exposures by their light, the least first: the codes themselves say which is which."""
+    """Order the exposures by their light, as determined from the codes, the smallest first."""
     total, weight = np.zeros(count), np.zeros(count)
     for sample in samples:
         if len(sample.exposures) == count:
@@ -414,7 +413,7 @@ def _gain_without_brackets(
 ) -> Stated:
     try:
         camera = capture_camera(capture)
-    except FileFormatError:  # whoever needs the lens names what is wrong with it
+    except FileFormatError:  # errors of the profile are reported where the lens is used
         camera = None
     if camera is not None and camera.sensor is not None:
         remarks.append(Remark("gain-stated", "the frames do not determine the gain: the profile's was used"))

@@ -1,4 +1,4 @@
-"""What a reader should know of a capture's radiometry: wrong times, clipping, tone curves."""
+"""Remarks on the radiometry of a capture: wrong times, clipping, tone curves."""
 
 from __future__ import annotations
 
@@ -15,27 +15,29 @@ from matcam.files.capture_settings import Stated
 from matcam.numerics.frame_noise import not_linear
 
 _WRONG_TIME = 0.02
-"""Relative error of a nominal exposure time that is remarked."""
+"""Relative error of a nominal exposure time above which there is a remark."""
 _EXPOSURES_OF_A_POWER = 3
-"""Exposures from which a power law of the nominal times differs from one wrong time."""
+"""Number of exposures above which a power law of the nominal times differs from one wrong time."""
 _DIAL = 0.1
-"""Standard deviation of ln(true over nominal exposure time) that is allowed for: shutters err by 1 to 7 %, dials print 1/30 for
-1/32."""
+"""Assumed standard deviation of ln(true over nominal exposure time): shutters have errors of 1 to 7 %, and nominal
+values are rounded (1/30 for 1/32).
+"""
 _PROVEN, _POWER = 5.0, 0.1
-"""Standard deviations by which an exponent differs from 1 where it proves a tone curve, and the smallest such difference."""
+"""Standard deviations from 1 above which an exponent proves a tone curve, and the smallest such difference."""
 _BENT = 0.01
-"""Relative departure from a straight line that is remarked: good sensors stay below 1 %."""
+"""Relative departure from linearity above which there is a remark: good sensors stay below 1 %."""
 _CORRELATED, _SHARPENED = 0.06, -0.015
-"""Correlation of neighbouring pixels' noise beyond which a frame was smoothed (noise of whole rows correlates, too), and below
-which it was sharpened (little else makes it negative)."""
+"""Correlation of neighbouring pixels' noise above which a frame was smoothed (noise of whole rows is correlated, too),
+and below which it was sharpened (few other causes make it negative).
+"""
 
 
 def tone_exponent(ratios: ExposureRatios, nominal: np.ndarray) -> Stated:
-    """Return the power of the nominal exposure time with which codes grow, with standard deviation; 1 for linear frames.
+    """Estimate the exponent of codes over nominal exposure time, with standard deviation; 1 for linear frames.
 
-    A tone curve turns every ratio of exposures into a power of it, approximately: 0.45 for a gamma of 2.2. Wrong dials scatter
-    about the nominal ratios instead. NaN where the frames do not link at least three exposures of stated times: a single wrong
-    time looks like a power.
+    A tone curve turns every ratio of exposures into a power of it, approximately: 0.45 for a gamma of 2.2. Wrong
+    nominal times scatter about the nominal ratios instead. NaN if the frames do not link at least three exposures with
+    times, because a single wrong time looks like a power.
     """
     if len(nominal) < _EXPOSURES_OF_A_POWER or not ratios.linked or not np.isfinite(nominal).all():
         return Stated(math.nan, math.inf)
@@ -49,7 +51,7 @@ def tone_exponent(ratios: ExposureRatios, nominal: np.ndarray) -> Stated:
 
 
 def tone_curve_proof(exponent: Stated) -> str | None:
-    """Return the evidence that frames went through a tone curve, in words; None where there is none.
+    """Describe the evidence that frames went through a tone curve; None without evidence.
 
     Args:
         exponent: as from `tone_exponent`.
@@ -63,13 +65,13 @@ def tone_curve_proof(exponent: Stated) -> str | None:
 
 
 def exposure_remarks(names: Sequence[str], ratios: ExposureRatios, nominal: np.ndarray) -> list[Remark]:
-    """Return what the exposures' ratios say against their nominal times."""
+    """Compare the ratios of exposures with their nominal times."""
     found = []
     if len(names) > 1 and not ratios.linked:
         found.append(
             Remark(
                 "exposures-not-linked",
-                "no pixels are well exposed in two exposures: nominal times stand where they must",
+                "no pixels are well exposed in two exposures: nominal times are used where necessary",
             )
         )
     if np.isnan(nominal).any():
@@ -99,14 +101,14 @@ def exposure_remarks(names: Sequence[str], ratios: ExposureRatios, nominal: np.n
 
 
 def clip_remarks(clip: ClipLevel, names: Sequence[str], samples: Sequence[BracketSample]) -> list[Remark]:
-    """Return whether pixels clip, and where they do in the shortest exposure."""
+    """Describe the clipping of pixels, and list it in the shortest exposure."""
     found = []
     if not clip.pixels:
-        found.append(
-            Remark("clip-not-seen", f"no pixel is seen to clip; codes up to {clip.level:.0f} DN are taken as they are")
-        )
+        found.append(Remark("clip-not-seen", f"no clipped pixel was found; codes up to {clip.level:.0f} DN are used"))
     elif clip.spread > 0.02 * clip.level:
-        text = f"clipped pixels scatter by {clip.spread / clip.level:.1%} about {clip.level:.0f} DN: no one clip level"
+        text = (
+            f"clipped pixels scatter by {clip.spread / clip.level:.1%} about {clip.level:.0f} DN: no single clip level"
+        )
         found.append(Remark("clip-unclear", text))
     peaks = []
     for sample in samples:
@@ -118,7 +120,7 @@ def clip_remarks(clip: ClipLevel, names: Sequence[str], samples: Sequence[Bracke
 
 
 def correlation_remarks(path: Path, light: np.ndarray, noise: float) -> list[Remark]:
-    """Return whether a frame's noise shows that it was sharpened or smoothed.
+    """Report sharpening or smoothing of a frame according to its noise.
 
     Args:
         path: the frame's file.
@@ -129,10 +131,10 @@ def correlation_remarks(path: Path, light: np.ndarray, noise: float) -> list[Rem
 
 
 def processing_remarks(where: str, correlation: float, std: float) -> list[Remark]:
-    """Return whether neighbouring pixels' noise says that it was sharpened or smoothed.
+    """Report sharpening or smoothing according to the noise of neighbouring pixels.
 
     Args:
-        where: whose noise it is.
+        where: source of the noise.
         correlation: of neighbouring pixels' noise.
         std: its standard deviation.
     """
@@ -144,7 +146,7 @@ def processing_remarks(where: str, correlation: float, std: float) -> list[Remar
 
 
 def linearity_remarks(ratios: ExposureRatios) -> list[Remark]:
-    """Return where codes are not proportional to light."""
+    """Report codes that are not proportional to light."""
     curve = ratios.curve
     curve = curve[curve[:, 0] > 0.02] if len(curve) else curve
     if not len(curve):

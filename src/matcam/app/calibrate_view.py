@@ -1,4 +1,4 @@
-"""The view that measures a camera: pictures with their edges and MTF50, one region by hand, the profile to save."""
+"""View that measures a camera: images with their edges and MTF50, one selected region, and the profile to save."""
 
 from __future__ import annotations
 
@@ -40,12 +40,12 @@ _TONES = {"auto": "auto: 8 bits are sRGB, others linear", "linear": "linear", "s
 
 
 class CalibrateView:
-    """Measure photographs of edges and charts.
+    """View for measurements of photographs of edges and charts.
 
     Args:
         document: the page's document.
-        downloads: where files to save are offered.
-        complain: shows one line.
+        downloads: registry of files to save.
+        complain: function that shows one line.
         files: what the user opened on the command line.
     """
 
@@ -378,7 +378,7 @@ class CalibrateView:
 
 
 def _counted(measurements: dict[str, int]) -> str:
-    """Return how much was measured, by kind."""
+    """Format the number of measurements, by kind."""
     counts: dict[str, int] = {}
     for name, count in measurements.items():
         kind = name[name.rfind("(") + 1 :].rstrip(")")
@@ -387,7 +387,7 @@ def _counted(measurements: dict[str, int]) -> str:
 
 
 def is_picture(path: Path) -> bool:
-    """Tell whether a file's name is that of a photograph."""
+    """Check whether the name of a file is that of a photograph."""
     from matcam.files.formats import suffixes_for
 
     return is_file(path) and path.suffix.lower() in {*PICTURES, *suffixes_for("picture")}

@@ -1,4 +1,4 @@
-"""What the calibrate view shows of photographs, and what it measures in them."""
+"""Data of the calibrate view: photographs and the measurements in them."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from matcam.core.errors import FileFormatError, FitError, MatcamError
 from matcam.core.readers.names import is_file
 
 _LARGEST = 120_000_000
-"""Most pixels of a picture that is shown."""
+"""Largest number of pixels of a displayed image."""
 _ON_SCREEN = 1200
-"""Most pixels along a side of what is sent to the page; more are left out evenly."""
+"""Largest number of pixels along a side of the image that is sent to the page; larger images are subsampled."""
 
 
 @dataclass(frozen=True)
 class OpenedPicture:
-    """A photograph, and how it is drawn.
+    """Photograph, and its displayed version.
 
     Attributes:
         path: its file.
         photograph: its values.
-        shown: its pixels as they lie in the file, thinned for the page, 0 to 1, encoded for a screen.
-        about: what it is, and what is taken for its tone curve.
+        shown: its pixels in the order of the file, subsampled for the page, 0 to 1, encoded for a screen.
+        about: description, with its assumed tone curve.
     """
 
     path: Path
@@ -66,7 +66,7 @@ def open_picture(path: Path) -> OpenedPicture:
 
 
 def drawn_values(values: np.ndarray, *, linear: bool) -> tuple[np.ndarray, int]:
-    """Return a picture for the page: grey, 0 to 1, thinned and encoded for a screen; and the step of the thinning, px.
+    """Convert an image for the page: grey, 0 to 1, subsampled and encoded for a screen; return it with the step, px.
 
     Args:
         values: (height, width) or (height, width, channel).
@@ -83,21 +83,21 @@ def drawn_values(values: np.ndarray, *, linear: bool) -> tuple[np.ndarray, int]:
 def measured_edge(
     picture: OpenedPicture, region: tuple[int, int, int, int] | None, tone: str, half_width: float
 ) -> Any:
-    """Return the MTF across the edge in a region (x, y, width, height), px, as `matcam edge` measures it."""
+    """Measure the MTF across the edge in a region (x, y, width, height), px, as `matcam edge` does."""
     from matcam.calibration.edge.edge import edge_mtf
 
     return edge_mtf(picture.photograph, region, tone=tone, half_width=half_width)
 
 
 def calibrated(paths: Sequence[Path], model: str, tone: str, half_width: float, chart: Path | None = None) -> Any:
-    """Return the camera of these pictures, as `matcam calibrate` finds it; `chart` is the description of what they show."""
+    """Calibrate the camera of these images as `matcam calibrate` does; `chart` is the description of the chart in them."""
     from matcam.calibration.camera.calibration import calibrate
 
     return calibrate(list(paths), model=model, tone=tone, half_width=half_width, chart=chart)
 
 
 def is_chart(path: Path) -> bool:
-    """Tell whether a file is a chart's description."""
+    """Check whether a file is the description of a chart."""
     from matcam.files.formats import identify
 
     try:
@@ -107,10 +107,10 @@ def is_chart(path: Path) -> bool:
 
 
 def about_chart(path: Path) -> str:
-    """Return a chart's targets in a few words.
+    """List the targets of a chart in a few words.
 
     Raises:
-        FileFormatError: it is no chart's description.
+        FileFormatError: it is not the description of a chart.
     """
     from matcam.calibration.chart.chart_file import read_chart
 
@@ -119,7 +119,7 @@ def about_chart(path: Path) -> str:
 
 
 def targets_in(picture: OpenedPicture, chart: Path, tone: str, half_width: float, channel: str) -> list[Any]:
-    """Return the MTF samples of a chart's gratings, stars and dots in a picture; none where the chart is not in it."""
+    """Measure the MTF samples of gratings, stars and dots of a chart in an image; none if the chart is not in it."""
     from matcam.calibration.chart.chart_file import read_chart
     from matcam.calibration.photograph.linear_image import planes_of
     from matcam.calibration.targets.targets import measure_targets
@@ -132,7 +132,7 @@ def targets_in(picture: OpenedPicture, chart: Path, tone: str, half_width: float
 
 
 def target_columns(samples: Sequence[Any]) -> dict[str, list[Any]]:
-    """Return places and kinds of targets, and of each the sample whose MTF is nearest to one half, with its error."""
+    """Return positions and kinds of targets, each with the sample whose MTF is nearest to one half, with its error."""
     nearest = [int(np.argmin(np.abs(one.mtf - 0.5))) for one in samples]
     return {
         "x": [one.position[0] for one in samples],
@@ -145,7 +145,7 @@ def target_columns(samples: Sequence[Any]) -> dict[str, list[Any]]:
 
 
 def edges_in(found: Any, picture: OpenedPicture) -> dict[str, Any]:
-    """Return the edges that a calibration measured in a picture, of its main channel, as columns.
+    """Return the edges of a calibration in an image, for its main channel, as columns.
 
     Returns:
         `x`, `y` of an edge's middle, `x0`, `y0`, `x1`, `y1` of a short line along it, px, `mtf50` and `mtf50_std`, cycles/px.
@@ -165,7 +165,7 @@ _HALF_LINE = 20.0  # px
 
 
 def _source(found: Any, path: Path) -> str:
-    """Return the name under which a calibration knows a picture."""
+    """Return the name of an image in a calibration."""
     return next((name for name in found.pictures if name in (str(path), path.name)), str(path))
 
 
@@ -181,7 +181,7 @@ def profiles(found: Any) -> dict[str, bytes]:
 
 
 def opened_or_why(path: Path) -> OpenedPicture | tuple[Path, str] | MatcamError:
-    """Return a picture, a chart's description with its targets in words, or why it cannot be shown."""
+    """Open an image, or the description of a chart with its targets in words, or explain why it cannot be shown."""
     try:
         return (path, about_chart(path)) if path.suffix.lower() == ".json" else open_picture(path)
     except MatcamError as error:

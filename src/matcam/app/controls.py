@@ -1,4 +1,4 @@
-"""Controls: a slider with a number field beside it, for one number that a user may choose."""
+"""Controls: a slider with a number field beside it, for one number."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ _BOX = 72  # px of the screen, of a box with its label
 
 @dataclass(frozen=True)
 class Setting:
-    """One number that a user may choose.
+    """Number that a user can set.
 
     Attributes:
         name: its name in the program.
-        title: what it is, with its unit.
+        title: label with unit.
         low: least value.
         high: largest value.
         value: value at the start.
-        log: True where the slider moves by factors.
-        infinite: True where the value may be infinite, which a box beside the title sets.
+        log: True if the slider is logarithmic.
+        infinite: True if the value may be infinite, which is set by a box beside the title.
     """
 
     name: str
@@ -39,22 +39,22 @@ class Setting:
     infinite: bool = False
 
     def to_slider(self, value: float) -> float:
-        """Return the slider's place of a value; of an infinite one, the right end."""
+        """Convert a value to the position of the slider; infinity is the right end."""
         value = min(value, self.high)
         return math.log10(value) if self.log else value
 
     def from_slider(self, place: float) -> float:
-        """Return the value at a slider's place, to the digits that the number field shows."""
+        """Convert the position of the slider to a value, with the digits of the number field."""
         return float(f"{min(max(10**place if self.log else place, self.low), self.high):.3g}")
 
 
 class NumberControl:
-    """A slider and a number field that show one number.
+    """Slider and number field for one number.
 
     Args:
         setting: the number.
-        changed: called when the user has changed it.
-        released: called when the user has let go of the slider, or left the number field.
+        changed: called after a change by the user.
+        released: called after the user has released the slider, or left the number field.
     """
 
     def __init__(self, setting: Setting, changed: Callable[[], None], released: Callable[[], None]):
@@ -104,13 +104,13 @@ class NumberControl:
 
     @property
     def value(self) -> float:
-        """Return the number; infinite where the box is ticked."""
+        """Return the number; infinite if the box is ticked."""
         if self.infinite.active:
             return math.inf
         return min(self.setting.value, self.setting.high) if self.field.value is None else float(self.field.value)
 
     def set(self, value: float) -> None:
-        """Show a number, without a word to those who listen."""
+        """Show a number without calling the listeners."""
         self._own = True
         self.infinite.active = math.isinf(value)
         self.field.value = None if math.isinf(value) else value
@@ -128,7 +128,7 @@ class NumberControl:
     def _slid(self, attribute: str, old: float, new: float) -> None:
         if not self._own:
             self._own = True
-            self.infinite.active = False  # who moves the slider wants a number
+            self.infinite.active = False  # moving the slider implies a finite number
             self.field.value = self.setting.from_slider(new)
             self._own = False
             self._changed()
@@ -148,16 +148,16 @@ class NumberControl:
 
 
 CUSTOM = "custom"
-"""Stands among the metals for n and k that were typed."""
+"""Entry among the metals for custom n and k."""
 
 
 class ConductorControl:
-    """A metal by name, whose n and k stand beside it, or n and k of one's own.
+    """Choice of a metal with its n and k, or of custom n and k.
 
     Args:
-        title: of the choice.
+        title: label of the choice.
         changed: called when the user has changed it.
-        indices: returns n and k of a metal, no unit.
+        indices: function that returns n and k of a metal, no unit.
     """
 
     def __init__(self, title: str, changed: Callable[[], None], indices: Callable[[str], tuple[float, float]]):
@@ -176,7 +176,7 @@ class ConductorControl:
 
     @property
     def n_and_k(self) -> tuple[float, float] | None:
-        """Return the n and k that were typed; None: those of the metal."""
+        """Return custom n and k; None: those of the metal."""
         if self.name.value != CUSTOM:
             return None
         n, k = (float(field.value or 0.0) for field in self.numbers)
@@ -188,7 +188,7 @@ class ConductorControl:
         self.fill()
 
     def fill(self) -> None:
-        """Show the metal's n and k, where it is one."""
+        """Show n and k of the metal, unless they are custom."""
         if self.name.value != CUSTOM:
             self._own = True
             for field, value in zip(self.numbers, self._indices(self.name.value), strict=True):

@@ -1,8 +1,8 @@
-"""Who may talk to the app: every request passes here before anything else sees it, a websocket's first one included.
+"""Access control of the app: every request is checked first, including that of a websocket.
 
-- The Host must be an address of this server: a foreign page cannot reach it under a name of its own (DNS rebinding).
-- An Origin, where the browser names one, must be the same address; a websocket needs one.
-- The token must be there: once in the address, which answers with a cookie and an address without it, then as that cookie.
+- The Host must be an address of this server, so that another page cannot reach it under its own name (DNS rebinding). -
+  An Origin, if the browser gives one, must be the same address; a websocket requires one. - The token must be given:
+  once in the address, which redirects to an address without it and sets a cookie, then as that cookie.
 """
 
 from __future__ import annotations
@@ -32,12 +32,12 @@ _POLICY = (
 
 
 class Guard(HTTPServerConnectionDelegate):
-    """Let requests of this machine's user through to an application, and refuse all others.
+    """Filter that passes requests of the user of this machine, and rejects all others.
 
     Args:
-        application: what answers.
-        host: address that is listened on.
-        port: port that is listened on.
+        application: the application behind it.
+        host: address of the server.
+        port: port of the server.
     """
 
     def __init__(self, application: Any, host: str, port: int):
@@ -50,12 +50,12 @@ class Guard(HTTPServerConnectionDelegate):
 
     @property
     def address(self) -> str:
-        """Return the address to open, token included."""
+        """Return the address to open, including the token."""
         host = "127.0.0.1" if self.host in ("127.0.0.1", "0.0.0.0", "::") else self.host
         return f"http://{f'[{host}]' if ':' in host else host}:{self.port}/?token={self.token}"
 
     def start_request(self, server_conn: object, request_conn: HTTPConnection) -> HTTPMessageDelegate:
-        """Return what reads the next request."""
+        """Return the handler of the next request."""
         return _Request(self, server_conn, request_conn)
 
     def on_close(self, server_conn: object) -> None:
@@ -63,7 +63,7 @@ class Guard(HTTPServerConnectionDelegate):
         self.application.on_close(server_conn)
 
     def answer(self, line: RequestStartLine, headers: HTTPHeaders) -> tuple[int, HTTPHeaders, str] | None:
-        """Return the refusal of a request, or the way to the address without the token; None: it may pass."""
+        """Return the rejection of a request, or the redirection to the address without the token; None: it may pass."""
         host = headers.get("Host", "").lower()
         if headers.get_list("Host")[1:] or not self._is_own(host):
             return _refusal("this host name is not the app's: open the address that `matcam app` printed")
@@ -71,7 +71,7 @@ class Guard(HTTPServerConnectionDelegate):
         if any(origin.lower() != f"http://{host}" for origin in origins):
             return _refusal("this request comes from a page that is not the app's")
         if headers.get("Upgrade", "").lower() == "websocket" and len(origins) != 1:
-            return _refusal("a websocket must say which page opens it")
+            return _refusal("a websocket must have an Origin")
         target = urlsplit(line.path)
         given = parse_qs(target.query).get("token", [])
         if len(given) == 1 and line.method == "GET" and _same(given[0], self.token):
@@ -82,14 +82,14 @@ class Guard(HTTPServerConnectionDelegate):
         return None
 
     def secure(self, headers: HTTPHeaders) -> None:
-        """Add to an answer what a browser must not do with it."""
+        """Add security headers to an answer."""
         names = _LOOPBACK if self.host == "127.0.0.1" else (*_LOOPBACK, self.host)
         sockets = " ".join(f"ws://{name}:{self.port}" for name in names if ":" not in name)
         headers["Content-Security-Policy"] = _POLICY.format(sockets=sockets)
         headers["Referrer-Policy"] = "no-referrer"
         headers["X-Content-Type-Options"] = "nosniff"
         headers["Cross-Origin-Resource-Policy"] = "same-origin"
-        headers.setdefault("Cache-Control", "no-store")  # scripts whose address holds their version say otherwise
+        headers.setdefault("Cache-Control", "no-store")  # scripts with their version in the address have other rules
 
     def _is_own(self, host: str) -> bool:
         name, _, port = host.rpartition(":")
@@ -99,7 +99,7 @@ class Guard(HTTPServerConnectionDelegate):
             return True
         if self.host not in ("0.0.0.0", "::"):
             return False
-        try:  # all addresses of this machine are listened on; a number cannot be another's name
+        try:  # the server listens on all addresses; a numeric address cannot be a foreign name
             ipaddress.ip_address(name.strip("[]"))
         except ValueError:
             return False
@@ -122,7 +122,7 @@ def _refusal(why: str) -> tuple[int, HTTPHeaders, str]:
 
 
 class _Request(HTTPMessageDelegate):
-    """One request: passed on to the application, or answered here."""
+    """Request that is passed on to the application, or answered here."""
 
     def __init__(self, guard: Guard, server_conn: object, connection: HTTPConnection):
         self.guard = guard
@@ -137,7 +137,7 @@ class _Request(HTTPMessageDelegate):
             secured: Any = _Secured(self.guard, self.connection)
             self.inner = self.guard.application.start_request(self.server_conn, secured)
             return self.inner.headers_received(start_line, headers)
-        self._refuse(*self.refused)  # before its body is read: the connection closes with the answer
+        self._refuse(*self.refused)  # before its body is read, because the connection closes with the answer
         return None
 
     def data_received(self, chunk: bytes) -> Any:
@@ -162,7 +162,7 @@ class _Request(HTTPMessageDelegate):
 
 
 class _Secured:
-    """A connection whose answers carry the guard's headers."""
+    """Connection whose answers have the security headers."""
 
     def __init__(self, guard: Guard, connection: HTTPConnection):
         self._guard = guard

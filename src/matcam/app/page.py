@@ -1,4 +1,4 @@
-"""The page: three views, one at a time, and one line for what went wrong."""
+"""Page: three views, one at a time, and one line for errors."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from matcam.app.transfers import Downloads
 
 
 class Page:
-    """Show the views of one browser tab.
+    """Views of one browser tab.
 
     Args:
         document: the tab's document.
         files: files and folders that the user opened on the command line.
-        downloads: where files to save are offered.
+        downloads: registry of files to save.
     """
 
     def __init__(self, document: Document, files: Sequence[Path], downloads: Downloads):
@@ -57,7 +57,7 @@ class Page:
         document.on_event("document_ready", lambda event: self._begin())
 
     def complain(self, line: str) -> None:
-        """Show one line about what went wrong; an empty one removes it."""
+        """Show a one-line error; an empty line removes it."""
         self._message.text = escape(" ".join(line.split()))
 
     def close(self) -> None:
@@ -66,13 +66,13 @@ class Page:
             view.close()
 
     def _begin(self) -> None:
-        """Start the view that is shown: what it computes must not delay the page itself."""
+        """Start the visible view, without delaying the page itself."""
         self._ready = True
         self._choose()
 
     def _choose(self) -> None:
         chosen = self._chosen.labels[self._chosen.active]
-        if chosen not in self._views:  # what nobody has looked at need not be built
+        if chosen not in self._views:  # views are built when they are first visible
             self._views[chosen] = self._make[chosen]()
             self._body.children = [*self._body.children, self._views[chosen].layout]
         for name, view in self._views.items():

@@ -1,4 +1,4 @@
-"""The view that plans a rig: its loss against angle and its pictures while the sliders move, and the exact values at rest."""
+"""View that plans a rig: loss against angle and images while the sliders move, and exact values when they stop."""
 
 from __future__ import annotations
 
@@ -46,12 +46,12 @@ _DIFFERENCES = {
 
 
 class PlanView:
-    """Show what a rig of these numbers would record.
+    """View of the predicted record of a rig.
 
     Args:
         document: the page's document.
-        downloads: where files to save are offered.
-        complain: shows one line.
+        downloads: registry of files to save.
+        complain: function that shows one line.
     """
 
     def __init__(self, document: Document, downloads: Downloads, complain: Any):
@@ -79,7 +79,7 @@ class PlanView:
         self.layout = row(self._knobs(), self._pictures(), sizing_mode="stretch_width", spacing=8, name="plan")
 
     def start(self) -> None:
-        """Begin to compute: programs are compiled first, with a line that says so."""
+        """Compile the programs, with a progress line, and start to compute."""
         self._fast.ask(self._warmed, self._started)
 
     def close(self) -> None:
@@ -89,12 +89,12 @@ class PlanView:
 
     @property
     def planned(self) -> Planned:
-        """Return what the controls say."""
+        """Return the rig and material of the controls."""
         numbers = {name: control.value for name, control in self._controls.items()}
         return Planned(**numbers, metal=self._metal.name.value, family=self._family.value, n_and_k=self._metal.n_and_k)
 
     def refresh(self) -> None:
-        """Show the fast values of what the controls say now."""
+        """Show the fast values for the current state of the controls."""
         planned = self.planned
         if self._warm:
             self._fast.ask(lambda: _fast(planned), self._show, **DRAINED)
@@ -202,7 +202,7 @@ class PlanView:
         self.refresh()
 
     def _warmed(self) -> Any:
-        """Compile the previews, and show each as soon as it is there."""
+        """Compile the previews, and show each when it is finished."""
         from matcam.core.jax import use_compilation_cache
         from matcam.material.optical_constants import metals
 
@@ -227,7 +227,7 @@ class PlanView:
         self._status.text = escape(words)
 
     def _show(self, found: dict[str, Any]) -> None:
-        """Show what is there of curves and pictures."""
+        """Show the available curves and images."""
         self._last = found
         if "curves" in found:
             self._show_curves(found["planned"], found["curves"])
@@ -256,12 +256,12 @@ class PlanView:
                 "<table><tr><th>roughness</th><th>kept at 0°</th><th>5 % gone at</th></tr>"
                 f"{lines}</table>as <code>matcam predict</code>"
             )
-        else:  # the same words for every move: a text that changes lays the page out anew
+        else:  # constant words for every move, because a changed text triggers a new layout
             self._numbers.text = "preview: the numbers stand beside the curves"
             self._limits.text = ""
 
     def _show_pictures(self, found: dict[str, Any]) -> None:
-        """Show the pictures that are chosen, all by one message."""
+        """Show the selected images in one message."""
         parts = {name: found[name] for name in ("sphere", "close") if name in found}
         if not parts:
             return
@@ -297,7 +297,7 @@ class PlanView:
                 one.arrived()
 
     def _at_rest(self, planned: Planned) -> None:
-        """Compute the exact values; stop between two of them when something moves."""
+        """Compute the exact values; stop between two of them after a change."""
         from matcam.forward.prediction import predicted
 
         rig = planned.rig()
@@ -376,7 +376,7 @@ def _fast(planned: Planned) -> dict[str, Any]:
 
 
 def _limits(planned: Planned) -> str:
-    """Return the bounds of what can be recovered, or why there are none."""
+    """Compute the bounds of recoverable parameters, or explain why there are none."""
     from matcam.core.errors import MatcamError
     from matcam.core.workspace import Workspace
     from matcam.inverse.recoverability import limits

@@ -1,4 +1,4 @@
-"""What the plan view describes: a rig and a material, and the same as a command line, as Python and as a rig file."""
+"""Rig and material of the plan view, also as a command line, as Python and as a rig file."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ SETTINGS = (
 )
 
 OTHERS = (0.001, 0.005, 0.02, 0.1)
-"""Roughnesses that are drawn beside the chosen one."""
+"""Roughnesses that are drawn beside the selected one."""
 
 PRESETS = {
     "MERL": {"sigma": 0.5, "half_width": 0.5, "radius": 256},
@@ -50,7 +50,7 @@ PRESETS = {
         "glare": 0.002,
     },
 }
-"""Rigs to start from; what a preset does not name is infinite or 0."""
+"""Predefined rigs; omitted entries are infinite or 0."""
 
 GLARE_RADIUS = 30.0
 """Standard deviation of the halo, px: the default of `matcam predict --glare-radius`."""
@@ -90,12 +90,12 @@ class Planned:
 
     @property
     def roughnesses(self) -> list[float]:
-        """Roughnesses to draw, from the smoothest on."""
+        """Roughnesses to draw, in ascending order."""
         return sorted({self.roughness, *OTHERS})
 
     @property
     def loses_at_most_cos(self) -> bool:
-        """Tell whether cos theta bounds the loss: a point lamp, and all of it distant."""
+        """Check whether cos theta bounds the loss: a point lamp in a distant rig."""
         return self.lamp_radius == 0 and math.isinf(self.distance) and math.isinf(self.lamp_distance)
 
     def rig(self) -> Rig:
@@ -122,7 +122,7 @@ class Planned:
         return [FAMILIES[self.family](r) for r in self.roughnesses]
 
     def material(self) -> Microfacet:
-        """Return the chosen lobe on the metal, as green light sees it."""
+        """Return the chosen lobe on the metal, for green light."""
         import numpy as np
 
         from matcam.material.microfacet import Microfacet
@@ -132,13 +132,13 @@ class Planned:
         return Microfacet(FAMILIES[self.family](self.roughness), Conductor(np.array([n]), np.array([k])))
 
     def camera_profile(self) -> str:
-        """Return the camera's profile, JSON, without the glare, which is an option of its own."""
+        """Return the camera profile, JSON, without the glare, which is a separate option."""
         from dataclasses import replace
 
         return json.dumps(replace(self, glare=0.0).rig().camera.profile(), indent=2)
 
     def rig_file(self) -> str:
-        """Return the rig as `--rig` reads it (TOML); the profile, camera.json, lies beside it."""
+        """Return the rig for `--rig` (TOML); the profile, camera.json, is beside it."""
         lines = ['schema = "matcam-rig-1"', 'camera = "camera.json"', "", "[sample]", 'shape = "sphere"']
         lines.append(f"radius_px = {self.radius:.12g}")
         lens = {"distance": self.distance} if math.isfinite(self.distance) else {}
@@ -191,7 +191,7 @@ class Planned:
 
 
 def green_indices(name: str) -> tuple[float, float]:
-    """Return a metal's tabulated n and k for green light, no unit."""
+    """Return tabulated n and k of a metal for green light, no unit."""
     from matcam.core.grid import CHANNEL_WAVELENGTHS
     from matcam.material.optical_constants import metal
 

@@ -1,4 +1,6 @@
-"""Plots that the views share: curves and pictures with units on every axis, in colours that colour-blind readers tell apart."""
+"""Plots that the views share: curves and images with units on every axis, in colours that colour-blind readers can
+distinguish.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,7 @@ COLOURS = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY)
 
 
 def curve_figure(title: str, x: str, y: str, *, height: int, **more: Any) -> Any:
-    """Return a plot for curves whose axes have names with units."""
+    """Create a plot for curves; the names of the axes include units."""
     plot = figure(
         title=title,
         x_axis_label=x,
@@ -42,9 +44,9 @@ def curve_figure(title: str, x: str, y: str, *, height: int, **more: Any) -> Any
 
 
 def picture_figure(title: str, size: int, x: str, y: str, **more: Any) -> Any:
-    """Return a plot for pictures, `size` px of the screen wide and high, whose axes have names with units.
+    """Create a plot for images, `size` px of the screen wide and high; the names of the axes include units.
 
-    Its ground is light until `on_black` is called for a picture that has arrived.
+    Its background is light until `on_black` is called for an image.
     """
     plot = figure(title=title, frame_width=size, frame_height=size, x_axis_label=x, y_axis_label=y, **more)
     plain(plot)
@@ -54,23 +56,23 @@ def picture_figure(title: str, size: int, x: str, y: str, **more: Any) -> Any:
 
 
 WAITING = "#F2F2F2"
-"""Ground of a plot that has no picture."""
+"""Background of a plot without an image."""
 
 
 def on_black(plot: Any, picture: Any, *, shown: bool = True) -> None:
-    """Show a picture on black, or nothing on a light ground.
+    """Show an image on black, or an empty light background.
 
     Args:
         plot: from `picture_figure`.
         picture: its glyph renderer.
-        shown: False for nothing. Default: True.
+        shown: False for an empty plot. Default: True.
     """
     picture.visible = shown
     plot.background_fill_color = "#000000" if shown else WAITING
 
 
 def plain(plot: Any) -> None:
-    """Give a plot the style of all."""
+    """Apply the common style to a plot."""
     plot.toolbar.logo = None
     plot.title.text_font_size = "12px"
     plot.xaxis.axis_label_text_font_style = plot.yaxis.axis_label_text_font_style = "normal"
@@ -86,7 +88,7 @@ def hover(plot: Any, renderers: list[Any], tips: list[tuple[str, str]], mode: st
 
 
 class PictureColours:
-    """Colours of radiance that pictures of one scale share: logarithmic, or about 0 for a difference.
+    """Common colour scale of images of radiance: logarithmic, or symmetric about 0 for a difference.
 
     Args:
         decades: of radiance that the colours span. Default: 4.
@@ -105,15 +107,15 @@ class PictureColours:
             )
 
     def scale(self, largest: float) -> None:
-        """Set the radiance that is brightest, 1/sr, to the next half decade.
+        """Set the largest radiance of the scale, 1/sr, to the next half decade.
 
-        So one colour stays one radiance while a slider moves, and a browser need not map all pixels three times.
+        A colour thus keeps its radiance while a slider moves, and a browser need not map all pixels three times.
         """
         high = 10 ** (math.ceil(2 * math.log10(max(largest, 1e-300)) - 1e-9) / 2)
         self.mapper.update(low=-high if self._difference else high * self._least, high=high)
 
     def bar(self) -> ColorBar:
-        """Return what says which colour is which radiance."""
+        """Create the colour bar."""
         return ColorBar(
             color_mapper=self.mapper,
             width=10,
@@ -127,10 +129,10 @@ class PictureColours:
 
 
 class PictureFigure:
-    """Draw a picture of radiance from a source that several pictures share, so that one message changes them all.
+    """Image of radiance from a source that several images share, so that one message changes them all.
 
-    The labels of its axes and colours have one width, whatever they say: another width would lay the page out anew, which costs
-    a browser more time than all that is drawn.
+    The labels of its axes and colours have a constant width, because a change would trigger a new layout, which takes a
+    browser longer than drawing.
 
     Args:
         title: title.
@@ -174,19 +176,19 @@ class PictureFigure:
             color_mapper=colours.mapper,
             source=source,
         )
-        self._drawn.visible = False  # there is no picture before its data have arrived
+        self._drawn.visible = False  # the image appears after its data
         hover(self.plot, [self._drawn], [("x, y", "$x, $y px"), ("radiance", "@image 1/sr")])
         if bar:
             self.plot.add_layout(colours.bar(), "right")
 
     def arrived(self) -> None:
-        """Show the picture: its data have arrived."""
+        """Show the image after its data have arrived."""
         if not self._drawn.visible:
             on_black(self.plot, self._drawn)
 
 
 def picture_columns(name: str, values: np.ndarray, x: np.ndarray, y: np.ndarray) -> dict[str, list[Any]]:
-    """Return the columns of a picture in a source: values (y, x), each a square about its place, px."""
+    """Return the columns of an image in a source: values (y, x), each a square about its position, px."""
     side = float(x[1] - x[0])
     return {
         name: [np.ascontiguousarray(values, dtype=np.float32)],
@@ -198,7 +200,7 @@ def picture_columns(name: str, values: np.ndarray, x: np.ndarray, y: np.ndarray)
 
 
 def no_pictures(*names: str) -> dict[str, list[Any]]:
-    """Return the columns of pictures before there are any."""
+    """Return the columns of images without data."""
     nothing, at = np.zeros((2, 2), np.float32), np.array([-0.5, 0.5])
     return {key: value for name in names for key, value in picture_columns(name, nothing, at, at).items()}
 

@@ -1,4 +1,4 @@
-"""The server: one page on this machine, behind a guard. It reads what its user gave it, and asks nobody for anything."""
+"""Server: one page on this machine, behind an access control. It reads only files from its user, and makes no requests."""
 
 from __future__ import annotations
 
@@ -33,11 +33,11 @@ LARGEST_MESSAGE = 64 << 20
 
 
 _IDLE = 60.0
-"""Seconds until a connection that asks for nothing, or does not end its request, is closed."""
+"""Time until an idle connection, or one with an incomplete request, is closed, s."""
 
 
 class AppServer:
-    """Serve the app's page until it is stopped.
+    """Server of the page of the app, until it is stopped.
 
     Args:
         files: files and folders that the user opened.
@@ -45,12 +45,12 @@ class AppServer:
         port: port to listen on. Default: 0, a free one.
 
     Raises:
-        ArgumentError: the address cannot be listened on.
+        ArgumentError: the server cannot listen on the address.
     """
 
     def __init__(self, files: Sequence[Path] = (), host: str = "127.0.0.1", port: int = 0):
         _quiet()
-        settings.resources = "server"  # whatever the environment says
+        settings.resources = "server"  # independent of environment variables
         settings.log_level = "error"
         try:
             sockets = bind_sockets(port, host)
@@ -63,7 +63,7 @@ class AppServer:
         self.pages: set[Page] = set()
         tornado = _Site(
             Application(FunctionHandler(self._page(tuple(files)))),
-            extra_websocket_origins=["*"],  # the guard has checked it
+            extra_websocket_origins=["*"],  # the access control has checked it
             extra_patterns=[self.downloads.pattern()],
             websocket_max_message_size_bytes=LARGEST_MESSAGE,
             websocket_compression_level=None,
@@ -85,16 +85,16 @@ class AppServer:
 
     @property
     def busy(self) -> bool:
-        """Tell whether a computation has not ended, though nobody waits for it."""
+        """Check whether a computation still runs, although its result is not required."""
         return any(thread.name == THREAD for thread in threading.enumerate())
 
     def run(self) -> None:
-        """Answer until the process is interrupted; then do what the process does when it is."""
+        """Serve until the process is interrupted; then handle the interruption as usual."""
         loop = asyncio.get_event_loop()
         interrupted: list[Callable[[], Any]] = []
 
         def catch(number: int, handler: Callable[..., Any]) -> None:
-            # raised wherever the loop is, an interruption could be lost in a library's callback
+            # raised in the loop, because an interruption could be lost in a callback of a library
             def end() -> None:
                 interrupted.append(lambda: handler(number, None))
                 loop.stop()
@@ -147,7 +147,7 @@ class AppServer:
 
 
 class _Site(BokehTornado):
-    """Bokeh's server, whose pages load no more of its scripts than these need."""
+    """Server of Bokeh with only the required scripts."""
 
     def resources(self, absolute_url: str | bool | None = None) -> Any:
         """Return the scripts of a page."""
@@ -155,6 +155,6 @@ class _Site(BokehTornado):
 
 
 def _quiet() -> None:
-    """Keep the libraries from printing what a browser did; what fails in a page stands in the page."""
+    """Silence the logs of libraries about browsers; errors of a page are shown in the page."""
     for name in ("bokeh", "tornado.access", "tornado.general", "tornado.application"):
         logging.getLogger(name).setLevel(logging.CRITICAL)

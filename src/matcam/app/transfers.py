@@ -1,6 +1,6 @@
-"""Files that enter the page and leave it: what is dropped lies in a folder of its session, what is saved is bytes in memory.
+"""Uploads and downloads of the page: dropped files are in a folder of the session, saved files are bytes in memory.
 
-An address of what can be saved cannot be guessed. A dropped file is removed with its session.
+Addresses of saved files cannot be guessed. Dropped files are removed with the session.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ from tornado.web import RequestHandler
 from matcam.app.controls import WIDTH
 
 _KEPT = 64
-"""Files that are offered at once, over all pages."""
+"""Number of files that are offered at once, over all pages."""
 
 
 class Downloads:
-    """Hold the files that pages offer."""
+    """Files that pages offer."""
 
     def __init__(self) -> None:
         self._files: dict[str, tuple[str, bytes]] = {}
@@ -41,7 +41,7 @@ class Downloads:
         return f'<a href="/save/{key}" download="{escape(name, quote=True)}">{escape(words or name)}</a>'
 
     def get(self, key: str) -> tuple[str, bytes] | None:
-        """Return name and content of a file; None where there is none."""
+        """Return name and content of a file; None without one."""
         return self._files.get(key)
 
     def close(self) -> None:
@@ -49,7 +49,7 @@ class Downloads:
         self._files.clear()
 
     def pattern(self) -> Any:
-        """Return the server's rule for the links."""
+        """Return the pattern of the links of the server."""
         return r"/save/([\w-]+)", _Saved, {"downloads": self}
 
 
@@ -61,7 +61,7 @@ class _Saved(RequestHandler):
         file = self.downloads.get(key)
         if file is None:
             self.set_status(404)
-            self.finish("this file is no longer offered: ask for it again in the page\n")
+            self.finish("this file is no longer offered: save it again in the page\n")
             return
         name, content = file
         self.set_header("Content-Type", "application/octet-stream")
@@ -74,12 +74,12 @@ LARGEST = 40 << 20
 
 
 class Upload:
-    """A field on which a file can be dropped, or chosen with the keyboard.
+    """Field to drop a file on, or to choose one with the keyboard.
 
     Args:
-        title: what to drop.
+        title: label.
         dropped: called with the path of a file.
-        complain: shows one line.
+        complain: function that shows one line.
     """
 
     def __init__(
@@ -97,7 +97,7 @@ class Upload:
             shutil.rmtree(self._folder, ignore_errors=True)
 
     def _arrived(self, attribute: str, old: Any, value: Any) -> None:
-        # the name is changed by the same message, behind the content
+        # the same message changes the name, after the content
         document = self.layout.document
         if value and document is not None:
             document.add_next_tick_callback(self._take)
@@ -113,7 +113,7 @@ class Upload:
         try:
             content = base64.b64decode(value, validate=True)
         except (binascii.Error, ValueError):
-            self._complain(f"{name}: did not arrive whole: drop it again")
+            self._complain(f"{name}: did not arrive completely: drop it again")
             return
         if self._folder is None:
             self._folder = Path(tempfile.mkdtemp(prefix="matcam-app-"))
@@ -127,7 +127,7 @@ class Upload:
 
 
 def safe_name(name: str) -> str:
-    """Return a file's name without its folder, and without what a system could mistake for anything but a name."""
+    """Return the name of a file without folder, and without characters or names that a system treats specially."""
     last = re.split(r"[\\/]", name)[-1]
     plain = re.sub(r"[^\w.() -]", "_", last).strip(" .")[-120:]
     return plain or "file"

@@ -1,8 +1,8 @@
-"""Work beside the page: the newest request is done next, older ones that nobody has begun are forgotten.
+"""Background work of the page: the newest request is next, and older ones that have not started are dropped.
 
-A thread computes, so that the server reads what the browser sends meanwhile: a slider's last value is there when the thread
-asks. A result is shown before the next request is begun, so that neither requests nor results queue up. Moves that have arrived
-already are read before any of them is computed: they are a few milliseconds apart at most.
+A thread computes while the server reads the messages of the browser, so that the last value of a slider is available. A
+result is shown before the next request starts, so that neither requests nor results queue up. Moves that have arrived
+within a few milliseconds are read before the computation starts.
 """
 
 from __future__ import annotations
@@ -18,21 +18,21 @@ from bokeh.document import Document
 
 from matcam.core.errors import MatcamError
 
-_SHOWN_WITHIN = 5.0  # s; a page that has gone shows nothing
+_SHOWN_WITHIN = 5.0  # s; a page that is gone shows no results
 
 DRAINED = {"after": 0.004, "within": 0.05}
-"""Times, s, within which a slider's moves that wait to be read overtake each other (see `Newest.ask`)."""
+"""Times, s, within which waiting moves of a slider replace each other (see `Newest.ask`)."""
 
 THREAD = "matcam-app"
 """Name of the threads that compute."""
 
 
 class Newest:
-    """Do the newest of the jobs that are asked for, one at a time.
+    """Queue of one: the newest requested job, one at a time.
 
     Args:
         document: the page's document; results are shown under its lock.
-        complain: shows one line about a job that failed.
+        complain: function that shows one line about a failed job.
     """
 
     def __init__(self, document: Document, complain: Callable[[str], None]):
@@ -48,13 +48,13 @@ class Newest:
     def ask(
         self, work: Callable[[], Any], show: Callable[[Any], None], after: float = 0.0, within: float = math.inf
     ) -> None:
-        """Ask for work; a job that has not begun is replaced.
+        """Request work; a job that has not started is replaced.
 
         Args:
-            work: what to do.
-            show: gets the result in the page.
-            after: time for which nothing else is asked before the work begins, s. Default: 0.
-            within: time after which the newest job begins though others keep coming, s. Default: infinite.
+            work: the job.
+            show: function that shows the result in the page.
+            after: delay without another request before the work starts, s. Default: 0.
+            within: time after which the newest job starts even if others follow, s. Default: infinite.
         """
         now = time.monotonic()
         with self._wake:
@@ -66,21 +66,21 @@ class Newest:
             if self._thread is None:
                 self._thread = threading.Thread(target=self._run, daemon=True, name=THREAD)
                 self._thread.start()
-            if not waits:  # a thread that waits for an earlier time finds this job then
+            if not waits:  # a thread with an earlier deadline then finds this job
                 self._wake.notify()
 
     def overtaken(self) -> bool:
-        """Tell whether another job waits: a long one may stop."""
+        """Check whether another job waits, so that a long one may stop."""
         return self._ended or self._job is not None
 
     def close(self) -> None:
-        """Take no more work; what runs is not shown."""
+        """Accept no more work; running work is not shown."""
         with self._wake:
             self._ended, self._job = True, None
             self._wake.notify()
 
     def show(self, change: Callable[[], None]) -> None:
-        """Change the page from within a job, and wait until that is done."""
+        """Change the page from within a job, and wait for the change."""
         shown = threading.Event()
 
         def tick() -> None:
@@ -98,7 +98,7 @@ class Newest:
         if not self._ended:
             try:
                 self._document.add_next_tick_callback(tick)
-            except AttributeError:  # the document has been destroyed in this instant: its parts are gone
+            except AttributeError:  # the document was destroyed at this instant, with its parts
                 self._ended = True
                 return
             shown.wait(_SHOWN_WITHIN)

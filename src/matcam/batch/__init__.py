@@ -1,4 +1,4 @@
-"""Many tables of one rig, corrected side by side and taken up again after an interruption."""
+"""Correction of many tables of one rig, in parallel and with resumption after an interruption."""
 
 import lazy_loader
 

@@ -1,4 +1,4 @@
-"""A run's folder: whose it is, which inputs it takes, and what a run keeps in it beside the materials' own files."""
+"""Folder of a run: ownership, inputs, and files beside those of the materials."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ from matcam.files.datasets import read_netcdf
 SETTINGS = "settings.json"
 _INDEX, _FAILED, _CAMERA, _ZARR, _LOCK = "index.html", "failed.json", "camera.json", "run.zarr", ".lock"
 _RESERVED = {Path(name).stem for name in (_INDEX, _FAILED, _CAMERA, SETTINGS)}
-_WITHOUT_LOCKS = (errno.ENOSYS, errno.ENOLCK, errno.EOPNOTSUPP)  # what some network file systems answer
+_WITHOUT_LOCKS = (errno.ENOSYS, errno.ENOLCK, errno.EOPNOTSUPP)  # error codes of some network file systems
 _TEMPORARY = re.compile(r"\.(.+)-[a-z0-9_]{8}\.(?:binary|nc|json|html|png)(?:\.old)?")
 
 
 class RunFolder:
-    """Manage the folder that one run at a time fills.
+    """Folder that one run at a time fills.
 
     Args:
         path: the folder.
@@ -44,7 +44,7 @@ class RunFolder:
 
     @contextlib.contextmanager
     def locked(self) -> Iterator[None]:
-        """Create the folder if needed and keep other runs out of it.
+        """Create the folder if needed and lock it against other runs.
 
         The system releases the lock when this process dies. OutputError if another run holds it, or the folder cannot be
         created.
@@ -59,7 +59,7 @@ class RunFolder:
                 f"output folder {self.path} is in use by another run: wait for it, or choose another"
             ) from None
         except NotImplementedError:
-            pass  # filelock's own word for a file system without locks
+            pass  # the error of filelock for a file system without locks
         except OSError as error:
             if error.errno not in _WITHOUT_LOCKS:
                 raise OutputError(f"output folder {self.path} cannot be written: {error.strerror}") from None
@@ -69,20 +69,20 @@ class RunFolder:
             lock.release()
 
     def _check_links(self) -> None:
-        """Refuse links among the run's files: what it reads and writes lies in its folder. OutputError names the first."""
+        """Raise OutputError for links among the files of the run, which must be in its folder."""
         for folder, folders, files in os.walk(self.path):
             for name in (*folders, *files):
                 if (path := Path(folder, name)).is_symlink():
                     raise OutputError(f"output {path} is a symbolic link in a run's folder: remove it")
-            if folder == str(self.path):  # the only folder that a run makes
+            if folder == str(self.path):  # the only subfolder that a run creates
                 folders[:] = [name for name in folders if name == _ZARR]
 
     def outputs(self, paths: Iterable[str | Path]) -> tuple[dict[Path, Path], list[Outcome]]:
         """Find the tables that `paths` name, and the file that each becomes in this folder.
 
-        A folder stands for its *.binary, in order of their names; a file that is given twice counts once. Returns
-        {input: output}, and the inputs that are refused: two of one name would write the same files, and the run's own
-        files have names too. ArgumentError if there is no table at all; OutputError if this folder holds an input.
+        A folder means its *.binary, in order of their names; duplicates count once. Returns {input: output}, and
+        rejected inputs: two of one name, or with the name of a file of the run. ArgumentError without any table;
+        OutputError if this folder contains an input.
         """
         given = [Path(path) for path in paths]
         found: dict[Path, Path] = {}
@@ -102,10 +102,10 @@ class RunFolder:
                     continue
                 found.setdefault(file.resolve(), file)
         if not found and not refused:
-            raise ArgumentError(f"{', '.join(map(str, given)) or 'no path'}: no *.binary in there")
+            raise ArgumentError(f"{', '.join(map(str, given)) or 'no path'}: no *.binary in it")
         namesakes: dict[str, list[Path]] = {}
         for file in found.values():
-            # some file systems do not tell upper from lower case
+            # some file systems are not case sensitive
             namesakes.setdefault(file.stem.casefold(), []).append(file)
         outputs: dict[Path, Path] = {}
         for stem, files in namesakes.items():
@@ -125,10 +125,10 @@ class RunFolder:
         return outputs, refused
 
     def check(self, settings: dict[str, Any], jobs: Sequence[Job], *, force: bool) -> bool:
-        """Tell whether the folder already is this run's.
+        """Check whether the folder already belongs to this run.
 
-        OutputError if it is the folder of a run with other settings, which is named, unless `force`; or if files that a
-        run would write are there, and no run wrote them.
+        OutputError if it belongs to a run with other settings, with their names, unless `force`; or if files of the
+        same names exist that no run wrote.
         """
         if not is_there(self._settings):
             for path in (*(path for job in jobs for path in job.files), self.index, self._failed, self.camera):
@@ -141,17 +141,17 @@ class RunFolder:
         if different is not None and not force:
             name, old, new = different
             raise OutputError(
-                f"output folder {self.path} is another run's: its {name} is {old}, this run's is {new}; choose another "
-                "folder, or use force=True to do everything again"
+                f"output folder {self.path} is another run's: its {name} is {old}, that of this run is {new}; choose another "
+                "folder, or use force=True to correct everything again"
             )
         return different is None
 
     def claim(self, settings: dict[str, Any]) -> None:
-        """Make the folder this run's."""
+        """Record the settings of this run in the folder."""
         write_json(self._settings, settings, force=True)
 
     def sweep(self, jobs: Iterable[Job]) -> None:
-        """Remove the temporary files that a killed process left beside the run's own."""
+        """Remove temporary files of a killed process beside those of the run."""
         stems = {*_RESERVED, *(job.name for job in jobs)}
         for path in self.path.iterdir():
             found = _TEMPORARY.fullmatch(path.name)
@@ -159,10 +159,10 @@ class RunFolder:
                 path.unlink(missing_ok=True)
 
     def assign_rows(self, jobs: Sequence[Job], waiting: Sequence[Job]) -> list[Job]:
-        """Return the waiting jobs, each with its row of the run's Zarr.
+        """Return the waiting jobs, each with its row of the Zarr of the run.
 
-        Finished materials whose rows are missing, because the Zarr was asked for later or lost, are copied from their
-        NetCDF files. Errors as `open_rows`'s and `StoreRow.write`'s.
+        Finished materials without a row, because the Zarr was requested later or lost, are copied from their NetCDF
+        files. Errors as of `open_rows` and `StoreRow.write`.
         """
         if not jobs:
             return list(waiting)
@@ -175,7 +175,7 @@ class RunFolder:
         return [replace(job, row=rows[job.name]) for job in waiting]
 
     def write_failures(self, failures: Sequence[Outcome]) -> None:
-        """Write what failed and why, or remove an old list if nothing did."""
+        """Write the failures with their reasons, or remove an old list without failures."""
         if not failures:
             self._failed.unlink(missing_ok=True)
             return
@@ -195,6 +195,6 @@ def _first_difference(old: Any, new: Any, name: str = "") -> tuple[str, str, str
 
 
 def _short(value: Any) -> str:
-    """Write a value in at most 60 characters."""
+    """Format a value in at most 60 characters."""
     text = json.dumps(value)
     return text if len(text) <= 60 else text[:57] + "..."

@@ -1,4 +1,4 @@
-"""One material of a run: its job, doing it, and the record by which a later run knows that it is finished."""
+"""Job of one material of a run: the work, and the record of its completion."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ from matcam.numerics.budget import write_budgets
 
 @dataclass(frozen=True)
 class Job:
-    """Describe one table to correct.
+    """Job for one table.
 
     Attributes:
         source: MERL file to read.
         output: MERL file to write; .nc, .json and, if the recipe asks for it, .html go beside it.
-        recipe: how it is corrected.
-        force: whether to replace what is there.
+        recipe: settings of the correction.
+        force: whether to replace existing files.
         key: key of the run's settings; None outside a run. A run also gets a thumbnail (.png) for its index.
         row: row of the run's Zarr to fill, if the run has one.
         budget: uncertainty budget to write (.json, .csv). Default: None, not written.
@@ -49,17 +49,17 @@ class Job:
 
     @property
     def name(self) -> str:
-        """Return the material's name: its output's, without suffix."""
+        """Return the name of the material: that of its output, without suffix."""
         return self.output.stem
 
     @property
     def record(self) -> Path:
-        """Return the file that is written last: where it is, the others are whole."""
+        """Return the file that is written last: if it exists, the others are complete."""
         return self.output.with_suffix(".json")
 
     @property
     def files(self) -> list[Path]:
-        """Return all files that will be written, the record last."""
+        """Return all files of the job, the record last."""
         page = [".html"] if self.recipe.page else []
         thumbnail = [".png"] if self.key is not None else []
         return [
@@ -70,7 +70,7 @@ class Job:
         ]
 
     def finished_record(self) -> dict[str, Any] | None:
-        """Return the record on disk if it is of these settings, and its files are there with the sizes that it lists."""
+        """Return the record on disk if it has these settings, and its files exist with the listed sizes."""
         try:
             document = read_json(self.record, "a material's record")
             run = document["run"]
@@ -82,10 +82,9 @@ class Job:
         return document if whole else None
 
     def is_finished(self) -> bool:
-        """Tell whether the files are whole, made with these settings from the input as it is now.
+        """Check whether the files are complete, with these settings and from the current input.
 
-        The input is read only if its time of change differs: hashing a hundred thousand tables would take an hour, and
-        looking at their times takes seconds.
+        The input is read only if its time of change differs, because hashing a hundred thousand tables would take an hour.
         """
         try:
             known = (self.finished_record() or {})["input"]
@@ -98,13 +97,13 @@ class Job:
 
 
 class Outcome(NamedTuple):
-    """Hold how a job ended.
+    """Outcome of a job.
 
     Attributes:
         source: the job's input.
         seconds: time that it took, s.
-        reason: why it failed, in one line; None: it did not. Default: None.
-        trace: traceback of a fault of matcam; None: there was none. Default: None.
+        reason: reason of a failure, in one line; None: success. Default: None.
+        trace: traceback of a fault of matcam; None without one. Default: None.
 
     Example:
         >>> import pathlib
@@ -120,9 +119,9 @@ class Outcome(NamedTuple):
 
 
 def attempt(job: Job, workspace: Workspace | None = None) -> Outcome:
-    """Do a job; report what goes wrong as its outcome, so that it stops no other job.
+    """Run a job, and report errors as its outcome, so that other jobs continue.
 
-    workspace: a worker's own, instead of the job's.
+    workspace: that of the worker, instead of that of the job.
     """
     started = time.perf_counter()
 
@@ -143,11 +142,11 @@ def attempt(job: Job, workspace: Workspace | None = None) -> Outcome:
 
 
 def write_corrected(job: Job, workspace: Workspace | None = None) -> dict[str, Any]:
-    """Correct one table, write its files, and return what its record says.
+    """Correct one table, write its files, and return its record.
 
-    workspace: a worker's own, instead of the job's.
-    ArgumentError or OutputError before any work if a file could not be written; FileFormatError for what is no table, or
-    was changed while it was read; otherwise the corrector's errors.
+    workspace: that of the worker, instead of that of the job. ArgumentError or OutputError before any work if a file
+    could not be written; FileFormatError if the input is not a table, or changed while it was read; otherwise errors of
+    the corrector.
     """
     version = metadata.version("matcam")
     if job.recipe.version != version:
@@ -161,7 +160,7 @@ def write_corrected(job: Job, workspace: Workspace | None = None) -> dict[str, A
     before = fingerprint(job.source)
     table = read_table(job.source, sampling=job.recipe.sampling)
     if fingerprint(job.source) != before:
-        raise FileFormatError(f"{job.source}: changed while it was read: correct it again when it is whole")
+        raise FileFormatError(f"{job.source}: changed while it was read: correct it again when it is complete")
     if job.recipe.page:
         import_behind("matcam.figures.pages")
     options = job.recipe.options
@@ -186,13 +185,13 @@ def write_corrected(job: Job, workspace: Workspace | None = None) -> dict[str, A
             sizes = {path.name: where_written(path).stat().st_size for path in job.files[:-1]}
             document["run"] = {"settings": job.key, "files": sizes, "seconds": time.perf_counter() - started}
         write_json(job.record, plain(document), force=job.force)
-        if job.force:  # an old record must not vouch for new files
+        if job.force:  # an old record must not describe new files
             job.record.unlink(missing_ok=True)
     return document
 
 
 class Fingerprint(NamedTuple):
-    """Hold what a file was when it was read: size (bytes), time of change (ns) and SHA-256."""
+    """State of a file when it was read: size (bytes), time of change (ns) and SHA-256."""
 
     bytes: int
     mtime_ns: int
@@ -200,7 +199,7 @@ class Fingerprint(NamedTuple):
 
 
 def fingerprint(path: Path) -> Fingerprint:
-    """Return a file's fingerprint. FileFormatError if it cannot be read."""
+    """Compute the fingerprint of a file. FileFormatError if it cannot be read."""
     with reading(path, "a table"):
         status = path.stat()
         with path.open("rb") as file:

@@ -1,6 +1,6 @@
-"""How all tables of a run are corrected: the rig and the options, the work on one table, and the key that records carry.
+"""Recipe of a run: the rig and the options, the work on one table, and the key of records.
 
-A run may have one camera for all its materials: its blur is then fitted jointly to a few of them, because one rig recorded all.
+A run may have one camera for all its materials: its blur is then fitted jointly to few of them, because one rig recorded all.
 """
 
 from __future__ import annotations
@@ -35,14 +35,15 @@ SETTINGS_FORMAT = "matcam run"
 
 
 class Options(NamedTuple):
-    """Hold the options of a correction.
+    """Options of a correction.
 
     Attributes:
-        ndf: family of the lobe, or "auto" for the likelier of "ggx" and "epd". Default: "auto".
+        ndf: family of the lobe, or "auto" for the more probable of "ggx" and "epd". Default: "auto".
         masking: masking function, or None for none. Default: "smith".
-        glare: share of light that the lens may scatter without its profile saying so (no unit). Default: 1e-3.
-        force_correction: whether to correct tables whose data contradict the rig. Default: False, they stay as they are.
-        workspace: keeps what depends on the rig alone; None: the process's own. It changes no result. Default: None.
+        glare: share of light in an unspecified halo of the lens (no unit). Default: 1e-3.
+        force_correction: whether to correct tables whose data contradict the rig. Default: False, they are not changed.
+        workspace: cache of results that depend on the rig alone; None: that of the process. It does not affect results.
+            Default: None.
 
     Example:
         >>> matcam.batch.Options(ndf="ggx").glare
@@ -57,12 +58,12 @@ class Options(NamedTuple):
 
 
 class CorrectedTable(NamedTuple):
-    """Hold what a corrector returns.
+    """Result of a corrector.
 
     Attributes:
         table: Dataset (brdf, brdf_std, correction_std, noise_std, supported, response).
-        document: what a record says of the table, as plain numbers and texts.
-        write_page: function (path, name, force) that writes the page to read.
+        document: record of the table, as numbers and texts.
+        write_page: function (path, name, force) that writes the page.
         budgets: uncertainty budgets of the peaks. Default: none.
     """
 
@@ -73,11 +74,11 @@ class CorrectedTable(NamedTuple):
 
 
 Corrector = Callable[[xr.DataArray, Rig, Options], CorrectedTable]
-"""Corrects one table. Workers import it by name, so it must stand at the top of a module."""
+"""Function that corrects one table. Workers import it by name, so it must be at the top level of a module."""
 
 
 def correct_table(table: xr.DataArray, rig: Rig, options: Options) -> CorrectedTable:
-    """Correct a table for its camera. Errors as `correct`'s."""
+    """Correct a table for its camera. Errors as of `correct`."""
     done = Correction.of(
         table,
         rig,
@@ -90,7 +91,7 @@ def correct_table(table: xr.DataArray, rig: Rig, options: Options) -> CorrectedT
     document = {"camera": rig.camera.profile(), "glare": options.glare, **done.to_dict()}
 
     def write_page(path: Path, name: str, force: bool) -> None:
-        from matcam.figures.pages import write_correction_page  # Matplotlib only where something is drawn
+        from matcam.figures.pages import write_correction_page  # Matplotlib is imported only for drawing
 
         write_correction_page(path, table, done, name, force=force)
 
@@ -99,16 +100,16 @@ def correct_table(table: xr.DataArray, rig: Rig, options: Options) -> CorrectedT
 
 @dataclass(frozen=True)
 class Recipe:
-    """Say how every table of a run is corrected.
+    """Rig and settings for every table of a run.
 
     Attributes:
         rig: the rig that recorded the tables.
         options: options of the correction.
-        sampling: where in its cell a value was sampled.
-        page: whether each table gets a page to read.
+        sampling: sampling position of a value in its cell.
+        page: whether each table gets a page.
         compress: whether its NetCDF is compressed.
-        corrector: does the work.
-        version: version of matcam that made the recipe; a worker of another version refuses it.
+        corrector: function that corrects one table.
+        version: version of matcam of the recipe; workers of other versions reject it.
     """
 
     rig: Rig
@@ -120,7 +121,7 @@ class Recipe:
     version: str = field(default_factory=lambda: metadata.version("matcam"))
 
     def settings(self, *, fit_camera: bool) -> dict[str, Any]:
-        """Return everything that decides what a run's files hold, as plain numbers and texts."""
+        """Return all settings that affect the files of a run, as numbers and texts."""
         if not hasattr(self.corrector, "__qualname__"):
             raise ArgumentError(f"corrector must be a function at the top of a module, got {self.corrector!r:.60}")
         return plain(
@@ -141,7 +142,7 @@ class Recipe:
         )
 
     def in_words(self) -> str:
-        """Describe the recipe in one line for a reader."""
+        """Describe the recipe in one line."""
         family = "GGX or EPD, the likelier" if self.options.ndf == "auto" else self.options.ndf
         camera = self.rig.camera
         known = f"its uncertainty {known_lens(camera).words}"
@@ -152,26 +153,26 @@ class Recipe:
 
 
 def rig_description(rig: Rig) -> dict[str, Any]:
-    """Describe all of a rig that its results depend on."""
+    """Describe all properties of a rig that affect its results."""
     described = rig.description()
-    described["camera"].pop("provenance")  # holds today's date, and changes no result
+    described["camera"].pop("provenance")  # contains the current date, which does not affect results
     azimuth = {} if rig.lamp_azimuth is None else {"lamp_azimuth": rig.lamp_azimuth}
     return {**described, "crop": rig.crop, "cell_value": rig.cell_value, "pixel_phase": rig.pixel_phase, **azimuth}
 
 
 def settings_key(settings: dict[str, Any]) -> str:
-    """Return a name made of the settings' content."""
+    """Compute a name from the content of the settings."""
     return hashlib.sha256(json.dumps(plain(settings), sort_keys=True).encode()).hexdigest()[:32]
 
 
 _FITTED, _EXAMINED = 4, 16
-"""Materials that are fitted: the narrowest lobes of those that are examined, because a lens hardly shows in a broad lobe."""
+"""Numbers of materials that are fitted, and examined for the narrowest lobes, because a broad lobe hardly shows the lens."""
 _KNOWN = 0.25
-"""Relative standard deviation up to which a fitted blur is used: a correction assumes that it is small."""
+"""Largest relative standard deviation of a usable fitted blur: a correction assumes that it is small."""
 
 
 def fit_shared_camera(recipe: Recipe, inputs: Sequence[Path]) -> Camera:
-    """Return the recipe's camera with the blur that these tables show, and its variance.
+    """Fit the blur of the camera of the recipe to these tables, with its variance.
 
     FitError if no table can be read, or they do not determine the blur to a quarter.
     """
@@ -204,9 +205,9 @@ def fit_shared_camera(recipe: Recipe, inputs: Sequence[Path]) -> Camera:
 
 
 def _narrowest(inputs: Sequence[Path], sampling: Sampling) -> list[tuple[Path, xr.DataArray]]:
-    """Return the tables with the narrowest lobes, out of some that are spread evenly over the inputs.
+    """Select the tables with the narrowest lobes from an even selection of the inputs.
 
-    Tables that cannot be read are skipped: their own jobs will report them.
+    Unreadable tables are skipped; their own jobs report them.
     """
     places = np.unique(np.linspace(0, max(len(inputs) - 1, 0), min(_EXAMINED, len(inputs))).astype(int))
     widths: list[tuple[float, Path]] = []
@@ -219,6 +220,6 @@ def _narrowest(inputs: Sequence[Path], sampling: Sampling) -> list[tuple[Path, x
         width = float(np.nanmedian(across)) if np.isfinite(across).any() else np.inf
         widths.append((width, inputs[place]))
     if not widths:
-        raise FitError("no table can be read: there is nothing to fit a camera to")
+        raise FitError("no table can be read: a camera cannot be fitted")
     narrowest = sorted(widths, key=lambda entry: entry[0])[:_FITTED]
     return [(file, read_table(file, sampling=sampling)) for _, file in narrowest]

@@ -1,4 +1,4 @@
-"""A run: many tables of one rig corrected into one folder, side by side, and taken up again where it was stopped."""
+"""Run: parallel correction of many tables of one rig to one folder, which can be resumed."""
 
 from __future__ import annotations
 
@@ -42,14 +42,14 @@ from matcam.rigs import Rig
 
 
 class Progress(NamedTuple):
-    """Say how far a run is.
+    """Progress of a run.
 
     Attributes:
         kept: materials that were finished before the run.
         corrected: materials that the run has corrected.
         failed: materials that failed.
         total: all materials of the run.
-        last: outcome of the last material; None: none is done yet.
+        last: outcome of the last material; None: none is finished.
 
     Example:
         >>> progress = matcam.batch.Progress(kept=3, corrected=2, failed=1, total=10, last=None)
@@ -66,13 +66,13 @@ class Progress(NamedTuple):
 
 @dataclass(frozen=True)
 class Run:
-    """Say what a run did.
+    """Result of a run.
 
     Attributes:
         folder: the run's output folder.
         corrected: inputs that the run corrected.
         kept: inputs that were finished before.
-        failures: outcomes of the inputs that failed, each with one line that says why.
+        failures: outcomes of the inputs that failed, each with its reason in one line.
 
     Example:
         >>> import pathlib
@@ -86,7 +86,7 @@ class Run:
     failures: tuple[Outcome, ...]
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the run as plain texts and lists.
+        """Return the run as texts and lists.
 
         Returns:
             The fields by name; "failed" lists each failure's file and reason.
@@ -123,50 +123,51 @@ def correct_all(
 ) -> Run:
     """Correct many MERL tables of one rig into one folder.
 
-    Each NAME.binary becomes NAME.binary, .nc, .html, .png and, last, NAME.json in the folder. Of the whole run,
-    settings.json says how, failed.json lists what failed and why, and index.html shows all materials.
+    Each NAME.binary becomes NAME.binary, .nc, .html, .png and, last, NAME.json in the folder. For the whole run,
+    settings.json has the settings, failed.json lists failures with reasons, and index.html shows all materials.
 
-    A material is not corrected again if its files are whole, and were made with these settings from its input as it is
-    now. So a run that was killed goes on where it was when it is started again. A material that fails, or takes its
-    worker with it, stops no other. Workers keep compiled functions and rules of the rig in the user's cache folder.
+    A material is not corrected again if its files are complete, and have these settings and the current input. A run
+    that was killed therefore resumes when it is started again. A material that fails, or kills its worker, does not
+    affect others. Workers keep compiled functions and rules of the rig in the cache folder of the user.
 
     Workers are new processes that import the calling script: call this under `if __name__ == "__main__":` there.
 
     Args:
-        paths: MERL files, and folders that stand for their *.binary.
+        paths: MERL files, and folders, which mean their *.binary.
         rig: the rig that recorded the tables: distant camera and lamp, and a sphere.
         output: folder to fill.
-        ndf: family of the lobe; "auto" takes the likelier of "ggx" and "epd" for each material. Default: "auto".
+        ndf: family of the lobe; "auto" uses the more probable of "ggx" and "epd" for each material. Default: "auto".
         masking: masking function, as for `correct`; None for none. Default: "smith".
-        glare: share of light that the lens may scatter without its profile saying so, in [0, 0.5] (no unit). It limits
-            what is supported beside a highlight; raise it for a lens that scatters more. Default: 1e-3.
-        force_correction: whether to correct tables whose data contradict the rig. Default: False, they stay as they are.
-        sampling: where in its cell a value was sampled, "centre" or "edge"; the file does not say. Default: "centre".
+        glare: share of light in an unspecified halo of the lens, in [0, 0.5] (no unit). It limits the supported entries
+            beside a highlight; increase it for a lens that scatters more. Default: 1e-3.
+        force_correction: whether to correct tables whose data contradict the rig. Default: False, they are not changed.
+        sampling: sampling position of a value in its cell, "centre" or "edge", which the file does not contain.
+            Default: "centre".
         workers: number of worker processes of one core each, in [1, 1024]. Default: None, one for each core that this
             process may use.
         cluster: run on Dask instead: "local:2" for workers on this machine, or the address of a scheduler. Its workers
             must have one thread, see the same folders and have the same versions. Default: None.
-        pages: whether each material gets a page to read. Default: True.
+        pages: whether each material gets a page. Default: True.
         compress: whether to compress each NetCDF, without loss. Default: True.
-        zarr: whether to write all materials to one Zarr besides, run.zarr. Default: False.
+        zarr: whether to write all materials to one Zarr, too, run.zarr. Default: False.
         fit_camera: whether to fit the rig's blur jointly to the few materials with the narrowest lobes. All are then
-            corrected with that blur and its covariance, kept as camera.json. Default: False.
-        time_limit: time after which a worker process that is still at one material is killed, and the material has
-            failed, s. Clusters have none. Default: 3600.
-        force: whether to replace what is in the folder and correct everything again. Default: False.
+            corrected with that blur and its covariance, which camera.json contains. Default: False.
+        time_limit: time limit for one material, s, after which its worker process is killed and the material has
+            failed. Clusters have none. Default: 3600.
+        force: whether to replace existing files and correct everything again. Default: False.
         watch: function that is called with a `Progress` at the start and after each material. Default: does nothing.
-        corrector: function (table, rig, options) that corrects one table; it must stand at the top of a module, because
-            workers import it. Default: matcam's own.
-        workspace: keeps what depends on the rig alone, in this process; workers have the user's. Default: None, the
-            process's own.
+        corrector: function (table, rig, options) that corrects one table; it must be at the top level of a module,
+            because workers import it. Default: matcam's own.
+        workspace: cache of results that depend on the rig alone, in this process; workers use that of the user.
+            Default: None, that of the process.
 
     Returns:
-        What was corrected, kept and failed.
+        Corrected, kept and failed materials.
 
     Raises:
         ArgumentError: if an argument is out of its range, or `paths` name no table.
-        OutputError: if the folder is of a run with other settings (which is named), in use by another run, holds an
-            input, or holds files that no run wrote.
+        OutputError: if the folder belongs to a run with other settings (which are named), is in use by another run, or
+            contains an input or files that no run wrote.
         FitError: if a camera was to be fitted and the tables do not determine it.
 
     Source:
@@ -178,7 +179,7 @@ def correct_all(
         >>> matcam.correct_all([folder], matcam.rigs.merl(), folder)
         Traceback (most recent call last):
         ...
-        matcam.core.errors.ArgumentError: ...: no *.binary in there
+        matcam.core.errors.ArgumentError: ...: no *.binary in it
     """
     check_rig(rig)
     checks.choice("ndf", ndf, (AUTO, *FAMILIES))
@@ -214,7 +215,7 @@ def correct_all(
         fitted: Camera | None = None
         if fit_camera and (force or not ours or not is_there(folder.camera)):
             fitted = fit_shared_camera(recipe, list(outputs))
-        # from here on the folder is this run's; before, a run that cannot start has changed nothing
+        # from here on the folder belongs to this run; before, a run that cannot start has changed nothing
         if not ours:
             folder.claim(settings)
         folder.sweep(jobs)
@@ -231,7 +232,7 @@ def correct_all(
         if zarr:
             waiting = folder.assign_rows(jobs, waiting)
         run = _run_jobs(folder, waiting, Run(folder.path, (), tuple(kept), tuple(refused)), executor, watch)
-        whole = {*run.kept, *run.corrected}  # not what lies there of an input that has changed and fails now
+        whole = {*run.kept, *run.corrected}  # without old files of an input that has changed and fails
         finished = sorted((job for job in jobs if job.source in whole), key=lambda job: job.name.casefold())
         write_run_index(
             folder.index,
@@ -247,13 +248,13 @@ def correct_all(
 def _run_jobs(
     folder: RunFolder, jobs: Sequence[Job], run: Run, executor: Executor, watch: Callable[[Progress], None]
 ) -> Run:
-    """Do the jobs, report each outcome, and write down what failed."""
+    """Run the jobs, report each outcome, and write the failures."""
     total = len(jobs) + len(run.kept) + len(run.failures)
     corrected: list[Path] = []
     failures = list(run.failures)
     watch(Progress(len(run.kept), 0, len(failures), total, None))
     try:
-        with closing(executor.outcomes(jobs)) as outcomes:  # whatever ends this, no worker goes on
+        with closing(executor.outcomes(jobs)) as outcomes:  # workers end with this function in any case
             for outcome in outcomes:
                 if outcome.reason is None:
                     corrected.append(outcome.source)
@@ -266,11 +267,11 @@ def _run_jobs(
 
 
 def _executor(workers: int | None, cluster: str | None, time_limit: float) -> Executor:
-    """Choose who does the jobs."""
+    """Choose the executor of the jobs."""
     if cluster is not None:
         chosen = ClusterExecutor(cluster)
         if workers is not None:
-            raise ArgumentError("workers are of this machine, cluster says where others are: give one of them")
+            raise ArgumentError("workers are on this machine, cluster is elsewhere: give one of them")
         return chosen
     if workers is None:
         return ProcessExecutor(available_cores(), time_limit)
@@ -278,8 +279,10 @@ def _executor(workers: int | None, cluster: str | None, time_limit: float) -> Ex
 
 
 def _check_picklable(recipe: Recipe) -> None:
-    """Refuse a corrector that workers could not import."""
+    """Raise ArgumentError for a corrector that workers could not import."""
     try:
         pickle.dumps(recipe)
     except Exception:
-        raise ArgumentError(f"corrector must stand at the top of a module, got {recipe.corrector!r:.80}") from None
+        raise ArgumentError(
+            f"corrector must be a function at the top of a module, got {recipe.corrector!r:.80}"
+        ) from None

@@ -1,10 +1,10 @@
-"""A run as one Zarr: arrays over all its materials, which `xarray.open_zarr` reads lazily. Needs the extra `matcam[scale]`.
+"""Run as one Zarr: arrays over all its materials, which `xarray.open_zarr` reads lazily. Requires the extra `matcam[scale]`.
 
-A folder, version 3, dims (material, theta_h, theta_d, phi_d, channel); one chunk a material, so that workers write their rows
-beside each other. `corrected` indicates which rows are whole; it is a row's last chunk.
+It is a folder, version 3, dims (material, theta_h, theta_d, phi_d, channel); one chunk per material, so that workers
+write their rows in parallel. `corrected` marks complete rows; it is the last chunk of a row.
 
-Others may have changed the folder. So its arrays must have the shapes and types that a run gives them, and chunks are decoded
-in a process of their own only (core/readers/apart.py). A worker writes whole chunks, for which none is decoded.
+The folder is not trusted: its arrays must have the shapes and types of a run, and chunks are decoded only in a separate
+process (core/readers/apart.py). A worker writes whole chunks without decoding.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from matcam.inverse.correction.corrected_table import TABLE_ATTRIBUTES
 
 _ROW, _DONE = "material", "corrected"
 _MOST_ROWS = 1_000_000
-"""Materials in a run at most. Their names alone take 64 MB."""
+"""Largest number of materials in a run, whose names alone take 64 MB."""
 _VALUES: dict[str, tuple[type, dict[str, str]]] = {
     name: (bool if name == "supported" else np.float32 if name.endswith("_std") else float, attributes)
     for name, attributes in TABLE_ATTRIBUTES.items()
@@ -45,7 +45,7 @@ _TABLES = {name: _SIZES if name != "response" else _SIZES[:3] for name in _VALUE
 
 
 class StoreRow(NamedTuple):
-    """Name one material's row of a run's Zarr.
+    """Row of one material in the Zarr of a run.
 
     Attributes:
         store: folder of the Zarr.
@@ -56,7 +56,7 @@ class StoreRow(NamedTuple):
     row: int
 
     def write(self, data: xr.Dataset) -> None:
-        """Write a corrected table as this row. OutputError if that fails."""
+        """Write a corrected table to this row. OutputError if that fails."""
         try:
             group = _zarr().open_group(self.store, mode="r+", zarr_format=3, use_consolidated=False)
             group[_DONE][self.row] = False
@@ -69,14 +69,16 @@ class StoreRow(NamedTuple):
 
 
 def open_rows(store: Path, names: Sequence[str], sampling: Sampling) -> dict[str, StoreRow]:
-    """Return the row of each material in a store, which is created or grown as needed.
+    """Return the row of each material in a store, which is created or extended as needed.
 
     ArgumentError if zarr is not installed; OutputError if the store is not one of runs or cannot be written.
     """
     zarr = _zarr()
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # text has no final specification in Zarr 3: other readers may not know it
+            warnings.simplefilter(
+                "ignore"
+            )  # text has no final specification in Zarr 3: other readers may not support it
             _check_store(store)
             group = zarr.open_group(store, mode="a", zarr_format=3, use_consolidated=False)
             if _ROW not in group:
@@ -93,26 +95,26 @@ def open_rows(store: Path, names: Sequence[str], sampling: Sampling) -> dict[str
 
 
 def whole_rows(store: Path) -> np.ndarray:
-    """Read which rows hold a corrected table, bool."""
+    """Read the mask of rows with a corrected table, bool."""
     return _stored(store, [_DONE])[_DONE]
 
 
 def row_names(store: Path) -> list[str]:
-    """Read the materials of a run's Zarr, by row; tables are not read."""
+    """Read the materials of the Zarr of a run, by row, without tables."""
     _check_readable(store)
     return _stored(store, [_ROW])[_ROW].tolist()
 
 
 def read_row(store: Path, row: int) -> xr.Dataset:
-    """Read one material's corrected table from a run's Zarr.
+    """Read the corrected table of one material from the Zarr of a run.
 
     Raises:
-        FileFormatError: the row is not whole, or the store is damaged.
+        FileFormatError: the row is incomplete, or the store is damaged.
     """
     _check_readable(store)
     done = whole_rows(store)
     if not 0 <= row < done.size or not done[row]:
-        raise FileFormatError(f"{store}: row {row} is not whole: the run has not finished it")
+        raise FileFormatError(f"{store}: row {row} is incomplete: the run has not finished it")
     names = [*_VALUES]
     read = read_apart(_DECODER, store, libraries=_LIBRARIES, size=_bytes_of(store, names, row), arrays=names, row=row)
     try:
@@ -139,7 +141,7 @@ def _stored(store: Path, names: Sequence[str]) -> dict[str, np.ndarray]:
 
 
 def _bytes_of(store: Path, names: Sequence[str], row: int | None = None) -> int:
-    """Add the sizes of the chunks of arrays, or of one row of them; FileFormatError for a link among them."""
+    """Sum the sizes of the chunks of arrays, or of one row; FileFormatError for a link among them."""
     total = 0
     for name in names:
         chunks = store / name / "c"
@@ -163,7 +165,7 @@ def _check_readable(store: Path) -> None:
 
 
 def _check_store(store: Path) -> None:
-    """Check the arrays of a store before anything of it is decoded. OutputError for what no run has written."""
+    """Check the arrays of a store before decoding. OutputError for a store that is not from a run."""
     for described in sorted(store.glob(f"*/{DESCRIPTION}")):
         name = described.parent.name
         try:
@@ -172,7 +174,7 @@ def _check_store(store: Path) -> None:
             shape, chunks, kind = tuple(document["shape"]), chunk_shape(document), document["data_type"]
             check_lengths(store, name, shape)
             if document["chunk_key_encoding"] != _CHUNK_KEYS:
-                raise FileFormatError(f"{described}: its chunks have other names than a run gives them")
+                raise FileFormatError(f"{described}: its chunks do not have the names of a run")
             expected: tuple[tuple[int, ...], tuple[int, ...], str]
             if name in _VALUES:
                 expected = _TABLES[name], (1, *_TABLES[name]), np.dtype(_VALUES[name][0]).name
@@ -189,7 +191,7 @@ def _check_store(store: Path) -> None:
 
 
 def _create_arrays(group: Any, sampling: Sampling) -> None:
-    """Create the arrays, without a material yet."""
+    """Create the arrays, without materials."""
     group.attrs["sampling"] = sampling
     for name, values in merl_grid(sampling)._asdict().items():
         array = group.create_array(
@@ -204,13 +206,13 @@ def _create_arrays(group: Any, sampling: Sampling) -> None:
             name, shape=(0, *sizes), chunks=(1, *sizes), dtype=kind, attributes=attributes,
             fill_value=False if kind is bool else np.nan, dimension_names=(_ROW, *DIMS[: len(sizes)]),
         )  # fmt: skip
-    meaning = {"long_name": "whether the row is whole"}
+    meaning = {"long_name": "whether the row is complete"}
     group.create_array(_DONE, shape=(0,), chunks=(1,), dtype=bool, dimension_names=(_ROW,), attributes=meaning)
     group.create_array(_ROW, shape=(0,), chunks=(_NAMES_A_CHUNK,), dtype=str, dimension_names=(_ROW,))
 
 
 def _grow(group: Any, names: list[str]) -> None:
-    """Add rows for these materials; their names last, because names say which rows exist."""
+    """Add rows for these materials; their names are last, because names mark existing rows."""
     for name in (*_VALUES, _DONE):
         array = group[name]
         array.resize((len(names), *array.shape[1:]))

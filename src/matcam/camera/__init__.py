@@ -1,4 +1,4 @@
-"""A camera: lens, pixel, sensor, and what is known of them."""
+"""Camera: lens, pixel, sensor, and their uncertainty."""
 
 import lazy_loader
 

@@ -1,8 +1,8 @@
-"""Exposure bracketing: several pictures of one scene, merged into the radiance that they all saw, with its uncertainty.
+"""Exposure bracketing: several images of one scene, merged to its radiance, with uncertainty.
 
-Every picture's weight is the inverse variance that the sensor's law gives it at the merged radiance (docs/model.md 8), never
-that of its own noisy pixels. Close to saturation a picture's weight is faded out: a sharp limit would let pixels in by
-their own noise, and bias what is left.
+The weight of an image is the inverse variance by the model of the sensor at the merged radiance (docs/model.md 8),
+never that of its own noisy pixels. Near saturation the weight fades to 0, because a sharp limit would select pixels by
+their noise, and bias the result.
 """
 
 from __future__ import annotations
@@ -17,16 +17,16 @@ from matcam.core import checks
 from matcam.core.errors import ArgumentError
 from matcam.core.jax import AnyArray, jax, jnp
 
-_FADE = (0.85, 0.95)  # of saturation: from full weight to none
+_FADE = (0.85, 0.95)  # shares of saturation: from full weight to none
 _ROUNDS = 3
 
 
 class RadianceEstimate(NamedTuple):
-    """Hold the radiance that a bracket of exposures saw.
+    """Radiance estimated from a bracket of exposures.
 
     Attributes:
-        radiance: estimate, in the unit that the exposures are per, shape (H, W) or (H, W, channels); NaN where every picture
-            is saturated, or the data are missing.
+        radiance: estimate, in the unit of the exposures' reference, shape (H, W) or (H, W, channels); NaN where every
+            picture is saturated, or the data are missing.
         std: its standard deviation, fixed patterns included, same unit and shape.
         saturated: True where every picture is saturated, same shape.
 
@@ -46,7 +46,7 @@ def expose_bracket(
 ) -> jax.Array:
     """Photograph one scene at several exposures.
 
-    The pictures' noise is independent; their fixed patterns are the sensor's.
+    The noise of the images is independent; the fixed patterns are those of the sensor.
 
     Args:
         sensor: the sensor that takes them.
@@ -78,19 +78,20 @@ def expose_bracket(
 def merge_bracket(
     sensor: Sensor, pictures: AnyArray, exposures: Sequence[float], times: Sequence[float] | None = None
 ) -> RadianceEstimate:
-    """Merge pictures of one scene into the radiance that they all saw.
+    """Merge images of one scene to its radiance.
 
-    The estimate is the minimum-variance weighted mean of the pictures less their mean dark electrons. Without saturation it
-    is unbiased but for the weights' faint dependence on the data.
+    The estimate is the minimum-variance weighted mean of the pictures less their mean dark electrons. Without
+    saturation it is unbiased, except for the weak dependence of the weights on the data.
 
     Args:
-        sensor: the sensor that took them; its noise makes the weights.
+        sensor: the sensor that took them; its noise gives the weights.
         pictures: DN, shape (pictures, H, W) or (pictures, H, W, channels).
         exposures: of the pictures, electrons per unit of radiance, positive, (pictures,).
         times: of the pictures, s, for the dark current, (pictures,). None: 0, no dark current.
 
     Returns:
-        `.radiance` in the unit that the exposures are per, `.std` of it, and where all are `.saturated`.
+        `.radiance` in the unit of the exposures' reference, its `.std`, and a mask `.saturated` of pixels that are
+        saturated in all.
 
     Raises:
         ArgumentError: an argument is out of range or has the wrong shape.
@@ -120,7 +121,7 @@ def merge_bracket(
     usable = share > 0
     saturated = ~jnp.any(usable | jnp.isnan(electrons), axis=0)
 
-    # the mean for shot noise alone needs no variance to start from
+    # the mean for shot noise alone requires no initial variance
     weight = share * exposure
     radiance = jnp.sum(share * (electrons - dark), axis=0) / _nan_where_zero(jnp.sum(weight, axis=0))
     for _ in range(_ROUNDS):
@@ -128,7 +129,7 @@ def merge_bracket(
         weight = share / variance
         weight = weight / _nan_where_zero(jnp.sum(weight, axis=0))
         radiance = jnp.sum(weight * (electrons - dark) / exposure, axis=0)
-    # patterns are the same in all pictures: averaging does not help against them
+    # patterns are the same in all images, so averaging does not reduce them
     common = (sensor.prnu * radiance) ** 2
     common += (sensor.dark_nonuniformity * jnp.sum(weight * dark / exposure, axis=0)) ** 2
     common += (sensor.dsnu * jnp.sum(weight / exposure, axis=0)) ** 2

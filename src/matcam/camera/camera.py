@@ -1,4 +1,4 @@
-"""The camera: lens and pixel together, as the one effective kernel of its pictures (docs/model.md 2)."""
+"""Camera: lens and pixel together, as the effective kernel of its images (docs/model.md 2)."""
 
 from __future__ import annotations
 
@@ -27,26 +27,25 @@ if TYPE_CHECKING:
 
 
 class Camera(Module, Summarised):
-    """Combine lens and pixel to the effective kernel of a camera's pictures.
+    """Lens and pixel, combined to the effective kernel of a camera's images.
 
-    Three kernels are easily confused. `Optics.psf` is the light that the lens lays on the sensor. `PixelResponse.response` is
-    the sensitivity of one pixel over its area. `Camera.psf` is the *effective* kernel: the first, integrated over the second,
-    as pixels record it. A `Camera` is neither optics nor pixel, so that nothing can be blurred twice.
+    Three kernels are easily confused. `Optics.psf` is the light of the lens on the sensor. `PixelResponse.response` is
+    the sensitivity of one pixel over its area. `Camera.psf` is the *effective* kernel: the first, integrated over the
+    second, as pixels record it. A `Camera` is neither optics nor pixel, so that no blur can be applied twice.
 
-    Directions are angles to the pixel grid's rows, rad, from +x (right) towards +y (up): a square pixel looks different from
-    every angle.
+    Directions are angles to the pixel grid's rows, rad, from +x (right) towards +y (up): a square pixel is not isotropic.
 
     Args:
         optics: the lens, such as `GaussianOptics(0.5)`.
-        pixel: the response of one pixel. None: `BoxPixel()`, sensitive all over.
-        sensor: noise and mosaic of the pictures; it does not change the kernel. None: not stated.
+        pixel: the response of one pixel. None: `BoxPixel()`, uniformly sensitive.
+        sensor: noise and mosaic of the pictures; it does not change the kernel. None: unknown.
         uncertainty: covariance of the camera's parameters. None: they are exact.
-        provenance: where the camera comes from; it goes into the profile. None: nothing is stated.
-        field: distortion and growth of the blur over the field, which `reconstruct` allows for. None: the same everywhere.
+        provenance: origin of the camera, for the profile. None: unknown.
+        field: distortion and growth of the blur over the field, which `reconstruct` uses. None: uniform.
 
     Raises:
-        ArgumentError: a part is of the wrong kind, `uncertainty` names a parameter that the camera has not, or lens and
-            sensor state different pixel pitches.
+        ArgumentError: a part is of the wrong kind, `uncertainty` names a parameter that the camera lacks, or lens and
+            sensor have different pixel pitches.
 
     Source:
         Holzschuch & Pacanowski (2017), section 3; docs/model.md 2.
@@ -106,14 +105,14 @@ class Camera(Module, Summarised):
     def psf(self, x: ArrayLike, y: ArrayLike) -> jax.Array:
         """Return the effective point spread function, 1/px^2: optics and pixel.
 
-        It is the reading of a pixel per unit of light in a point, and integrates to 1.
+        It is the value of a pixel per unit of light in a point, and integrates to 1.
 
         Args:
             x: distance of the point from the pixel's centre along the rows, px; broadcasts with y.
             y: distance across the rows, upwards, px.
 
         Raises:
-            ArgumentError: a position is not finite, or a measured MTF has not reached 0.
+            ArgumentError: a position is not finite, or a measured MTF does not end at 0.
         """
         x, y = checks.broadcastable(x=x, y=y)
         return self._sum(lambda part: effective.point(part, self.pixel, x, y))
@@ -121,14 +120,14 @@ class Camera(Module, Summarised):
     def lsf(self, x: ArrayLike, angle: ArrayLike = 0.0) -> jax.Array:
         """Return the effective line spread function, 1/px: optics and pixel.
 
-        It is the reading of a pixel per unit of light along a line.
+        It is the value of a pixel per unit of light along a line.
 
         Args:
             x: distance of the line from the pixel's centre, px; broadcasts with angle.
             angle: direction of the line's normal to the rows, rad. Default: 0, a line along the columns.
 
         Raises:
-            ArgumentError: an argument is not finite, or a measured MTF has not reached 0.
+            ArgumentError: an argument is not finite, or a measured MTF does not end at 0.
         """
         x, angle = checks.broadcastable(x=x, angle=angle)
         return self._sum(lambda part: effective.line(part, self.pixel, x, angle))
@@ -136,14 +135,14 @@ class Camera(Module, Summarised):
     def esf(self, x: ArrayLike, angle: ArrayLike = 0.0) -> jax.Array:
         """Return the effective edge spread function, no unit: optics and pixel.
 
-        It is the reading of a pixel at an edge between 0 and 1.
+        It is the value of a pixel at an edge between 0 and 1.
 
         Args:
             x: distance of the pixel's centre from the edge, px, positive on its bright side; broadcasts with angle.
             angle: direction of the edge's normal to the rows, rad. Default: 0, an edge along the columns.
 
         Raises:
-            ArgumentError: an argument is not finite, or a measured MTF has not reached 0.
+            ArgumentError: an argument is not finite, or a measured MTF does not end at 0.
         """
         x, angle = checks.broadcastable(x=x, angle=angle)
         return self._sum(lambda part: effective.edge(part, self.pixel, x, angle))
@@ -151,8 +150,8 @@ class Camera(Module, Summarised):
     def mtf(self, f: ArrayLike, angle: ArrayLike = 0.0) -> jax.Array:
         """Return the total transfer function: optics times pixel, signed.
 
-        The pixel's factor is negative beyond 1 / (2 half_width). Of a lens that is not isotropic it is the modulus: what has
-        a phase is `transfer`.
+        The pixel's factor is negative beyond 1 / (2 half_width). For a lens that is not isotropic it is the modulus;
+        `transfer` has the phase.
 
         Args:
             f: frequency, cycles/px; broadcasts with angle.
@@ -168,7 +167,7 @@ class Camera(Module, Summarised):
     def transfer(self, fx: jax.Array, fy: jax.Array) -> jax.Array:
         """Return the total transfer function in the plane: optics times pixel, signed.
 
-        It is complex where the lens is not isotropic.
+        It is complex if the lens is not isotropic.
 
         Args:
             fx: frequency along the rows, cycles/px; broadcasts with fy.
@@ -177,7 +176,7 @@ class Camera(Module, Summarised):
         return effective.transfer(self.optics, self.pixel, fx, fy)
 
     def _sum(self, kernel: Callable[[Optics], jax.Array]) -> jax.Array:
-        """Sum a kernel over the lens's components, because it is linear in the lens."""
+        """Sum a kernel over the components of the lens, because it is linear in the lens."""
         return sum((weight * kernel(part) for weight, part in self.optics.components()), xp.zeros(()))
 
     # ------------------------------------------------------------------ its parameters and its file
@@ -212,7 +211,7 @@ class Camera(Module, Summarised):
         """Return the camera with another distortion and blur over the field.
 
         Args:
-            field: how the lens differs over the field; None: it is the same everywhere.
+            field: variation of the lens over the field; None: uniform.
         """
         return Camera(
             self.optics,
@@ -227,10 +226,10 @@ class Camera(Module, Summarised):
         """Return the camera with another sensor.
 
         Args:
-            sensor: noise and mosaic, as from `SensorCharacteristics.sensor`; None: not stated.
+            sensor: noise and mosaic, as from `SensorCharacteristics.sensor`; None: unknown.
 
         Raises:
-            ArgumentError: lens and sensor state different pixel pitches.
+            ArgumentError: lens and sensor have different pixel pitches.
         """
         return Camera(
             self.optics,
@@ -249,7 +248,7 @@ class Camera(Module, Summarised):
             force: True replaces an existing file. Default: False.
 
         Raises:
-            OutputError: the file exists, or cannot be written there.
+            OutputError: the file exists, or cannot be written.
         """
         write_json(path, self.profile(), force=force)
 
@@ -261,9 +260,9 @@ class Camera(Module, Summarised):
             path: file to read (JSON), of any published version.
 
         Raises:
-            FileFormatError: this is no profile; the message names the file and the field.
+            FileFormatError: this is not a profile; the message names the file and the field.
         """
-        from matcam.camera import profile  # and pydantic, which few cameras need
+        from matcam.camera import profile  # and pydantic, which few cameras require
 
         return cls._from_parts(profile.read_profile(path), path)
 
@@ -283,10 +282,10 @@ class Camera(Module, Summarised):
 
         Args:
             document: the profile as JSON.
-            where: place of the profile, for messages. Default: "camera profile".
+            where: location of the profile, for messages. Default: "camera profile".
 
         Raises:
-            FileFormatError: this is no profile; the message names its place and the field.
+            FileFormatError: this is not a profile; the message names its location and the field.
         """
         from matcam.camera import profile
 
@@ -300,7 +299,7 @@ class Camera(Module, Summarised):
             raise FileFormatError(f"{where}: {error}") from None
 
     def _check_pitch(self, pitch: jax.Array) -> None:
-        """Check that a lens in m and a sensor in m mean the same pixels."""
+        """Check that a lens and a sensor have the same pixel pitch."""
         for name, value in self.parameters().items():
             if not name.endswith("pixel_pitch_m") or not is_concrete(value) or not is_concrete(pitch):
                 continue

@@ -1,13 +1,14 @@
-"""The effective kernel of one lens and one pixel: a pixel's reading of a point, a line or an edge.
+"""Effective kernel of one lens and one pixel: value of a pixel for a point, a line or an edge.
 
-It has a closed form for Gaussian optics and a square pixel, and is integrated over frequencies otherwise. All is for lenses
-of one piece; `Camera` sums over the components of the others.
+It has a closed form for Gaussian optics and a square pixel, and is integrated over frequencies otherwise. All functions
+are for lenses of one component; `Camera` sums over components.
 
-The closed form: seen along a direction at an angle to the grid, a square is the sum of two boxes, half widths p |cos| and
-p |sin|. A Gaussian through two boxes is a second difference of H, the integral of the normal distribution function; an edge,
-of the integral of H. Both are split into a polynomial for x > 0 and a remainder that dies out, so that no large terms
-cancel. Where the short box is a sliver of the Gaussian, the second difference would lose digits: its mean is then taken by
-quadrature. At x = 0, where the two parts have kinks that cancel, both take the left-hand derivative.
+Closed form: the projection of a square along a direction at an angle to the grid is the convolution of two boxes, half
+widths p |cos| and p |sin|. A Gaussian through two boxes is a second difference of H, the integral of the normal
+distribution function; an edge, of the integral of H. Both are split into a polynomial for x > 0 and a vanishing
+remainder, so that no large terms cancel. If the short box is much narrower than the Gaussian, the second difference
+would lose digits, and its mean is computed by quadrature. At x = 0, where the two parts have kinks that cancel, both
+use the left-hand derivative.
 """
 
 from __future__ import annotations
@@ -32,25 +33,25 @@ if TYPE_CHECKING:
 _FAR = 40.0  # standard deviations, beyond which a normal distribution is 0
 _SLIVER = 0.05  # short half width / std
 _FREQUENCIES = np.linspace(0, 2, 4001)
-"""cycles/px, among which MTF50 is looked for; their step is below the standard deviation of any calibration."""
-_THINNEST = 1e-3  # px, short half width in `edge_and_slopes`: 2e-7 px^2 of blur too much, no digits lost
+"""Frequencies at which MTF50 is searched, cycles/px. Their step is below the standard deviation of any calibration."""
+_THINNEST = 1e-3  # px, short half width in `edge_and_slopes`: an additional blur of 2e-7 px^2, without loss of digits
 
 
 def point(optics: Optics, pixel: PixelResponse, x: jax.Array, y: jax.Array) -> jax.Array:
-    """Return a pixel's reading of a point of light (x, y) px from its centre, 1/px^2."""
+    """Evaluate a pixel for a point of light (x, y) px from its centre, 1/px^2."""
     if isinstance(optics, GaussianOptics):
         return pixel.of_gaussian(x, optics.sigma) * pixel.of_gaussian(y, optics.sigma)
     reach, band = fourier.reach_of(xp.hypot(x, y)), optics.band()
     rule = optics.frequency_rule(fourier.panels_for(reach + 1, band))
     turns = fourier.turns_for(reach + 1, band)
-    if not optics.isotropic:  # the pixel stands where the point is not
+    if not optics.isotropic:  # offset of the pixel from the point
         along = partial(transfer_along, optics, pixel)
         return fourier.directed_plane_kernel(rule, along, -x, -y, turns)
     return fourier.plane_kernel(rule, partial(transfer_along, optics, pixel), x, y, turns)
 
 
 def line(optics: Optics, pixel: PixelResponse, x: jax.Array, angle: jax.Array) -> jax.Array:
-    """Return a pixel's reading of a line x px away whose normal is at `angle`, 1/px."""
+    """Evaluate a pixel for a line x px away with its normal at `angle`, 1/px."""
     if isinstance(optics, GaussianOptics) and isinstance(pixel, BoxPixel):
         return square_line(x, angle, pixel.half_width, optics.sigma)
     x = x if optics.isotropic else -x  # from the line to the pixel
@@ -58,33 +59,33 @@ def line(optics: Optics, pixel: PixelResponse, x: jax.Array, angle: jax.Array) -
 
 
 def edge(optics: Optics, pixel: PixelResponse, x: jax.Array, angle: jax.Array) -> jax.Array:
-    """Return a pixel's reading x px inside the bright side of a 0-1 edge whose normal is at `angle`."""
+    """Evaluate a pixel x px inside the bright side of a 0-1 edge with its normal at `angle`."""
     if isinstance(optics, GaussianOptics) and isinstance(pixel, BoxPixel):
         return square_edge(x, angle, pixel.half_width, optics.sigma)
     return fourier.step_response(rule_for(optics, x), partial(transfer_along, optics, pixel), x, angle)
 
 
 def transfer(optics: Optics, pixel: PixelResponse, fx: jax.Array, fy: jax.Array) -> jax.Array:
-    """Return the total transfer function at (fx, fy) cycles/px."""
+    """Evaluate the total transfer function at (fx, fy) cycles/px."""
     return optics.otf(fx, fy) * pixel.mtf(fx) * pixel.mtf(fy)
 
 
 def transfer_along(optics: Optics, pixel: PixelResponse, f: jax.Array, angle: jax.Array) -> jax.Array:
-    """Return the total transfer function at f cycles/px along `angle`."""
+    """Evaluate the total transfer function at f cycles/px along `angle`."""
     lens = optics.mtf(f) if optics.isotropic else optics.otf(f * xp.cos(angle), f * xp.sin(angle))
     return lens * pixel.mtf(f * xp.cos(angle)) * pixel.mtf(f * xp.sin(angle))
 
 
 def rule_for(optics: Optics, x: jax.Array) -> fourier.Rule:
-    """Return the frequencies that resolve the kernel out to all x px."""
-    # the pixel's own transform oscillates as if 1 px further away
+    """Choose frequencies that resolve the kernel out to all x px."""
+    # the transform of the pixel oscillates like 1 px of additional distance
     return optics.frequency_rule(fourier.panels_for(fourier.reach_of(x) + 1, optics.band()))
 
 
 def square_line(x: jax.Array, angle: jax.Array, half_width: jax.Array, std: jax.Array) -> jax.Array:
-    """Return a square pixel's reading of a line with a Gaussian profile, x px away, normal at `angle`; 1/px."""
+    """Evaluate a square pixel for a line with a Gaussian profile, x px away, normal at `angle`; 1/px."""
     long, sliver, short = _boxes(angle, half_width, std)
-    safe = xp.where(sliver, std, short)  # the branch not taken must not divide by 0, nor its gradient
+    safe = xp.where(sliver, std, short)  # the unused branch must not divide by 0, nor its gradient
     polynomial = _polynomial_difference(lambda u: xp.where(u > 0, u, 0), x, long, safe, far=0.0)
     remainder = _second_difference(lambda u: _first_remainder(u, std), x, long, safe)
     closed = (polynomial + remainder) / (4 * long * safe)
@@ -93,7 +94,7 @@ def square_line(x: jax.Array, angle: jax.Array, half_width: jax.Array, std: jax.
 
 
 def square_edge(x: jax.Array, angle: jax.Array, half_width: jax.Array, std: jax.Array) -> jax.Array:
-    """Return a square pixel's reading x px inside the bright side of a 0-1 edge with a Gaussian blur."""
+    """Evaluate a square pixel x px inside the bright side of a 0-1 edge with a Gaussian blur."""
     long, sliver, short = _boxes(angle, half_width, std)
     safe = xp.where(sliver, std, short)
     polynomial = _polynomial_difference(
@@ -106,7 +107,7 @@ def square_edge(x: jax.Array, angle: jax.Array, half_width: jax.Array, std: jax.
         wide = long[..., None]
         upper, lower = u + wide, u - wide
         ramp = xp.where(upper > 0, upper, 0) - xp.where(lower > 0, lower, 0)
-        # to the right of the whole box the difference is its width, exactly
+        # to the right of the whole box the difference is exactly its width
         ramp = xp.where(lower > 0, 2 * wide, ramp)
         return (ramp + _first_remainder(upper, std) - _first_remainder(lower, std)) / (2 * wide)
 
@@ -116,10 +117,11 @@ def square_edge(x: jax.Array, angle: jax.Array, half_width: jax.Array, std: jax.
 def edge_and_slopes(
     x: jax.Array, angle: jax.Array, half_width: jax.Array, std: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Return `square_edge` and its derivatives by x and by std, for the price of one.
+    """Evaluate `square_edge` and its derivatives by x and by std, at the cost of one.
 
-    Fits need all three again and again. This is the plain second difference, good to 1e-9 of the step up to 100 px: H solves
-    the heat equation, so all three are made of one normal distribution function and one density per corner of the square.
+    Fits evaluate all three repeatedly. This is the plain second difference, accurate to 1e-9 of the step up to 100 px:
+    H solves the heat equation, so all three follow from one normal distribution function and one density per corner of
+    the square.
     """
     long, _, short = _boxes(angle, half_width, std)
     short = xp.where(short > _THINNEST, short, _THINNEST)
@@ -135,7 +137,7 @@ def edge_and_slopes(
 
 
 def _boxes(angle: jax.Array, half_width: jax.Array, std: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Return the long box, a mask of slivers among the short ones, and the short box: half widths, px."""
+    """Return the long box, a mask of very short boxes, and the short box: half widths, px."""
     a, b = half_width * xp.abs(xp.cos(angle)), half_width * xp.abs(xp.sin(angle))
     long, short = xp.maximum(a, b), xp.minimum(a, b)
     return long, short < _SLIVER * std, short
@@ -155,7 +157,7 @@ def _second_difference(
 def _polynomial_difference(
     function: Callable[[jax.Array], jax.Array], x: jax.Array, long: jax.Array, short: jax.Array, far: float
 ) -> jax.Array:
-    """Return the second difference of a function that is 0 for x < 0.
+    """Compute the second difference of a function that is 0 for x < 0.
 
     Beyond the boxes it is 0 or far * 4 long short, exactly.
     """
@@ -166,28 +168,28 @@ def _polynomial_difference(
 
 
 def _first_remainder(x: jax.Array, std: jax.Array) -> jax.Array:
-    """Return H(x), the integral of the normal distribution function from -infinity to x, less max(x, 0)."""
+    """Evaluate H(x), the integral of the normal distribution function from -infinity to x, less max(x, 0)."""
     t = xp.where(x > 0, x, -x) / std
     return std * (normal_density(t) - t * special.ndtr(-t))
 
 
 def _second_remainder(x: jax.Array, std: jax.Array) -> jax.Array:
-    """Return the integral of H, less (x^2 + std^2) / 2 where x > 0."""
+    """Evaluate the integral of H, less (x^2 + std^2) / 2 for x > 0."""
     t = xp.minimum(xp.where(x > 0, x, -x) / std, _FAR)
     tail = std**2 / 2 * ((t**2 + 1) * special.ndtr(-t) - t * normal_density(t))
     return xp.where(x > 0, -tail, tail)
 
 
 def mtf50(optics: Optics, pixel: PixelResponse) -> dict[str, float]:
-    """Compute the frequency along a row at which lens and pixel together pass half.
+    """Compute the frequency along a row at which the MTF of lens and pixel is one half.
 
     Args:
         optics: the lens.
         pixel: response of a pixel.
 
     Returns:
-        Frequency, cycles/px, by the name of each lens where the lens varies over colour or field, and by "" otherwise; NaN
-        where more than half passes up to 2 cycles/px.
+        Frequency, cycles/px, by the name of each representative lens where the lens varies over colour or field, and by ""
+        otherwise; NaN beyond 2 cycles/px.
     """
     lenses = optics.named_lenses if isinstance(optics, VaryingOptics) else {"": optics}
     return {name: _half(lens, pixel) for name, lens in lenses.items()}

@@ -1,4 +1,4 @@
-"""How a lens differs over the field: radial distortion, and blur that grows from the middle."""
+"""Variation of a lens over the field: radial distortion, and blur that grows from the centre."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from matcam.core import checks
 from matcam.core.errors import ArgumentError
 
 _TURNS = 20
-_AROUND = 72  # places on a circle
-_LARGEST = 0.5  # of a coefficient: beyond it no lens would be called one with a distortion
+_AROUND = 72  # number of positions on a circle
+_LARGEST = 0.5  # largest coefficient of a plausible distortion
 
 
 class Coefficient(NamedTuple):
-    """Hold a coefficient of a lens over the field.
+    """Coefficient of a lens over the field.
 
     Attributes:
         value: no unit. Default: 0.
@@ -37,18 +37,18 @@ _NONE = Coefficient()
 
 @dataclass(frozen=True)
 class LensField:
-    """Describe distortion and blur of a lens over the field.
+    """Distortion and blur of a lens over the field.
 
-    A place at rho units from the centre is seen at rho (1 + k1 rho^2 + k2 rho^4). The lens's width grows as
-    1 + growth (rho^2 - rho0^2), rho0 being where the profile's own lens holds.
+    A position at rho units from the centre is imaged at rho (1 + k1 rho^2 + k2 rho^4). The width of the lens grows as 1
+    + growth (rho^2 - rho0^2), where rho0 is the position of the lens of the profile.
 
     Attributes:
         centre: column and row of the distortion's centre, px.
-        unit: length in which rho is counted, px: half the picture's diagonal, where `calibrate` has measured it.
+        unit: unit of rho, px: half the diagonal of the image, if measured by `calibrate`.
         k1: radial distortion of third order, no unit. Default: 0, exact.
         k2: of fifth order. Default: 0, exact.
         growth: of the lens's width with rho^2. Default: 0, exact.
-        holds_at: distance from the centre at which the profile's lens holds, px. Default: 0.
+        holds_at: distance from the centre at which the lens of the profile holds, px. Default: 0.
 
     Example:
         >>> field = matcam.camera.LensField((500.0, 400.0), 640.0, matcam.camera.Coefficient(0.01, 0.001))
@@ -81,15 +81,15 @@ class LensField:
             raise ArgumentError("k1 and k2 fold the picture over itself within 1.2 units: give smaller ones")
 
     def wider(self, factor: float) -> LensField:
-        """Return the field with a distortion that is known less well.
+        """Return the field with a larger uncertainty of the distortion.
 
         Args:
-            factor: by which the standard deviation of k1 is multiplied, no unit.
+            factor: factor of the standard deviation of k1, no unit.
         """
         return replace(self, k1=Coefficient(self.k1.value, self.k1.std * factor))
 
     def seen_at(self, column: ArrayLike, row: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
-        """Return where places of the undistorted picture are seen, px.
+        """Map undistorted positions to distorted ones, px.
 
         Args:
             column: undistorted column, px; broadcasts with row.
@@ -100,16 +100,16 @@ class LensField:
         return self.centre[0] + x * bent, self.centre[1] + y * bent
 
     def true_place(self, column: ArrayLike, row: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
-        """Return the undistorted places of what is seen, px.
+        """Map distorted positions to undistorted ones, px.
 
         Args:
-            column: px; broadcasts with row. Further than 1.5 units from the centre places are clipped.
+            column: px; broadcasts with row. Positions further than 1.5 units from the centre are clipped.
             row: px.
         """
         x, y, seen2 = self._from_centre(column, row)
         seen = np.minimum(np.sqrt(seen2), 1.5)
         rho = seen.copy()
-        for _ in range(_TURNS):  # Newton's steps
+        for _ in range(_TURNS):  # Newton steps
             rho2 = rho**2
             off = rho * (1 + self.k1.value * rho2 + self.k2.value * rho2**2) - seen
             rho -= off / (1 + 3 * self.k1.value * rho2 + 5 * self.k2.value * rho2**2)
@@ -119,7 +119,7 @@ class LensField:
         return self.centre[0] + x * bent, self.centre[1] + y * bent
 
     def stretch(self, column: float, row: float) -> np.ndarray:
-        """Return the derivatives of seen by true places, (2, 2).
+        """Return the derivatives of distorted by undistorted positions, (2, 2).
 
         Args:
             column: undistorted column, px.
@@ -131,7 +131,7 @@ class LensField:
         return np.asarray(bent * np.eye(2) + growing * np.outer([x, y], [x, y]))
 
     def blur_scale(self, column: float, row: float) -> float:
-        """Return the lens's width at a place over the profile's, no unit.
+        """Return the relative width of the lens at a position, no unit.
 
         Args:
             column: undistorted column, px.
@@ -140,7 +140,7 @@ class LensField:
         return float(np.clip(1 + self.growth.value * self.beyond(column, row), 0.2, 5.0))
 
     def beyond(self, column: float, row: float) -> float:
-        """Return rho^2 of a place beyond where the profile's lens holds.
+        """Return rho^2 of a position less that of the profile's lens.
 
         Args:
             column: undistorted column, px.
@@ -149,7 +149,7 @@ class LensField:
         return float(self._from_centre(column, row)[2] - (self.holds_at / self.unit) ** 2)
 
     def seen_circle(self, column: float, row: float, radius: float) -> tuple[float, float, float]:
-        """Return the circle as which an undistorted circle is seen, px.
+        """Return the distorted image of a circle, px.
 
         Args:
             column: of its centre, px.
@@ -159,7 +159,7 @@ class LensField:
         return _circle_through(*self.seen_at(*_on_circle(column, row, radius)))
 
     def true_circle(self, column: float, row: float, radius: float) -> tuple[float, float, float]:
-        """Return the undistorted circle of one that is seen, px.
+        """Return the undistorted circle of a distorted one, px.
 
         Args:
             column: of its centre, px.
@@ -179,7 +179,7 @@ def _on_circle(column: float, row: float, radius: float) -> tuple[np.ndarray, np
 
 
 def _circle_through(column: np.ndarray, row: np.ndarray) -> tuple[float, float, float]:
-    """Return the circle of least squares through places at nearly equal azimuths."""
+    """Fit a circle by least squares to positions at nearly equal azimuths."""
     terms = np.column_stack([column, row, np.ones_like(column)])
     a, b, c = np.linalg.lstsq(terms, column**2 + row**2, rcond=None)[0]
     return float(a / 2), float(b / 2), float(np.sqrt(c + (a**2 + b**2) / 4))

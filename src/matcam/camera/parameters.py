@@ -1,6 +1,6 @@
-"""A camera's parameters by name, their covariance, and where a camera comes from.
+"""Parameters of a camera by name, their covariance, and the origin of a camera.
 
-Parameters are named by their place, with their unit: "optics.sigma_px", "optics.mtf[3]", "optics.core.sigma_px".
+The name of a parameter is its path, with its unit: "optics.sigma_px", "optics.mtf[3]", "optics.core.sigma_px".
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ _NAME = re.compile(r"((?:\w+\.)+)(\w+?)(?:\[(\d+)\])?")
 
 
 class Uncertainty(Module):
-    """State the covariance of a camera's parameters; parameters without one are exact.
+    """Covariance of the parameters of a camera; others are exact.
 
     Args:
         names: of the parameters, as in `Camera.parameters()`, such as "optics.sigma_px"; (n,).
         covariance: in the units of the names, shape (n, n), symmetric, positive semidefinite.
 
     Raises:
-        ArgumentError: the shape does not fit, a name stands twice, or this is no covariance.
+        ArgumentError: the shape does not fit, a name occurs twice, or this is not a covariance.
 
     Example:
         >>> known = matcam.camera.Uncertainty.of({"optics.sigma_px": 0.02})
@@ -55,7 +55,7 @@ class Uncertainty(Module):
             raise ArgumentError(f"covariance names a parameter twice: {', '.join(self.names)}")
         if not is_concrete(covariance):
             return
-        matrix = np.asarray(covariance, dtype=float)  # as it was given: within jax.jit its copy is a tracer
+        matrix = np.asarray(covariance, dtype=float)  # as given, because inside jax.jit its copy is a tracer
         scale = np.sqrt(np.maximum(np.diag(matrix), 0))
         tolerance = 1e-9 * np.outer(scale, scale) + 1e-300
         if np.any(np.diag(matrix) < 0) or np.any(np.abs(matrix - matrix.T) > tolerance):
@@ -82,7 +82,7 @@ class Uncertainty(Module):
         """Check that every name belongs to a camera.
 
         Args:
-            parameters: names that the camera has.
+            parameters: names of the parameters of the camera.
 
         Raises:
             ArgumentError: a name is not among them.
@@ -91,7 +91,7 @@ class Uncertainty(Module):
         for name in self.names:
             if name not in known:
                 raise ArgumentError(
-                    f"uncertainty names {name!r}, which this camera has not; it has {', '.join(sorted(known))}"
+                    f"uncertainty names {name!r}, which this camera lacks; it has {', '.join(sorted(known))}"
                 )
 
     def std(self) -> dict[str, float]:
@@ -110,11 +110,11 @@ class Uncertainty(Module):
 
 @dataclass(frozen=True)
 class Provenance:
-    """Tell where a camera profile comes from; all texts are free.
+    """Origin of a camera profile; all texts are free.
 
     Attributes:
         source: measurement or assumption behind the profile. Default: "".
-        created: ISO 8601 date. Default: "", the day on which the profile is written.
+        created: ISO 8601 date. Default: "", the date of writing.
         software: program and version. Default: "", this one.
         notes: anything else. Default: "".
 
@@ -130,13 +130,13 @@ class Provenance:
 
 
 def parameters_of(part: str, module: Any) -> dict[str, jax.Array]:
-    """Return the scalars that describe the lens or pixel that is the camera's `part` ("optics", "optics.core")."""
+    """Return the scalars of the lens or pixel that is `part` of the camera ("optics", "optics.core")."""
     named = {}
     for field, value in fields_of(module).items():
         if isinstance(value, Module):
             named.update(parameters_of(f"{part}.{field}", value))
         elif isinstance(value, tuple):
-            continue  # the frequencies of a curve's samples are known exactly
+            continue  # the frequencies of the samples of a curve are exact
         elif xp.ndim(value):
             named.update({f"{part}.{field}[{i}]": value[i] for i in range(value.size)})
         else:
@@ -145,7 +145,7 @@ def parameters_of(part: str, module: Any) -> dict[str, jax.Array]:
 
 
 def replace_parameters(part: str, module: Any, values: Mapping[str, Any]) -> Any:
-    """Return `module` with the parameters of this part replaced by `values`. Works under JAX transformations."""
+    """Replace the parameters of this part in `module` by `values`. Works under JAX transformations."""
     for name, value in values.items():
         found = _NAME.fullmatch(name)
         if found is None or found[1].split(".")[0] != part:
@@ -160,12 +160,12 @@ def replace_parameters(part: str, module: Any, values: Mapping[str, Any]) -> Any
 
 
 def fields_of(module: Any) -> dict[str, Any]:
-    """Return what describes a lens or a pixel by names with units: scalars, curves, and the lens inside a lens."""
+    """Return the fields of a lens or a pixel by names with units: scalars, curves, and an inner lens."""
     return {field: operator.attrgetter(path)(module) for field, path in module.profile_fields.items()}
 
 
 def _path(module: Any, inner: list[str], field: str) -> str:
-    """Return the place of a lens's parameter among its attributes, through the lenses inside it."""
+    """Return the path of a parameter of a lens among its attributes, through inner lenses."""
     steps = []
     for name in (*inner, field):
         steps.append(module.profile_fields[name])

@@ -1,7 +1,7 @@
-"""The pixel: the weight with which its light-sensitive area counts the light on it (docs/model.md 2).
+"""Pixel: sensitivity over its area (docs/model.md 2).
 
-A response is separable, r(x) r(y), each factor of unit area: a flat field reads its own radiance. Separable is not
-isotropic: `Camera` keeps the square a square at any angle.
+A response is separable, r(x) r(y), with factors of unit area: the value of a flat field is its radiance. Separable does
+not mean isotropic: for `Camera` the square remains a square at any angle.
 """
 
 from __future__ import annotations
@@ -23,15 +23,15 @@ if TYPE_CHECKING:
     from matcam.core.jax import AnyArray, jax
 
 PIXELS_SHARE = 0.3
-"""Share of the pixel's half width that counts as blur of a disc: its borders are steps before a sharp lens."""
-_NARROW = 0.02  # half width / std below which differences of erf lose more digits than a series
+"""Share of the half width of the pixel that counts as blur of a disc: its borders are steps in a sharp image."""
+_NARROW = 0.02  # half width / std below which a series is more accurate than differences of erf
 _FADED = 1e4  # squared standard deviations, beyond which a Gaussian is 0
 _GAUSS4 = np.polynomial.legendre.leggauss(4)
 _GAUSS48 = np.polynomial.legendre.leggauss(48)
 
 
 class PixelResponse(Module):
-    """Describe the sensitivity of one pixel over its area, without the lens.
+    """Sensitivity of one pixel over its area, without the lens.
 
     In astronomy PRF means *point* response function, which contains the lens: not this.
 
@@ -69,7 +69,7 @@ class PixelResponse(Module):
 
     @abstractmethod
     def of_gaussian(self, x: ArrayLike, std: ArrayLike) -> jax.Array:
-        """Return the pixel's reading of a line with a Gaussian profile of unit area, 1/px.
+        """Return the value of a pixel for a Gaussian line profile, 1/px.
 
         Args:
             x: distance of the line from the pixel's centre, px.
@@ -80,7 +80,7 @@ class PixelResponse(Module):
     def until_gaussian(self, x: ArrayLike, std: ArrayLike) -> jax.Array:
         """Return the integral of `of_gaussian` from minus infinity up to x, between 0 and 1.
 
-        Differences of it are the pixel's reading of a Gaussian that is smeared evenly along a line.
+        Its differences are values of the pixel for a Gaussian that is uniformly smeared along a line.
 
         Args:
             x: distance from the pixel's centre, px.
@@ -89,11 +89,11 @@ class PixelResponse(Module):
 
 
 class BoxPixel(PixelResponse):
-    """Weigh light uniformly over a square, as an ideal pixel does.
+    """Ideal square pixel of uniform sensitivity.
 
     Args:
-        half_width: half the side of the light-sensitive square, px, (0, 0.5], because pixels do not overlap. Default: 0.5,
-            a linear fill of 100 %. Choose less where gaps between pixels are known.
+        half_width: half the side of the light-sensitive square, px, (0, 0.5], because pixels do not overlap. Default:
+            0.5, a linear fill of 100 %. Use less for known gaps between pixels.
 
     Raises:
         ArgumentError: the half width is out of range, or not a single number.
@@ -126,7 +126,7 @@ class BoxPixel(PixelResponse):
         return xp.sinc(2 * self.half_width * checks.number("f", f))
 
     def of_gaussian(self, x: ArrayLike, std: ArrayLike) -> jax.Array:
-        """Return the pixel's reading of a line with a Gaussian profile, 1/px.
+        """Return the value of a pixel for a Gaussian line profile, 1/px.
 
         [erf((x + p) / (sqrt2 std)) - erf((x - p) / (sqrt2 std))] / (4 p), p = half_width (docs/model.md 2).
         """
@@ -143,11 +143,11 @@ class BoxPixel(PixelResponse):
 
 
 _SIGMAS = (1e-12, 1e6)
-"""A windowed Gaussian's standard deviation lies between these, px: a point, and a box."""
+"""Range of the standard deviation of a windowed Gaussian, px: from a point to a box."""
 
 
 class WindowedGaussianPixel(PixelResponse):
-    """Weigh light by a Gaussian, cut off at the pixel's border.
+    """Pixel with a Gaussian sensitivity, truncated at its border.
 
     The response falls off from the centre, as under a microlens, and has unit area.
 
@@ -192,13 +192,13 @@ class WindowedGaussianPixel(PixelResponse):
         t = self.half_width * nodes
         weight = self.half_width * weights * self.response(t)
         f = checks.number("f", f)
-        # a response too narrow for the nodes is not cut: at eight sigma there is 1e-15 of it
+        # a response too narrow for the nodes is not truncated: beyond eight sigma there is 1e-15 of it
         uncut = xp.exp(-2 * xp.square(xp.pi * self.sigma * f))
         return xp.where(self.half_width > 8 * self.sigma, uncut, xp.cos(2 * xp.pi * f[..., None] * t) @ weight)
 
     def of_gaussian(self, x: ArrayLike, std: ArrayLike) -> jax.Array:
         """Integrate the product of two Gaussians, completed to one, over the window."""
-        x, std = xp.abs(xp.asarray(x)), xp.asarray(std)  # even; on this side the difference keeps its digits
+        x, std = xp.abs(xp.asarray(x)), xp.asarray(std)  # symmetric; on this side the difference keeps its digits
         total = xp.hypot(std, self.sigma)
         centre = x * (self.sigma / total) ** 2
         width = self.sigma * std / total
@@ -226,13 +226,13 @@ class WindowedGaussianPixel(PixelResponse):
 
 
 def _normal_until(z: jax.Array) -> jax.Array:
-    """Return the standard normal distribution's integral up to z: a sixth of the time of `ndtr`, which asks for erf."""
+    """Integrate the standard normal distribution up to z: a sixth of the time of `ndtr`."""
     return special.erfc(-z / np.sqrt(2)) / 2
 
 
 def gaussian_over_interval(x: jax.Array, half_width: ArrayLike, std: jax.Array) -> jax.Array:
-    """Return the mean of a unit-area Gaussian over [x - half_width, x + half_width], to 14 digits for any std."""
-    x = xp.where(x < 0, -x, x)  # even; in the right tail the difference keeps its digits
+    """Average a unit-area Gaussian over [x - half_width, x + half_width], to 14 digits for any std."""
+    x = xp.where(x < 0, -x, x)  # symmetric; in the right tail the difference keeps its digits
     ratio = half_width / std
     wide = ratio > _NARROW
     if xp.ndim(ratio):
@@ -262,9 +262,9 @@ def _by_series(x: jax.Array, ratio: AnyArray, std: jax.Array) -> jax.Array:
 
 
 def mean_over_interval(function: Callable[[jax.Array], jax.Array], x: jax.Array, half_width: jax.Array) -> jax.Array:
-    """Return the mean of a function over [x - half_width, x + half_width] by 4 Gauss-Legendre nodes.
+    """Average a function over [x - half_width, x + half_width] by 4 Gauss-Legendre nodes.
 
-    The nodes are a trailing axis of the function's argument; it must hardly bend over the interval.
+    The nodes are a trailing axis of the argument of the function, which must be nearly linear over the interval.
     """
     nodes, weights = (xp.asarray(a) for a in _GAUSS4)
     return function(x[..., None] + half_width[..., None] * nodes) @ (weights / 2)

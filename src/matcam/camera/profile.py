@@ -1,25 +1,20 @@
-"""A camera's profile: the JSON file that ships with a data set, whose format lives here and nowhere else.
+"""Camera profile: the JSON file that belongs to a data set, and its format.
 
-    {
-      "format": "matcam camera profile",  "version": 5,
-      "optics": {"model": "gaussian", "sigma_px": 0.5},
-      "pixel": {"model": "box", "half_width_px": 0.5},
-      "sensor": {"pitch_m": 4.73e-6, "full_well_electrons": 2e4, ...},     or null: not stated
-      "field": {"centre_px": [999.5, 749.5], "unit_px": 1249, "k1": [-0.01, 0.001], "k2": [0, 0],
-                "growth": [0.2, 0.03], "holds_at_px": 800},     or null: the lens is alike everywhere
-      "uncertainty": {"parameters": ["optics.sigma_px"], "covariance": [[0.000225]]},     or null: exact
-      "provenance": {"source": "", "created": "2026-01-31", "software": "matcam 0.1.0", "notes": ""}
-    }
+    { "format": "matcam camera profile",  "version": 5, "optics": {"model": "gaussian", "sigma_px": 0.5}, "pixel":
+      {"model": "box", "half_width_px": 0.5}, "sensor": {"pitch_m": 4.73e-6, "full_well_electrons": 2e4, ...},     or
+      null: not stated "field": {"centre_px": [999.5, 749.5], "unit_px": 1249, "k1": [-0.01, 0.001], "k2": [0, 0],
+      "growth": [0.2, 0.03], "holds_at_px": 800},     or null: the lens is uniform "uncertainty": {"parameters":
+      ["optics.sigma_px"], "covariance": [[0.000225]]},     or null: exact "provenance": {"source": "", "created":
+      "2026-01-31", "software": "matcam 0.1.0", "notes": ""} }
 
-Units stand in the names. A lens inside a lens is an object of its own: {"model": "halo", "core": {"model": ...}, ...}.
-Parameters are named by their place: "optics.sigma_px", "optics.mtf[3]", "optics.core.sigma_px". The covariance of the
-parameters and where they come from travel with the camera, because a kernel without its uncertainty cannot correct anything
-honestly.
+Units are in the names. An inner lens is an object: {"model": "halo", "core": {"model": ...}, ...}. The name of a
+parameter is its path: "optics.sigma_px", "optics.mtf[3]", "optics.core.sigma_px". The profile includes covariance and
+origin of the parameters, because a correction requires the uncertainty of the kernel.
 
-Version 4, which knows no DSNU, version 3, which knows no "zernike", "colour" and "seidel", version 2, which knows no field, and
-version 1, which knows neither "defocus" nor "halo" nor sensors, are read as well. A published version never changes: what is
-new goes into the next one. The published schemas are docs/camera-profile-v1.schema.json to -v5 (`profile_schemas.py`). pydantic
-validates JSON; the parameters live in the camera's objects.
+Older versions are supported: version 4 without DSNU, version 3 without "zernike", "colour" and "seidel", version 2
+without a field, and version 1 without "defocus", "halo" and sensors. A published version never changes: additions are
+made in the next one. The published schemas are docs/camera-profile-v1.schema.json to -v5 (`profile_schemas.py`).
+pydantic validates the JSON.
 """
 
 from __future__ import annotations
@@ -60,7 +55,7 @@ _WHAT = "a camera profile"
 
 
 def model_name(module: Module) -> str:
-    """Return the name of the model that a lens or a pixel is."""
+    """Return the name of the model of a lens or a pixel."""
     return next(name for name, cls in MODELS.items() if type(module) is cls)
 
 
@@ -75,7 +70,7 @@ def as_document(
     uncertainty: Uncertainty | None,
     provenance: Provenance,
 ) -> dict[str, Any]:
-    """Return a camera's parts as the profile's JSON."""
+    """Return the parts of a camera as the JSON of the profile."""
     return {
         "format": FORMAT,
         "version": VERSION,
@@ -97,15 +92,14 @@ def as_document(
 
 
 def read_profile(path: str | Path) -> dict[str, Any]:
-    """Return the arguments of the `Camera` in the profile at `path`. FileFormatError naming file and field."""
+    """Read the arguments of the `Camera` from the profile at `path`. FileFormatError that names file and field."""
     return from_document(read_json(path, _WHAT), path)
 
 
 def from_document(document: Any, where: str | Path) -> dict[str, Any]:
-    """Return the arguments of the `Camera` that a profile's JSON describes.
+    """Build the arguments of a `Camera` from the JSON of a profile.
 
-    Raises:
-        FileFormatError: naming `where` the profile stands, and the field.
+    Raises: FileFormatError that names the location `where` of the profile, and the field.
     """
     version = checked_version(document, where, _WHAT, FORMAT, VERSIONS)
     try:
@@ -134,7 +128,7 @@ def from_document(document: Any, where: str | Path) -> dict[str, Any]:
 
 
 def field_document(field: LensField) -> dict[str, Any]:
-    """Return a lens's field as it stands in a profile."""
+    """Return the field of a lens as it is in a profile."""
     return {
         "centre_px": list(field.centre),
         "unit_px": field.unit,
@@ -146,7 +140,7 @@ def field_document(field: LensField) -> dict[str, Any]:
 
 
 def field_from(part: Any) -> LensField:
-    """Return the field that a checked part of a document describes. ArgumentError where a value is out of range."""
+    """Build the field from a checked part of a document. ArgumentError if a value is out of range."""
     k1, k2, growth = (Coefficient(*pair) for pair in (part.k1, part.k2, part.growth))
     return LensField((part.centre_px[0], part.centre_px[1]), part.unit_px, k1, k2, growth, part.holds_at_px)
 

@@ -1,6 +1,6 @@
-"""Schemas of the camera profile: what each published version of the file may hold (pydantic).
+"""Schemas of the published versions of the camera profile (pydantic).
 
-A published version never changes: what is new goes into the next one, and each version has lenses of its own.
+A published version never changes: additions are made in the next one, and each version has its own lenses.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class _Strict(BaseModel):
 
 
 class Part(_Strict):
-    """A lens or a pixel: the name of its model, and its fields."""
+    """Lens or pixel: the name of its model, and its fields."""
 
     model: str
 
@@ -48,7 +48,7 @@ def _kind(name: str, field: str) -> Any:
 
 
 def _part_schema(name: str) -> type[Part]:
-    """Build the schema of one model of a lens or a pixel from the fields that its class names."""
+    """Build the schema of one model of a lens or a pixel from the fields of its class."""
     title = "_" + "".join(word.capitalize() for word in name.split())
     fields: dict[str, Any] = {"model": (Literal[name], ...)}
     for field in MODELS[name].profile_fields:
@@ -57,7 +57,7 @@ def _part_schema(name: str) -> type[Part]:
 
 
 def _one_of(names: Iterable[str]) -> Any:
-    """Return the type of a part that is any of these models, and so is a lens inside it."""
+    """Return the type of a part with any of these models, including an inner lens."""
     schemas: Any = tuple(_part_schema(name) for name in names)
     union = Annotated[Union[schemas], Field(discriminator="model")]  # noqa: UP007
     for schema in schemas:
@@ -106,7 +106,7 @@ class _LensField(_Strict):
 
 
 FIELD_SCHEMA: Any = _LensField
-"""Schema of a lens's field, for other documents that hold one."""
+"""Schema of the field of a lens, for other documents with one."""
 
 
 class _Uncertainty(_Strict):
@@ -175,7 +175,7 @@ class _Profile5(_Strict):
 
 
 VERSION = 5
-"""The version that is written."""
+"""Version that is written."""
 VERSIONS: dict[int, type[BaseModel]] = {1: _Profile1, 2: _Profile2, 3: _Profile3, 4: _Profile4, 5: _Profile5}
 
 

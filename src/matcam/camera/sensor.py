@@ -3,10 +3,10 @@
     radiance --exposure--> expected electrons --fixed-pattern gain--> + dark electrons --Poisson--> --full well-->
     + read noise + offset pattern --gain, black level--> --rounding, range--> DN
 
-Fixed-pattern gain comes before the photons are counted: a more sensitive pixel counts more of them, noise included.
-The well fills before it is read, so read noise sits on top of saturated pixels too.
+Fixed-pattern gain applies before the photons are counted, so it scales shot noise accordingly. The well fills before it
+is read, so saturated pixels have read noise, too.
 
-`Sensor` simulates this chain. `PixelNoise` states its outcome in the few parameters that a reflectance measurement knows.
+`Sensor` simulates this chain. `PixelNoise` describes the result with the few parameters of a reflectance measurement.
 """
 
 from __future__ import annotations
@@ -29,27 +29,27 @@ if TYPE_CHECKING:
 _CHANNELS = "RGB"
 _DEEPEST = 32  # bits
 _OFFSETS = 2
-"""Number of the pattern of offsets; the patterns of sensitivity and dark current are the first two."""
+"""Index of the pattern of offsets; the patterns of sensitivity and dark current are the first two."""
 
 if TYPE_CHECKING:
     Seed = int | jax.Array
 else:
     Seed = Any
-"""A whole number, or a key of jax.random."""
+"""Integer, or a key of jax.random."""
 
 
 class PixelNoise(NamedTuple):
-    """State the noise of a measured reflectance.
+    """Noise of a measured reflectance.
 
     A pixel's variance is (relative value)^2 + (floor peak)^2, where peak is the brightest value of its picture. Noise
-    belongs to pixels: table cells that were read from one pixel share it.
+    belongs to pixels: table cells from one pixel share it.
 
     Attributes:
         relative: standard deviation over the value, no unit, [0, 1). Default: 0.01.
-        floor: standard deviation over the picture's brightest value, no unit, [0, 1). Default: 1e-4. Raise it where dark
-            parts are noisier.
+        floor: standard deviation over the picture's brightest value, no unit, [0, 1). Default: 1e-4. Increase it if
+            dark parts are noisier.
         picture_gain: relative standard deviation of a picture's exposure, common to all its pixels, no unit, [0, 1).
-            Default: 0. Raise it where lamp or shutter scatter. (A sensor's system gain, DN per electron, is
+            Default: 0. Increase it if lamp or shutter scatter. (A sensor's system gain, DN per electron, is
             `Sensor.gain`.)
 
     Example:
@@ -62,7 +62,7 @@ class PixelNoise(NamedTuple):
     picture_gain: float = 0.0
 
     def check(self) -> PixelNoise:
-        """Return the noise itself if it is possible.
+        """Return the noise itself after a check of its parameters.
 
         Raises:
             ArgumentError: a parameter is outside [0, 1) or not finite, or relative and floor are both 0.
@@ -70,19 +70,19 @@ class PixelNoise(NamedTuple):
         for name, value in self._asdict().items():
             checks.scalar(f"noise.{name}", checks.within(f"noise.{name}", value, 0, 1, open_high=True))
         if self.relative == self.floor == 0:
-            raise ArgumentError("noise must not be zero altogether: no measurement is")
+            raise ArgumentError("noise must not be zero: relative or floor must be above 0")
         return self
 
 
 class Sensor(Module):
-    """Simulate the noise and the mosaic of a camera's sensor.
+    """Noise and mosaic of a camera sensor.
 
     The fixed patterns of sensitivity and dark current are log-normal: their mean is 1 exactly, and no pixel is negative. The
     pattern of offsets is Gaussian.
 
     Args:
         pitch: distance of the pixels, m.
-        full_well: electrons that a pixel holds, e-.
+        full_well: full-well capacity of a pixel, e-.
         read_noise: standard deviation of the read noise, e-.
         gain: system gain (EMVA 1288), DN per e-. Default: 1.
         bits: depth of the converter, 1 to 32. None: values are neither rounded nor limited.
@@ -91,11 +91,10 @@ class Sensor(Module):
             Default: 0.
         dark_current: mean, e-/s. Default: 0.
         dark_nonuniformity: relative standard deviation of the pixels' dark currents, no unit. Default: 0.
-        black_level: value of an empty pixel, DN. None: as many whole DN as keep six standard deviations of read noise
-            above 0.
-        dsnu: dark signal non-uniformity that does not grow with time, the standard deviation of the pixels' offsets, e-.
-            Default: 0.
-        pattern_seed: which individual sensor this is; pictures of one shape share its patterns. Default: 0.
+        black_level: value of an empty pixel, DN. None: rounded up to six standard deviations of read noise.
+        dsnu: dark signal non-uniformity that is independent of time, the standard deviation of the offsets of the
+            pixels, e-. Default: 0.
+        pattern_seed: seed of the individual sensor; images of one shape share its patterns. Default: 0.
 
     Raises:
         ArgumentError: a parameter is out of range or of the wrong kind, or the black level is beyond the converter.
@@ -168,7 +167,7 @@ class Sensor(Module):
         return xp.minimum(self.full_well, (2**self.bits - 1 - self.black_level) / self.gain)
 
     def channel_map(self, height: int, width: int) -> np.ndarray:
-        """Return the channel that each pixel of a mosaic sees.
+        """Return the channel of each pixel of a mosaic.
 
         0, 1 and 2 are R, G and B.
 
@@ -188,19 +187,19 @@ class Sensor(Module):
         return np.tile(tile, ((height + 1) // 2, (width + 1) // 2))[:height, :width]
 
     def expected_electrons(self, radiance: ArrayLike, exposure: ArrayLike, time: ArrayLike = 0.0) -> jax.Array:
-        """Return the mean electrons of every pixel before its well is full.
+        """Compute the mean electrons of every pixel before its well is full.
 
-        The sensor's fixed patterns and its dark current are in them.
+        They include the fixed patterns and the dark current of the sensor.
 
         Args:
-            radiance: of the pixels, any unit, shape (H, W) or (H, W, channels). With a cfa it must be (H, W, 3), R, G, B, of
-                which each pixel sees one. Channels without a cfa are exposures of one sensor behind filters, so they share
-                its patterns. NaN stays NaN.
+            radiance: of the pixels, any unit, shape (H, W) or (H, W, channels). With a cfa it must be (H, W, 3), R, G,
+                B, of which each pixel records one. Channels without a cfa are exposures of one sensor behind filters,
+                so they share its patterns. NaN is kept.
             exposure: electrons per unit of radiance, positive.
             time: duration, s, for the dark current. Default: 0.
 
         Returns:
-            Electrons, shape (H, W) with a cfa, else the shape of `radiance`.
+            Electrons, shape (H, W) with a cfa, otherwise the shape of `radiance`.
 
         Raises:
             ArgumentError: an argument is out of range or has the wrong shape.
@@ -213,12 +212,12 @@ class Sensor(Module):
         return exposure * sensitivity * radiance + time * self.dark_current * dark
 
     def expose(self, radiance: ArrayLike, exposure: ArrayLike, seed: Seed, time: ArrayLike = 0.0) -> jax.Array:
-        """Take one picture, with all its noise.
+        """Simulate one image with all its noise.
 
         Args:
             radiance: as in `expected_electrons`.
             exposure: electrons per unit of radiance, positive.
-            seed: of the picture's own noise: a whole number, or a key of jax.random.
+            seed: of the noise of the image: a whole number, or a key of jax.random.
             time: duration, s, for the dark current. Default: 0.
 
         Returns:
@@ -232,7 +231,7 @@ class Sensor(Module):
         shot, read = jax.random.split(random_key(seed))
         expected = self.expected_electrons(radiance, exposure, time)
         missing = xp.isnan(expected)
-        # counts far beyond the well are all alike, and the generator's integers end at 2^31
+        # counts far beyond the well are equivalent, and the integers of the generator end at 2^31
         countable = xp.where(missing, 0.0, xp.minimum(expected, 2 * self.full_well + 100))
         charge = xp.minimum(jax.random.poisson(shot, countable).astype(xp.float64), self.full_well)
         charge = charge + self.read_noise * jax.random.normal(read, charge.shape)
@@ -254,12 +253,11 @@ class Sensor(Module):
     def variance(self, electrons: ArrayLike) -> jax.Array:
         """Return the variance of a pixel, e-^2.
 
-        Shot noise, read noise and rounding are in it.
-
-        It is a law of the sensor: evaluate it at a model's value, not at the noisy pixel's own (docs/model.md 8).
+        It includes shot noise, read noise and rounding. Evaluate it at the value of a model, not at the noisy value of
+        the pixel (docs/model.md 8).
 
         Args:
-            electrons: that the pixel expects, dark ones included, e-, any shape.
+            electrons: expected number, including dark electrons, e-, any shape.
         """
         rounding = 0.0 if self.bits is None else 1 / (12 * self.gain**2)
         return xp.maximum(checks.numbers("electrons", electrons), 0) + self.read_noise**2 + rounding
@@ -302,7 +300,7 @@ def _checked_radiance(radiance: ArrayLike) -> jax.Array:
     largest, smallest = (float(f(array, where=~xp.isnan(array), initial=0.0)) for f in (xp.max, xp.min))
     if not np.isfinite(largest) or smallest < -1e-9 * largest:
         raise ArgumentError(f"radiance must lie in [0, inf), got {largest if np.isinf(largest) else smallest:g}")
-    return xp.maximum(array, 0)  # what a kernel with signed terms leaves below 0 is rounding
+    return xp.maximum(array, 0)  # negative remainders of a kernel with signed terms are rounding
 
 
 def _checked_exposure(exposure: ArrayLike, time: ArrayLike) -> tuple[jax.Array, jax.Array]:
@@ -311,7 +309,7 @@ def _checked_exposure(exposure: ArrayLike, time: ArrayLike) -> tuple[jax.Array, 
 
 
 def random_key(seed: Seed) -> jax.Array:
-    """Return the key that a seed stands for."""
+    """Return the key of a seed."""
     from matcam.core.jax import jax
 
     if isinstance(seed, jax.Array) and jax.numpy.issubdtype(seed.dtype, jax.dtypes.prng_key):

@@ -21,23 +21,24 @@ BAD_INPUT = 2
 FAULT = 70
 INTERRUPTED = 130
 _INTERRUPTION = "interrupted; nothing half-written was left"
-_TOO_LATE = "interrupted after its files were written; they are whole"
+_TOO_LATE = "interrupted after its files were written; they are complete"
 
 
 def main(arguments: list[str] | None = None) -> None:
     """Run one command and exit with its code."""
-    gc.set_threshold(50_000, 20, 50)  # a short life with much importing and tracing: collecting rarely saves a tenth
+    # in a short process with many imports and traces, rare garbage collection saves a tenth of the time
+    gc.set_threshold(50_000, 20, 50)
     use_one_blas_thread()
     use_one_heap()
     sys.stdout, sys.stderr = (stream or _nowhere() for stream in (sys.stdout, sys.stderr))
     for stream in (sys.stdout, sys.stderr):
-        if hasattr(stream, "reconfigure"):  # a locale without a sign for degrees gets its escape
+        if hasattr(stream, "reconfigure"):  # a locale without a degree sign gets its escape
             stream.reconfigure(errors="backslashreplace")
     _end_on_signals()
     warnings.formatwarning = _warning_as_line
     try:
         code = _run(arguments)
-    except KeyboardInterrupt:  # while the commands themselves were being loaded
+    except KeyboardInterrupt:  # during the import of the commands
         code = _interrupted()
     if error := _unwritable():
         code = _output_failed(error, code)
@@ -45,11 +46,11 @@ def main(arguments: list[str] | None = None) -> None:
 
 
 _ended_by: list[int] = []
-"""The signal by which the system asked this process to end."""
+"""Signal by which the system requested the end of this process."""
 
 
 def _end_on_signals() -> None:
-    """Take the system's wish to end this process for Ctrl-C: whatever is half done is removed."""
+    """Handle termination signals like Ctrl-C: unfinished work is removed."""
 
     def end(number: int, frame: Any) -> None:
         _ended_by.append(number)
@@ -57,7 +58,9 @@ def _end_on_signals() -> None:
 
     for name in ("SIGTERM", "SIGHUP"):
         number = getattr(signal, name, None)
-        if number is not None and signal.getsignal(number) == signal.SIG_DFL:  # nohup's wish stands
+        if (
+            number is not None and signal.getsignal(number) == signal.SIG_DFL
+        ):  # a signal that nohup ignores stays ignored
             signal.signal(number, end)
 
 
@@ -68,13 +71,13 @@ def _warning_as_line(message: Any, *where: Any, **line: Any) -> str:
 
 
 def _interrupted() -> int:
-    options: Any = sys.modules.get("matcam.cli.options")  # commands may still be being loaded
+    options: Any = sys.modules.get("matcam.cli.options")  # the commands may still be loading
     late = options is not None and options.files_are_written()
     return _complain(_TOO_LATE if late else _INTERRUPTION, 128 + _ended_by[0] if _ended_by else INTERRUPTED)
 
 
 def _unwritable() -> OSError | None:
-    """Return what standard output answers, if it cannot be written."""
+    """Return the error of standard output, if it cannot be written."""
     try:
         sys.stdout.flush()
     except OSError as error:
@@ -83,13 +86,13 @@ def _unwritable() -> OSError | None:
 
 
 def _nowhere() -> TextIO:
-    """Return a stream for output that nobody can have."""
+    """Return a stream that discards its output."""
     return Path(os.devnull).open("w", encoding="utf-8")
 
 
 def _output_failed(error: OSError, code: int) -> int:
-    """Return the code to exit with when standard output could not be written; a reader that has gone is no failure."""
-    sys.stdout = _nowhere()  # Python would complain once more at exit
+    """Return the exit code if standard output could not be written; a closed pipe is not a failure."""
+    sys.stdout = _nowhere()  # Python would report it again at exit
     if isinstance(error, BrokenPipeError):
         return code
     return _complain(f"standard output cannot be written: {error.strerror}", BAD_INPUT)
@@ -108,7 +111,7 @@ def _run(arguments: list[str] | None) -> int:
 
     try:
         result = app(args=arguments, prog_name="matcam", standalone_mode=False)
-        if result == INTERRUPTED:  # some versions of typer turn the exception into this
+        if result == INTERRUPTED:  # some versions of typer convert the exception to this
             raise KeyboardInterrupt
     except typer.Exit as exit_:
         return exit_.exit_code
@@ -123,7 +126,7 @@ def _run(arguments: list[str] | None) -> int:
         return _output_failed(error, 0)
     except MemoryError:
         return _complain("not enough memory", BAD_INPUT)
-    except SystemExit:  # Rich's answer to a reader of the help who has gone
+    except SystemExit:  # Rich raises this if the reader of the help has gone
         return 0
     except Exception as error:
         if isinstance(error, OSError) and error.filename is None:  # typer prints its help itself

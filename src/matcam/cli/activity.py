@@ -1,7 +1,6 @@
-"""A line on the terminal that shows what a command is doing, for how long, and how long it took last time.
+"""Status line on the terminal: current step of a command, its time, and the time of the last run.
 
-It appears within a second, whatever the command does: imports, a compilation, a fit. What is printed meanwhile takes its place,
-and it comes back.
+It appears within a second, during imports, compilation and fits. Printed output replaces it temporarily.
 """
 
 from __future__ import annotations
@@ -19,16 +18,16 @@ from typing import Any
 from matcam.core.io import replacing, user_cache_folder
 from matcam.core.readers.names import printable
 
-_FIRST, _EACH = 0.8, 0.25  # s: when the line appears, and how often it is drawn
+_FIRST, _EACH = 0.8, 0.25  # s: delay and interval of the line
 _LONG = 10.0
-"""Seconds from which the line shows how long the command took last time."""
+"""Seconds after which the line shows the time of the last run."""
 _SIGNS = "|/-\\"
 _DURATIONS = "durations.json"
 _CLEAR = "\r\033[2K"
 
 
 class Activity:
-    """The line of one command."""
+    """Status line of one command."""
 
     def __init__(self, name: str):
         self.name, self.started = name, time.monotonic()
@@ -41,7 +40,7 @@ class Activity:
         self._thread.start()
 
     def clear(self) -> None:
-        """Take the line away, so that something can be printed; what follows a result needs no line but its own."""
+        """Remove the line before printed output."""
         with self._lock:
             if len(self.doing) == 1:
                 self.doing[0] = ""
@@ -49,7 +48,7 @@ class Activity:
 
     @contextlib.contextmanager
     def hidden(self) -> Iterator[None]:
-        """Show no line while something else draws on the terminal."""
+        """Hide the line while another object draws on the terminal."""
         with self._lock:
             self._hidden += 1
             self._wipe()
@@ -60,7 +59,7 @@ class Activity:
                 self._hidden -= 1
 
     def end(self) -> None:
-        """Take the line away, and remember how long the command took."""
+        """Remove the line, and store the duration of the command."""
         self._ended.set()
         self._thread.join()
         self._wipe()
@@ -69,7 +68,7 @@ class Activity:
             _remember(self.name, took)
 
     def line(self) -> str:
-        """Return what is shown now."""
+        """Return the current text of the line."""
         took = time.monotonic() - self.started
         text = f"{self.doing[-1]} {took:.0f} s"
         if took >= _LONG and self._last is not None:
@@ -95,7 +94,7 @@ class Activity:
             self._drawn = False
 
     def _write(self, text: str) -> None:
-        with contextlib.suppress(OSError, ValueError):  # a terminal that has gone
+        with contextlib.suppress(OSError, ValueError):  # the terminal has gone
             sys.stderr.write(text)
             sys.stderr.flush()
 
@@ -105,7 +104,7 @@ _shown: list[Activity] = []
 
 @contextlib.contextmanager
 def shown(name: str) -> Iterator[None]:
-    """Show a command's line while it runs, if standard error is a terminal."""
+    """Show the line of a command while it runs, if standard error is a terminal."""
     if _shown or not sys.stderr.isatty():
         yield
         return
@@ -118,7 +117,7 @@ def shown(name: str) -> Iterator[None]:
 
 @contextlib.contextmanager
 def doing(what: str) -> Iterator[None]:
-    """Name what a command is doing."""
+    """Set the current step of a command."""
     if not _shown:
         yield
         return
@@ -130,33 +129,33 @@ def doing(what: str) -> Iterator[None]:
 
 
 def rename(what: str) -> None:
-    """Give what a command is doing another name."""
+    """Rename the current step of a command."""
     if _shown:
         _shown[-1].doing[-1] = what
 
 
 def clear() -> None:
-    """Make room for something that is printed."""
+    """Remove the line before printed output."""
     if _shown:
         _shown[-1].clear()
 
 
 def hidden() -> contextlib.AbstractContextManager[Any]:
-    """Make room for something that draws on the terminal."""
+    """Hide the line while another object draws on the terminal."""
     return _shown[-1].hidden() if _shown else contextlib.nullcontext()
 
 
 def _durations() -> dict[str, float]:
-    """Return how long commands took last, s."""
+    """Read the last durations of commands, s."""
     try:
         known = json.loads(_path().read_text(encoding="utf-8"))
         return {str(name): float(took) for name, took in known.items()}
-    except (OSError, ValueError, TypeError, AttributeError):  # there is none, or a damaged one
+    except (OSError, ValueError, TypeError, AttributeError):  # a missing or damaged file
         return {}
 
 
 def _remember(name: str, took: float) -> None:
-    with contextlib.suppress(Exception):  # a command does not fail for it
+    with contextlib.suppress(Exception):  # failure to write it is not an error
         _path().parent.mkdir(parents=True, exist_ok=True)
         with replacing(_path(), force=True) as temporary:
             temporary.write_text(json.dumps(_durations() | {name: round(took, 1)}), encoding="utf-8")

@@ -1,4 +1,4 @@
-"""The application: all commands, in the order in which people need them."""
+"""Application with all commands, in the order of their use."""
 
 from __future__ import annotations
 
@@ -34,9 +34,9 @@ app = typer.Typer(
     no_args_is_help=True,
     cls=Group,
     pretty_exceptions_enable=False,
-    rich_markup_mode=None,  # our own help is plain text, and Rich takes a fifth of a second to load
+    rich_markup_mode=None,  # the help is plain text, and Rich takes a fifth of a second to load
     context_settings={"help_option_names": ["-h", "--help"]},
-    help="What a camera does to a reflectance measurement, and how to undo it.",
+    help="Correct reflectance measurements for the camera that recorded them.",
 )
 
 
@@ -85,6 +85,6 @@ for _name, _module in {
 }.items():
     app.command(_name, cls=Command)(with_common(_name, _module.command))
 app.add_typer(
-    capture.app, name="capture", help="Begin, plan and check a capture: photographs of a sample under a moved lamp."
+    capture.app, name="capture", help="Create, plan and check a capture: photographs of a sample under a moved lamp."
 )
 app.add_typer(data.app, name="data", help="Fetch published measurements.")

@@ -1,4 +1,4 @@
-"""`matcam app`: plan, look and decide in the browser."""
+"""`matcam app`: plan, inspect and compare in the browser."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def command(
 
 
 def _leave() -> None:
-    """End the process in the middle of a computation: compiled code cannot be asked to stop."""
+    """End the process during a computation, because compiled code cannot be interrupted."""
     import os
     import sys
 
@@ -75,7 +75,7 @@ def _leave() -> None:
 
 
 def _open(address: str) -> None:
-    """Open the page, if there is a browser to open it."""
+    """Open the page in a browser, if there is one."""
     import contextlib
     import webbrowser
 

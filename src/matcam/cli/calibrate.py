@@ -29,7 +29,7 @@ def command(
         float, typer.Option("--half-width", metavar="PX", help="Half the width of a pixel's sensitive area, px.")
     ] = 0.5,
     fit_pixel: Annotated[
-        bool, typer.Option("--fit-pixel", help="Fit the half width too; refused if it cannot be known to 10 %.")
+        bool, typer.Option("--fit-pixel", help="Fit the half width, too; an error if it cannot be determined to 10 %.")
     ] = False,
     wavelength: Annotated[
         float | None,
@@ -38,13 +38,13 @@ def command(
     pitch: Annotated[
         float | None,
         typer.Option(
-            "--pitch", metavar="UM", help="Pixel pitch, um: for diffraction and defocus, and to print lp/mm besides."
+            "--pitch", metavar="UM", help="Pixel pitch, um: for diffraction and defocus, and to print lp/mm, too."
         ),
     ] = None,
     f_number: Annotated[
         list[float] | None,
         typer.Option(
-            "--f-number", metavar="F", help="F-number: one, or one for each picture. Default: the files' own."
+            "--f-number", metavar="F", help="F-number: one, or one for each picture. Default: from the files."
         ),
     ] = None,
     tone: Annotated[
@@ -60,7 +60,7 @@ def command(
         typer.Option(
             "--tone-patches",
             metavar="FILE",
-            help="File with lines x y width height light: patches of the first picture that show its tone curve.",
+            help="File with lines x y width height light: patches of the first picture for its tone curve.",
         ),
     ] = None,
     channel: Annotated[
@@ -68,7 +68,7 @@ def command(
         typer.Option(
             "--channel",
             metavar="COLOUR",
-            help="Channel to measure: R, G, B, Y (luminance) or grey. Default: all that the pictures have.",
+            help="Channel to measure: R, G, B, Y (luminance) or grey. Default: all channels of the pictures.",
         ),
     ] = None,
     cfa: Mosaic = None,
@@ -81,14 +81,14 @@ def command(
         ),
     ] = None,
     accept_sharpened: Annotated[
-        bool, typer.Option("--accept-sharpened", help="Measure sharpened and processed pictures all the same.")
+        bool, typer.Option("--accept-sharpened", help="Measure sharpened and processed pictures, too.")
     ] = False,
     sensor: Annotated[
         Path | None,
         typer.Option(
             "--sensor",
             metavar="PROFILE",
-            help="Camera profile whose sensor goes into the new one, see `matcam sensor`.",
+            help="Camera profile with the sensor for the new one, see `matcam sensor`.",
         ),
     ] = None,
     budget: Budget = None,
@@ -99,7 +99,7 @@ def command(
     force: Force = False,
     json: AsJson = False,
 ) -> int:
-    """Calibrate a camera from photographs of a chart, whose edges are found and measured without help.
+    """Calibrate a camera from photographs of a chart, whose edges are found and measured automatically.
 
     Example: `matcam calibrate chart-1.dng chart-2.dng -o camera.json`
     """
@@ -168,13 +168,13 @@ def _sensor(path: Path | None) -> Any:
     sensor = Camera.load(path).sensor
     if sensor is None:
         raise ArgumentError(
-            f"{path} states no sensor: give --sensor a profile with one, as `matcam sensor --profile` writes it"
+            f"{path} has no sensor: give --sensor a profile with one, as `matcam sensor --profile` writes it"
         )
     return sensor
 
 
 def _mtf50(camera: Any) -> float:
-    """Return the frequency at which lens and pixel pass one half, cycles/px."""
+    """Compute the frequency at which the MTF of lens and pixel is one half, cycles/px."""
     import numpy as np
 
     frequency = np.linspace(0, 2, 2001)
@@ -184,7 +184,7 @@ def _mtf50(camera: Any) -> float:
 
 
 def _files(given: list[Path]) -> list[Path]:
-    """Return the pictures, a folder's by name."""
+    """List the images, those of a folder by name."""
     from matcam.core.errors import FileFormatError
     from matcam.core.readers.names import check_within
     from matcam.files.photographs import PICTURES
@@ -208,7 +208,7 @@ def _tone(tone: str, patches: Path | None, files: list[Path]) -> Any:
 
     if patches is not None:
         if tone != "auto":
-            raise ArgumentError("--tone and --tone-patches both say what the tone curve is: give one of them")
+            raise ArgumentError("--tone and --tone-patches both give the tone curve: give one of them")
         from matcam.calibration.photograph.tone import patch_tone_curve
 
         return patch_tone_curve(files[0], patches)
@@ -220,7 +220,9 @@ def _tone(tone: str, patches: Path | None, files: list[Path]) -> Any:
         except ValueError:
             raise ArgumentError(f"--tone {tone!r}: a number must follow gamma:") from None
     if not is_file(Path(tone)):
-        raise ArgumentError(f"--tone must be auto, linear, srgb, gamma:NUMBER or a file, got {tone!r}, which is none")
+        raise ArgumentError(
+            f"--tone must be auto, linear, srgb, gamma:NUMBER or a file, got {tone!r}, which does not exist"
+        )
     from matcam.files.tone_curve import read_tone_curve
 
     return read_tone_curve(tone)
@@ -249,7 +251,7 @@ def _write(
 
 
 def _verdict(found: Any) -> list[str]:
-    """Return the result in a few lines."""
+    """Format the result in a few lines."""
     lines = []
     for name, fit in found.channels.items():
         numbers = ", ".join(

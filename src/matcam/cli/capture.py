@@ -1,4 +1,4 @@
-"""`matcam capture`: begin, plan and check a folder of photographs of a sample under a moved lamp."""
+"""`matcam capture`: create, plan and check a folder of photographs of a sample under a moved lamp."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def _group() -> None:
 
 
 def init(
-    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of the capture; it is made.")],
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of the capture; it is created.")],
     photographs: Annotated[
         Path | None,
         typer.Option(
@@ -82,9 +82,9 @@ def check(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of the capture.")],
     json: AsJson = False,
 ) -> int:
-    """Check a capture while one is still in the lab: clipped or missing frames, missed angles, wrong times, what moved.
+    """Check a capture in the lab: clipped or missing frames, missing angles, wrong times, motion.
 
-    Exit code 1 where something was found. Example: `matcam capture check chromium`
+    Exit code 1 if there are faults. Example: `matcam capture check chromium`
     """
     from matcam.acquisition.capture_check import check_capture
     from matcam.files.capture import read_capture
@@ -119,7 +119,7 @@ def check(
     for remark in found.findings:
         show.say(f"found: {remark}")
     if not found.findings:
-        show.say("nothing was found that should be mended")
+        show.say("no faults were found")
     return 1 if found.findings else 0
 
 
@@ -140,16 +140,18 @@ def plan(
     accuracy: Annotated[
         float,
         typer.Option(
-            "--accuracy", metavar="SHARE", help="Wanted standard deviation of F at the last angle, relative (no unit)."
+            "--accuracy",
+            metavar="SHARE",
+            help="Required standard deviation of F at the last angle, relative (no unit).",
         ),
     ] = 0.01,
     last: Annotated[
-        float, typer.Option("--last", metavar="DEGREES", help="Largest theta_d at which F is wanted, degrees.")
+        float, typer.Option("--last", metavar="DEGREES", help="Largest theta_d at which F is required, degrees.")
     ] = 75.0,
     metal: Annotated[
         str | None,
         typer.Option(
-            "--metal", metavar="SYMBOL", help="Metal whose F is expected. Default: n = 1.5, whose F is steep."
+            "--metal", metavar="SYMBOL", help="Metal with the expected F. Default: n = 1.5, whose F is steep."
         ),
     ] = None,
     camera: CameraProfile = None,
@@ -159,7 +161,7 @@ def plan(
     sample_mm: SampleMm = None,
     json: AsJson = False,
 ) -> None:
-    """Say which lamp angles, exposures, radius and tolerances a wanted accuracy needs.
+    """Compute the lamp angles, exposures, radius and tolerances for a required accuracy.
 
     Example: `matcam capture plan 0.02 --accuracy 0.01 --camera camera.json --radius 300`
     """
@@ -181,7 +183,7 @@ def plan(
         show.as_json(needs.to_dict())
         return
     found = needs.to_dict()
-    wide = f"{needs.radius:.0f} px or more" if math.isfinite(needs.radius) else "more than any that was tried"
+    wide = f"{needs.radius:.0f} px or more" if math.isfinite(needs.radius) else "larger than all tried values"
     show.table(
         ["what", "needed"],
         [

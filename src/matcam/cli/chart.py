@@ -1,4 +1,4 @@
-"""`matcam chart`: a page to photograph, and its description."""
+"""`matcam chart`: a chart to photograph, and its description."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def command(
         tuple[float, float] | None, typer.Option("--size", metavar="WIDTH HEIGHT", help="Size of another page, mm.")
     ] = None,
     pixels: Annotated[
-        float, typer.Option("--pixels", metavar="PX", help="Number of camera pixels that the page's width will fill.")
+        float, typer.Option("--pixels", metavar="PX", help="Number of camera pixels across the width of the page.")
     ] = 3000.0,
     dpi: Annotated[float, typer.Option("--dpi", metavar="DPI", help="Resolution of a PNG, dots per inch.")] = 600.0,
     force: Force = False,

@@ -1,4 +1,4 @@
-"""What all commands have in common: `--quiet`, `--rig`, the name of their JSON, and the command that is useful next."""
+"""Common parts of all commands: `--quiet`, `--rig`, the name of their JSON, and the suggested next command."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from matcam.cli.rig_file import read_rig_file
 
 
 def _defaults_of_rig(context: Any, path: Path | None) -> Path | None:
-    """Make a rig file's values the defaults of the command's options."""
+    """Make the values of a rig file the defaults of the options of the command."""
     if path is not None and not context.resilient_parsing:
         known = {param.name for param in context.command.params}
-        if "glare_radius" not in known:  # the --glare of `correct` is a doubt, not the rig's halo
+        if "glare_radius" not in known:  # --glare of `correct` is an allowance, not the halo of the rig
             known.discard("glare")
         values = read_rig_file(path, known, context.info_name)
         context.default_map = {**(context.default_map or {}), **values}
     return path
 
 
-Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors, and --json.")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print only errors, and --json.")]
 RigFile = Annotated[
     Path | None,
     typer.Option(
@@ -34,17 +34,17 @@ RigFile = Annotated[
         metavar="FILE",
         is_eager=True,
         callback=_defaults_of_rig,
-        help="Rig to read (TOML): camera, sample, distances, lamp. Options given beside it win.",
+        help="Rig to read (TOML): camera, sample, distances, lamp. Options override it.",
     ),
 ]
 
 
 def with_common(name: str, command: Callable[..., Any]) -> Callable[..., Any]:
-    """Return a command with the options that all have, as typer reads it.
+    """Add the common options to a command, as typer requires.
 
     Args:
         name: the command's words, such as "data merl".
-        command: what it does.
+        command: its function.
     """
     kinds = get_type_hints(command, include_extras=True)
     result_kind = kinds.pop("return", None)

@@ -18,14 +18,14 @@ def command(
         Path,
         typer.Argument(
             metavar="OUT",
-            help=f"File to write; its format is that of its ending: {', '.join(suffixes_for(*MEASUREMENTS, 'surface'))}.",
+            help=f"File to write; its format follows its suffix: {', '.join(suffixes_for(*MEASUREMENTS, 'surface'))}.",
         ),
     ],
     sampling: Sampling = "centre",
     square: Annotated[
         int,
         typer.Option(
-            "--square", metavar="N", help="Resolution of a .bsdf to write, in values along each side; 192 make 36 MB."
+            "--square", metavar="N", help="Resolution of a .bsdf to write, in values along each side; 192 give 36 MB."
         ),
     ] = 192,
     error: Annotated[
@@ -33,7 +33,7 @@ def command(
         typer.Option(
             "--error",
             metavar="SHARE",
-            help="Make the smallest .bsdf (0.2 to 70 MB) whose median differences are at most this, such as 0.01.",
+            help="Write the smallest .bsdf (0.2 to 70 MB) whose median differences are at most this, such as 0.01.",
         ),
     ] = None,
     metadata: Annotated[
@@ -41,7 +41,7 @@ def command(
         typer.Option(
             "--metadata",
             metavar="JSON",
-            help="JSON file to write that says how it was measured: the rig, its receiver's solid angle.",
+            help="JSON file to write with metadata of the measurement: the rig, the solid angle of its receiver.",
         ),
     ] = None,
     camera: CameraProfile = None,
@@ -50,7 +50,7 @@ def command(
     force: Force = False,
     json: AsJson = False,
 ) -> None:
-    """Convert data to another format; if they must be resampled, say how, and by how much they then differ.
+    """Convert data to another format; if they must be resampled, print the method and the differences.
 
     Example: `matcam convert chrome.binary chrome.bsdf`
     """
@@ -68,7 +68,7 @@ def command(
     if metadata:
         check_output(metadata, force=force, inputs=[source, *([camera] if camera else [])])
         if metadata.absolute() == target.absolute():
-            raise OutputError(f"output {metadata} is asked for twice: give two names")
+            raise OutputError(f"output {metadata} is given twice: give two names")
         document = about(rig_of(camera, radius, lamp), table=target.name)
     with show.working("converting"):
         report = convert(source, target, sampling=sampling, square=square, error=error, force=force)
@@ -95,7 +95,7 @@ def _print(report: dict[str, Any]) -> None:
         )
         if report["missing_share"]:
             show.say(
-                f"missing values, which the format does not have, were interpolated: {report['missing_share']:.2%}"
+                f"missing values, which the format does not support, were interpolated: {report['missing_share']:.2%}"
             )
     if "sidecar" in report:
         show.say(f"sidecar: {report['sidecar']}")
@@ -104,5 +104,5 @@ def _print(report: dict[str, Any]) -> None:
 
 
 def _percent(share: float) -> str:
-    """Format a relative difference; beyond a factor of ten the digits mean nothing."""
+    """Format a relative difference; beyond a factor of ten the digits are meaningless."""
     return "more than 1000%" if share > 10 else f"{share:.2%}"

@@ -40,7 +40,7 @@ def command(
     paths: Annotated[
         list[Path],
         typer.Argument(
-            metavar="PATH...", help="Tables to read (.binary, .nc, .csv), and folders that stand for their *.binary."
+            metavar="PATH...", help="Tables to read (.binary, .nc, .csv), and folders, which mean their *.binary."
         ),
     ],
     ndf: FamilyOrAuto = "auto",
@@ -49,7 +49,7 @@ def command(
         typer.Option(
             "--glare",
             metavar="SHARE",
-            help="Share of light that the lens may scatter without its profile saying so (no unit).",
+            help="Share of light in an unspecified halo of the lens (no unit).",
         ),
     ] = 1e-3,
     masking: Masking = "smith",
@@ -78,7 +78,7 @@ def command(
         typer.Option(
             "--workers",
             metavar="N",
-            help="Number of a run's processes, one core each. Default: one for each core.",
+            help="Number of processes of a run, one core each. Default: one for each core.",
             min=1,
         ),
     ] = None,
@@ -88,15 +88,15 @@ def command(
         typer.Option(
             "--cluster",
             metavar="WHERE",
-            help="Do the run on Dask: local:N, or a scheduler's address (tcp://host:8786).",
+            help="Run on Dask: local:N, or a scheduler's address (tcp://host:8786).",
         ),
     ] = None,
-    pages: Annotated[bool, typer.Option("--pages/--no-pages", help="Write a page to read for each material.")] = True,
+    pages: Annotated[bool, typer.Option("--pages/--no-pages", help="Write a page for each material.")] = True,
     compress: Annotated[
         bool, typer.Option("--compress/--no-compress", help="Compress each NetCDF, without loss.")
     ] = True,
     zarr: Annotated[
-        bool, typer.Option("--zarr", help="Write all materials of a run to one Zarr besides, FOLDER/run.zarr.")
+        bool, typer.Option("--zarr", help="Write all materials of a run to one Zarr, too, FOLDER/run.zarr.")
     ] = False,
     fit_camera: Annotated[
         bool,
@@ -107,7 +107,7 @@ def command(
     time_limit: Annotated[
         float,
         typer.Option(
-            "--time-limit", metavar="SECONDS", help="Time for one material of a run, s; what takes longer has failed."
+            "--time-limit", metavar="SECONDS", help="Time for one material of a run, s; longer ones have failed."
         ),
     ] = 3600.0,
     layers: Annotated[
@@ -124,10 +124,10 @@ def command(
     force: Force = False,
     json: AsJson = False,
 ) -> int:
-    """Correct a table for its camera, with uncertainty: MERL, NetCDF, JSON and a page to read.
+    """Correct a table for its camera, with uncertainty; write MERL, NetCDF, JSON and a page.
 
-    Several files, or a folder, are a run: `-o` names the folder that it fills. A run that was killed goes on where it was
-    when it is started again. What fails is listed at the end and stops nothing else (exit code 1; 2 if nothing was
+    Several files, or a folder, are a run: `-o` names the folder that it fills. A run that was killed resumes when it is
+    started again. Failures are listed at the end and do not affect other tables (exit code 1; 2 if no table was
     corrected).
 
     Example: `matcam correct chrome.binary -o chrome-corrected.binary`, `matcam correct brdfs/ -o corrected/`
@@ -156,7 +156,7 @@ def command(
     from matcam.core.workspace import Workspace
 
     if device == "gpu" and not alone:
-        raise ArgumentError("--device gpu is for one table: a run takes no longer with a process on each core")
+        raise ArgumentError("--device gpu is for one table: a run is as fast with a process on each core")
     choose_device(device)
     use_compilation_cache()
     workspace = Workspace.user()
@@ -214,7 +214,7 @@ def command(
 
 
 def _write_layers(recorded: Path, target: Path, path: Path, sampling: Any, force: bool) -> None:
-    """Write the slice that people look at, before and after, as layers of one picture."""
+    """Write the slice across the plane of light and view, before and after, as layers of one image."""
     import numpy as np
 
     from matcam.core.io import where_written
@@ -233,7 +233,7 @@ def _write_layers(recorded: Path, target: Path, path: Path, sampling: Any, force
 
 
 def _print_table(document: dict[str, Any], name: str, json: bool) -> None:
-    """Print what was found of one table."""
+    """Print the result of one table."""
     if json:
         show.as_json(document)
         return
@@ -249,7 +249,7 @@ def _print_table(document: dict[str, Any], name: str, json: bool) -> None:
 
 
 def _print_run(run: Any, json: bool) -> None:
-    """Print what a run did."""
+    """Print the result of a run."""
     if json:
         show.as_json(run.to_dict())
         return

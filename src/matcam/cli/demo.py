@@ -1,4 +1,4 @@
-"""`matcam demo`: the main job, on simulated data."""
+"""`matcam demo`: correction of simulated data."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def _show_all(output: Path, table: Path, loss: Path, term: Path, force: bool) ->
     show.say("2. What to expect of this rig:")
     predict.command([0.001, 0.002, 0.005, 0.01, 0.05], ndf="gaussian", output=loss, force=force)
     show.say("3. Its Fresnel term, as recorded and corrected for the camera:")
-    with tempfile.TemporaryDirectory() as folder:  # the table bears its name only when all is done
+    with tempfile.TemporaryDirectory() as folder:  # the table gets its name only at the end
         named = Path(folder, table.name)
         named.symlink_to(where_written(table).absolute())
         fresnel.command(named, metal="Cr", output=term, force=force)

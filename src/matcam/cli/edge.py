@@ -11,7 +11,7 @@ from matcam.cli import show
 from matcam.cli.options import AsJson, Budget, EdgeLens, Force, Mosaic
 
 _DOUBTS = {"asymmetric", "compressed", "crushed", "demosaiced", "denoised", "filtered", "sharpened", "tone-curve"}
-"""Remarks on pictures whose MTF is not that of the lens, whichever estimate is taken."""
+"""Remarks on images whose MTF is not that of the lens, for either estimate."""
 _HIGHEST = 1.25
 """Largest frequency at which an MTF is tabulated, cycles/px."""
 
@@ -28,7 +28,7 @@ def command(
         typer.Option(
             "--roi",
             metavar="X Y WIDTH HEIGHT",
-            help="Region that holds one edge, px; or X,Y,WIDTH,HEIGHT. Default: the whole picture.",
+            help="Region with one edge, px; or X,Y,WIDTH,HEIGHT. Default: the whole picture.",
         ),
     ] = None,
     rois: Annotated[
@@ -36,7 +36,7 @@ def command(
         typer.Option(
             "--rois",
             metavar="FILE",
-            help="CSV file to read, with columns x, y, width, height and perhaps name: regions that hold one edge each.",
+            help="CSV file to read, with columns x, y, width, height and optionally name: regions with one edge each.",
         ),
     ] = None,
     method: Annotated[
@@ -44,7 +44,7 @@ def command(
         typer.Option(
             "--method",
             help="likelihood: matcam's estimates with their errors; iso12233: the e-SFR of ISO 12233:2023, without errors, "
-            "to compare with other programs.",
+            "for comparison with other programs.",
         ),
     ] = "likelihood",
     at: Annotated[
@@ -61,7 +61,7 @@ def command(
     pitch: Annotated[
         float | None,
         typer.Option(
-            "--pitch", metavar="UM", help="Pixel pitch, um: for diffraction and defocus, and to print lp/mm besides."
+            "--pitch", metavar="UM", help="Pixel pitch, um: for diffraction and defocus, and to print lp/mm, too."
         ),
     ] = None,
     half_width: Annotated[
@@ -76,18 +76,18 @@ def command(
         Literal["linear", "srgb", "auto"],
         typer.Option(
             "--tone",
-            help="What the codes are: linear, or sRGB, which is undone; auto: sRGB for 8 bits, and it says so.",
+            help="Encoding of the codes: linear, or sRGB, which is decoded; auto: sRGB for 8 bits, with a remark.",
         ),
     ] = "auto",
     accept_sharpened: Annotated[
-        bool, typer.Option("--accept-sharpened", help="Measure a sharpened picture all the same.")
+        bool, typer.Option("--accept-sharpened", help="Measure a sharpened picture, too.")
     ] = False,
     sfr: Annotated[
         Path | None,
         typer.Option(
             "--sfr",
             metavar="FILE",
-            help="CSV file of the MTF to write, as sfrmat and Imatest write it: frequency, SFR.",
+            help="CSV file of the MTF to write, in the form of sfrmat and Imatest: frequency, SFR.",
         ),
     ] = None,
     table: Annotated[
@@ -109,7 +109,7 @@ def command(
     force: Force = False,
     json: AsJson = False,
 ) -> int:
-    """Measure the MTF of lens and pixel across slanted edges (ISO 12233): free of a model, and as a lens.
+    """Measure the MTF of lens and pixel across slanted edges (ISO 12233), without a model, and as a lens.
 
     Example: `matcam edge chart.tif --roi 120 80 80 160`
     """
@@ -124,7 +124,7 @@ def command(
             one = "one region of one picture" if several else "the method likelihood"
             raise ArgumentError(f"{option} belongs to {one}: leave it out")
     if roi is not None and rois is not None:
-        raise ArgumentError("--roi and --rois both name regions: give one of them")
+        raise ArgumentError("--roi and --rois both give regions: give one of them")
     if output:
         check_picture(output, force=force, inputs=pictures)
         check_output(output.with_suffix(".csv"), force=force, inputs=pictures)
@@ -204,7 +204,7 @@ def _series(
     json: bool,
     measure: Any,
 ) -> int:
-    """Measure many edges, and show or write a row for each. Return the exit code: 1 where some could not be measured."""
+    """Measure many edges, and show or write a row for each. Return the exit code: 1 if some could not be measured."""
     from functools import partial
 
     from matcam.calibration.readings.edge_series import measure_series, read_regions, series_columns
@@ -240,7 +240,7 @@ def _series(
 
 
 def _readings(result: Any, frequencies: tuple[float, ...]) -> dict[str, Any]:
-    """Read the usual numbers off an edge: by ours with errors, by ISO 12233 without."""
+    """Compute the usual values of an edge: by matcam with errors, by ISO 12233 without."""
     if hasattr(result, "fits"):
         from matcam.calibration.readings.edge_numbers import readings
 
@@ -250,7 +250,7 @@ def _readings(result: Any, frequencies: tuple[float, ...]) -> dict[str, Any]:
 
 
 def _print_readings(found: dict[str, Any], pitch: float | None, name: str) -> None:
-    """Print the numbers that were read off an edge."""
+    """Print the values of an edge."""
 
     def shown(key: str, std: str) -> str:
         return f"{found[key]:.4f}" + (f" ± {found[std]:.4f}" if std in found else "")
@@ -273,7 +273,7 @@ def _lp_per_mm(frequency: Any, pitch: float) -> Any:
 
 
 def _write_sfr(result: Any, path: Path, pitch: float | None, force: bool) -> None:
-    """Write the MTF's columns; those below Nyquist's double, which other programs plot."""
+    """Write the columns of the MTF up to twice the Nyquist frequency, which other programs plot."""
     from matcam.core.io import replacing
 
     head = ["frequency_cy_per_px", *(["frequency_lp_per_mm"] if pitch else []), "SFR"]
@@ -288,7 +288,7 @@ def _write_sfr(result: Any, path: Path, pitch: float | None, force: bool) -> Non
 
 
 def _write_budget(result: Any, path: Path, force: bool) -> None:
-    """Write the budgets of both MTF50 and of the lens's parameters."""
+    """Write the budgets of both MTF50 and of the parameters of the lens."""
     from matcam.numerics.budget import fit_budget, parameter_budgets, write_budgets
 
     fit = result.parametric
@@ -326,8 +326,8 @@ def _print(result: Any, pitch: float | None) -> None:
     std = np.sqrt(np.diag(fit.covariance))
     for name, value, error in zip(fit.names, fit.values, std, strict=True):
         show.say(f"{name}: {value:.4g} ± {error:.2g}")
-    # the free curve contains what software has done as well
-    believe = "" if {remark.code for remark in result.remarks} & _DOUBTS else ": believe the free curve"
+    # the free curve includes the effect of software, too
+    believe = "" if {remark.code for remark in result.remarks} & _DOUBTS else ": use the free curve"
     verdict = "explains the edge" if fit.consistent else f"does NOT explain the edge{believe}"
     show.say(f"the {fit.model} lens {verdict} (probability of such residuals {fit.misfit_probability:.2g})")
     show.say(

@@ -1,4 +1,4 @@
-"""`matcam figures`: the paper's Figures 3 to 6."""
+"""`matcam figures`: Figures 3 to 6 of the paper."""
 
 from __future__ import annotations
 
@@ -48,12 +48,12 @@ def command(
 
 
 def draw_all(sources: Mapping[str, Any], output: Path, vector: str, *, force: bool, quiet: bool) -> None:
-    """Draw and write figures. sources: of each stem its table's file, or what `fresnel` extracted from it; None: simulated."""
+    """Draw and write figures. sources: file of the table of each stem, or its result of `fresnel`; None: simulated."""
     drawn = {}
     for stem, source in sources.items():
         with show.working(f"drawing {stem}"):
             drawn[stem] = _draw(stem, source)
-    # all or nothing: a bad file among several is found before the first picture is written
+    # all or none: a bad file among several is found before the first image is written
     for stem, (data, figure) in drawn.items():
         _write(data, figure, output / stem, vector, force)
         show.say(f"{output / stem}.png, .{vector}, .csv", quiet=quiet)

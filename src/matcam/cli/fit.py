@@ -1,4 +1,4 @@
-"""`matcam fit`: a material's parameters, estimated through the camera that recorded it."""
+"""`matcam fit`: parameters of a material, estimated through the camera that recorded it."""
 
 from __future__ import annotations
 
@@ -55,9 +55,7 @@ def command(
     ] = 0.0,
     rival: Annotated[
         bool,
-        typer.Option(
-            "--rival", help="Compare with free shadowing: does it explain the data better than the camera does?"
-        ),
+        typer.Option("--rival", help="Compare the camera with free shadowing as explanations of the data."),
     ] = False,
     slice_step: Annotated[int, typer.Option("--slice-step", metavar="N", help="Use every n-th slice of theta_d.")] = 1,
     masking: Masking = "smith",
@@ -90,7 +88,7 @@ def command(
     if blind and lens != "auto":
         raise ArgumentError("--no-camera and --lens contradict each other: give one of them")
     if rival and (blind or len(files) > 1):
-        raise ArgumentError("--rival sets one table's camera against free shadowing: give one file, and a camera")
+        raise ArgumentError("--rival compares the camera of one table with free shadowing: give one file, and a camera")
     inputs = [*files, *([camera] if camera else [])]
     if output:
         check_output(output, force=force, inputs=inputs)
@@ -157,7 +155,7 @@ def _rival(file: Path, rig: Any, ndf: str, sampling: Any, slice_step: int) -> di
 
 
 def print_fit(summary: dict[str, Any], name: str) -> None:
-    """A fit's `to_dict()` as a table, and what is to be said of it."""
+    """Print `to_dict()` of a fit as a table, with its remarks."""
     rows = [[key, f"{value:.6g}", f"{summary['std'][key]:.2g}"] for key, value in summary["params"].items()]
     show.table(["parameter", "value", "std"], rows, f"{name}: {'bent ' if summary['bent'] else ''}{summary['ndf']}")
     show.say(f"half width at half maximum: {summary['hwhm_rad']:.6g} ± {summary['hwhm_std_rad']:.2g} rad")

@@ -40,7 +40,7 @@ def command(
         typer.Option(
             "--metal",
             metavar="SYMBOL",
-            help="Metal (Cr, Fe, ...) whose n and k to compare with. Default: the nearest of all, dielectrics too.",
+            help="Metal (Cr, Fe, ...) for comparison. Default: the nearest of all, including dielectrics.",
         ),
     ] = None,
     ndf: FamilyOrAuto = "auto",
@@ -110,7 +110,7 @@ def command(
         from matcam.material.optical_constants import metals
 
         if metal is not None:
-            metals(metal)  # an unknown name should cost nothing
+            metals(metal)  # an unknown name is an error before any work
         near: dict[str, Any] = {
             "sample": sample,
             "distance": distance,
@@ -143,7 +143,7 @@ def command(
 
 
 def _write_budget(result: Any, path: Path, force: bool) -> None:
-    """Write the budget of F at every angle that is printed, in each channel that has an F there."""
+    """Write the budget of F at every printed angle, in each channel with an F there."""
     import numpy as np
 
     from matcam.inverse.fresnel_term import fresnel_budget
@@ -230,7 +230,7 @@ def _print(result: Any, tables: Any, files: list[Path], channel: str) -> None:
         f"{result.attrs['source']}, channel {channel}",
     )
     attrs = result.attrs
-    determined = "" if attrs["width_determined"] else " (narrower than this camera can tell: an upper bound)"
+    determined = "" if attrs["width_determined"] else " (narrower than this camera can resolve: an upper bound)"
     width = f"width {float(result['width']):.6g} ± {float(result['width_std']):.1g}{determined}"
     half, std = (float(np.degrees(result[name])) for name in ("hwhm", "hwhm_std"))
     show.say(

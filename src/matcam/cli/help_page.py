@@ -1,6 +1,6 @@
 """Help of the commands, as plain text: groups of commands, units as the names of values, an example, the exit codes.
 
-The same lines make the reference of the command line in the documentation. Nothing of it loads the library.
+The same lines make the reference of the command line in the documentation. The help does not load the library.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ GROUPS = {
     "Exchange": ("inspect", "convert", "render", "app"),
     "Paper": ("figures", "demo"),
 }
-"""Commands by what people want to do; a command of no group is listed under Other."""
+"""Groups of commands by purpose; other commands are listed under Other."""
 
 EXIT_CODES = {
     0: "done",
-    1: "some inputs failed, the others are done",
+    1: "some inputs failed, the others are finished",
     2: "bad input: nothing was written",
     70: "a fault of matcam, with its traceback",
     130: "interrupted (143: by SIGTERM); nothing half-written is left",
@@ -31,7 +31,7 @@ EXIT_CODES = {
 
 
 class HelpLine(NamedTuple):
-    """One argument or option of a command, in words."""
+    """Argument or option of a command, in words."""
 
     names: str
     value: str
@@ -40,7 +40,7 @@ class HelpLine(NamedTuple):
 
 
 def entry(param: Any, context: Any) -> HelpLine:
-    """Return what the help says of a parameter; flags have no value."""
+    """Return the help of a parameter; flags have no value."""
     if param.param_type_name == "argument":
         name = param.metavar or param.name.upper() + ("..." if param.nargs == -1 else "")
         return HelpLine(name, "", param.help or "", "" if param.required else "optional")
@@ -53,7 +53,7 @@ def entry(param: Any, context: Any) -> HelpLine:
 
 
 def _choices(label: str) -> str:
-    """Return the choices or the kind of an option without a metavar, as typer writes them behind its names."""
+    """Return the choices or the type of an option without a metavar, as typer writes them after its names."""
     found = re.search(r"[<\[](.*?)[>\]]\.*$", label)
     return found[1] if found else label.rpartition(" ")[2]
 
@@ -66,14 +66,14 @@ def _default(param: Any) -> str:
 
 
 def parts(command: Any) -> tuple[str, list[str]]:
-    """Return a command's text without its example, and its examples."""
+    """Split the text of a command into description and examples."""
     text = re.sub(r"[ \t]*\n[ \t]*(?!\n)", "\n", command.help or "")
     before, _, after = text.partition("Example:")
     return before.strip(), re.findall(r"`([^`]+)`", after)
 
 
 def entries(command: Any, context: Any) -> tuple[list[HelpLine], list[HelpLine]]:
-    """Return a command's arguments and options."""
+    """Return the arguments and options of a command."""
     params = command.get_params(context)
     shown = [p for p in params if not getattr(p, "hidden", False)]
     arguments = [entry(p, context) for p in shown if p.param_type_name == "argument"]
@@ -81,7 +81,7 @@ def entries(command: Any, context: Any) -> tuple[list[HelpLine], list[HelpLine]]
 
 
 def usage(command: Any, context: Any) -> str:
-    """Return how a command is called."""
+    """Return the usage line of a command."""
     arguments, _ = entries(command, context)
     words = [f"[{a.names}]" if a.default else a.names for a in arguments]
     tail = ["COMMAND ..."] if hasattr(command, "commands") else []
@@ -89,7 +89,7 @@ def usage(command: Any, context: Any) -> str:
 
 
 def groups(commands: Any) -> Iterator[tuple[str, list[str]]]:
-    """Yield the groups of commands that exist, those of no group last."""
+    """Yield the groups of existing commands, ungrouped ones last."""
     left = [name for name in commands if not getattr(commands[name], "hidden", False)]
     for title, members in GROUPS.items():
         found = [name for name in members if name in left]
@@ -101,7 +101,7 @@ def groups(commands: Any) -> Iterator[tuple[str, list[str]]]:
 
 
 def page(command: Any, context: Any) -> str:
-    """Return the whole help of a command or of a group of commands."""
+    """Return the complete help of a command or of a group of commands."""
     width = max(50, min(shutil.get_terminal_size().columns, 100))
     text, examples = parts(command)
     lines = [f"Usage: {usage(command, context)}", ""]
@@ -123,7 +123,7 @@ def page(command: Any, context: Any) -> str:
 
 
 def summary(command: Any) -> str:
-    """Return a command's first sentence."""
+    """Return the first sentence of the description of a command."""
     return parts(command)[0].split("\n\n")[0].replace("\n", " ").replace("`", "")
 
 
@@ -136,7 +136,7 @@ def _wrapped(text: str, width: int, indent: str) -> list[str]:
 
 
 def _rows(rows: list[tuple[str, str]], width: int) -> list[str]:
-    """Lay rows out in two columns; a long first cell has a line of its own."""
+    """Format rows in two columns; a long first cell has its own line."""
     first = min(max(len(name) for name, _ in rows) + 2, 26)
     lines: list[str] = []
     for name, text in rows:

@@ -1,4 +1,4 @@
-"""`matcam inspect`: what a file holds."""
+"""`matcam inspect`: contents of a file."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ def command(
     ] = 256.0,
     json: AsJson = False,
 ) -> None:
-    """Show what a file holds: a BRDF, another result, a picture or a camera profile.
+    """Show the contents of a file: a BRDF, another result, a picture or a camera profile.
 
-    A BRDF is shown with its grid, missing share, reciprocity, albedo, lobe width by angle, whether a camera shows in it,
-    and how its cells were read from pixels.
+    A BRDF is shown with its grid, missing share, reciprocity, albedo, lobe width by angle, trace of a camera, and
+    lookup of cells in pixels.
 
     Example: `matcam inspect chrome.binary`
     """
@@ -65,7 +65,7 @@ def _print_brdf(report: dict[str, Any]) -> None:
         _print_table(report)
     channels = [name for name in report["albedo"][0] if name != "theta_o_deg"][:12]
     rows = [[f"{row['theta_o_deg']}°", *(f"{row[c]:.4f}" for c in channels)] for row in report["albedo"]]
-    show.table(["theta_o", *channels], rows, "Albedo: share of the light sent back in all")
+    show.table(["theta_o", *channels], rows, "Albedo: share of the light that is reflected in all")
     if "camera" in report:
         _print_trace(report["camera"])
         _print_cells(report["cells"])
@@ -73,7 +73,7 @@ def _print_brdf(report: dict[str, Any]) -> None:
 
 def _print_trace(trace: dict[str, Any]) -> None:
     if trace["visible"] is None:
-        show.say("camera: too few angles show a lobe to tell")
+        show.say("camera: too few angles show a lobe")
     elif trace["visible"]:
         show.say(
             f"camera: visible. In the plane of light and view lobes widen {trace['widening']:.2f} times more than across it, "
@@ -88,11 +88,11 @@ def _print_trace(trace: dict[str, Any]) -> None:
 
 def _print_cells(cells: dict[str, Any]) -> None:
     if cells["rule"] is None:
-        show.say("cells: nothing shows that they were looked up in shared pixels")
+        show.say("cells: there is no evidence of lookup in shared pixels")
         return
     from matcam.inverse.operator.pixel_phase import READ_FROM
 
-    share = f"{cells['repeated_share']:.0%} of neighbours near the highlight hold one value"
+    share = f"{cells['repeated_share']:.0%} of neighbours near the highlight have equal values"
     how = READ_FROM[cells["rule"]]
     if cells["phase_px"] is None:
         where = f"no grid of pixels on a sphere of {cells['radius_px']:g} px fits: try another --radius"

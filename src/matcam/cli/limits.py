@@ -1,4 +1,4 @@
-"""`matcam limits`: what can be recovered at all from a rig's records."""
+"""`matcam limits`: bounds of what the records of a rig determine."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def command(
     azimuth: LampAzimuth = None,
     json: AsJson = False,
 ) -> None:
-    """Compute which roughness and angle a rig can recover at all (Cramer-Rao bounds), and which change would help.
+    """Compute bounds of the roughness and angle that a rig can recover (Cramer-Rao), and the effect of changes.
 
     Example: `matcam limits 0.0005 0.001 0.005 --radius 256`
     """
@@ -103,7 +103,7 @@ def _print(found: Any) -> None:
         rows.append([f"{r:g}", *(f"{alike:.3f} / {smallest:.2g}" for alike, smallest in pairs)])
     show.table(
         ["roughness", *map(str, found["blur"].values)], rows,
-        "What looks like the lens: likeness (1 cannot be told) / smallest size that is told",
+        "Blurs that resemble the lens: correlation (1: indistinguishable) / smallest detectable size",
     )  # fmt: skip
     rows = [
         [f"{r:g}", *(" / ".join(share(v) for v in found["width_std_changed"].sel(roughness=r, change=c).values)

@@ -1,7 +1,7 @@
-"""Options that several commands share, the rig that they describe, and errors in the words of options.
+"""Common options of commands, the rig that they describe, and errors in terms of options.
 
-The library's messages name Python arguments ("half_width must lie in ..."). `Command` translates them, for all commands, by the
-command's own options and by the tables below ("--half-width must lie in ...").
+Messages of the library name Python arguments ("half_width must lie in ..."). `Command` translates them, for all
+commands, by the options of the command and by the tables below ("--half-width must lie in ...").
 """
 
 from __future__ import annotations
@@ -41,10 +41,10 @@ _RENAMED = {
     "pixels_across": "pixels",
     "shape": "size",
 }
-"""Arguments of the library whose option, in the commands that have it, has another name."""
+"""Arguments of the library whose option has another name."""
 
 _PHRASES = {
-    "(Camera(..., uncertainty=...))": "(--camera: a profile that states one)",
+    "(Camera(..., uncertainty=...))": "(--camera: a profile that gives one)",
     "Camera(optics, pixel, sensor=Sensor(...))": "a profile with one (--camera)",
     "page must lie in": "--size must lie in",
 }
@@ -57,7 +57,7 @@ _SCALES = {
     "--pitch": (1e6, "um"),
     "--wavelength": (1e9, "nm"),
 }
-"""Options in units of their own: how many of them make the library's unit (rad, m)."""
+"""Options with other units: factors to the unit of the library (rad, m)."""
 
 _VERBS = "must|can|belongs|needs|asks|as|may"
 
@@ -67,7 +67,7 @@ CameraProfile = Annotated[
 ]
 SampleShape = Annotated[
     Literal["sphere", "cylinder", "flat"],
-    typer.Option("--sample", help="Shape of the sample. The camera cannot blur what a flat one reflects."),
+    typer.Option("--sample", help="Shape of the sample. The camera does not blur the reflectance of a flat one."),
 ]
 Radius = Annotated[
     float | None,
@@ -96,7 +96,7 @@ LampAzimuth = Annotated[
         "--azimuth",
         metavar="DEGREES",
         help="Azimuth of the lamp about the optical axis in the pictures behind a table, degrees; 0 is right, 90 up. "
-        "Default: as the table says, or 0.",
+        "Default: from the table, or 0.",
     ),
 ]
 SampleMm = Annotated[
@@ -111,12 +111,12 @@ if TYPE_CHECKING:
     Lens = str
     EdgeLens = str
     Mosaic = str | None
-else:  # Literal types, as typer wants them, of the registries' names
+else:  # Literal types of the names in the registries, as typer requires
 
     def _one_of(names: Iterable[str | None]) -> Any:
         return Literal[tuple(name or "none" for name in names)]
 
-    _AUTO = "Family of the lobe; auto: by how well each explains the data."
+    _AUTO = "Family of the lobe; auto: the one that explains the data best."
     _FRESNEL = (
         "Fresnel term: n and k (conductor), f0 (schlick), eta (dielectric), or one value for each theta_d (free)."
     )
@@ -135,9 +135,7 @@ else:  # Literal types, as typer wants them, of the registries' names
 
 Device = Annotated[
     Literal["cpu", "gpu"] | None,
-    typer.Option(
-        "--device", help="Where to compute. Default: where it takes less time; of a GPU that is there, it says so."
-    ),
+    typer.Option("--device", help="Where to compute. Default: the faster one; a remark mentions a GPU."),
 ]
 Budget = Annotated[
     Path | None,
@@ -147,7 +145,7 @@ Budget = Annotated[
 ]
 Sampling = Annotated[
     Literal["centre", "edge"],
-    typer.Option("--sampling", help="Where in its cell a table's value was sampled; a MERL file does not say."),
+    typer.Option("--sampling", help="Sampling position of a value in its cell, which a MERL file does not contain."),
 ]
 RealPixels = Annotated[
     Literal["nearest", "bilinear", "mean"] | None,
@@ -162,16 +160,19 @@ PixelPhase = Annotated[
     typer.Option(
         "--phase",
         metavar="X Y",
-        help="Where the pixels of --cell lie: their centres are whole numbers plus this from the sphere's centre, px. "
+        help="Position of the pixels of --cell: their centres are whole numbers plus this from the sphere's centre, px. "
         "Default: as the table shows.",
     ),
 ]
 ForceCorrection = Annotated[
     bool,
-    typer.Option("--force-correction", help="Correct a table whose data contradict the rig; else it stays as it is."),
+    typer.Option(
+        "--force-correction",
+        help="Correct a table whose data contradict the rig, which is otherwise not changed.",
+    ),
 ]
 Force = Annotated[bool, typer.Option("--force", help="Replace existing output.")]
-AsJson = Annotated[bool, typer.Option("--json", help="Print the result as JSON, and nothing else, to standard output.")]
+AsJson = Annotated[bool, typer.Option("--json", help="Print only the result as JSON to standard output.")]
 
 Distance = Annotated[
     float | None,
@@ -193,11 +194,11 @@ GlareRadius = Annotated[
 
 
 def choose_device(device: str | None) -> None:
-    """Let JAX compute on a device, and say which one it is where the machine has a GPU.
+    """Select the device for JAX, and print it if the machine has a GPU.
 
     Args:
-        device: "cpu" or "gpu", as the user has chosen; None: the processor. There a table takes 5 s on two cores, where a GPU
-            takes 22 s to compile its first and 0.2 s for each of the next.
+        device: "cpu" or "gpu", choice of the user; None: the processor, which is faster for one table because a GPU
+            requires longer compilation.
     """
     from matcam.core.jax import has_gpu, use_device
 
@@ -220,7 +221,7 @@ def rig_of(
     azimuth: float | None = None,
     **more: Any,
 ) -> Rig:
-    """Return the MERL rig, with what the user has replaced. azimuth: of the lamp, degrees."""
+    """Build the MERL rig with the replacements of the user. azimuth: of the lamp, degrees."""
     from matcam import rigs
     from matcam.camera.camera import Camera
     from matcam.camera.optics.halo import HaloOptics
@@ -244,13 +245,13 @@ def rig_of(
 
 
 def _lamp_of(angular_radius: float, distance: float | None, sample_mm: float | None) -> Lamp:
-    """Return the lamp: near where its distance is given, in radii of the sample or, with the sample's radius, in mm."""
+    """Build the lamp: near if its distance is given, in radii of the sample or, with the radius of the sample, in mm."""
     from matcam.core import checks
     from matcam.lamp.lamps import DistantLamp, NearLamp
 
     if distance is None:
         if sample_mm is not None:
-            raise ArgumentError("--sample-mm needs --lamp-distance, whose unit it sets")
+            raise ArgumentError("--sample-mm sets the unit of --lamp-distance, which is missing: give both")
         return DistantLamp(angular_radius)
     if sample_mm is not None:
         distance /= float(checks.positive("--sample-mm", sample_mm, "mm"))
@@ -259,7 +260,7 @@ def _lamp_of(angular_radius: float, distance: float | None, sample_mm: float | N
 
 
 class Group(TyperGroup):
-    """Several commands, whose help lists them by what people want to do."""
+    """Group of commands, listed in the help by purpose."""
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
         """Write the help."""
@@ -275,7 +276,7 @@ def files_are_written() -> bool:
 
 
 class Command(TyperCommand):
-    """Run a command; errors speak of its options.
+    """Command whose errors refer to its options.
 
     A command ends regularly with a return or with `typer.Exit`, whatever its exit code: its files appear. Any other exception
     is a failure, and no file appears.
@@ -300,7 +301,7 @@ class Command(TyperCommand):
         return super().parse_args(ctx, split)
 
     def invoke(self, ctx: Any) -> Any:
-        """Run the command, whose files appear together at its end; translate the message of its error."""
+        """Run the command, whose files appear together at its end; translate the message of an error."""
         check_address_space()
         values = [value if isinstance(value, list) else [value] for value in ctx.params.values()]
         modules = formats.decoded_by(path for paths in values for path in paths if isinstance(path, Path))
@@ -310,7 +311,7 @@ class Command(TyperCommand):
             start_reader(modules)
         result: Any = None
         try:
-            with all_or_nothing() as outputs:  # it takes an exception for a failure, and discards the files
+            with all_or_nothing() as outputs:  # it treats an exception as a failure, and discards the files
                 _outputs_of_command.append(outputs)
                 try:
                     result = super().invoke(ctx)
@@ -325,7 +326,7 @@ class Command(TyperCommand):
 
 
 def in_options(message: str, command: TyperCommand) -> str:
-    """Translate a message of the library from Python's arguments to a command's options."""
+    """Translate a message of the library from Python arguments to the options of a command."""
     options = {str(p.name): max(p.opts, key=len) for p in command.params if p.param_type_name == "option"}
     renamed = {argument: options[name] for argument, name in _RENAMED.items() if name in options}
     return _translated(message, {**options, **renamed})
@@ -347,7 +348,7 @@ def _translated(message: str, option_of: Mapping[str, str]) -> str:
         return option_of.get(found[0], found[0])
 
     message = re.sub(r"\b([a-z_]+)=('?)(\w+)\2", assignment, message)
-    # a plain word is an argument only where it is the subject; one with an underscore is nothing else anywhere
+    # a plain word is an argument only as the subject; one with an underscore always is
     subject = re.match(rf"(?:[a-z_]+ and )?[a-z_.]+(?= (?:'\S*' )?(?:{_VERBS})\b)", message)
     if subject:
         message = re.sub(r"[a-z_.]+", name, subject[0]) + message[subject.end() :]
@@ -357,17 +358,17 @@ def _translated(message: str, option_of: Mapping[str, str]) -> str:
 
 
 def _in_unit(message: str) -> str:
-    """Convert the numbers of a message about a range to the unit of the option that it begins with."""
+    """Convert the numbers of a message about a range to the unit of its option."""
     option = message.partition(" ")[0]
     if option not in _SCALES:
         return message
     scale, unit = _SCALES[option]
-    message = re.sub(r"(must be given\b.*), m$", r"\1", message)  # the option's help names its unit
+    message = re.sub(r"(must be given\b.*), m$", r"\1", message)  # the help of the option names its unit
 
     def converted(found: re.Match[str]) -> str:
         low, high, value = (f"{scale * float(found[i]):.4g}" for i in (2, 3, 6))
         why = (found[5] or "").replace("pi", "180 degrees")
-        why = f" ({why})" if why and not why[0].isdigit() else ""  # digits: how to write 550 nm in m
+        why = f" ({why})" if why and not why[0].isdigit() else ""  # digits: example of 550 nm in m
         return f"must lie in {found[1]}{low}, {high}{found[4]} {unit}{why}, got {value}"
 
     number = r"[-+\d.einf]+"

@@ -1,4 +1,4 @@
-"""`matcam predict`: how much of a highlight a rig keeps, by roughness and angle."""
+"""`matcam predict`: share of a highlight that a rig keeps, by roughness and angle."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def command(
     ndf: Family = "ggx",
     power: Annotated[
         float | None,
-        typer.Option("--power", metavar="P", help="Power p of an epd or sgd lobe, which needs it (no unit)."),
+        typer.Option("--power", metavar="P", help="Power p of an epd or sgd lobe, required for these (no unit)."),
     ] = None,
     sample: SampleShape = "sphere",
     dims: Annotated[
@@ -86,9 +86,9 @@ def command(
     force: Force = False,
     json: AsJson = False,
 ) -> None:
-    """Predict how much of a highlight a rig keeps, and up to which angle it loses less than 5 %.
+    """Predict the share of a highlight that a rig keeps, and the angle up to which it loses less than 5 %.
 
-    With --glare, also predict how much false haze and false diffuse reflection each material gains.
+    With --glare, also predict the false haze and the false diffuse reflection of each material.
 
     Example: `matcam predict 0.001 0.01 0.1 --radius 400 -o loss.png --map plane.png`
     """
@@ -138,7 +138,7 @@ def command(
 
 
 def _print(data: Any, title: str) -> None:
-    """Print the share that is kept at some angles, and the loss angle."""
+    """Print the kept share at some angles, and the loss angle."""
     at = [int(abs(data.theta - math.radians(angle)).argmin()) for angle in _ANGLES]
     rows = [
         [f"{value:g}", f"{r0:.1%}", *(f"{1 - r:.1%}" for r in relative[1:]), f"{angle:.1f}°" if angle < 90 else "-"]
@@ -150,7 +150,7 @@ def _print(data: Any, title: str) -> None:
 
 
 def _print_false_light(data: Any, false: list[Any], glare: float, radius: float) -> None:
-    """Print what the lens's glare adds."""
+    """Print the effect of the glare of the lens."""
     show.table(
         ["roughness", "false diffuse", "haze at 2°", "at 5°", "at 10°"],
         [
@@ -163,7 +163,7 @@ def _print_false_light(data: Any, false: list[Any], glare: float, radius: float)
 
 
 def _false_light(rig: Any, lobes: list[Any]) -> list[Any]:
-    """Compute what the lens's glare adds to each lobe."""
+    """Compute the effect of the glare of the lens on each lobe."""
     from matcam.forward.false_light import false_light
     from matcam.material.microfacet import Microfacet
 
@@ -172,7 +172,7 @@ def _false_light(rig: Any, lobes: list[Any]) -> list[Any]:
 
 
 def _haze(false: Any, degrees: float = 2.0) -> float:
-    """Return added over true BRDF at an angle off the half vector."""
+    """Compute added over true BRDF at an angle off the half vector."""
     at = false.isel(channel=0).sel(theta_h=math.radians(degrees), method="nearest")
     return float(at["added"] / at["true"])
 

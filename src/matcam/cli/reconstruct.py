@@ -1,4 +1,4 @@
-"""`matcam reconstruct`: from a folder of photographs of a sphere or another sample to its material."""
+"""`matcam reconstruct`: material of a sphere or another sample from a folder of photographs."""
 
 from __future__ import annotations
 
@@ -53,10 +53,11 @@ def command(
 ) -> int:
     """Reconstruct a material from photographs of a sphere, cylinder or flat sample, with its errors.
 
-    Frames that cannot be used are left out and listed; the results are written, and the exit code is 1. A run that was cut off
-    goes on where its frames were read.
-    Of a cylinder there is no pinhole table; an anisotropic material is in the .nc alone, which has the half vector's azimuth.
-    Maps of a flat sample are in the .nc.
+    Unusable frames are left out and listed; the results are written, and the exit code is 1. An interrupted run resumes
+    after the frames that it has read.
+
+    There is no pinhole table for a cylinder; an anisotropic material is only in the .nc, which has the azimuth of the
+    half vector. Maps of a flat sample are in the .nc.
 
     Example: `matcam reconstruct shots/ -o chrome.binary`
     """
@@ -112,7 +113,7 @@ def command(
 
 
 def _files_of(result: Any) -> tuple[str, ...]:
-    """Return which files a result fills."""
+    """Return the files of a result."""
     if result.sample == "flat":
         return "data", "document"
     table = () if "phi_h" in result.table.dims else ("table",)  # a MERL file has no azimuth of the half vector
@@ -139,7 +140,7 @@ def _write(result: Any, document: dict[str, Any], files: dict[str, Path], captur
     if "table" in files:
         write_merl(files["table"], data["brdf"], force=force)
     if "pinhole" in files:
-        # noise about 0 may be negative, which the format cannot say; the NetCDF file keeps it
+        # noise about 0 may be negative, which the format does not support; the NetCDF file keeps it
         write_merl(files["pinhole"], result.pinhole.clip(min=0.0, keep_attrs=True), force=force)
         data = data.assign(pinhole=result.pinhole)
     if result.sample == "sphere":
@@ -158,7 +159,7 @@ def _write(result: Any, document: dict[str, Any], files: dict[str, Path], captur
 
 
 def _print(result: Any, document: dict[str, Any]) -> None:
-    """Print parameters, error budget, verdict, what was left out and why, and the files."""
+    """Print parameters, error budget, verdict, omissions with reasons, and the files."""
     from matcam.reconstruction.stated.captured_scene import INCOMPLETE
 
     show.table(

@@ -48,7 +48,7 @@ def command(
     force: Force = False,
     json: AsJson = False,
 ) -> None:
-    """Render a sphere of the material under a lamp or an environment with Mitsuba 3; two files stand side by side.
+    """Render a sphere of the material under a lamp or an environment with Mitsuba 3; two files are shown side by side.
 
     Example: `matcam render chrome.binary chrome-corrected.binary -o chrome.png`
     """
@@ -72,7 +72,7 @@ def command(
     inputs = [*files, *([environment] if environment else [])]
     linear = target.suffix.lower() == ".exr"
     if linear and len(files) > 1:
-        raise ArgumentError("an .exr holds one sphere: render the files one by one")
+        raise ArgumentError("an .exr contains one sphere: render the files one by one")
     (check_output if linear else check_picture)(target, force=force, inputs=inputs)
     use_compilation_cache()
     pictures = {}
@@ -82,7 +82,7 @@ def command(
             angle = math.radians(lamp_angle)
             picture = rendered_sphere(material, lamp_angle=angle, environment=environment, size=size, samples=samples)
         pictures[file.name if file.name not in pictures else f"{file.name} ({number + 1})"] = picture
-    light = f"under {environment.name}" if environment else f"lamp {lamp_angle:g}° from the camera, even sky"
+    light = f"under {environment.name}" if environment else f"lamp {lamp_angle:g}° from the camera, uniform sky"
     if linear:
         write_exr(target, picture, force=force)
     else:

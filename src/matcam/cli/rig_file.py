@@ -1,4 +1,4 @@
-"""The rig in a file, `--rig rig.toml`: what it says are the defaults of a command's own options.
+"""Rig file, `--rig rig.toml`: its values are the defaults of the options of a command.
 
     schema = "matcam-rig-1"
     camera = "camera.json"      # a profile beside the file: a name without folders
@@ -18,12 +18,11 @@
     distance = 700              # in radii of the sample, or in mm
     azimuth_deg = 30            # about the optical axis, in the pictures behind a table
 
-    [table]
-    cell = "nearest"            # how cells are looked up in real pixels
-    phase_px = [0.1, -0.3]      # where these lie
+    [table] cell = "nearest"            # how cells are looked up in real pixels phase_px = [0.1, -0.3]      # position
+    of these
 
-All but `schema` may be left out. An option of the command line wins over the file. What a command cannot take into account is
-refused, not ignored.
+All but `schema` may be omitted. An option of the command line overrides the file. Entries that a command does not
+support are errors.
 """
 
 from __future__ import annotations
@@ -53,11 +52,11 @@ _KEYS = {
 """Entries of the file, and the parameters of commands that they set."""
 
 _MEANINGLESS = {("sample", "shape"): "sphere"}
-"""Values that every command takes for granted, whether or not it has an option for them."""
+"""Values that every command assumes, with or without an option for them."""
 
 
 def read_rig_file(path: Path, known: set[str], command: str) -> dict[str, Any]:
-    """Return the values that a rig file gives to a command's parameters.
+    """Return the values of a rig file for the parameters of a command.
 
     Args:
         path: the file (TOML).
@@ -75,13 +74,13 @@ def read_rig_file(path: Path, known: set[str], command: str) -> dict[str, Any]:
         if keys in _MEANINGLESS and value == _MEANINGLESS[keys] and _KEYS[keys] not in known:
             continue
         if _KEYS[keys] not in known:
-            raise ArgumentError(f"{path}: matcam {command} cannot take {where} into account: leave it out of the file")
+            raise ArgumentError(f"{path}: matcam {command} does not support {where}: leave it out of the file")
         values[_KEYS[keys]] = _value(path, keys, value)
     return values
 
 
 def _entries(path: Path) -> dict[tuple[str, ...], Any]:
-    from matcam.core.readers.texts import read_toml  # it loads NumPy, which a page of help does not need
+    from matcam.core.readers.texts import read_toml  # it loads NumPy, which a page of help does not require
 
     document = read_toml(path, "a rig")
     if document.pop("schema", None) != SCHEMA:
@@ -96,7 +95,7 @@ def _entries(path: Path) -> dict[tuple[str, ...], Any]:
 
 
 def _value(path: Path, keys: tuple[str, ...], value: Any) -> Any:
-    """Return an entry as its option takes it: numbers, a shape's name, or the profile beside the file."""
+    """Convert an entry as its option requires: numbers, the name of a shape, or the profile beside the file."""
     where = ".".join(keys)
     if keys == ("table", "phase_px"):
         if not isinstance(value, list) or len(value) != 2 or not all(_is_number(one) for one in value):

@@ -1,4 +1,4 @@
-"""`matcam sensor`: the electronics of a camera from a series of exposures (EMVA 1288)."""
+"""`matcam sensor`: characteristics of a sensor from a series of exposures (EMVA 1288)."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ def command(
         Path,
         typer.Argument(
             metavar="FOLDER",
-            help="Frames of an evenly lit field and of darkness, two or more of each exposure: in flat/ and dark/, or with "
+            help="Frames of a uniform field and of darkness, two or more of each exposure: in flat/ and dark/, or with "
             "names that begin so; or a descriptor file of the EMVA 1288 reference data sets.",
         ),
     ],
     cfa: Mosaic = None,
     bits: Annotated[
         int | None,
-        typer.Option("--bits", metavar="N", help="Depth of the codes. Default: as stated, or by the largest code."),
+        typer.Option("--bits", metavar="N", help="Depth of the codes. Default: as stated, or from the largest code."),
     ] = None,
     camera: Annotated[
         Path | None,
-        typer.Option("--camera", metavar="PROFILE", help="Camera profile (JSON) that the sensor goes into."),
+        typer.Option("--camera", metavar="PROFILE", help="Camera profile (JSON) to which the sensor is added."),
     ] = None,
     profile: Annotated[
         Path | None,
@@ -35,7 +35,7 @@ def command(
     ] = None,
     pitch: Annotated[
         float | None,
-        typer.Option("--pitch", metavar="UM", help="Pixel pitch, um. Default: that of --camera, if it states one."),
+        typer.Option("--pitch", metavar="UM", help="Pixel pitch, um. Default: that of --camera, if it has one."),
     ] = None,
     output: Annotated[
         Path | None,
@@ -51,12 +51,14 @@ def command(
     ] = None,
     maps: Annotated[
         bool,
-        typer.Option("--maps", help="Write the pixels' responses and dark signals, too: two TIFF files of floats."),
+        typer.Option(
+            "--maps", help="Write the responses and dark signals of the pixels, too: two TIFF files of floats."
+        ),
     ] = False,
     force: Force = False,
     json: AsJson = False,
 ) -> None:
-    """Measure gain, noise, dark current, linearity, saturation and fixed patterns of a sensor, as EMVA 1288 does.
+    """Measure gain, noise, dark current, linearity, saturation and fixed patterns of a sensor by EMVA 1288.
 
     Example: `matcam sensor exposures --camera camera.json --profile camera-with-sensor.json --pitch 3.45`
     """
@@ -101,7 +103,7 @@ def command(
 
 
 def _camera(path: Path | None, pitch: float | None) -> tuple[Any, float]:
-    """Load the profile that the sensor goes into; also the pixel pitch, m."""
+    """Load the profile to which the sensor is added, and the pixel pitch, m."""
     if path is None:
         return None, float("nan")
     from matcam.camera.camera import Camera
@@ -114,7 +116,7 @@ def _camera(path: Path | None, pitch: float | None) -> tuple[Any, float]:
     if pitch is not None:
         return camera, pitch * 1e-6
     if not stated:
-        raise ArgumentError(f"{path} states no pixel pitch: give --pitch")
+        raise ArgumentError(f"{path} has no pixel pitch: give --pitch")
     return camera, float(stated[0])
 
 

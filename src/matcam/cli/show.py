@@ -1,6 +1,6 @@
 """Output of the commands: results and tables to standard output, progress and remarks to standard error.
 
-Texts may come from files: characters that a terminal obeys are printed as their escapes, and nothing in them is markup.
+Texts may come from files: control characters are printed as escapes, and markup is disabled.
 """
 
 from __future__ import annotations
@@ -22,21 +22,21 @@ from matcam.core.readers.names import UNPRINTABLE, printable
 
 _SECONDS = 30.0
 _LEAST_WIDTH = 20
-"""Characters of a line at least: Rich prints nothing into a width of 0."""
+"""Smallest number of characters of a line: Rich prints nothing into a width of 0."""
 
 OPTIONS = {"force=True": "--force", "fit_camera=True": "--fit-camera"}
-"""Arguments that the library's messages name, and the options that they are here."""
+"""Arguments in messages of the library, and the corresponding options."""
 
 _broken: list[OSError] = []
-"""What standard output answered when it could not be written."""
+"""Error of standard output when it could not be written."""
 
 _manner: list[tuple[bool, str]] = [(False, "")]
-"""How the running commands speak, the innermost last: quiet or not, and the name of their JSON's schema."""
+"""Output settings of the running commands, the innermost last: quiet or not, and the name of the schema of their JSON."""
 
 
 @contextlib.contextmanager
 def speaking(*, quiet: bool, schema: str) -> Iterator[None]:
-    """Print no results but JSON, if quiet; name the schema of JSON documents."""
+    """Print only JSON, if quiet; name the schema of JSON documents."""
     _manner.append((quiet or _manner[-1][0], schema))
     try:
         yield
@@ -48,12 +48,12 @@ def as_json(result: dict[str, Any]) -> None:
     """Print a result as one JSON document, its schema's name first; NaN and infinity become null."""
     named = {"schema": _manner[-1][1], **result} if _manner[-1][1] else result
     text = _laid_out(plain(named))
-    # JSON has no other controls than those between its lines; what a terminal obeys is an escape of JSON, too
+    # JSON has only line breaks as control characters; others are escaped in JSON, too
     _print("\n".join(re.sub(UNPRINTABLE, lambda found: f"\\u{ord(found[0]):04x}", line) for line in text.split("\n")))
 
 
 def _laid_out(value: Any, indent: str = "") -> str:
-    """Write JSON: an entry a line, and an array of numbers or texts on one line."""
+    """Format JSON: one entry per line, and an array of numbers or texts on one line."""
     inner = indent + "  "
     if isinstance(value, dict) and value:
         entries = [f"{json.dumps(str(key), ensure_ascii=False)}: {_laid_out(one, inner)}" for key, one in value.items()]
@@ -87,26 +87,26 @@ def table(head: Sequence[str], rows: Sequence[Sequence[str]], title: str = "") -
 
 
 def _width() -> int | None:
-    """Return the width of tables where the environment states one that nothing fits into; None: it does not."""
+    """Return the width of tables if that of the environment is too small; None otherwise."""
     stated = os.environ.get("COLUMNS", "")
     return _LEAST_WIDTH if stated.isdigit() and int(stated) < _LEAST_WIDTH else None
 
 
 def say(text: str, *, quiet: bool = False) -> None:
-    """Print a line of the result, unless standard output belongs to JSON."""
+    """Print a line of the result, unless standard output is for JSON."""
     if not (quiet or _manner[-1][0]):
         _print("\n".join(map(printable, text.split("\n"))))
 
 
 def remark(text: str) -> None:
-    """Print a line to standard error: what was left out, or failed without ending the work."""
+    """Print a line to standard error: omissions, or failures that do not end the work."""
     activity.clear()
     with contextlib.suppress(OSError):
         print(f"matcam: {printable(text)}", file=sys.stderr)
 
 
 def _print(text: str, end: str = "\n") -> None:
-    """Print to standard output; where that cannot be written, go on: the files are worth more."""
+    """Print to standard output; continue if it cannot be written, because the files are more important."""
     activity.clear()
     if not _broken:
         try:
@@ -116,12 +116,12 @@ def _print(text: str, end: str = "\n") -> None:
 
 
 def broken_output() -> OSError | None:
-    """Return, once, what standard output answered when it could not be written; None if it could."""
+    """Return, once, the error of standard output when it could not be written; None if it could."""
     return _broken.pop() if _broken else None
 
 
 working = activity.doing
-"""Show what a command is doing, if standard error is a terminal."""
+"""Show the current step of a command, if standard error is a terminal."""
 
 
 @contextlib.contextmanager
@@ -178,7 +178,7 @@ def tallying(what: str) -> Iterator[Any]:
             nonlocal begun
             if begun:
                 progress.update(task, completed=done, total=total)
-            else:  # what was done before says nothing of the pace
+            else:  # earlier work does not predict the speed
                 progress.reset(task, completed=done, total=total)
             begun = True
             if not terminal:
@@ -189,9 +189,9 @@ def tallying(what: str) -> Iterator[Any]:
 
 @contextlib.contextmanager
 def stepping() -> Iterator[Any]:
-    """Show the steps of one long work on standard error; yield update(step, done, total), total 0 where it is not known.
+    """Show the steps of long work on standard error; yield update(step, done, total), total 0 if unknown.
 
-    If that is no terminal, a line appears there at most twice a minute.
+    If that is not a terminal, a line appears there at most twice a minute.
     """
     if sys.stderr.isatty():
         with activity.doing("starting"):
@@ -210,13 +210,13 @@ def stepping() -> Iterator[Any]:
 
 
 class _Log:
-    """Report progress as lines, at most one in half a minute."""
+    """Progress as lines, at most one in half a minute."""
 
     def __init__(self, what: str):
         self.what, self.started, self.last, self.first = what, time.monotonic(), -math.inf, 0
 
     def update(self, done: int, total: int) -> None:
-        """Report how far the work is, and how long the rest will take at the pace so far."""
+        """Report the progress, and the remaining time at the current speed."""
         now = time.monotonic()
         if self.last == -math.inf:
             self.first, self.started = done, now
@@ -228,7 +228,7 @@ class _Log:
 
 
 def _span(seconds: float) -> str:
-    """Write a time in the largest unit of which there are at least two."""
+    """Format a time in the largest unit of which there are at least two."""
     for unit, size in (("days", 86400), ("h", 3600), ("min", 60)):
         if seconds >= 2 * size:
             return f"{seconds / size:.0f} {unit}"
@@ -236,7 +236,7 @@ def _span(seconds: float) -> str:
 
 
 def in_options(message: str) -> str:
-    """Return a library's message in the command line's words."""
+    """Translate a message of the library to the terms of the command line."""
     for argument, option in OPTIONS.items():
         message = message.replace(argument, option)
     return message

@@ -1,4 +1,4 @@
-"""`matcam simulate`: the table or picture that a rig records of a known material."""
+"""`matcam simulate`: table or image of a known material as a rig records it."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def command(
     ] = None,
     table: Annotated[
         Path | None,
-        typer.Argument(help="Table of the material (.binary, .nc, .csv). Default: the lobe that the options describe."),
+        typer.Argument(help="Table of the material (.binary, .nc, .csv). Default: the lobe given by the options."),
     ] = None,
     roughness: Annotated[
         float,
@@ -55,16 +55,14 @@ def command(
     ndf: Family = "ggx",
     power: Annotated[
         float | None,
-        typer.Option("--power", metavar="P", help="Power p of an epd or sgd lobe, which needs it (no unit)."),
+        typer.Option("--power", metavar="P", help="Power p of an epd or sgd lobe, required for these (no unit)."),
     ] = None,
     metal: Annotated[
-        str, typer.Option("--metal", metavar="SYMBOL", help="Metal whose n and k make the Fresnel term.")
+        str, typer.Option("--metal", metavar="SYMBOL", help="Metal whose n and k give the Fresnel term.")
     ] = "Cr",
     source: Annotated[
         str | None,
-        typer.Option(
-            "--source", metavar="SOURCE", help="Which published table of n and k to use. Default: the metal's first."
-        ),
+        typer.Option("--source", metavar="SOURCE", help="Published table of n and k. Default: the first of the metal."),
     ] = None,
     diffuse: Annotated[
         float, typer.Option("--diffuse", metavar="ALBEDO", help="Albedo of a Lambertian part, 0 to 1 (no unit).")
@@ -84,21 +82,21 @@ def command(
     sample: SampleShape = "sphere",
     cell: Annotated[
         Literal["centre", "edge", "mean", "nearest", "bilinear"],
-        typer.Option("--cell", help="What a cell of a table stands for."),
+        typer.Option("--cell", help="Meaning of a cell of a table."),
     ] = "centre",
     phase: Annotated[
         tuple[float, float] | None,
         typer.Option(
             "--phase",
             metavar="X Y",
-            help="Where the real pixels of --cell nearest, bilinear or mean lie: their centres are whole numbers plus this "
+            help="Position of the real pixels of --cell nearest, bilinear or mean: their centres are whole numbers plus this "
             "from the sphere's centre, px.",
         ),
     ] = None,
     size: Annotated[
         tuple[int, int] | None,
         typer.Option(
-            "--size", metavar="HEIGHT WIDTH", help="Height and width of the picture, px. Default: the sample's."
+            "--size", metavar="HEIGHT WIDTH", help="Height and width of the picture, px. Default: that of the sample."
         ),
     ] = None,
     crop: Annotated[
@@ -106,7 +104,7 @@ def command(
         typer.Option(
             "--crop",
             metavar="HEIGHT WIDTH",
-            help="Height and width of the part of the sensor that is used, px, about its middle.",
+            help="Height and width of the part of the sensor that is used, px, about its centre.",
         ),
     ] = None,
     exposure: Annotated[
@@ -168,7 +166,7 @@ def command(
         rig = rig_of(camera, radius, lamp, sample, distance, glare, glare_radius, **near)
         plan: dict[str, Any] = {"azimuth": math.radians(azimuth), "shape": size}
         if sample == "flat":
-            plan["exposures"] = 2  # that do not clip
+            plan["exposures"] = 2  # exposures without clipping
         _capture(lobe, rig, plan, positions, capture, seed, force, json)
         return
     assert output is not None
@@ -219,7 +217,7 @@ def _capture(
     force: bool,
     json: bool,
 ) -> None:
-    """Write a whole capture; print what it consists of."""
+    """Write a whole capture, and print its contents."""
     import numpy as np
 
     from matcam.core.jax import use_compilation_cache
@@ -248,7 +246,7 @@ def _tabulated(table: Path, sampling: Any) -> tuple[Any, dict[str, Any]]:
 
 
 def _microfacet(lobe: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
-    """Make the metal with the lobe that the options describe; its description names the source of n and k."""
+    """Build the metal with the lobe of the options; its description names the source of n and k."""
     from matcam.core.grid import CHANNEL_WAVELENGTHS
     from matcam.core.registry import family_ndf
     from matcam.material.microfacet import Microfacet
@@ -263,7 +261,7 @@ def _microfacet(lobe: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
 def _table(
     material: Any, rig: Any, azimuth: float, output: Path, described: dict[str, Any], force: bool
 ) -> dict[str, Any]:
-    """Write the table that the rig records; return what to print of it."""
+    """Write the table of the rig, and return its summary."""
     from matcam.files.datasets import write_netcdf
     from matcam.files.merl import write_merl
     from matcam.forward.measurement import measure
@@ -286,7 +284,7 @@ def _picture(
     described: dict[str, Any],
     force: bool,
 ) -> dict[str, Any]:
-    """Write the picture that the rig takes, with its sidecar; return what to print of it."""
+    """Write the image of the rig with its sidecar, and return its summary."""
     from matcam.core.grid import CHANNEL_WAVELENGTHS
     from matcam.files.float_pictures import write_exr, write_float_tiff
     from matcam.files.sidecar import sidecar_path, write_sidecar

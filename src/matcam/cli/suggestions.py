@@ -1,4 +1,4 @@
-"""The command that is useful next, by what the last one was asked for and wrote."""
+"""Suggested next command, from the arguments and outputs of the last one."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from matcam.files.formats import MEASUREMENTS, identify, suffixes_for
 
 
 def after(name: str, values: dict[str, Any]) -> str | None:
-    """Return the next useful command, or None where there is none that runs: every file that it reads is there.
+    """Return the next useful command, or None without one that would run.
 
     Args:
         name: the command's words, such as "data merl".
@@ -29,13 +29,13 @@ def after(name: str, values: dict[str, Any]) -> str | None:
 
 
 class _Output(NamedTuple):
-    """File that the next command would write; a name that is taken is refused without --force."""
+    """Output of the next command; an existing name would require --force."""
 
     path: Path
 
 
 def _unused(output: _Output) -> Path:
-    """Return the path of an output, with a number where that name is taken."""
+    """Return the path of an output, with a number if that name exists."""
     path, number = output.path, 1
     while is_there(where_written(path)):
         number += 1
@@ -77,13 +77,13 @@ def _after_inspect(values: dict[str, Any]) -> list[Any] | None:
 
 
 def _after_convert(values: dict[str, Any]) -> list[Any] | None:
-    """Inspect the new file; a file that holds no measurement, such as a fitted surface, cannot be inspected."""
+    """Inspect the new file; a file without a measurement, such as a fitted surface, cannot be inspected."""
     target = values["target"]
     return ["matcam", "inspect", target] if target.suffix.lower() in suffixes_for(*MEASUREMENTS) else None
 
 
 def _is_table(file: Path) -> bool:
-    """Detect a table on the MERL grid in a CSV file, which may hold scattered samples or no BRDF."""
+    """Check whether a CSV file is a table on the MERL grid, rather than scattered samples or no BRDF."""
     from matcam.exchange.contents import read_contents
 
     try:
@@ -103,7 +103,7 @@ def _after_correct(values: dict[str, Any]) -> list[Any] | None:
 
 
 def _after_reconstruct(values: dict[str, Any]) -> list[Any] | None:
-    """Inspect the table; of maps or an anisotropic material, which a MERL file cannot hold, the NetCDF file."""
+    """Inspect the table; for maps or an anisotropic material, which a MERL file does not support, the NetCDF file."""
     target = values["output"] or Path(f"{values['capture'].resolve().name}-reconstructed.binary")
     return ["matcam", "inspect", target if is_there(where_written(target)) else target.with_suffix(".nc")]
 

@@ -1,6 +1,6 @@
-"""Checks of arguments: cast to float64, and refuse a concrete value that is out of its range.
+"""Checks of arguments: conversion to float64, and range checks of concrete values.
 
-Traced values (inside jit, grad, vmap) have no numbers yet and pass; the outermost caller has checked them.
+Traced values (inside jit, grad, vmap) have no numbers and pass; the outermost caller has checked them.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _trusted: ContextVar[bool] = ContextVar("trusted", default=False)
 
 @contextmanager
 def trusted() -> Iterator[None]:
-    """Let values pass without a look, as traced ones do: a fit may leave a range on its way."""
+    """Skip all checks, as for traced values, because a fit may temporarily leave a range."""
     token = _trusted.set(True)
     try:
         yield
@@ -40,7 +40,7 @@ T = TypeVar("T")
 
 
 def number(name: str, value: ArrayLike | npt.ArrayLike) -> jax.Array:
-    """Return `value` as a float64 array; ArgumentError where it is not numeric or not finite."""
+    """Convert `value` to a float64 array; ArgumentError if it is not numeric or not finite."""
     if _trusted.get() or not is_concrete(value):
         return xp.asarray(value, dtype=xp.float64)
     array = _as_float64(name, value)
@@ -50,7 +50,7 @@ def number(name: str, value: ArrayLike | npt.ArrayLike) -> jax.Array:
 
 
 def numbers(name: str, value: ArrayLike | npt.ArrayLike) -> jax.Array:
-    """Return `value` as a float64 array that may hold NaN where a value is missing; ArgumentError where it is not numeric."""
+    """Convert `value` to a float64 array with NaN for missing values; ArgumentError if it is not numeric."""
     return _kept(_as_float64(name, value), value) if is_concrete(value) else xp.asarray(value, dtype=xp.float64)
 
 
@@ -64,9 +64,9 @@ def within(
     open_low: bool = False,
     open_high: bool = False,
 ) -> jax.Array:
-    """Return `value` as a float64 array inside [low, high].
+    """Convert `value` to a float64 array inside [low, high].
 
-    An end may be open, or infinite, when infinity itself is allowed.
+    An end may be open, or infinite, which allows infinity itself.
     """
     if _trusted.get() or not is_concrete(value):
         return xp.asarray(value, dtype=xp.float64)
@@ -93,7 +93,7 @@ def degrees_hint(value: float, high: float) -> str:
 
 
 def positive(name: str, value: ArrayLike, unit: str = "") -> jax.Array:
-    """Return `value` as a float64 array, finite and above 0."""
+    """Convert `value` to a float64 array, finite and above 0."""
     return within(name, value, 0, np.inf, unit, open_low=True, open_high=True)
 
 
@@ -105,14 +105,14 @@ def scalar(name: str, value: jax.Array) -> jax.Array:
 
 
 def outside_jit(value: ArrayLike, what: str) -> float:
-    """Return a number that sets how something is computed; its derivative is left out.
+    """Return a number that controls a computation, without its derivative.
 
     Args:
         value: the number.
         what: the numbers in words, plural, for the message.
 
     Raises:
-        ArgumentError: it has no value yet, because the call stands inside jax.jit or vmap.
+        ArgumentError: it is traced, because the call is inside jax.jit or vmap.
     """
     value = constant(value)
     if not is_concrete(value):
@@ -121,7 +121,7 @@ def outside_jit(value: ArrayLike, what: str) -> float:
 
 
 def viewing_angle(name: str, value: ArrayLike) -> jax.Array:
-    """Return an angle between a surface normal and a direction that it can be seen from, [0, pi/2) rad."""
+    """Check an angle between a surface normal and a visible direction, [0, pi/2) rad."""
     return within(name, value, 0, np.pi / 2, "rad (below 90 degrees)", open_high=True)
 
 
@@ -133,7 +133,7 @@ def choice(name: str, value: Any, allowed: tuple[Any, ...]) -> Any:
 
 
 def _is_one(value: Any, one: Any) -> bool:
-    """Compare a value of any type with a choice: an array of several values is none, nor is True the number 1."""
+    """Compare a value of any type with a choice; arrays of several values are never equal, nor is True equal to 1."""
     same = value == one
     return (
         isinstance(same, bool | np.bool_) and bool(same) and isinstance(value, bool | np.bool_) == isinstance(one, bool)
@@ -143,7 +143,7 @@ def _is_one(value: Any, one: Any) -> bool:
 def whole_number(
     name: str, value: Any, low: int, high: int | None = None, *, unit: str = "", optional: bool = False
 ) -> int | None:
-    """Return `value` if it is an int in [low, high], or None where it is optional; ArgumentError otherwise."""
+    """Return `value` if it is an int in [low, high], or None if optional; ArgumentError otherwise."""
     if (optional and value is None) or (type(value) is int and low <= value and (high is None or value <= high)):
         return value
     interval = f">= {low}" if high is None else f"in [{low}, {high}]"
@@ -153,7 +153,9 @@ def whole_number(
 
 
 def flag(name: str, value: Any) -> bool:
-    """Return `value` if it is True or False, NumPy's too: a text or an array would count as True. ArgumentError otherwise."""
+    """Return `value` if it is True or False, also of NumPy; ArgumentError otherwise, because a text or an array would
+    be true.
+    """
     if not isinstance(value, bool | np.bool_):
         raise ArgumentError(f"{name} must be True or False, got {_shown(value)}")
     return bool(value)
@@ -174,14 +176,14 @@ def instances(name: str, values: Any, kind: type[T]) -> list[T]:
 
 
 def broadcastable(**values: ArrayLike) -> tuple[jax.Array, ...]:
-    """Return values as float64 arrays; ArgumentError where one is not finite, or their shapes do not broadcast."""
+    """Convert values to float64 arrays; ArgumentError if one is not finite, or their shapes do not broadcast."""
     arrays = {name: number(name, value) for name, value in values.items()}
     broadcast_shape(**arrays)
     return tuple(arrays.values())
 
 
 def broadcast_shape(**arrays: jax.Array) -> tuple[int, ...]:
-    """Return the shape to which arrays broadcast; ArgumentError names them and their shapes where they do not."""
+    """Return the common shape of arrays; ArgumentError names them and their shapes if they do not broadcast."""
     shapes = [np.shape(array) for array in arrays.values()]
     try:
         return np.broadcast_shapes(*shapes)
@@ -192,12 +194,12 @@ def broadcast_shape(**arrays: jax.Array) -> tuple[int, ...]:
 
 
 def extra(what: str, name: str, module: str) -> None:
-    """Refuse what needs a module that is not installed, before any work.
+    """Raise ArgumentError if an optional module is not installed, before any work.
 
     Args:
-        what: what needs it, for the message.
+        what: feature that requires it, for the message.
         name: extra of this package that installs it, such as "render".
-        module: the module, which is looked for and not imported.
+        module: the module, which is searched and not imported.
 
     Raises:
         ArgumentError: the module is not installed; the message says how to install it.
@@ -207,7 +209,7 @@ def extra(what: str, name: str, module: str) -> None:
 
 
 def not_masked(name: str, value: Any) -> None:
-    """Refuse a masked array: NumPy would use the values behind its mask."""
+    """Raise ArgumentError for a masked array, because NumPy would use the values behind its mask."""
     if np.ma.is_masked(value):
         raise ArgumentError(
             f"{name} must not be masked: use .filled(np.nan) where values are missing, or leave them out"
@@ -226,7 +228,7 @@ def plain_array(name: str, value: Any) -> np.ndarray:
 
 
 def _kept(array: np.ndarray, value: Any) -> Any:
-    """Return checked numbers as an array of JAX where they were given as one, otherwise as one of NumPy that cannot change."""
+    """Return checked numbers as an array of JAX if they were given as one, otherwise as an immutable one of NumPy."""
     if has_jax(value):
         from matcam.core.jax import placed
 
@@ -241,7 +243,7 @@ def _as_float64(name: str, value: ArrayLike | npt.ArrayLike) -> np.ndarray:
         array = np.asarray(value)
         if (
             array.dtype.kind not in "biufO"
-        ):  # NumPy takes times and texts for numbers, and the real part of complex ones
+        ):  # NumPy accepts times and texts as numbers, and the real part of complex ones
             raise TypeError
         if array.dtype.kind == "O" and any(one is None or isinstance(one, str | bytes) for one in array.flat):
             raise TypeError
@@ -251,10 +253,10 @@ def _as_float64(name: str, value: ArrayLike | npt.ArrayLike) -> np.ndarray:
 
 
 def _shown(value: Any) -> str:
-    """Return what was given in a few words, on one line."""
+    """Format an argument in a few words, on one line."""
     try:
         return " ".join(repr(value).split())[:60]
-    except Exception:  # a whole number of ten thousand digits has no text, and foreign classes have what they like
+    except Exception:  # an integer of ten thousand digits has no text, and foreign classes have arbitrary ones
         return type(value).__name__
 
 

@@ -1,4 +1,4 @@
-"""The family of errors that a user's input can cause: each says what was wrong, where, and what would be right."""
+"""Errors that a user's input can cause; each message states what is wrong, where, and what to do."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from collections.abc import Iterable
 
 
 class MatcamError(Exception):
-    """Report an error that a user's input can cause.
+    """Error that a user's input can cause.
 
-    All errors of the family are of this class. Their text is one line: what was wrong, where, and what would be right.
+    All errors of the package are of this class. Their text is one line: what is wrong, where, and what to do.
 
     Example:
         >>> try:
@@ -25,27 +25,27 @@ class MatcamError(Exception):
 
 
 class ArgumentError(MatcamError, ValueError):
-    """Report an argument that is out of its range, of the wrong shape, or of the wrong kind."""
+    """Argument that is out of its range, of the wrong shape, or of the wrong kind."""
 
 
 class FileFormatError(MatcamError):
-    """Report a file that is not what it should be. The message names the file and the byte or field."""
+    """File with invalid content. The message names the file and the byte or field."""
 
 
 class OutputError(MatcamError):
-    """Report an output that cannot be written where it was asked for, or would destroy something."""
+    """Output that cannot be written, or that would overwrite a file."""
 
 
 class DownloadError(MatcamError):
-    """Report a file that could not be fetched, or is not what its checksum says."""
+    """File that could not be fetched, or has a wrong checksum."""
 
 
 class FitError(MatcamError):
-    """Report data that do not determine what was asked of them."""
+    """Data that do not determine the requested result."""
 
 
 def unknown_name(kind: str, name: object, known: Iterable[str]) -> ArgumentError:
-    """Return the error for a `name` that is none of the `known` ones; it suggests the nearest of them."""
+    """Return the error for a `name` that is not in `known`, with the nearest name as suggestion."""
     known = sorted(known)
     if not isinstance(name, str):
         return ArgumentError(

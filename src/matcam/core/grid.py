@@ -1,10 +1,11 @@
-"""The MERL grid: half and difference angles (Rusinkiewicz 1998), and tables of a BRDF on it.
+"""MERL grid: half and difference angles (Rusinkiewicz 1998), and tables of a BRDF on it.
 
-A pair of directions is given by (theta_h, theta_d, phi_d): the half vector's angle to the normal, and the light's direction in
-the frame whose pole is the half vector and whose x axis points away from the normal. Reciprocity is phi_d -> phi_d + pi.
+A pair of directions is given by (theta_h, theta_d, phi_d): the half vector's angle to the normal, and the light's
+direction in the frame whose pole is the half vector and whose x axis points away from the normal. Reciprocity is phi_d
+-> phi_d + pi.
 
-A table is a labelled xarray on this grid; missing values are NaN, and its attribute `sampling` says where in their cells values
-were sampled.
+A table is a labelled xarray on this grid; missing values are NaN, and its attribute `sampling` is the sampling position
+in a cell.
 """
 
 from __future__ import annotations
@@ -24,13 +25,13 @@ if TYPE_CHECKING:
     from matcam.core.jax import AnyArray, jax
 
 GRID_SHAPE = (90, 90, 180)
-"""Cells of a MERL table along (theta_h, theta_d, phi_d)."""
+"""Number of cells of a MERL table along (theta_h, theta_d, phi_d)."""
 
 Sampling = Literal["centre", "edge"]
 SAMPLINGS: tuple[Sampling, ...] = ("centre", "edge")
-"""Where in its cell a tabulated value was sampled; loaders of MERL files disagree."""
+"""Sampling positions of values in their cells; loaders of MERL files differ."""
 
-_BORDER = 1e-9  # cells: an angle this close below a border lies on it, but for rounding
+_BORDER = 1e-9  # cells: an angle this close below a border lies on it, up to rounding
 
 DIMS = ("theta_h", "theta_d", "phi_d", "channel")
 CHANNELS = ("R", "G", "B")
@@ -40,7 +41,7 @@ spectral response; these are the middles of the bands of a common RGB sensor."""
 
 
 class Grid(NamedTuple):
-    """Hold the angles at which the cells of a MERL table are sampled.
+    """Angles at which the cells of a MERL table are sampled.
 
     Attributes:
         theta_h: half angles, rad (90,).
@@ -60,10 +61,10 @@ class Grid(NamedTuple):
     def index(  # type: ignore[override]  # not that of a tuple: a grid answers by angle
         self, *, theta_h: ArrayLike | None = None, theta_d: ArrayLike | None = None, phi_d: ArrayLike | None = None
     ) -> tuple[Any, Any, Any]:
-        """Return where a table holds these angles: what to put between its brackets.
+        """Return the index of angles in a table.
 
-        An angle belongs to the cell that contains it, wherever in the cell the value was sampled (MERL's own rule, which
-        rounds down). On the border of two cells it belongs to the upper one; the end of the range belongs to the last cell.
+        An angle belongs to the cell that contains it, independent of the sampling position (rule of MERL, which rounds
+        down). On the border of two cells it belongs to the upper one; the end of the range belongs to the last cell.
 
         Args:
             theta_h: half angle, or an array of them, rad, [0, pi / 2]. Default: None, all of them.
@@ -71,7 +72,7 @@ class Grid(NamedTuple):
             phi_d: azimuth of the difference, rad, [0, pi]. Default: None, all of them.
 
         Returns:
-            An index for each of (theta_h, theta_d, phi_d): whole numbers, or slice(None) for an angle that is not given.
+            An index for each of (theta_h, theta_d, phi_d): whole numbers, or slice(None) for an omitted angle.
 
         Raises:
             ArgumentError: an angle is out of its range.
@@ -85,7 +86,7 @@ class Grid(NamedTuple):
 
 
 def _cell_of(name: str, angle: ArrayLike, count: int) -> Any:
-    """Return the number of the cell that contains an angle."""
+    """Return the index of the cell that contains an angle."""
     end = np.pi if name == "phi_d" else np.pi / 2
     share = np.asarray(checks.within(name, angle, 0, end, "rad")) / end
     place = count * (np.sqrt(share) if name == "theta_h" else share)
@@ -113,7 +114,7 @@ def theta_h_edges() -> np.ndarray:
 
 
 def cosines(theta_h: ArrayLike, theta_d: ArrayLike, phi_d: ArrayLike) -> tuple[jax.Array, jax.Array]:
-    """Return (cos theta_i, cos theta_o) of a pair of directions; negative below the horizon."""
+    """Compute (cos theta_i, cos theta_o) of a pair of directions; negative below the horizon."""
     theta_h, theta_d, phi_d = (xp.asarray(a, dtype=xp.float64) for a in (theta_h, theta_d, phi_d))
     mean = xp.cos(theta_h) * xp.cos(theta_d)
     half_difference = xp.sin(theta_h) * xp.sin(theta_d) * xp.cos(phi_d)
@@ -121,7 +122,7 @@ def cosines(theta_h: ArrayLike, theta_d: ArrayLike, phi_d: ArrayLike) -> tuple[j
 
 
 def azimuth_difference(theta_h: AnyArray, theta_d: AnyArray, phi_d: AnyArray) -> jax.Array:
-    """Return the azimuth between light and view about the surface normal, rad, in [0, pi]; pi is the mirror side."""
+    """Compute the azimuth between light and view about the surface normal, rad, in [0, pi]; pi is the mirror side."""
     # with the half vector in the x-z plane, the light is Ry(theta_h) (sin td cos pd, sin td sin pd, cos td) and the
     # view the same with pd + pi; their projections on the surface:
     along = xp.cos(theta_h) * xp.sin(theta_d) * xp.cos(phi_d)
@@ -129,16 +130,16 @@ def azimuth_difference(theta_h: AnyArray, theta_d: AnyArray, phi_d: AnyArray) ->
     across = xp.sin(theta_d) * xp.sin(phi_d)
     x_i, x_o = offset + along, offset - along
     sine, cosine = x_i * -across - across * x_o, x_i * x_o - across * across
-    # along the normal there is no azimuth: any will do, but its derivative must be a number
+    # along the normal the azimuth is undefined: any value suffices, but its derivative must be finite
     return xp.abs(xp.arctan2(sine, xp.where((sine == 0) & (cosine == 0), -1.0, cosine)))
 
 
 def half_and_difference(
     theta_i: ArrayLike, phi_i: ArrayLike, theta_o: ArrayLike, phi_o: ArrayLike
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Return (theta_h, theta_d, phi_d) of light and view, each given by its angle to the normal and its azimuth, rad.
+    """Compute (theta_h, theta_d, phi_d) of light and view, each given by its angle to the normal and its azimuth, rad.
 
-    phi_d lies in [0, 2 pi). It is that of the light where the half vector is the normal.
+    phi_d lies in [0, 2 pi). It is the azimuth of the light if the half vector is the normal.
     """
     theta_i, phi_i, theta_o, phi_o = (xp.asarray(a, dtype=xp.float64) for a in (theta_i, phi_i, theta_o, phi_o))
 
@@ -153,16 +154,16 @@ def half_and_difference(
     c, s = (
         xp.where(across > 0, a / xp.where(across > 0, across, 1.0), at) for a, at in ((half[0], 1.0), (half[1], 0.0))
     )
-    # the light, turned so that the half vector's azimuth is 0, then tilted so that it is the pole
+    # the light, rotated to azimuth 0 of the half vector, then tilted so that the half vector is the pole
     x, y = c * i[0] + s * i[1], c * i[1] - s * i[0]
     phi_d = xp.arctan2(y, x * xp.cos(theta_h) - i[2] * xp.sin(theta_h))
     return theta_h, theta_d, xp.mod(phi_d, 2 * xp.pi)
 
 
 def below_horizon(sampling: Sampling) -> np.ndarray:
-    """Return where a table has no reflection: light or view at or below the horizon, (90, 90, 180).
+    """Mark cells without reflection: light or view at or below the horizon, (90, 90, 180).
 
-    A cell's directions are those of its sampling point.
+    The directions of a cell are those of its sampling point.
     """
     theta_h, theta_d, phi_d = merl_grid(sampling)
     mean = np.cos(theta_h)[:, None] * np.cos(theta_d)
@@ -193,7 +194,7 @@ def brdf_table(values: np.ndarray, sampling: Sampling, **attrs: object) -> xr.Da
 
 
 def checked_table(table: xr.DataArray) -> xr.DataArray:
-    """Return a BRDF on the MERL grid with its channels in the order R, G, B, where these are their labels.
+    """Check a BRDF on the MERL grid, and order its channels R, G, B if these are their labels.
 
     ArgumentError names the wrong dims, shape, coordinate, label, unit or value.
     """
@@ -224,16 +225,16 @@ def checked_table(table: xr.DataArray) -> xr.DataArray:
 
 
 def in_order(table: xr.DataArray, what: str) -> xr.DataArray:
-    """Return values with their channels in the order R, G, B, where these are their labels.
+    """Order the channels of values R, G, B, if these are their labels.
 
-    Three channels have these labels in any order, or none; they are then R, G, B as they stand. ArgumentError for three other
-    labels, whose wavelengths nobody knows, and for labels that stand twice. what: the values in words, for the message.
+    Three channels have these labels in any order, or no labels and this order. ArgumentError for three other labels,
+    whose wavelengths are unknown, and for duplicate labels. what: the values in words, for the message.
     """
     if "channel" not in table.coords:
         return table
     labels = [str(label) for label in np.atleast_1d(table["channel"].values)]
     if len(set(labels)) < len(labels):
-        raise ArgumentError(f"{what} has the channels {', '.join(labels)}: each label must stand once")
+        raise ArgumentError(f"{what} has the channels {', '.join(labels)}: each label must occur once")
     if len(labels) != len(CHANNELS) or tuple(labels) == CHANNELS:
         return table
     if set(labels) != set(CHANNELS):
@@ -245,7 +246,7 @@ def in_order(table: xr.DataArray, what: str) -> xr.DataArray:
 
 
 def check_unit(what: str, values: xr.DataArray, unit: str) -> None:
-    """Check that values state this unit, or none. ArgumentError."""
+    """Check that values have this unit, or none. ArgumentError."""
     stated = values.attrs.get("units", unit)
     if not isinstance(stated, str) or stated not in _SAME_UNIT[unit]:
         raise ArgumentError(f"{what} must be in {unit}, but its attribute units is {stated!r:.40}")
@@ -260,7 +261,7 @@ _SAME_UNIT = {
 
 
 def azimuth_of(table: xr.DataArray) -> float | None:
-    """Return where the lamp stood in the pictures behind a table, rad: its attribute `lamp_azimuth`; None: it has none."""
+    """Return the azimuth of the lamp in the images of a table, rad: its attribute `lamp_azimuth`, or None."""
     azimuth = table.attrs.get("lamp_azimuth")
     if azimuth is None:
         return None
@@ -270,7 +271,7 @@ def azimuth_of(table: xr.DataArray) -> float | None:
 
 
 def sample_of(table: xr.DataArray) -> str | None:
-    """Return the kind of sample that a table was recorded from: its attribute `sample`; None: it has none."""
+    """Return the kind of sample that a table was recorded from: its attribute `sample`, or None."""
     kind = table.attrs.get("sample")
     if kind is None or kind in ("sphere", "cylinder", "flat"):
         return kind
@@ -278,7 +279,7 @@ def sample_of(table: xr.DataArray) -> str | None:
 
 
 def sampling_of(table: xr.DataArray) -> Sampling:
-    """Return where in its cell each value of a table is sampled: its attribute `sampling`."""
+    """Return the sampling position of a table: its attribute `sampling`."""
     sampling = table.attrs.get("sampling")
     if sampling not in SAMPLINGS:
         raise ArgumentError(f"attrs['sampling'] of a BRDF table must be 'centre' or 'edge', got {sampling!r}")

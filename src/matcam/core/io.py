@@ -1,8 +1,8 @@
-"""Safe writing of files: bytes, columns of text, JSON; and what the names of files and the system's errors become.
+"""Safe writing of files (bytes, columns of text, JSON), and messages for errors of the system.
 
-A file appears under its final name whole, or not at all, and nothing is destroyed unasked. What the system refuses is said in
-one line, the same for every format. JSON is written whole and without NaN. Datasets go into columns of text (CSV) for
-spreadsheets and plotting programs.
+A file appears under its final name complete, or not at all, and no file is overwritten without permission. Errors of
+the system become one line, the same for every format. JSON is written completely and without NaN. Datasets go into
+columns of text (CSV) for spreadsheets and plotting programs.
 """
 
 from __future__ import annotations
@@ -35,19 +35,19 @@ _PICTURES = (".png", ".pdf", ".svg")
 
 
 def check_output(path: str | Path, *, force: bool = False, inputs: Iterable[str | Path] = ()) -> Path:
-    """Refuse, before any work, an output that could not be written or that would destroy something.
+    """Check before any work that an output can be written and overwrites no file.
 
-    OutputError where `path` is a folder, has a file as parent, is one of `inputs` (even with `force`), or exists and `force` is
-    not set; ArgumentError where `force` is neither True nor False.
+    OutputError if `path` is a folder, has a file as parent, is one of `inputs` (even with `force`), or exists and
+    `force` is not set; ArgumentError if `force` is neither True nor False.
     """
     path = Path(path)
-    if type(force).__name__ not in ("bool", "bool_"):  # NumPy's, too; a text would count as True
+    if type(force).__name__ not in ("bool", "bool_"):  # also of NumPy; a text would be true
         raise ArgumentError(f"force must be True or False, got {force!r:.60}")
     if re.search(UNPRINTABLE, path.name):
         raise OutputError(f"output {printable(str(path))} has a name that is not plain text: choose another")
     try:
         _check_place(path, inputs)
-        taken = os.path.lexists(path)  # a link is there even where it leads nowhere
+        taken = os.path.lexists(path)  # a broken link counts as existing, too
     except OSError as error:  # such as a name that is too long
         raise OutputError(f"output {path!s:.300} cannot be written: {error.strerror}") from None
     if taken and not force:
@@ -69,7 +69,7 @@ def _check_place(path: Path, inputs: Iterable[str | Path]) -> None:
 
 
 def check_output_folder(path: Path) -> None:
-    """Refuse, before any work, a folder for outputs that is a file or cannot be made. OutputError."""
+    """Raise OutputError, before any work, for an output folder that is a file or cannot be created."""
     if is_there(path) and not is_folder(path):
         raise OutputError(f"output {path} is a file: give a folder")
     try:
@@ -81,7 +81,7 @@ def check_output_folder(path: Path) -> None:
 
 
 def check_picture(path: str | Path, *, force: bool, inputs: Iterable[str | Path] = ()) -> Path:
-    """Check an output that is a picture, whose suffix chooses the format, as `check_output` does."""
+    """Check an output image, whose suffix chooses the format, as `check_output` does."""
     path = check_output(path, force=force, inputs=inputs)
     if path.suffix.lower() not in _PICTURES:
         raise OutputError(f"picture {path} must end in {', '.join(_PICTURES)}")
@@ -89,11 +89,11 @@ def check_picture(path: str | Path, *, force: bool, inputs: Iterable[str | Path]
 
 
 class Outputs:
-    """Files that are to appear together, and the folders that were made for them.
+    """Files that appear together, and the folders created for them.
 
     Attributes:
         staged: name of each file -> the temporary file that has its content.
-        are_published: whether files have appeared under their names.
+        are_published: whether the files have their final names.
     """
 
     def __init__(self) -> None:
@@ -104,7 +104,7 @@ class Outputs:
         self._process = os.getpid()
 
     def make_folder(self, path: Path) -> None:
-        """Make a folder and those above it. OSError if that fails."""
+        """Create a folder and its parents. OSError if that fails."""
         for folder in (*reversed(path.parents), path):
             with uninterrupted():
                 if not folder.exists():
@@ -112,11 +112,13 @@ class Outputs:
                     self._folders.append(folder)
 
     def temporary(self, path: Path) -> Path:
-        """Make an empty file beside `path`. OSError if that fails."""
+        """Create an empty file beside `path`. OSError if that fails."""
         stem = path.stem if len(os.fsencode(path.name)) <= _LONGEST_NAME else path.stem[: _LONGEST_NAME // 8]
         while True:
             temporary = path.with_name(f".{stem}-{secrets.token_hex(4)}{path.suffix}")
-            self._temporaries.append(temporary)  # before it is there: an interruption may come at any time
+            self._temporaries.append(
+                temporary
+            )  # registered before it exists, because an interruption may come at any time
             try:
                 temporary.open("x").close()
             except FileExistsError:
@@ -125,7 +127,7 @@ class Outputs:
                 return temporary
 
     def publish(self) -> None:
-        """Give all files their names; where one cannot have it, none has, and those that were replaced are back."""
+        """Give all files their final names, or none of them: on failure the replaced files are restored."""
         renamed: list[tuple[Path, Path, Path | None]] = []
         several = len(self.staged) > 1
         try:
@@ -133,7 +135,7 @@ class Outputs:
                 old = temporary.with_name(f"{temporary.name}.old") if several and os.path.lexists(path) else None
                 renamed.append((path, temporary, old))
                 if old is not None:
-                    with contextlib.suppress(OSError):  # where there are no links, what was replaced is gone
+                    with contextlib.suppress(OSError):  # without links, replaced files are lost
                         os.link(path, old, follow_symlinks=False)
                 temporary.replace(path)
         except BaseException as error:
@@ -155,21 +157,21 @@ class Outputs:
         self.are_published = bool(self.staged)
 
     def discard(self) -> None:
-        """Remove what has not got its name. Nothing in a fork of the process that made it."""
+        """Remove unpublished files. No effect in a fork of the process that created them."""
         if self._process != os.getpid():
             return
         for temporary in self._temporaries:
             temporary.unlink(missing_ok=True)
         for folder in reversed(self._folders):
-            with contextlib.suppress(OSError):  # others have put something there
+            with contextlib.suppress(OSError):  # other processes have put files there
                 folder.rmdir()
 
 
 _LONGEST_NAME = 240
-"""Bytes of a file's name to which what makes it temporary can be added: file systems allow 255."""
+"""Longest name of a file, bytes, to which the suffix of a temporary file can be added: file systems allow 255."""
 _outputs: ContextVar[Outputs | None] = ContextVar("outputs", default=None)
 _unfinished: set[Outputs] = set()
-"""What an interruption between two statements has left to be removed when the process ends."""
+"""Outputs that remain after an interruption between two statements; they are removed at the end of the process."""
 
 
 @atexit.register
@@ -180,7 +182,7 @@ def _discard_unfinished() -> None:
 
 @contextlib.contextmanager
 def replacing(path: str | Path, *, force: bool = False, inputs: Iterable[str | Path] = ()) -> Iterator[Path]:
-    """Yield a temporary name beside `path`; on success it becomes `path`, on any exception it vanishes.
+    """Yield a temporary name beside `path`; on success it becomes `path`, on any exception it is removed.
 
     The temporary name keeps the suffix, because writers choose their format by it.
     """
@@ -188,7 +190,7 @@ def replacing(path: str | Path, *, force: bool = False, inputs: Iterable[str | P
     try:
         with all_or_nothing() as outputs:
             if path in outputs.staged and not force:
-                raise OutputError(f"output {path} is asked for twice: give two names")
+                raise OutputError(f"output {path} is given twice: give two names")
             outputs.make_folder(path.parent)
             temporary = outputs.temporary(path)
             yield temporary
@@ -199,10 +201,10 @@ def replacing(path: str | Path, *, force: bool = False, inputs: Iterable[str | P
 
 @contextlib.contextmanager
 def all_or_nothing() -> Iterator[Outputs]:
-    """Let the files that are written inside appear together at its end, or none of them.
+    """Publish the files that are written in the block together at its end, or none of them.
 
-    Inside another, they belong to that one. Files of other threads do not take part. An interruption while they appear waits
-    until all have appeared.
+    A nested block belongs to the outer one. Files of other threads are not included. An interruption during publication
+    is delayed until its end.
     """
     outer = _outputs.get()
     if outer is not None:
@@ -225,7 +227,7 @@ def all_or_nothing() -> Iterator[Outputs]:
 
 @contextlib.contextmanager
 def one_by_one() -> Iterator[None]:
-    """Let each file that is written inside appear at once, as without `all_or_nothing`."""
+    """Publish each file of the block immediately, as without `all_or_nothing`."""
     token = _outputs.set(None)
     try:
         yield
@@ -234,10 +236,10 @@ def one_by_one() -> Iterator[None]:
 
 
 class _Waiting:
-    """Signals that wait until something short is done.
+    """Signals that are delayed by a short operation.
 
     Attributes:
-        is_lifted: whether signals take effect at once.
+        is_lifted: whether signals take effect immediately.
     """
 
     def __init__(self) -> None:
@@ -246,7 +248,7 @@ class _Waiting:
 
     @contextlib.contextmanager
     def lifted(self) -> Iterator[None]:
-        """Let signals take effect at once in the block."""
+        """Let signals take effect immediately in the block."""
         self.is_lifted = True
         try:
             yield
@@ -256,13 +258,12 @@ class _Waiting:
 
 @contextlib.contextmanager
 def uninterrupted() -> Iterator[_Waiting]:
-    """Let Ctrl-C and the system's wish to end this process wait until something short is done.
+    """Delay Ctrl-C and termination signals until the end of a short operation.
 
-    For libraries that an exception at the wrong moment leaves with a lock that nobody opens again, and for files that appear
-    together.
+    It protects libraries that would stay locked after an exception at the wrong moment, and files that appear together.
     """
     waiting = _Waiting()
-    if threading.current_thread() is not threading.main_thread():  # signals interrupt the main one only
+    if threading.current_thread() is not threading.main_thread():  # signals interrupt only the main thread
         yield waiting
         return
     numbers = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
@@ -275,11 +276,11 @@ def uninterrupted() -> Iterator[_Waiting]:
             waiting.signals.append((number, frame))
 
     def restore(number: int, handler: Any) -> None:
-        if signal.getsignal(number) is wait:  # what the block has put in its place stays
+        if signal.getsignal(number) is wait:  # handlers that the block has set are kept
             signal.signal(number, handler)
 
     try:
-        with contextlib.ExitStack() as restored:  # it restores all, even if a signal interrupts it
+        with contextlib.ExitStack() as restored:  # it restores all handlers, even if a signal interrupts it
             for number, handler in handlers.items():
                 restored.callback(restore, number, handler)
                 signal.signal(number, wait)
@@ -291,7 +292,7 @@ def uninterrupted() -> Iterator[_Waiting]:
 
 
 def make_folder(path: Path) -> None:
-    """Make a folder for outputs; it vanishes again where they do not appear. OutputError if that fails."""
+    """Create a folder for outputs, which is removed if they do not appear. OutputError if that fails."""
     try:
         with all_or_nothing() as outputs:
             outputs.make_folder(path)
@@ -300,16 +301,16 @@ def make_folder(path: Path) -> None:
 
 
 def where_written(path: Path) -> Path:
-    """Return where the content of an output lies now: under its name, or waiting for it."""
+    """Return the current path of the content of an output: its final name, or its temporary file."""
     outputs = _outputs.get()
     return path if outputs is None else outputs.staged.get(path, path)
 
 
 @contextlib.contextmanager
 def reading(path: Path, what: str = "") -> Iterator[None]:
-    """Turn what goes wrong while `path` is opened and read into a FileFormatError that names it.
+    """Convert errors while `path` is opened and read to a FileFormatError that names it.
 
-    `what` says what it should be ("a picture"): then a folder is refused, too.
+    `what` is the expected content ("a picture"); if given, a folder is an error, too.
     """
     if "\0" in str(path):
         raise FileFormatError(f"{printable(str(path))}: is no name of a file")
@@ -317,8 +318,8 @@ def reading(path: Path, what: str = "") -> Iterator[None]:
         mode = path.stat().st_mode
         if stat.S_ISDIR(mode) and what:
             raise FileFormatError(f"{path}: is a folder, not {what}")
-        if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):  # it may have no end, or nobody who writes to it
-            raise FileFormatError(f"{path}: is a pipe or a device, not a file: copy what it gives into a file first")
+        if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):  # it may have no end, or no writer
+            raise FileFormatError(f"{path}: is a pipe or a device, not a file: copy its content to a file first")
         yield
     except FileNotFoundError:
         raise FileFormatError(f"{path}: no such file") from None
@@ -327,9 +328,9 @@ def reading(path: Path, what: str = "") -> Iterator[None]:
 
 
 def write_columns(path: str | Path, data: xr.Dataset | dict[str, Sequence[Any]], *, force: bool = False) -> None:
-    """Write a Dataset as CSV: one row per grid point, a column per coordinate and variable. Or columns by their names.
+    """Write columns by name, or a Dataset as one row per grid point and a column per coordinate and variable, as CSV.
 
-    The names of those that have units end in them ("theta_d_rad").
+    Names of columns with a unit end in it ("theta_d_rad").
     """
     if isinstance(data, dict):
         columns = {name: _cells(column) for name, column in data.items()}
@@ -353,12 +354,12 @@ def write_columns(path: str | Path, data: xr.Dataset | dict[str, Sequence[Any]],
 
 
 def _cells(column: Sequence[Any]) -> list[str]:
-    """Return the values as text; what is missing is empty."""
+    """Format the values as text; missing values are empty."""
     return [("" if one != one else f"{one:.10g}") if isinstance(one, float) else str(one) for one in column]
 
 
 def user_cache_folder() -> Path:
-    """Return the folder for what this user's processes keep: in $XDG_CACHE_HOME where that is set, else the system's own.
+    """Return the cache folder of this user: in $XDG_CACHE_HOME if it is set, otherwise that of the system.
 
     A relative path there is ignored, as the XDG Base Directory Specification requires.
     """
@@ -369,27 +370,27 @@ def user_cache_folder() -> Path:
         if sys.platform == "linux":
             folder = Path.home() / ".cache" / "matcam"
         else:
-            import pooch  # a fifth of a second that only programs should cost
+            import pooch  # imported here, because it takes a fifth of a second that only programs require
 
             folder = Path(pooch.os_cache("matcam"))
-    except RuntimeError:  # without a home there is no folder that is this user's alone
+    except RuntimeError:  # without a home there is no private folder of this user
         folder = Path()
-    return folder if folder.is_absolute() else Path(os.devnull) / "matcam"  # which cannot be made: nothing is kept
+    return folder if folder.is_absolute() else Path(os.devnull) / "matcam"  # a path that cannot be created: no cache
 
 
 def write_json(path: str | Path, document: dict[str, Any], *, force: bool = False) -> None:
-    """Write a document, indented for people.
+    """Write a document as indented JSON.
 
-    ValueError or TypeError for what JSON cannot hold, before anything is written; OutputError where it cannot go.
+    ValueError or TypeError for values that JSON cannot represent, before writing; OutputError if the file cannot be written.
     """
     text = json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
     with replacing(path, force=force) as temporary:
-        # what is no text, such as a byte of a file's name, is an escape in JSON, too
+        # bytes that are not text, as in names of files, are escaped in JSON, too
         temporary.write_text(text, encoding="utf-8", errors="backslashreplace")
 
 
 def plain(value: Any) -> Any:
-    """Return a result as JSON can hold it: lists, numbers, texts; NaN and infinities become None."""
+    """Convert a result to types of JSON: lists, numbers, texts; NaN and infinities become None."""
     if isinstance(value, dict):
         return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):

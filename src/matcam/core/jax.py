@@ -1,7 +1,7 @@
-"""JAX in float64. Every module that computes imports `jax` and `jnp` from here, so that the switch is set once.
+"""JAX in float64. All numerical modules import `jax` and `jnp` from here, so that the option is set once.
 
-Float64 is needed: the erf differences of the effective kernel lose all their digits in float32 for broad lobes, and highlights
-are 1e3 to 1e6 times brighter than what surrounds them.
+Float64 is required: the erf differences of the effective kernel lose all digits in float32 for broad lobes, and
+highlights are 1e3 to 1e6 times brighter than their surroundings.
 """
 
 from __future__ import annotations
@@ -50,9 +50,9 @@ T = TypeVar("T")
 Runs = Literal["once", "some", "many"]
 Device = Literal["cpu", "gpu"]
 _GPU_PLUGINS = ("jax_cuda12_plugin", "jax_cuda13_plugin", "jax_rocm60_plugin", "jax_rocm7_plugin")
-"""Modules by which JAX computes on GPUs."""
+"""Modules with GPU support of JAX."""
 _GPU_DEVICES = ("/dev/nvidia0", "/dev/kfd", "/dev/dxg")
-"""Files by which Linux shows a GPU of NVIDIA or AMD, and Windows one to a Linux inside it."""
+"""Device files of GPUs: NVIDIA and AMD on Linux, and the one of Windows in its Linux subsystem."""
 
 
 _LARGEST_CACHE = 1 << 30  # bytes of compiled functions
@@ -60,13 +60,13 @@ _SEALED = "compiled"
 
 
 def has_gpu() -> bool:
-    """Check whether JAX could compute on a GPU of this machine, without starting it: that takes seconds and memory."""
+    """Check whether JAX could compute on a GPU of this machine, without starting it, which takes seconds and memory."""
     known = any(importlib.util.find_spec(plugin) for plugin in _GPU_PLUGINS)
     return known and any(Path(device).exists() for device in _GPU_DEVICES)
 
 
 def use_device(device: Device) -> None:
-    """Let JAX compute on the processor or on a GPU; before it has computed anything.
+    """Select the processor or a GPU for JAX, before its first computation.
 
     Args:
         device: "cpu" or "gpu".
@@ -83,24 +83,24 @@ def use_device(device: Device) -> None:
 
 
 def without_derivatives(tree: T) -> T:
-    """Return the same numbers as constants: under `jax.grad` they are known then, under `jax.jit` they are not."""
+    """Return the same numbers as constants: concrete under `jax.grad`, but not under `jax.jit`."""
     return jax.tree.map(lambda leaf: jax.lax.stop_gradient(leaf) if isinstance(leaf, jax.Array) else leaf, tree)
 
 
 def placed(array: npt.ArrayLike) -> jax.Array:
-    """Return numbers as an array of JAX, without a program: `jnp.asarray` compiles one for every shape.
+    """Convert numbers to an array of JAX without compilation: `jnp.asarray` compiles a program for every shape.
 
-    The numbers must not be changed afterwards: JAX may use them where they are.
+    The numbers must not be changed afterwards, because JAX may use them in place.
     """
-    with jax.ensure_compile_time_eval():  # inside a transformation, too, they are numbers
+    with jax.ensure_compile_time_eval():  # concrete inside a transformation, too
         return jax.device_put(np.asarray(array))
 
 
 def plainly_compiled(runs: Runs = "some") -> dict[str, Any] | None:
-    """Return options for `jax.jit` with which XLA compiles a large program in less time.
+    """Return options for `jax.jit` that reduce the compile time of a large program.
 
-    runs: how often the program will run. "once": compiled in a quarter of the time, runs twice as long. "some": two thirds of
-        the time, and most programs run no longer. "many": three quarters, and none does.
+    runs: expected number of runs. "once": a quarter of the compile time, twice the run time. "some": two thirds of the
+    compile time, and most programs are not slower. "many": three quarters, and no program is slower.
     """
     options: dict[str, Any] = {"xla_cpu_use_fusion_emitters": False}
     if runs == "once" or jax.config.read("jax_disable_most_optimizations"):
@@ -113,16 +113,15 @@ def plainly_compiled(runs: Runs = "some") -> dict[str, Any] | None:
 def jit_plainly(function: Callable[P, T], *, runs: Runs = "some", static: tuple[str, ...] = ()) -> Callable[P, T]:
     """Compile a function as `jax.jit` does, with the options of `plainly_compiled`.
 
-    It must not be called inside another compiled function: options are those of a whole program.
-
-    runs: as in `plainly_compiled`. static: names of arguments that are no arrays.
+    It must not be called inside another compiled function, because options apply to a whole program. runs: as in
+    `plainly_compiled`. static: names of arguments that are not arrays.
     """
     programs: dict[bool, Callable[P, T]] = {}
 
     @wraps(function)
     def call(*args: P.args, **kwargs: P.kwargs) -> T:
         bare = jax.config.read("jax_disable_most_optimizations")
-        if bare not in programs:  # the options ask the backend, which an import must not start
+        if bare not in programs:  # the options require the backend, which an import must not start
             options = plainly_compiled(runs)
             programs[bare] = jax.jit(function, static_argnames=static, compiler_options=options)
         return programs[bare](*args, **kwargs)
@@ -132,7 +131,7 @@ def jit_plainly(function: Callable[P, T], *, runs: Runs = "some", static: tuple[
 
 @cache
 def _is_known(option: str, value: Any) -> bool:
-    """Tell whether this XLA has an option: they come and go with its versions."""
+    """Check whether this version of XLA supports an option."""
     try:
         jax.jit(lambda x: x, compiler_options={option: value}).lower(0.0).compile()
     except jax.errors.JaxRuntimeError:
@@ -143,8 +142,8 @@ def _is_known(option: str, value: Any) -> bool:
 def use_compilation_cache() -> None:
     """Keep compiled functions in the user's cache folder between runs.
 
-    A program may choose this for its user; a library must not. What was used longest ago is removed where the folder holds more
-    than a limit: each shape of a picture has functions of its own.
+    A program may choose this for its user; a library must not. Each shape of an image has its own functions, so the
+    least recently used files are removed beyond a limit.
     """
     folder = user_cache_folder() / (_SEALED if _use_sealed_cache() else "jax")
     _trim(folder)
@@ -154,13 +153,13 @@ def use_compilation_cache() -> None:
 
 
 def program_folder() -> Path | None:
-    """Return the folder of whole programs, where `use_compilation_cache` was called; None where they cannot be kept."""
+    """Return the folder of whole programs after `use_compilation_cache`; None if programs cannot be kept."""
     folder = getattr(jax.config, "jax_compilation_cache_dir", None)
     return Path(folder) if folder and Path(folder).name == _SEALED else None
 
 
 def _use_sealed_cache() -> bool:
-    """Let JAX use a cache of ours. It has no public way to that; where there is none at all, its own is used."""
+    """Make JAX use a sealed cache, for which it has no public interface; otherwise its own cache is used."""
     try:
         from jax._src import compilation_cache
     except ImportError:
@@ -172,13 +171,13 @@ def _use_sealed_cache() -> bool:
 
 
 def _sealed_cache(path: str) -> Any:
-    """Return what JAX asks for: a cache, and where it is."""
+    """Return a cache and its path, as JAX requires."""
     return CompiledFunctions(path), path
 
 
 def _trim(folder: Path) -> None:
-    """Remove the oldest files of a cache that has grown beyond its limit, and empty ones, which a killed process left."""
-    # JAX's own limit is not used: it fails for good where a process was killed between two of its writes
+    """Remove the oldest files of a cache above its limit, and empty files of killed processes."""
+    # the limit of JAX is not used: it fails permanently if a process was killed between two of its writes
     files = [
         (max(one.status.st_atime, one.status.st_mtime), one.status.st_size, one.name) for one in sealed_files(folder)
     ]

@@ -1,4 +1,4 @@
-"""Memory that this process may still use: of the machine, of its control group, by its own limit; and what a job has left."""
+"""Memory that this process may still use, by the machine, its control group, and its own limit; and release after a job."""
 
 from __future__ import annotations
 
@@ -11,26 +11,25 @@ from matcam.core.errors import ArgumentError
 
 _GROUPS = Path("/sys/fs/cgroup")
 _LIBRARIES = 2 << 30
-"""Bytes of address space that NumPy, SciPy and JAX take to load, compile and run the smallest command, and some to spare."""
+"""Address space that NumPy, SciPy and JAX require to load, compile and run the smallest command, with a margin, bytes."""
 _OF_A_PROCESSOR = 40 << 20
-"""Bytes that OpenBLAS takes for the thread and the buffer of each further processor."""
+"""Memory of OpenBLAS for the thread and the buffer of each further processor, bytes."""
 
 
 def available_memory() -> int:
-    """Return the bytes that this process may still ask for.
+    """Return the bytes that this process may still allocate.
 
     Returns:
-        The least of the machine's available memory, what the control groups (versions 1 and 2) of this process leave, and
-        its own address-space limit.
+        The minimum of the available memory of the machine, of the control groups (versions 1 and 2) of this process,
+        and of its address-space limit.
     """
     return max(min(_of_machine(), *_of_groups(), _of_process()), 0)
 
 
 def check_address_space() -> None:
-    """Refuse to start under a limit of address space (`ulimit -v`) that the libraries do not fit into.
+    """Check that the libraries fit into the limit of address space (`ulimit -v`).
 
-    OpenBLAS, which SciPy loads, asks for its buffer again and again without end where it does not get it, and XLA waits for
-    threads that never started.
+    OpenBLAS, which SciPy loads, retries the allocation of its buffer without end, and XLA waits for threads that never started.
 
     Raises:
         ArgumentError: the limit is too small.
@@ -45,10 +44,10 @@ def check_address_space() -> None:
 
 
 def free_for_the_next() -> None:
-    """Free what a job has left in this process, and no longer look through what was there before.
+    """Free the garbage of a job, and exclude older objects from garbage collection.
 
-    The libraries and what is kept for all jobs are a million objects, which a collection would look through each time. What
-    is freed stays with the process: see `one_core_environment`.
+    The libraries and the caches of all jobs are a million objects, which each collection would scan. Freed memory stays
+    with the process: see `one_core_environment`.
     """
     gc.collect()
     _freeze()
@@ -101,7 +100,7 @@ def _of_groups() -> list[int]:
 
 
 def _groups() -> list[tuple[int, int]]:
-    """Return limit and usage, bytes, of every control group that this process is in and that has a limit."""
+    """Return limit and usage, bytes, of every control group of this process that has a limit."""
     try:
         lines = Path("/proc/self/cgroup").read_text(encoding="utf-8").splitlines()
     except OSError:

@@ -1,8 +1,7 @@
-"""A compiled program as bytes, and back, without letting those bytes name what Python shall run.
+"""Serialisation of a compiled program, without arbitrary code in its description.
 
-JAX writes what it knows of a program as a pickle, and a pickle may call whatever it names. Here it may name a short list of
-JAX's descriptions of arrays, and nothing else. The program itself is machine code, which only its owner may be trusted with
-(sealed.py).
+JAX writes the description of a program as a pickle, which may call any function. Here only a short list of JAX's
+descriptions of arrays is allowed. The program itself is machine code, which must come from the user (sealed.py).
 """
 
 from __future__ import annotations
@@ -30,47 +29,48 @@ _NAMES = {
     "jaxlib._jax": ["DeviceList", "HloSharding", "OpSharding"],
     "numpy": ["dtype"],
 }
-"""What a program's description may name: kinds, shapes and positions of arrays, by module. None of them does anything but hold
-them. A description of another version of JAX that names something else is not kept."""
+"""Names that the description of a program may use: kinds, shapes and positions of arrays, by module. They are mere
+containers. A description by another version of JAX with other names is not kept.
+"""
 _PAIRS = {(module, name) for module, names in _NAMES.items() for name in names}
 
 
 _LAPACK = b"lapack_"
-"""Beginning of the names by which a program calls LAPACK."""
+"""Prefix of the names by which a program calls LAPACK."""
 
 
 class _Unpickler(serialize_executable._JaxPjrtUnpickler):
-    """JAX's own, which finds nothing but what describes arrays."""
+    """Unpickler of JAX, restricted to descriptions of arrays."""
 
     def find_class(self, module: str, name: str) -> Any:
-        if (module, name) not in _PAIRS:  # before anything is imported: an import runs code
+        if (module, name) not in _PAIRS:  # before the import, because an import runs code
             raise ValueError(f"it names {module[:40]}.{name[:40]}, which no program needs")
         return super().find_class(module, name)
 
 
 def pack_program(program: Any) -> bytes:
-    """Return a compiled function of arrays as bytes.
+    """Serialise a compiled function of arrays.
 
     Args:
         program: the compiled function, which returns an array, or a tuple of arrays and tuples.
 
     Raises:
-        ValueError: it cannot be written down, or could not be read again.
+        ValueError: it cannot be serialised, or could not be read again.
     """
     stored, _, output = serialize_executable.serialize(program)
     places = jax.tree.unflatten(output, range(output.num_leaves))
     if jax.tree.structure(_as_tuples(json.loads(json.dumps(places)))) != output:
         raise ValueError("it returns something else than arrays and tuples of them")
     packed = json.dumps(places).encode() + b"\n" + stored
-    unpack_program(packed)  # what this JAX names may not be among the names
+    unpack_program(packed)  # names of this version of JAX may be missing in the list
     return packed
 
 
 def unpack_program(packed: bytes) -> Any:
-    """Return the compiled function that `pack_program` wrote.
+    """Load the compiled function that `pack_program` wrote.
 
     Raises:
-        Exception: the bytes are something else. What a backend may find wrong has no class of its own.
+        Exception: the bytes are invalid. Errors of a backend have no common class.
     """
     if _LAPACK in packed:
         _load_lapack()
@@ -84,7 +84,7 @@ def unpack_program(packed: bytes) -> Any:
 
 @cache
 def _load_lapack() -> None:
-    """Have JAX find LAPACK, which it does where it lowers a call: a program that calls it before that crashes."""
+    """Make JAX load LAPACK, as lowering a call does: a program that calls it before would crash."""
     jax.jit(jax.numpy.linalg.cholesky).lower(jax.ShapeDtypeStruct((1, 1), float))
 
 

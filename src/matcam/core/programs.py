@@ -1,8 +1,8 @@
-"""Compiled programs that are kept on disk ready to run: the next process neither traces nor lowers them again.
+"""Cache on disk of compiled programs that are ready to run: the next process does not trace or lower them again.
 
-JAX's cache of compiled functions saves XLA's work. To find a function there, JAX must still trace it in Python and lower it,
-which costs as much as all arithmetic of a short command. A program that is kept here is found by what it is made of: the
-package's source, the versions, and the kind of its arguments.
+The cache of JAX saves only the work of XLA. To find a function there, JAX must trace it in Python and lower it, which
+costs as much as the arithmetic of a short command. The key here consists of the source of the package, the versions,
+and the kinds of the arguments.
 """
 
 from __future__ import annotations
@@ -31,7 +31,9 @@ T = TypeVar("T")
 _ARRAYS = (jax.Array, np.ndarray, np.generic)
 _CPU_INFO = Path("/proc/cpuinfo")
 _MOST_HELD = 30 << 20
-"""Bytes of programs that a process holds, as they are on disk: ready to run each takes twenty times as much."""
+"""Largest size of programs in the memory of a process, bytes on disk: a program that is ready to run takes twenty times
+as much.
+"""
 _log = logging.getLogger("matcam")
 
 
@@ -40,16 +42,16 @@ def kept_program(function: Callable[P, T]) -> Callable[P, T]: ...
 @overload
 def kept_program(*, runs: Runs = "some", returns: Any = None) -> Callable[[Callable[P, T]], Callable[P, T]]: ...
 def kept_program(function: Callable[P, T] | None = None, *, runs: Runs = "some", returns: Any = None) -> Any:
-    """Compile a function as `eqx.filter_jit` does, and keep the program where the process keeps compiled functions.
+    """Compile a function as `eqx.filter_jit` does, and cache the program with the compiled functions of the process.
 
-    Programs are kept for one processor's own backend, and where `use_compilation_cache` was called. Inside another
-    transformation, and for arguments whose kind has no lasting name, the function is only compiled.
+    Programs are kept for the CPU backend, after `use_compilation_cache`. Inside another transformation, and for
+    arguments without a persistent description, the function is only compiled.
 
     Args:
-        function: a function of positional arguments, which returns an array or a tuple of arrays. Its arrays are traced; all
-            else is part of its kind. Default: None, the rest makes a decorator.
-        runs: how often the program will run, as `plainly_compiled` takes it. Default: "some".
-        returns: what the function returns, where that is named tuples: their class, or `tuple[...]` of them. Default: None.
+        function: a function of positional arguments, which returns an array or a tuple of arrays. Arrays are traced;
+            everything else is part of its kind. Default: None, returns a decorator.
+        runs: expected number of runs, as in `plainly_compiled`. Default: "some".
+        returns: class of the result if it is a named tuple, or `tuple[...]` of such classes. Default: None.
 
     Returns:
         The function, compiled.
@@ -66,7 +68,7 @@ def kept_program(function: Callable[P, T] | None = None, *, runs: Runs = "some",
 
 
 def _kept_program(function: Callable[P, T], *, runs: Runs, returns: Any) -> Callable[P, T]:
-    """Return a function that is compiled and kept."""
+    """Compile and cache a function."""
     compiled = eqx.filter_jit(function)
     ready: dict[Hashable, _Program] = {}
 
@@ -96,7 +98,7 @@ _TRACED = ("traced",)
 
 
 def _kind(leaf: Any) -> tuple[Any, ...]:
-    """Return what a program must know of an argument: an array's shape and type, or all of what is no array."""
+    """Return the kind of an argument: shape and type of an array, or the value of anything else."""
     if isinstance(leaf, jax.core.Tracer):
         return _TRACED
     if isinstance(leaf, _ARRAYS):
@@ -114,11 +116,11 @@ def _one_processor() -> bool:
 
 
 class _Program(NamedTuple):
-    """Hold a program that is ready to run.
+    """Program that is ready to run.
 
     Attributes:
-        run: takes the arrays among a function's arguments; None: the program cannot be named.
-        size: bytes of it on disk; 0: it is not there.
+        run: function of the arrays among the arguments; None: the program has no key.
+        size: size on disk, bytes; 0: not on disk.
     """
 
     run: Callable[..., Any] | None
@@ -126,7 +128,7 @@ class _Program(NamedTuple):
 
 
 class _HeldPrograms:
-    """Hold the programs that were used last; what there is no room for is read from disk when it is wanted again."""
+    """Cache of the programs that were used last; others are read from disk again."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -134,7 +136,7 @@ class _HeldPrograms:
         self._total = 0
 
     def use(self, ready: dict[Hashable, _Program], key: Hashable, size: int) -> None:
-        """Count a program of a function as the last that was used. ready: all programs of the function, by their keys."""
+        """Mark a program of a function as the most recently used. ready: all programs of the function, by their keys."""
         if not size:
             return
         with self._lock:
@@ -151,9 +153,9 @@ _held = _HeldPrograms()
 
 
 class _Kept(NamedTuple):
-    """Hold a function and what is known of its arguments: their leaves, their tree, and the kind of each leaf.
+    """Function with a call: leaves, tree, and kinds of its arguments.
 
-    Besides, how often it runs, and what it returns where that is more than a tuple of arrays.
+    It also has the expected number of runs, and the class of a result that is not a tuple of arrays.
     """
 
     function: Callable[..., Any]
@@ -164,7 +166,7 @@ class _Kept(NamedTuple):
     returns: Any
 
     def program(self, folder: Path) -> tuple[_Program, Any]:
-        """Return the program from disk with its first result, or make and keep it, without one."""
+        """Load the program from disk with its first result, or compile and store it, without a result."""
         name = f"{self.function.__module__}.{self.function.__qualname__}"
         description = f"{name}\n{self.tree}\n{_types(self.tree)}\n{self.kinds!r}\n{self.runs}\n{self.returns}"
         if " at 0x" in description or (made_of := _surroundings()) is None:
@@ -175,32 +177,32 @@ class _Kept(NamedTuple):
         if stored is not None:
             try:
                 program = self._of_its_kind(unpack_program(stored))
-                result = jax.block_until_ready(program(*_arrays(self.leaves)))  # some faults show only in running
-            except Exception as error:  # whatever a backend may find wrong
-                _log.warning("matcam: %s in the cache cannot be used (%s): it is made again", path.name, error)
+                result = jax.block_until_ready(program(*_arrays(self.leaves)))  # some faults appear only at run time
+            except Exception as error:  # backends raise arbitrary errors
+                _log.warning("matcam: %s in the cache cannot be used (%s): it is compiled again", path.name, error)
             else:
                 return _Program(program, len(stored)), result
-        with CompiledFunctions.passed_by():  # what JAX's own cache has loaded cannot be written again
+        with CompiledFunctions.passed_by():  # programs from the cache of JAX cannot be serialised again
             options = plainly_compiled(self.runs)
             program = jax.jit(self._of_arrays(), compiler_options=options).lower(*_arrays(self.leaves)).compile()
         size = 0
         try:
             packed = pack_program(program)
             write_sealed(path, key, packed)
-            size = len(packed) if path.exists() else 0  # a full disk stops nothing
-        except Exception as error:  # what cannot be written down can be run
+            size = len(packed) if path.exists() else 0  # a full disk is not an error
+        except Exception as error:  # programs that cannot be serialised can still run
             _log.debug("matcam: %s is not kept: %s", name, error)
         return _Program(self._of_its_kind(program), size), None
 
     def _of_its_kind(self, program: Callable[..., Any]) -> Callable[..., Any]:
-        """Return a program whose flat results are put together again."""
+        """Rebuild the structure of flat results."""
         if self.returns is None:
             return program
         structure = jax.tree.structure(_places(self.returns))
         return lambda *arrays: jax.tree.unflatten(structure, program(*arrays))
 
     def _of_arrays(self) -> Callable[..., Any]:
-        """Return the function of its arrays alone. JAX keeps it: it must not hold the arrays themselves."""
+        """Return the function of its arrays alone. JAX keeps it, so it must not contain the arrays themselves."""
         function, tree, kinds, flat = self.function, self.tree, self.kinds, self.returns is not None
 
         def of_arrays(*arrays: Any) -> Any:
@@ -214,7 +216,7 @@ class _Kept(NamedTuple):
 
 
 def _places(kind: Any) -> Any:
-    """Return a value of named tuples, or tuples of them, with a place for each array."""
+    """Return the structure of a nested named tuple, with a placeholder for each array."""
     if get_origin(kind) is tuple:
         return tuple(map(_places, get_args(kind)))
     if isinstance(kind, type) and issubclass(kind, tuple):
@@ -223,7 +225,7 @@ def _places(kind: Any) -> Any:
 
 
 def _types(tree: Any) -> list[str]:
-    """Return the full names of a tree's types; a tree's text has their short ones."""
+    """Return the full names of the types of a tree, whose text has short ones."""
     data = tree.node_data()
     own = [f"{data[0].__module__}.{data[0].__qualname__}"] if data else []
     return own + [name for child in tree.children() for name in _types(child)]
@@ -231,7 +233,7 @@ def _types(tree: Any) -> list[str]:
 
 @cache
 def _surroundings() -> str | None:
-    """Return all that programs depend on besides their arguments; None where the package's source cannot be read."""
+    """Describe all dependencies of programs besides their arguments; None if the source of the package is unreadable."""
     source = hashlib.sha256()
     folder = Path(__file__).parents[1]
     try:

@@ -1,7 +1,7 @@
-"""Things that users choose by name - lenses, pixels, families of lobes, masking models, Fresnel terms: the one list of each.
+"""Registries of objects that users choose by name: lenses, pixels, families of lobes, masking models, Fresnel terms.
 
-A registry knows names at once and imports what they stand for when it is first asked for, so that the command line can
-list its choices without loading JAX.
+A registry lists names immediately and imports their objects on first use, so that the command line can list its choices
+without loading JAX.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ T = TypeVar("T")
 
 
 class Registry(Mapping[str, T], Generic[T]):
-    """Map names to classes or functions, each imported when it is first asked for.
+    """Mapping from names to classes or functions, each imported on first use.
 
     Attributes:
-        homes: place of each by its name, "package.module:attribute".
+        homes: location of each by its name, "package.module:attribute".
     """
 
     def __init__(self, homes: Mapping[str, str]):
@@ -30,7 +30,7 @@ class Registry(Mapping[str, T], Generic[T]):
         return getattr(import_module(module), attribute)
 
     def __contains__(self, name: object) -> bool:
-        return name in self.homes  # a question after a name imports nothing
+        return name in self.homes  # a membership test imports nothing
 
     def __iter__(self) -> Iterator[str]:
         return iter(self.homes)
@@ -39,7 +39,7 @@ class Registry(Mapping[str, T], Generic[T]):
         return len(self.homes)
 
     def subset(self, keep: Callable[[str], bool]) -> Registry[T]:
-        """Return the registry of the names for which `keep` is true."""
+        """Select the names for which `keep` is true."""
         return Registry({name: home for name, home in self.homes.items() if keep(name)})
 
     def __repr__(self) -> str:
@@ -94,10 +94,10 @@ FAMILIES: Registry[Any] = Registry(
 """Isotropic normal distribution functions."""
 
 WITH_POWER = FAMILIES.subset(lambda name: name in ("epd", "sgd"))
-"""Families of a roughness and a power."""
+"""Families with a roughness and a power."""
 
 ONE_WIDTH = FAMILIES.subset(lambda name: name not in WITH_POWER)
-"""Families of a roughness alone, whose record by a camera has a closed form in the tangent plane."""
+"""Families with a roughness alone, whose record by a camera has a closed form in the tangent plane."""
 
 MASKING_MODELS: Registry[Any] = Registry(
     {
@@ -106,7 +106,7 @@ MASKING_MODELS: Registry[Any] = Registry(
         "van-ginneken": f"{_MATERIAL}.masking:azimuth_correlated",
     }
 )
-"""Joint masking of light and view; instead of a name, None leaves masking out."""
+"""Joint masking of light and view; None instead of a name: no masking."""
 
 FRESNEL_MODELS: Registry[Any] = Registry(
     {
@@ -120,12 +120,12 @@ FRESNEL_MODELS: Registry[Any] = Registry(
 
 
 def family_ndf(family: str, roughness: Any, power: Any = None) -> Any:
-    """Return the NDF of a family.
+    """Build the NDF of a family.
 
     Args:
         family: one of `FAMILIES`.
         roughness: its first parameter (a slope; rad for "gaussian").
-        power: the second, for `WITH_POWER` and only there.
+        power: the second parameter, for `WITH_POWER` only.
 
     Raises:
         ArgumentError: the family is unknown, or its power is missing or does not belong there.

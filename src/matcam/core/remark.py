@@ -1,4 +1,4 @@
-"""A remark: what a reader should know of a result, with a code that programs can match."""
+"""Remarks on results, with a code that programs can match."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 
 class Remark(NamedTuple):
-    """Say one thing that a reader should know of a result.
+    """Remark on a result.
 
     Attributes:
         code: lower-case words joined by hyphens ("outliers", "camera-not-determined"): stable between versions.
@@ -34,11 +34,11 @@ class Remark(NamedTuple):
 
 
 def some_of(names: Iterable[str], most: int = 6) -> str:
-    """Name things in one line, the first of them where they are many.
+    """List names in one line, with the first ones if there are many.
 
     Args:
-        names: of the things.
-        most: how many are named at most, no unit. Default: 6.
+        names: the names.
+        most: largest number of names, no unit. Default: 6.
 
     Returns:
         "a, b and 3 more", or "a, b".
@@ -53,14 +53,14 @@ def some_of(names: Iterable[str], most: int = 6) -> str:
 
 
 def gathered(remarks: Iterable[tuple[str, Remark]], most: int = 3) -> list[Remark]:
-    """Gather what is said of many things alike: the first remark stands for all of its code, and names the others.
+    """Combine equal remarks on many objects: the first remark of a code represents all, and names the others.
 
     Args:
-        remarks: name of the thing, and what is said of it.
-        most: how many remarks of one code stay apart, no unit. Default: 3.
+        remarks: name of each object, and its remark.
+        most: largest number of separate remarks of one code, no unit. Default: 3.
 
     Returns:
-        The remarks, in the order in which their codes came.
+        The remarks, in the order of their codes.
 
     Example:
         >>> for one in gathered([(f"L{k}", Remark("dark", f"L{k}: no light")) for k in range(1, 6)]):
@@ -92,7 +92,7 @@ def texts(remarks: Iterable[Remark]) -> list[str]:
 
 
 def to_attribute(remarks: Iterable[Remark]) -> str:
-    """Return the remarks as one text that a file's attribute can hold.
+    """Join the remarks to one text for an attribute of a file.
 
     Args:
         remarks: any number of them.
@@ -108,7 +108,7 @@ def to_attribute(remarks: Iterable[Remark]) -> str:
 
 
 def from_attribute(attribute: str) -> tuple[Remark, ...]:
-    """Read the remarks that `to_attribute` wrote.
+    """Parse the remarks of `to_attribute`.
 
     Args:
         attribute: one line for each remark.

@@ -1,9 +1,11 @@
-"""Files of a cache that are believed only whole: each ends in a SHA-256 of what it belongs to and of its content.
+"""Cache files with a seal: each ends in a SHA-256 of its key and content.
 
-What is damaged, or another's, is removed and made again; one line is logged. A file that cannot be written is not: a full disk
-must not stop any work. The seal finds damage; it does not find a forger. Against forgers, only a folder and files that this
-user or the system's own has written are used, where nobody else may change them. A folder is opened once, checked, and its
-files are reached through it: nobody can put another in its place between check and use. No link is followed.
+A damaged file, or one of another key, is removed and computed again, and one line is logged. A file that cannot be
+written is skipped, because a full disk must not stop any work.
+
+The seal detects damage, not forgery. Against forgery, only folders and files that belong to this user or to the system,
+and that no other user may change, are used. A folder is opened once and checked, and its files are accessed through it,
+so that it cannot be replaced between check and use. Links are not followed.
 """
 
 from __future__ import annotations
@@ -29,7 +31,7 @@ _log = logging.getLogger("matcam")
 
 
 def read_sealed(path: Path, key: bytes) -> bytes | None:
-    """Return the content that was written under this key; None where it is not there, or is damaged."""
+    """Read the content of a key; None if it is missing or damaged."""
     try:
         with _opened(path.parent) as folder:
             whole = _read_own(folder, path)
@@ -38,7 +40,7 @@ def read_sealed(path: Path, key: bytes) -> bytes | None:
             content, seal = whole[:-_SEAL], whole[-_SEAL:]
             if len(whole) >= _SEAL and _seal(key, content) == seal:
                 return content
-            _log.warning("matcam: %s in the cache is damaged: it is made again", path.name)
+            _log.warning("matcam: %s in the cache is damaged: it is computed again", path.name)
             folder.unlink(path.name)
     except OSError:
         pass
@@ -46,7 +48,7 @@ def read_sealed(path: Path, key: bytes) -> bytes | None:
 
 
 def write_sealed(path: Path, key: bytes, content: bytes) -> None:
-    """Write content under a key, whole or not at all, for this user alone."""
+    """Write content under a key atomically, for this user alone."""
     temporary = f".{path.stem}-{secrets.token_hex(4)}{path.suffix}"
     with contextlib.suppress(OSError):
         _make(path.parent)
@@ -62,14 +64,14 @@ def write_sealed(path: Path, key: bytes, content: bytes) -> None:
 
 
 class SealedFile(NamedTuple):
-    """File of a cache: its name, and its size (bytes) and times (s) as the system states them."""
+    """Cache file: its name, and its size (bytes) and times (s)."""
 
     name: str
     status: os.stat_result
 
 
 def sealed_files(path: Path) -> list[SealedFile]:
-    """List the files of a cache's folder; none where it cannot be used."""
+    """List the files of a cache folder; none if it is not usable."""
     try:
         with _opened(path) as folder:
             return [
@@ -82,7 +84,7 @@ def sealed_files(path: Path) -> list[SealedFile]:
 
 
 def remove_sealed(path: Path, names: Iterable[str]) -> None:
-    """Remove files of a cache's folder, where they are there."""
+    """Remove files of a cache folder, if they exist."""
     with contextlib.suppress(OSError), _opened(path) as folder:
         for name in names:
             with contextlib.suppress(OSError):
@@ -90,7 +92,7 @@ def remove_sealed(path: Path, names: Iterable[str]) -> None:
 
 
 class _Folder(NamedTuple):
-    """Folder that was opened and checked: its number, or None on systems that reach files by their paths only."""
+    """Folder that was opened and checked: its descriptor, or None on systems that access files by path only."""
 
     number: int | None
     path: Path
@@ -99,7 +101,7 @@ class _Folder(NamedTuple):
         return name if self.number is not None else self.path / name
 
     def open(self, name: str, flags: int) -> int:
-        # without waiting: a pipe may have nobody who writes to it
+        # non-blocking: a pipe may have no writer
         return os.open(self._of(name), flags | getattr(os, "O_NONBLOCK", 0), 0o600, dir_fd=self.number)
 
     def rename(self, old: str, new: str) -> None:
@@ -117,13 +119,15 @@ class _Folder(NamedTuple):
 
 @contextlib.contextmanager
 def _opened(path: Path) -> Iterator[_Folder]:
-    """Open a folder that nobody else may change; OSError where there is none."""
+    """Open a folder that no other user may change; OSError without one."""
     if not _BY_FOLDER:
         yield _Folder(None, path)
         return
     number = os.open(path, _READ | os.O_DIRECTORY)
     try:
-        parent = os.stat("..", dir_fd=number)  # a folder in a folder of all users may be renamed, unless that is sticky
+        parent = os.stat(
+            "..", dir_fd=number
+        )  # a folder in a world-writable folder may be renamed, unless that is sticky
         open_to_all = parent.st_mode & stat.S_IWOTH and not parent.st_mode & stat.S_ISVTX
         if _is_foreign(os.fstat(number)) or parent.st_uid not in (os.getuid(), 0) or open_to_all:
             _warn_of(path)
@@ -134,7 +138,7 @@ def _opened(path: Path) -> Iterator[_Folder]:
 
 
 def _read_own(folder: _Folder, path: Path) -> bytes | None:
-    """Read a file that nobody else could have written; None for any other."""
+    """Read a file that no other user could have written; None for any other."""
     with os.fdopen(folder.open(path.name, _READ), "rb") as file:
         status = os.fstat(file.fileno())
         if not stat.S_ISREG(status.st_mode):
@@ -146,7 +150,7 @@ def _read_own(folder: _Folder, path: Path) -> bytes | None:
 
 
 def _make(path: Path) -> None:
-    """Make a folder for this user alone, and those above it."""
+    """Create a folder for this user alone, and its parents."""
     for folder in (*reversed(path.parents), path):
         if not folder.exists():
             folder.mkdir(mode=0o700, exist_ok=True)
@@ -161,7 +165,7 @@ def _warn_of(folder: Path) -> None:
 
 
 def _is_foreign(status: os.stat_result) -> bool:
-    """Check whether somebody else could have written a file, or what is in a folder."""
+    """Check whether another user could have written a file, or the content of a folder."""
     return hasattr(os, "getuid") and (status.st_uid not in (os.getuid(), 0) or bool(status.st_mode & _OTHERS_WRITE))
 
 
@@ -172,7 +176,7 @@ def _seal(key: bytes, content: bytes) -> bytes:
 
 
 class CompiledFunctions:
-    """Keep JAX's compiled functions on disk, in place of its own cache, which believes what it finds.
+    """Cache of JAX's compiled functions on disk, which replaces its own cache because that does not detect damage.
 
     Args:
         path: folder of the files.
@@ -181,12 +185,12 @@ class CompiledFunctions:
     _passed_by = threading.local()
 
     def __init__(self, path: str):
-        self._path = Path(path)  # the name by which JAX asks for it
+        self._path = Path(path)  # name of the attribute in JAX
 
     @classmethod
     @contextlib.contextmanager
     def passed_by(cls) -> Iterator[None]:
-        """Have this thread compile anew what it compiles, and not keep it here."""
+        """Compile without this cache in the current thread."""
         cls._passed_by.now = True
         try:
             yield
@@ -194,11 +198,11 @@ class CompiledFunctions:
             cls._passed_by.now = False
 
     def get(self, key: str) -> bytes | None:
-        """Return what was kept under a key, or None."""
+        """Return the content of a key, or None."""
         return None if self._is_passed_by else read_sealed(self._file(key), key.encode())
 
     def put(self, key: str, value: bytes) -> None:
-        """Keep bytes under a key."""
+        """Store bytes under a key."""
         if not self._is_passed_by:
             write_sealed(self._file(key), key.encode(), value)
 

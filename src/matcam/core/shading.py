@@ -1,4 +1,4 @@
-"""Shading geometry: from vectors to all that the reflectance of a surface can depend on."""
+"""Shading geometry: from vectors to all arguments of the reflectance of a surface."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Vector = tuple["jax.Array", "jax.Array", "jax.Array"]
 
 
 class Shading(NamedTuple):
-    """Hold all that a BRDF can depend on. Arrays that broadcast.
+    """Arguments of a BRDF. Arrays that broadcast.
 
     Attributes:
         cos_i: cosine of the light's angle to the normal.
@@ -24,8 +24,8 @@ class Shading(NamedTuple):
         slope_along: half vector as the slope of a facet that mirrors light into view, along the surface's first tangent.
         slope_across: the same along the second tangent (normal x first).
         theta_d: difference angle, rad.
-        phi_d: azimuth of the difference, rad, in (-pi, pi], counted from that of the half vector's slope; from the first
-            tangent where that slope is 0.
+        phi_d: azimuth of the difference, rad, in (-pi, pi], relative to that of the slope of the half vector, or to the
+            first tangent if that slope is 0.
     """
 
     cos_i: jax.Array
@@ -37,9 +37,9 @@ class Shading(NamedTuple):
 
 
 def shading(normal: Vector, tangent: Vector, light: Vector, view: Vector) -> Shading:
-    """Return the angles of unit vectors; tangent: perpendicular to the normal.
+    """Compute the angles of unit vectors; tangent: perpendicular to the normal.
 
-    Slopes keep their digits close to the mirror direction, where a half vector's angle from its cosine would not.
+    Slopes keep their digits near the mirror direction, unlike the angle of a half vector from its cosine.
     """
     total = _combined(light, view, 1)
     length = xp.sqrt(_dot(total, total))
@@ -48,8 +48,8 @@ def shading(normal: Vector, tangent: Vector, light: Vector, view: Vector) -> Sha
     cos_h = _dot(half, normal)
     second = _cross(normal, tangent)
     along, across = _dot(half, tangent), _dot(half, second)
-    # the light's azimuth about the half vector, in the surface's frame carried there by the shortest rotation: well
-    # determined where the half vector is the normal, as that of the half vector itself is not
+    # azimuth of the light about the half vector, in the frame of the surface after the shortest rotation to the half
+    # vector: it is well determined where the half vector is the normal, unlike the azimuth of the half vector
     carried = (along * _dot(light, tangent) + across * _dot(light, second)) / (1 + cos_h) + _dot(light, normal)
     azimuth = xp.arctan2(_dot(light, second) - across * carried, _dot(light, tangent) - along * carried)
     phi_d = azimuth - xp.arctan2(across, along)
@@ -64,13 +64,13 @@ def shading(normal: Vector, tangent: Vector, light: Vector, view: Vector) -> Sha
 
 
 def local_shading(light: Vector, view: Vector) -> Shading:
-    """Return the `shading` of directions in the surface's own frame: the normal is z, the first tangent x."""
+    """Compute the `shading` of directions in the frame of the surface: the normal is z, the first tangent x."""
     zero, one = xp.zeros(()), xp.ones(())
     return shading((zero, zero, one), (one, zero, zero), light, view)
 
 
 def vector(x: ArrayLike, y: ArrayLike, z: ArrayLike) -> Vector:
-    """Return a vector made of its components."""
+    """Build a vector from its components."""
     return xp.asarray(x), xp.asarray(y), xp.asarray(z)
 
 

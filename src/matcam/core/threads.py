@@ -1,4 +1,4 @@
-"""Threads: of the libraries beneath NumPy, which read their number from the environment as they are loaded, and our own."""
+"""Threads of this package, and of the libraries below NumPy, which read their number from the environment on import."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ T = TypeVar("T")
 U = TypeVar("U")
 
 ONE_BLAS_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
-"""Variables that keep linear algebra to the thread that asks for it.
+"""Environment variables that restrict linear algebra to the calling thread.
 
-Matrices of a fit have some thousand rows and twenty columns. OpenBLAS shares even those among all processors, and a thread that
-waits for its share spins: on two busy processors a triangle of 5,000 rows takes 12 ms instead of 0.3 ms.
+Matrices of a fit have some thousand rows and twenty columns. OpenBLAS distributes even those over all processors with
+spinning threads, which is much slower on busy processors.
 """
 _ARENA_MAX = -8  # M_ARENA_MAX of mallopt(3)
 
 
 def use_one_blas_thread() -> None:
-    """Keep this process's linear algebra to one thread, unless the user says otherwise or NumPy is loaded already.
+    """Restrict linear algebra of this process to one thread, unless the user has set it or NumPy is loaded already.
 
     A program may choose this for its user; a library must not.
     """
@@ -36,9 +36,9 @@ def use_one_blas_thread() -> None:
 
 
 def use_one_heap() -> None:
-    """Keep what all threads allocate in one heap, where the C library is glibc and the user has not said otherwise.
+    """Use one heap for all threads, with glibc and without a setting of the user.
 
-    Each thread that compiles would keep a heap of its own, with all that it once needed: a first correction 0.15 GiB.
+    Otherwise each compiling thread keeps a heap of its peak size, in a first correction 0.15 GiB.
     """
     if "MALLOC_ARENA_MAX" not in os.environ:
         with contextlib.suppress(OSError, AttributeError):
@@ -46,15 +46,15 @@ def use_one_heap() -> None:
 
 
 def available_cores() -> int:
-    """Return how many cores this process may use."""
+    """Return the number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def import_behind(*modules: str) -> None:
-    """Import modules in another thread, for what will ask for them later: XLA computes meanwhile, outside of Python's lock.
+    """Import modules in another thread for later use, while XLA computes without the lock of Python.
 
-    What cannot be imported fails where it is asked for. A process that ends waits for the import: one that is torn down in a
-    module of C++ would abort. modules: their full names.
+    A failing import fails again where the module is used. The end of the process waits for the import, because an exit
+    inside a module of C++ would abort. modules: their full names.
     """
 
     def work() -> None:
@@ -67,15 +67,15 @@ def import_behind(*modules: str) -> None:
 
 
 def in_order(work: Callable[[T], U], items: Sequence[T], workers: int) -> Iterator[U]:
-    """Yield what `work` returns for each item, in their order, several at a time in threads.
+    """Yield the result of `work` for each item, in order, with several items at a time in threads.
 
-    The first is done alone: it decides what the others are compared with, and compiles what they share. Threads suffice: files
-    are decoded in processes of their own, and NumPy and JAX compute outside of Python's lock.
+    The first runs alone, because it sets the reference for the others and compiles their common programs. Threads
+    suffice: files are decoded in separate processes, and NumPy and JAX compute without the lock of Python.
 
     Args:
-        work: what is done with an item.
-        items: any number.
-        workers: items that are worked on at a time.
+        work: function of an item.
+        items: the items.
+        workers: number of items at a time.
 
     Example:
         >>> list(in_order(abs, [-1, -2, -3], 2))
@@ -93,7 +93,7 @@ def in_order(work: Callable[[T], U], items: Sequence[T], workers: int) -> Iterat
         try:
             for _ in range(1, len(items)):
                 _check_wanted()
-                # no more than that many results lie about
+                # limits the number of waiting results
                 waiting += [pool.submit(work, item) for item in islice(left, _at_a_time(workers) - len(waiting))]
                 yield waiting.pop(0).result()
         finally:
@@ -102,7 +102,7 @@ def in_order(work: Callable[[T], U], items: Sequence[T], workers: int) -> Iterat
 
 
 class _Behind(threading.local):
-    """Say of a thread whose work is done behind another's whether that one still goes on, and whether it is still wanted."""
+    """State of a background thread: whether the foreground work still runs, and whether the result is still required."""
 
     busy: threading.Event | None = None
     dropped: threading.Event | None = None
@@ -112,7 +112,7 @@ _behind = _Behind()
 
 
 class _DroppedError(Exception):
-    """End work that nobody waits for any more."""
+    """Raised to end background work that is not required any more."""
 
 
 def _check_wanted() -> None:
@@ -121,17 +121,17 @@ def _check_wanted() -> None:
 
 
 def _at_a_time(workers: int) -> int:
-    """Return how many items to work on at a time: one, while the work that goes before needs a core."""
+    """Return the number of items at a time: one, while the foreground work requires a core."""
     return 1 if _behind.busy is not None and _behind.busy.is_set() else workers
 
 
 @contextlib.contextmanager
 def done_behind(work: Callable[[], object]) -> Iterator[None]:
-    """Do some work in another thread while the block runs, for what will ask for it later and finds it kept.
+    """Run work in a background thread during the block, which fills caches for later use.
 
-    Its `in_order` takes one core while the block runs, and all of them when it has ended. The block's end waits for it; after
-    an error in the block it ends with the item that it is at. What fails in it fails again where it is asked for. On one core
-    there is nothing to gain, and nothing is done.
+    Its `in_order` uses one core while the block runs, and all cores afterwards. The end of the block waits for it;
+    after an error in the block it stops after its current item. Errors of the work are ignored; they occur again where
+    the result is used. On one core the work is skipped.
 
     Args:
         work: a function without arguments.

@@ -1,10 +1,10 @@
-"""Where results that depend on a rig alone are kept: in memory, and on disk between processes.
+"""Cache of results that depend on a rig alone: in memory, and on disk between processes.
 
-Nothing is kept behind a caller's back: functions that keep something take a `Workspace`. Libraries that name none share the one
-that `default_workspace` returns, which keeps nothing on disk. The command line and a run's workers name `Workspace.user()`.
+Caching is explicit: functions that cache take a `Workspace`. The default is that of `default_workspace`, without files
+on disk. The command line and the workers of a run use `Workspace.user()`.
 
-Tables that come with the package (metals, checksums, EPD's peak) and what depends on a few plain numbers alone (a spline's
-basis, a lens model) are constants, whoever asks: they stay in `functools.cache` where they are made.
+Tables of the package (metals, checksums, EPD's peak) and results that depend on few plain numbers alone (basis of a
+spline, a lens model) are constants: they use `functools.cache`.
 """
 
 from __future__ import annotations
@@ -31,14 +31,13 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Workspace:
-    """Keep what depends on a rig alone, for the next call in this process and for the next process.
+    """Cache of results that depend on a rig alone, in memory and on disk.
 
     Args:
-        folder: folder on disk for arrays that other processes may use; it is made when something is kept. Default: None,
-            nothing is kept on disk.
-        entries: results of each kind kept in memory, the latest used; 0: none (no unit). Default: 6, enough for the rigs and
-            slices of one correction.
-        files: files kept in `folder`, the latest written (no unit). Default: 12, at most some hundred MB.
+        folder: folder on disk for arrays that other processes may use; it is created on first use. Default: None, no files.
+        entries: number of most recent results of each kind in memory; 0: none (no unit). Default: 6, enough for the
+            rigs and slices of one correction.
+        files: number of most recent files in `folder` (no unit). Default: 12, at most some hundred MB.
 
     Raises:
         ArgumentError: `entries` or `files` is not a whole number >= 0.
@@ -65,7 +64,7 @@ class Workspace:
             object.__setattr__(self, "folder", Path(self.folder))
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Travel to another process without what is in memory."""
+        """Pickle without the results in memory."""
         return type(self), (self.folder, self.entries, self.files)
 
     @classmethod
@@ -80,16 +79,16 @@ class Workspace:
         return _user_workspace(user_cache_folder() / "rules")
 
     def remember(self, kind: str, key: Hashable, make: Callable[[], T], most: int | None = None) -> T:
-        """Return what `make` returned for this key before, or call it.
+        """Return the cached result of a key, or compute it.
 
         Args:
-            kind: what is kept; each kind has a memory of its own.
-            key: all that the result depends on.
+            kind: kind of the result; each kind has its own memory.
+            key: all dependencies of the result.
             make: function that computes the result.
-            most: results of this kind kept in memory, where they are too large for `entries` of them. Default: None.
+            most: number of results of this kind in memory, for results that are too large for `entries` of them. Default: None.
 
         Returns:
-            The result, which callers share: it must not be changed.
+            The result, which is shared and must not be changed.
         """
         with self._lock:
             memory = self._memory.setdefault(kind, OrderedDict())
@@ -104,14 +103,14 @@ class Workspace:
         return result
 
     def store(self, description: str, make: Callable[[], dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
-        """Return the arrays that `make` returned for this description before, from disk, or call it.
+        """Return the arrays of a description from disk, or compute and store them.
 
-        The file's name is a hash of the description and of the package's version. It ends in a SHA-256 of both and of its
-        content, so that a file that is damaged, or another's, is not believed: it is made again, and one line is logged. One
-        that cannot be written is not: a full disk must not stop a fit. Where there are no arrays nothing is kept.
+        The file's name is a hash of the description and of the package's version. It ends in a SHA-256 of both and of
+        its content, so that a damaged or foreign file is detected and computed again, with one line in the log. A full
+        disk is not an error. An empty result is not stored.
 
         Args:
-            description: text that holds all that the arrays depend on.
+            description: text with all dependencies of the arrays.
             make: function that computes the arrays.
 
         Returns:
@@ -139,7 +138,7 @@ class Workspace:
 
 
 def kept_file(folder: Path, description: str) -> Path:
-    """Return where a workspace of this folder keeps what has this description."""
+    """Return the file of a description in a workspace of this folder."""
     return folder / _file_name(_key(description))
 
 
@@ -153,10 +152,7 @@ def _file_name(key: bytes) -> str:
 
 @cache
 def default_workspace() -> Workspace:
-    """Return the workspace of a process that names none.
-
-    It keeps results in memory and nothing on disk. It is made here and nowhere else.
-    """
+    """Return the default workspace of the process, which has no files on disk."""
     return Workspace()
 
 

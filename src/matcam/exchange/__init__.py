@@ -1,4 +1,4 @@
-"""From one format to another, and to renderers: conversion, parameterisations, what a table shows of its camera."""
+"""Conversion between formats, parameterisations, export to renderers, and inspection of tables."""
 
 import lazy_loader
 

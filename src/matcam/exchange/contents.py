@@ -1,4 +1,4 @@
-"""Files of any format: what one holds, and how to read and write it without naming the format."""
+"""Files of any format: their contents, with reading and writing independent of the format."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ MERL_SUFFIX = ".binary"
 
 @dataclass(frozen=True)
 class Contents:
-    """Hold what is in a file; one field besides `format` is not None.
+    """Contents of a file; one field besides `format` is not None.
 
     Attributes:
-        format: short name of the file's format; "": it was not read from a file.
+        format: short name of the file's format; "": not from a file.
         table: a BRDF on the MERL grid.
         fields: a BRDF in RGL's parameterisation.
         samples: samples of a BRDF, off the MERL grid.
@@ -67,16 +67,16 @@ def read(path: str | Path, *, sampling: Sampling = "centre") -> Any:
 
     Args:
         path: file to read.
-        sampling: where in its cell a value was sampled, "centre" or "edge"; used for MERL files, which do not say it (see
-            `read_merl`). Default: "centre".
+        sampling: position in its cell at which a value was sampled, "centre" or "edge"; for MERL files, which do not
+            contain it (see `read_merl`). Default: "centre".
 
     Returns:
-        What the format's own reader returns: an `xarray.DataArray` for a table or scattered samples, an `xarray.Dataset` for
-        RGL's fields or another result. A picture is an array (rows, columns, channels), a camera profile a `Camera`, a chart's
-        description a `Chart`, a picture sidecar a dict.
+        The result of the reader of the format: an `xarray.DataArray` for a table or scattered samples, an
+        `xarray.Dataset` for RGL's fields or another result. A picture is an array (rows, columns, channels), a camera
+        profile a `Camera`, a chart's description a `Chart`, a picture sidecar a dict.
 
     Raises:
-        FileFormatError: the file is of no format that matcam reads, or is damaged.
+        FileFormatError: the format of the file is not supported, or the file is damaged.
 
     Example:
         >>> import tempfile
@@ -99,17 +99,17 @@ def read(path: str | Path, *, sampling: Sampling = "centre") -> Any:
 
 
 def write(path: str | Path, thing: Any, *, force: bool = False) -> None:
-    """Write a thing in the format that the file's name ends in.
+    """Write an object in the format of the suffix.
 
-    Things are tables, results, pictures, cameras and charts. Every value is kept: nothing is resampled (see `convert`).
+    Objects are tables, results, images, cameras and charts. Values are written without resampling (see `convert`).
 
     Args:
         path: file to write.
-        thing: what `read` returns, except a sidecar (see `write_sidecar`).
+        thing: object as from `read`, except a sidecar (see `write_sidecar`).
         force: replace an existing file. Default: False.
 
     Raises:
-        ArgumentError: the name's ending is unknown, the format cannot hold the thing, or nothing can.
+        ArgumentError: the suffix is unknown, or the format does not support the object.
         OutputError: the file cannot be written, or exists.
 
     Example:
@@ -124,7 +124,7 @@ def write(path: str | Path, thing: Any, *, force: bool = False) -> None:
     if isinstance(thing, Camera | Chart):
         form = format_for(path, *MEASUREMENTS, "camera")
         if form.suffixes != suffixes_for("camera"):
-            raise ArgumentError(f"a {type(thing).__name__} has no place in {form.suffixes[0]}: .json can hold it")
+            raise ArgumentError(f"a {type(thing).__name__} cannot be stored in {form.suffixes[0]}: use .json")
         if isinstance(thing, Camera):
             thing.save(path, force=force)
         else:
@@ -156,9 +156,9 @@ def contents_of(thing: Any) -> Contents:
 
 
 def write_contents(path: str | Path, contents: Contents, *, force: bool = False) -> None:
-    """Write contents in the format that the name ends in.
+    """Write contents in the format of the suffix.
 
-    ArgumentError where it cannot hold them.
+    ArgumentError if it does not support them.
     """
     path = Path(path)
     form = format_for(path)
@@ -184,7 +184,7 @@ def read_contents(path: str | Path, sampling: Sampling = "centre") -> Contents:
     """
     form = format_named(identify(path))
     if not set(form.holds) & set(MEASUREMENTS):
-        raise FileFormatError(f"{path}: a {form.name}, which holds no measurement")
+        raise FileFormatError(f"{path}: a {form.name}, which contains no measurement")
     data = form.read(path, **({"sampling": sampling} if form.name == "merl" else {}))
     if form.name == "csv":
         try:
@@ -197,20 +197,20 @@ def read_contents(path: str | Path, sampling: Sampling = "centre") -> Contents:
 
 
 def read_table(path: str | Path, sampling: Sampling = "centre") -> xr.DataArray:
-    """Read a BRDF table on the MERL grid from a file of any format that holds one.
+    """Read a BRDF table on the MERL grid from any format.
 
     Args:
         path: file to read: MERL, CSV, or NetCDF and Zarr as `measure`, `correct` and `convert` write them.
-        sampling: point of its cell at which a MERL file's values are sampled, see `read_merl`. The others say it themselves.
-            Default: "centre".
+        sampling: point of its cell at which a MERL file's values are sampled, see `read_merl`. Other formats contain
+            it. Default: "centre".
 
     Returns:
         The table, 1/sr; of a correction's results the corrected one.
 
     Raises:
-        FileFormatError: the file holds no table, or is damaged.
+        FileFormatError: the file contains no table, or is damaged.
     """
-    if Path(path).suffix.lower() == MERL_SUFFIX:  # its own reader says best what is wrong with it
+    if Path(path).suffix.lower() == MERL_SUFFIX:  # its own reader has the best error message
         return read_merl(path, sampling=sampling)
     contents = read_contents(path, sampling)
     if contents.table is not None:
@@ -220,7 +220,7 @@ def read_table(path: str | Path, sampling: Sampling = "centre") -> xr.DataArray:
             return checked_table(contents.result["brdf"])
         except ArgumentError as error:
             raise FileFormatError(f"{path}: {error}") from None
-    raise FileFormatError(f"{path}: holds {contents.kind}, no BRDF table on the MERL grid")
+    raise FileFormatError(f"{path}: contains {contents.kind}, not a BRDF table on the MERL grid")
 
 
 def _labelled(path: Path, name: str, data: xr.Dataset) -> Contents:
@@ -235,7 +235,7 @@ def _labelled(path: Path, name: str, data: xr.Dataset) -> Contents:
 
 
 def material_of(contents: Contents) -> Material:
-    """Return the material that a file describes. ArgumentError where it describes none."""
+    """Build the material of a file. ArgumentError if it does not describe one."""
     if contents.table is not None:
         return Tabulated(contents.table)
     if contents.fields is not None:

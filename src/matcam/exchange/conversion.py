@@ -1,7 +1,7 @@
-"""Conversion of a file from any format to any other that can hold the data.
+"""Conversion of a file to any format that supports its data.
 
-Each kind of contents has a writer. Where a format cannot hold the values themselves they are resampled, and the report says so
-and by how much the result errs.
+Each kind of contents has a writer. If a format does not support the values themselves, they are resampled, and the
+report gives the error of the result.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ from matcam.material.measured import Adaptive, Tabulated
 
 _PAIRS, _FARTHEST = 4096, np.radians(80)
 _MIRRORED = 46
-"""Mirror directions among which the peak is sought: one a degree, which is half a cell of a table."""
+"""Number of mirror directions in which the peak is searched: one per degree, half a cell of a table."""
 _FLOOR = 1e-6
-"""Share of the peak below which a value is too small to divide by. A camera of 16 bits resolves 1.5e-5."""
+"""Share of the peak below which a value is not used as a divisor. A camera of 16 bits resolves 1.5e-5."""
 
 
 def convert(
@@ -42,31 +42,32 @@ def convert(
     error: float | None = None,
     force: bool = False,
 ) -> dict[str, Any]:
-    """Convert a file to the format that the output's name ends in.
+    """Convert a file to the format of the output's suffix.
 
-    The input's format is recognised by its content. A picture's sidecar goes along.
+    The input's format is recognised by its content. The sidecar of an image is copied, too.
 
     Args:
         source: input: MERL, RGL, Zemax BSDF, UTIA, BiRD JSON, CSV of samples, NetCDF-4, Zarr in a zip, OpenEXR or TIFF.
-        target: output: .binary, .bsdf (RGL's), .brdf, .mtlx (an OpenPBR surface that is fitted), .csv, .nc, .zarr.zip, .exr,
+        target: output: .binary, .bsdf (RGL's), .brdf, .mtlx (a fitted OpenPBR surface), .csv, .nc, .zarr.zip, .exr,
             .tif or .tiff.
-        sampling: point of its cell at which a MERL file's values are sampled, "centre" or "edge", see `read_merl`. The table
-            that an RGL file is resampled to has the same. Default: "centre"; loaders of MERL files disagree.
-        square: nodes along each side of the square of an RGL file that is made, see `adaptive_grid`. Default: 192; fewer
-            make a smaller file.
-        error: error of an RGL file that is made, no unit: the first of eight grids (0.2 to 70 MB) is taken whose median
-            differences at random pairs and at the peak are at most this; `square` has no effect then. Default: None, `square`.
+        sampling: point of its cell at which a MERL file's values are sampled, "centre" or "edge", see `read_merl`. A
+            table from an RGL file has the same sampling. Default: "centre"; loaders of MERL files disagree.
+        square: nodes along each side of the square of a new RGL file, see `adaptive_grid`. Default: 192; fewer give a
+            smaller file.
+        error: error of a new RGL file, no unit: the first of eight grids (0.2 to 70 MB) is used whose median
+            differences at random pairs and at the peak are at most this value, instead of `square`. Default: None,
+            `square`.
         force: True to replace an existing output. Default: False.
 
     Returns:
-        Report as plain values: `input`, `output`, `format` and `holds` of the input, and `resampled`, None where every value is
-        kept. Where resampled: `missing_share` of the values that were made up, and `error`, relative to the value or to 1e-6 of
-        the peak, whichever is larger: at 4096 random pairs of directions (`median`, `p99`, `largest`, and `known`, the share of
-        pairs with a value) and in mirror directions (`peak`).
+        Report as plain values: `input`, `output`, `format` and `holds` of the input, and `resampled`, None if every
+        value is kept. If resampled: `missing_share` of interpolated values, and `error`, relative to the value or to
+        1e-6 of the peak, whichever is larger: at 4096 random pairs of directions (`median`, `p99`, `largest`, and
+        `known`, the share of pairs with a value) and in mirror directions (`peak`).
 
     Raises:
-        ArgumentError: the output's format cannot hold the data.
-        FileFormatError: the input is damaged or of no known format.
+        ArgumentError: the format of the output does not support the data.
+        FileFormatError: the input is damaged, or its format is not supported.
         OutputError: the output exists, or cannot be written.
 
     Source:
@@ -104,10 +105,10 @@ def convert(
 def resampling_error(before: Material, after: Material) -> dict[str, float]:
     """Compare two materials' BRDFs at 4096 random pairs of directions, up to 80 degrees from the normal.
 
-    The difference is relative to the first material's value, or to 1e-6 of its peak where the value is smaller: a sharp lobe
-    falls below 1e-300 1/sr, where a relative difference has no meaning. The peak is the largest value of a channel in mirror
-    directions up to 45 degrees. A pair counts in the channels in which the first material has a value above 0, by the largest
-    of their differences.
+    The difference is relative to the first material's value, or to 1e-6 of its peak where the value is smaller: a sharp
+    lobe falls below 1e-300 1/sr, where a relative difference has no meaning. The peak is the largest value of a channel
+    in mirror directions up to 45 degrees. A pair counts in the channels with a positive value of the first material, by
+    the largest of their differences.
 
     Returns:
         No unit: the `median`, `p99` (exceeded by 1 % of the pairs) and `largest` difference; `known`, the share of pairs with
@@ -130,8 +131,8 @@ def resampling_error(before: Material, after: Material) -> dict[str, float]:
 
 
 def _differences(first: np.ndarray, second: np.ndarray, floor: np.ndarray) -> np.ndarray:
-    """Compute the largest relative difference of the channels, of the pairs that have a value above 0."""
-    above = first > 0  # measured tables are negative where nothing was measured; NaN is not above 0
+    """Compute the largest relative difference of the channels, for pairs with a positive value."""
+    above = first > 0  # measured tables are negative where data are missing; NaN is not positive
     scale = np.where(above, np.maximum(first, floor), 1.0)
     relative = np.max(np.abs(second - first) / scale, axis=1, where=above, initial=-np.inf)
     return relative[np.isfinite(relative)]
@@ -161,9 +162,9 @@ def _directions(random: np.random.Generator) -> Vector:
 def _resample(
     contents: Contents, form: Format, sampling: Sampling, square: int, error: float | None
 ) -> tuple[Contents, dict[str, Any]]:
-    """Resample a BRDF whose grid the format does not have.
+    """Resample a BRDF to the grid of the format.
 
-    Return the contents, and the details that the report adds.
+    Return the contents, and details for the report.
     """
     if contents.table is not None and form.holds == ("fields",):
         material = material_of(contents)
@@ -184,7 +185,7 @@ def _resample(
 
 
 def _smallest_grid(material: Material, error: float, description: str) -> tuple[Any, dict[str, float]]:
-    """Resample to the smallest grid of a given error, or the finest; also the error."""
+    """Resample to the smallest grid with a given error, or the finest; return it with its error."""
     checks.positive("error", error)
     for size in GRID_SIZES:
         fields = resampled_grid(material, size, description, peak_error=error)
@@ -201,8 +202,8 @@ def _write_surface(target: Path, contents: Contents, force: bool) -> dict[str, A
     error = resampling_error(material, surface.material)
     kind = "metal" if surface.metalness else f"dielectric of index {surface.specular_ior:.3g}"
     note = (
-        f"fitted as a {kind}, specular_roughness {surface.specular_roughness:.4g} (the square root of alpha): no measured BRDF "
-        "is kept as it was"
+        f"fitted as a {kind}, specular_roughness {surface.specular_roughness:.4g} (the square root of alpha): the measured "
+        "values are not kept"
     )
     residual = f"Residual: {error['peak']:.1%} at the peak, {error['median']:.1%} at random directions (median)."
     write_openpbr(target, surface, note=residual, force=force)
@@ -213,17 +214,17 @@ def _as_table(contents: Contents, sampling: Sampling) -> tuple[Contents, dict[st
     """Resample RGL's fields to the MERL grid."""
     material = material_of(contents)
     if isinstance(material, Adaptive) and material.mirrored:
-        raise ArgumentError("this RGL file is anisotropic: a table on the MERL grid cannot hold it")
+        raise ArgumentError("this RGL file is anisotropic: a table on the MERL grid cannot represent it")
     table = true_table(material, sampling)
-    negative = float((table < 0).mean())  # RGL's tables go below zero where nothing was measured
+    negative = float((table < 0).mean())  # tables of RGL are negative where data are missing
     table = table.clip(min=0).assign_attrs(table.attrs)
-    note = f"to the MERL grid at each cell's {sampling}; below zero, set to it: {negative:.2%}"
+    note = f"to the MERL grid at each cell's {sampling}; negative values set to zero: {negative:.2%}"
     details = {"resampled": note, "missing_share": 0.0, "error": resampling_error(material, Tabulated(table))}
     return Contents(contents.format, table=table), details
 
 
 def _write_sidecar(source: Path, target: Path, force: bool) -> dict[str, Any]:
-    """Write the picture's sidecar beside the output, with its new name in it."""
+    """Write the sidecar of the image beside the output, with its new name."""
     beside = sidecar_path(source)
     if not is_there(beside) or beside == sidecar_path(target):
         return {}

@@ -1,4 +1,4 @@
-"""The contents of a file of any format, or of a result in memory, as plain values."""
+"""Contents of a file of any format, or of a result in memory, as plain values."""
 
 from __future__ import annotations
 
@@ -13,26 +13,27 @@ from matcam.core.grid import Sampling
 from matcam.files.formats import identify
 
 _RADIUS = 256.0
-"""px, of the MERL rig's sphere."""
+"""Radius of the sphere of the MERL rig, px."""
 
 
 def inspect(source: Any, *, sampling: Sampling = "centre", radius: float = _RADIUS) -> dict[str, Any]:
-    """Report what a file or a result holds.
+    """Report the contents of a file or a result.
 
     `matcam inspect` prints the same.
 
     Args:
         source: path of a file of any format that matcam reads; or a table, a result, a picture or a `Camera`.
-        sampling: where in its cell a MERL file's value was sampled, "centre" or "edge" (see `read_merl`). Default: "centre".
-        radius: radius of the sphere that a table was recorded from, px. Default: 256, the MERL rig's.
+        sampling: sampling position of a value in its cell of a MERL file, "centre" or "edge" (see `read_merl`). Default:
+            "centre".
+        radius: radius of the sphere that a table was recorded from, px. Default: 256, as in the MERL rig.
 
     Returns:
-        Plain values that JSON can hold; the names state units. A file has `file` and `format`. A BRDF has its grid, missing
-        shares, range, reciprocity, albedo, lobe widths, and the trace of a camera; a camera its parameters and MTF50.
+        Plain values that JSON can represent; the names contain units. A file has `file` and `format`. A BRDF has its grid,
+        missing shares, range, reciprocity, albedo, lobe widths, and the trace of a camera; a camera its parameters and MTF50.
 
     Raises:
-        FileFormatError: the file is of no format that matcam reads, or is damaged.
-        ArgumentError: there is nothing to report of `source`, or the radius is out of range.
+        FileFormatError: the format of the file is not supported, or the file is damaged.
+        ArgumentError: there is no report on such a `source`, or the radius is out of range.
 
     Example:
         >>> report = matcam.inspect(matcam.rigs.merl().camera)
@@ -67,7 +68,7 @@ def _file_report(path: str | Path, kind: str, sampling: Sampling, radius: float)
 def _camera_report(camera: Camera) -> dict[str, Any]:
     """Report on a camera: parameters, standard deviations, MTF50 (cycles/px, along a row) and provenance.
 
-    Of a lens that has colours, or changes over the picture, MTF50 is that of each lens that stands for it, by name.
+    For a lens with colours, or one that varies over the image, the report has MTF50 of each representative lens, by name.
     """
     found = mtf50(camera.optics, camera.pixel)
     return {

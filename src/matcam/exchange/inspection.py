@@ -1,8 +1,7 @@
-"""The contents of a file, and of a table, that can be seen without any model of the material.
+"""Properties of a file and of a table without a model of the material.
 
-Grids, gaps, reciprocity, albedo, and the trace of a camera in a table. A camera widens a lobe in the
-plane of light and view as width^2 = lobe^2 + (kernel / cos theta_d)^2 (docs/model.md 3). A lamp's disc
-widens it across instead.
+Grids, gaps, reciprocity, albedo, and the trace of a camera in a table. A camera widens a lobe in the plane of light and
+view as width^2 = lobe^2 + (kernel / cos theta_d)^2 (docs/model.md 3). A lamp's disc widens it across instead.
 """
 
 from __future__ import annotations
@@ -22,13 +21,13 @@ from matcam.inverse.operator.pixel_phase import cell_rule
 from matcam.material.material import albedo
 from matcam.material.measured import Adaptive, Tabulated
 
-_IN_PLANE, _ACROSS = 0.95, 0.3  # |cos phi_d| above and below which cells count as in the plane, and across
+_IN_PLANE, _ACROSS = 0.95, 0.3  # limits of |cos phi_d| for cells in the plane, and across
 _STEEPEST = np.radians(75)  # of theta_d
 _FEWEST = 20  # angles with a lobe
 _HWHM = np.sqrt(2 * np.log(2))  # half width at half maximum over the standard deviation of a Gaussian
 _SIGNIFICANCE, _WIDENING = 5.0, 1.15
 SPHERE_RADIUS = 256.0
-"""px; of the MERL rig's sphere, where no other is given."""
+"""Radius of the sphere of the MERL rig, px, as the default."""
 
 
 class LobeWidths(NamedTuple):
@@ -81,19 +80,19 @@ def lobe_widths(table: xr.DataArray) -> LobeWidths:
 
 
 def camera_trace(table: xr.DataArray) -> dict[str, Any]:
-    """Tell whether lobes widen as a camera makes them.
+    """Check whether lobes widen as through a camera.
 
-    The squares of the widths in the plane of light and view are fitted by lobe^2 + (kernel / cos theta_d)^2. The camera is
-    visible where the kernel's term stands out 5 times over its standard deviation, and the widening is above 1.15. Then a
-    camera was there, or a finish that widens by itself in this way.
+    The squares of the widths in the plane of light and view are fitted by lobe^2 + (kernel / cos theta_d)^2. The camera
+    is visible if the term of the kernel exceeds 5 standard deviations, and the widening is above 1.15. The cause is
+    then a camera, or a finish with the same widening.
 
     Args:
         table: BRDF on the MERL grid, (90, 90, 180, channels), 1/sr, such as `read_merl` returns.
 
     Returns:
-        Plain values, all None where too few angles show a lobe: `visible`; `kernel_rad` and `lobe_rad`, standard deviations of
-        Gaussians, rad; `significance` of the kernel's term; `widening` from normal view to 75 degrees, in the plane over
-        that across.
+        Plain values, all None if too few angles show a lobe: `visible`; `kernel_rad` and `lobe_rad`, standard
+        deviations of Gaussians, rad; `significance` of the kernel's term; `widening` from normal view to 75 degrees, in
+        the plane over that across.
 
     Source:
         docs/model.md 3.
@@ -108,7 +107,7 @@ def camera_trace(table: xr.DataArray) -> dict[str, Any]:
     theta_d = table["theta_d"].values
     cos = np.cos(theta_d)
     known = np.isfinite(widths.in_plane) & np.isfinite(widths.across) & (theta_d < _STEEPEST)
-    # broad lobes reach the horizon, where they are cut
+    # broad lobes are cut at the horizon
     known &= theta_d + 3 * np.nan_to_num(widths.in_plane, nan=9.0) < np.pi / 2
     if known.sum() < _FEWEST:
         return {"visible": None, "kernel_rad": None, "lobe_rad": None, "significance": None, "widening": None}
@@ -130,7 +129,7 @@ def camera_trace(table: xr.DataArray) -> dict[str, Any]:
 
 
 def _half_widths(values: np.ndarray, theta_h: np.ndarray) -> np.ndarray:
-    """Return the half width at each theta_d.
+    """Compute the half width at each theta_d.
 
     The values (theta_h, theta_d, phi_d, channel) are linear between the angles.
     """
@@ -158,8 +157,8 @@ def inspect_contents(contents: Contents, radius: float = SPHERE_RADIUS) -> dict[
 
     radius: of the sphere that a table was recorded from, px.
 
-    The report has `holds`, and what there is of a table, samples, another result or a picture. RGL's fields are reported by
-    their own grid, and by all that is reported of a table after resampling.
+    The report has `holds`, and sections for a table, samples, another result or an image. For fields of RGL it has
+    their grid, and the sections of a table after resampling.
     """
     report: dict[str, Callable[[Any], dict[str, Any]]] = {
         "table": partial(inspect_table, radius=radius),
@@ -184,12 +183,12 @@ def inspect_table(table: xr.DataArray, radius: float = SPHERE_RADIUS) -> dict[st
         - `reciprocity_rms`: rms over cells of the relative difference between phi_d and pi - phi_d. Reciprocity and the mirror
           symmetry of an isotropic material make them equal.
         - `albedo`: of light from theta_o, per channel; missing values count as 0 (see `albedo`).
-        - `lobe`: half width at half maximum in theta_h, degrees, in the plane of light and view and across it, mean over
-          channels; None where there is no lobe.
+        - `lobe`: half width at half maximum in theta_h, degrees, in the plane of light and view and across it, mean
+          over channels; None without a lobe.
         - `camera`: see `camera_trace`.
-        - `cells`: `rule` by which cells were read from real pixels, "nearest", "bilinear" or "mean", None where none
-          shows; the pixels' `phase_px`, or one for each slice, with `phase_std_px`, None where no grid on a sphere of
-          `radius_px` fits; the share of neighbours near the highlight that hold one value, `repeated_share`; and
+        - `cells`: `rule` by which cells were read from real pixels, "nearest", "bilinear" or "mean", None without
+          evidence; `phase_px` of the pixels, or one per slice, with `phase_std_px`, None if no grid on a sphere of
+          `radius_px` fits; the share of neighbours near the highlight with equal values, `repeated_share`; and
           `distinct_values` there, mean over slices.
     """
     sampling = sampling_of(table)
@@ -235,7 +234,7 @@ def _cells_report(table: xr.DataArray, radius: float) -> dict[str, Any]:
 
 
 def _reciprocity(values: np.ndarray, sampling: Sampling) -> float:
-    # at cell edges phi_d = 0 has its partner at pi, which is 0 again by reciprocity and is not stored
+    # at cell edges the partner of phi_d = 0 is at pi, which equals 0 by reciprocity and is not stored
     first, second = (values, values[:, :, ::-1]) if sampling == "centre" else (values[:, :, 1:], values[:, :, :0:-1])
     mean = (first + second) / 2
     compared = np.isfinite(mean) & (mean > 0)
@@ -297,7 +296,7 @@ def _result_report(data: xr.Dataset) -> dict[str, Any]:
 def _picture_report(picture: np.ndarray) -> dict[str, Any]:
     missing = np.isnan(picture)
     if missing.all():
-        raise ArgumentError("every value of the picture is missing: there is nothing to inspect")
+        raise ArgumentError("every value of the picture is missing: the file is empty")
     return {
         "shape": list(picture.shape),
         "missing_share": float(missing.mean()),

@@ -1,12 +1,12 @@
 """OpenPBR surfaces in MaterialX, fitted to a measured BRDF.
 
-OpenPBR (Academy Software Foundation, version 1.1) has GGX facets with height-correlated masking. Its `specular_roughness` is
-the square root of alpha, the scale of facet slopes (Walter et al. 2007). Two surfaces are fitted, and the better one is
-written: a metal, whose `base_color` is F at normal incidence in Schlick's formula, and a dielectric, whose `base_color` is the
-albedo of a Lambertian base under a clear interface of `specular_ior`. A renderer darkens that base by what the interface
-reflects; the fit adds the two.
+OpenPBR (Academy Software Foundation, version 1.1) has GGX facets with height-correlated masking. Its
+`specular_roughness` is the square root of alpha, the scale of facet slopes (Walter et al. 2007). Two surfaces are
+fitted, and the better one is written: a metal, whose `base_color` is F at normal incidence in Schlick's formula, and a
+dielectric, whose `base_color` is the albedo of a Lambertian base under a clear interface of `specular_ior`. A renderer
+reduces the base by the reflectance of the interface; the fit adds the two.
 
-No table goes into such a surface without loss: the residual is part of the report, and stands in the file.
+Such a surface cannot represent a table exactly: the residual is part of the report and of the file.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ from matcam.material.ndf.ggx import GGX
 from matcam.material.reflectance import Dielectric, Schlick
 
 _HALF_ANGLES = np.linspace(0.0, 1.0, 28) ** 2 * np.radians(85)
-"""Half angles that are fitted, rad: dense about the peak, as a MERL table's."""
+"""Half angles of the fit, rad: dense about the peak, as in a MERL table."""
 _DIFFERENCE_ANGLES = np.radians(np.arange(5.0, 76, 10))
 _AZIMUTHS = np.radians([0.0, 45.0, 90.0])
 _STARTS = (0.003, 0.02, 0.1, 0.4)
-"""Values of alpha at which the fit begins: its residual has several minima where a lobe is narrow."""
+"""Initial values of alpha: the residual has several minima for narrow lobes."""
 _LIMITS = {"alpha": (1e-3, 1.0), "colour": (1e-4, 1.0), "ior": (1.05, 3.0)}
 
 
@@ -63,13 +63,13 @@ class OpenPBRSurface(NamedTuple):
 def fit_openpbr(material: Material) -> OpenPBRSurface:
     """Fit an OpenPBR surface to a material.
 
-    Least squares of the cube roots of BRDF times both cosines, which weighs highlight and tail.
+    Least squares of the cube roots of BRDF times both cosines, which balances highlight and tail.
 
     Args:
         material: isotropic, one channel or three, such as `Tabulated(table)`.
 
     Raises:
-        ArgumentError: the material is none, or has another count of channels.
+        ArgumentError: the material is not a Material, or has another number of channels.
 
     Source:
         OpenPBR Surface specification 1.1; Bieron and Peers (2020), *An Adaptive BRDF Fitting Metric*: roots as a metric.
@@ -127,7 +127,7 @@ def write_openpbr(path: str | Path, surface: OpenPBRSurface, *, note: str = "", 
     Args:
         path: file to write.
         surface: as from `fit_openpbr`.
-        note: text that stands in the document, such as the fit's residual. Default: "".
+        note: text for the document, such as the residual of the fit. Default: "".
         force: replace an existing file. Default: False.
 
     Raises:

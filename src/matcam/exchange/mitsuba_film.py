@@ -1,8 +1,8 @@
-"""A camera behind a Mitsuba rendering: the effective kernel as a linear step of Dr.Jit, with its derivative.
+"""Camera for a Mitsuba rendering: the effective kernel as a differentiable linear operation of Dr.Jit.
 
-Mitsuba renders radiance on a film with a box filter, several subpixels a pixel. A pixel of the camera reads the sum of the
-subpixels times the kernel's integral over each. That is exact where radiance is even within a subpixel. The step is linear: its
-derivative forward is itself, and backward its transpose.
+Mitsuba renders radiance on a film with a box filter, several subpixels per pixel. The value of a pixel of the camera is
+the sum of the subpixels times the integral of the kernel over each, which is exact for constant radiance within a
+subpixel. The operation is linear: its forward derivative is itself, and its backward derivative the transpose.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from matcam.core import checks
 from matcam.core.errors import ArgumentError
 
 _ENCLOSED = 0.999
-"""Share of the kernel within its reach; the rest is spread over it."""
+"""Share of the kernel within its support radius; the remainder is spread over it."""
 _FARTHEST = 32
-"""Largest reach, px: a kernel of 65 px across."""
+"""Largest support radius, px: a kernel of 65 px across."""
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(2)
 
 
@@ -29,10 +29,10 @@ class MitsubaFilm:
     Args:
         camera: lens and pixel; its effective kernel is applied.
         subpixels: of the rendering along each side of a pixel, no unit, 1 to 16. Default: 4.
-        reach: distance from a pixel's centre up to which light counts, px. Default: None, 99.9 % of the kernel, at most 32.
+        reach: support radius of the kernel, px. Default: None, 99.9 % of the kernel, at most 32.
 
     Raises:
-        ArgumentError: the camera has no one kernel, or an argument is out of range.
+        ArgumentError: the camera has no single kernel, or an argument is out of range.
 
     Example:
         >>> film = matcam.exchange.MitsubaFilm(matcam.Camera(matcam.GaussianOptics(0.5)), subpixels=2)
@@ -51,9 +51,9 @@ class MitsubaFilm:
         self.weights = weights / weights.sum()
 
     def record(self, image: np.ndarray) -> np.ndarray:
-        """Compute what the camera records of a rendering.
+        """Compute the record of a rendering by the camera.
 
-        Outside of the rendering it is dark: render `reach` pixels more on every side, and crop.
+        The surroundings of the rendering are dark: render `reach` pixels more on every side, and crop.
 
         Args:
             image: radiance of the subpixels, (rows, columns) or (rows, columns, channels), a multiple of `subpixels` each.
@@ -62,7 +62,7 @@ class MitsubaFilm:
             Radiance of the pixels.
 
         Raises:
-            ArgumentError: the image does not hold whole pixels.
+            ArgumentError: the image does not consist of whole pixels.
         """
         image = np.asarray(image, np.float64)
         s = self.subpixels
@@ -100,14 +100,14 @@ class MitsubaFilm:
             Tensor of the pixels, of the same type.
 
         Raises:
-            ArgumentError: the image does not hold whole pixels.
+            ArgumentError: the image does not consist of whole pixels.
         """
         import drjit as dr
 
         film, kind = self, type(image)
 
         class Recorded(dr.CustomOp):
-            """The step and both of its derivatives."""
+            """The operation and both of its derivatives."""
 
             def eval(self, image: Any) -> Any:
                 return kind(film.record(np.array(image)).astype(np.float32))
@@ -125,7 +125,7 @@ class MitsubaFilm:
 
 
 def _reach(camera: Camera) -> int:
-    """Distance within which 99.9 % of the kernel's line spread function lies, px."""
+    """Compute the distance that contains 99.9 % of the line spread function, px."""
     distance = np.arange(1, _FARTHEST + 1)
     enclosed = np.asarray(camera.esf(distance + 0.5)) - np.asarray(camera.esf(-distance - 0.5))
     enough = np.flatnonzero(enclosed >= _ENCLOSED)
@@ -133,7 +133,7 @@ def _reach(camera: Camera) -> int:
 
 
 def _weights(camera: Camera, subpixels: int, reach: int) -> np.ndarray:
-    """Integrate the effective kernel over each subpixel; rows run downwards, as an image's do."""
+    """Integrate the effective kernel over each subpixel; rows increase downwards, as in an image."""
     count = (2 * reach + 1) * subpixels
     centre = (np.arange(count) + 0.5) / subpixels - (reach + 0.5)
     at = (centre[:, None] + _NODES / (2 * subpixels)).ravel()

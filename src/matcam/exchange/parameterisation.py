@@ -1,15 +1,17 @@
-"""Any isotropic material in RGL's adaptive parameterisation (Dupuy & Jakob 2018), so that renderers can sample it.
+"""Any isotropic material in RGL's adaptive parameterisation (Dupuy & Jakob 2018), which renderers can sample.
 
-The format divides by functions that are chosen so that a smooth remainder is tabulated:
+The format divides by functions such that the tabulated remainder is smooth:
 
-- `ndf`: D(theta_h), the mean over difference angles of 4 BRDF cos_i cos_o: of D F G and of all else there is. It is even in
-  sqrt(theta_h), with twice the density of a MERL table. So the table's points are among the nodes, and its kinks are met.
+- `ndf`: D(theta_h), the mean over difference angles of 4 BRDF cos_i cos_o, which includes D F G and all other parts.
+  Its nodes are even in sqrt(theta_h), with twice the density of a MERL table, so they include the points of the table
+  and its kinks.
 - `sigma`: the projected area of facets so distributed, by the closed integral over azimuth.
-- `vndf`: visible normals D max(0, i . m) / sigma, mixed with normals ~ sqrt(D) cos theta_m, which spread logarithmically
-  over the tail, and with even ones. Visible normals alone would leave the tail a few per cent of the square.
-- `rgb`: BRDF cos theta_o 4 sigma / D. Where the view is below the horizon it goes on linearly in cos theta_o. So the
-  cells at the horizon are right on this side of it. It never goes below zero, which renderers take for a mistake.
-- `luminance`: the density that is left, so that samples are distributed as BRDF cos theta_o.
+- `vndf`: visible normals D max(0, i . m) / sigma, mixed with normals ~ sqrt(D) cos theta_m, which spread
+  logarithmically over the tail, and with uniform ones. With visible normals alone the tail would have a few per cent of
+  the square.
+- `rgb`: BRDF cos theta_o 4 sigma / D. For views below the horizon it is extrapolated linearly in cos theta_o, so that
+  cells at the horizon are correct above it. It is never negative, which renderers would reject.
+- `luminance`: the remaining density, so that samples are distributed as BRDF cos theta_o.
 """
 
 from __future__ import annotations
@@ -32,9 +34,10 @@ _HALF_PI = np.pi / 2
 
 
 def _light_angles(below: int, beyond: int) -> np.ndarray:
-    """Space angles to 82 degrees, and some beyond it to 89, as cos theta.
+    """Choose angles up to 82 degrees, and some beyond it up to 89, spaced as cos theta.
 
-    `sigma` leaves a factor 1 / cos theta where a lobe has no mirror; between the angles it errs by h^2 (1 + 2 tan^2 theta) / 8.
+    `sigma` leaves a factor 1 / cos theta for broad lobes; its interpolation error between the angles is h^2 (1 + 2
+    tan^2 theta) / 8.
     """
     log_tan = lambda degrees: np.log(np.tan(np.pi / 4 + np.radians(degrees) / 2))  # noqa: E731  the integral of 1 / cos
     effort = np.concatenate([np.linspace(0, log_tan(82), below), np.linspace(log_tan(82), log_tan(89), beyond + 1)[1:]])
@@ -42,13 +45,13 @@ def _light_angles(below: int, beyond: int) -> np.ndarray:
 
 
 class GridSize(NamedTuple):
-    """Counts of nodes of an RGL file.
+    """Numbers of nodes of an RGL file.
 
     Attributes:
         angles: angles of the light up to 82 degrees and beyond.
         square: nodes of the tabulated square along each side.
         azimuths: azimuths at which visible normals are tabulated.
-        normals: angles at which visible normals are tabulated; 0: as many as of D.
+        normals: angles at which visible normals are tabulated; 0: the number of nodes of D.
     """
 
     angles: tuple[int, int]
@@ -58,7 +61,7 @@ class GridSize(NamedTuple):
 
 
 SQUARE = 192
-"""Nodes of the tabulated square along each side; the file is 36 MB."""
+"""Number of nodes of the tabulated square along each side; the file takes 36 MB."""
 _FINEST = GridSize((36, 8), SQUARE, 65, 0)
 GRID_SIZES = (
     GridSize((12, 4), 20, 9, 46),
@@ -70,36 +73,38 @@ GRID_SIZES = (
     GridSize((28, 8), 96, 33, 181),
     _FINEST,
 )
-"""Grids among which a file of a given error is sought. Angles of the light that the peak needs are added to each. The first two
-take 0.2 to 1 MB, the first five 2 MB at most, the last one 36 to 70 MB."""
+"""Grids among which a file of a given error is chosen. Angles of the light that the peak requires are added to each.
+The first two take 0.2 to 1 MB, the first five 2 MB at most, the last one 36 to 70 MB.
+"""
 _PEAK_TO, _PEAK_STEP = 45.5, 0.5
-"""Largest angle of the light up to which the peak is followed, degrees, and the spacing of the candidates. These are the
-centres and the edges of the cells of a MERL table, between which the table is linear."""
+"""Largest angle of the light up to which the peak is resolved, degrees, and the spacing of the candidates. These are
+the centres and the edges of the cells of a MERL table, between which the table is linear.
+"""
 _SAME = np.radians(0.75)
 """Distance of two angles of the light below which one of them suffices, rad: less than a cell of a MERL table."""
 _THETA_NODES = 181
 _VISIBLE_SHARE, _LOGARITHMIC_SHARE, _EVEN_SHARE = 0.4, 0.3, 0.3
-_FAINTEST = 1e-9  # of the peak of D: nothing is divided by less
+_FAINTEST = 1e-9  # share of the peak of D: the smallest divisor
 
 
 def adaptive_grid(material: Material, *, description: str = "", square: int = SQUARE) -> xr.Dataset:
     """Resample an isotropic material to the fields of an RGL file.
 
-    The format has no missing values. Missing ones are interpolated along theta_h, and extrapolated where there is
-    nothing beyond them. `convert` reports how close the result comes to the material.
+    The format has no missing values. Missing ones are interpolated along theta_h, and extrapolated at the ends.
+    `convert` reports the difference of the result from the material.
 
     Args:
         material: isotropic material with one or three channels, such as `Tabulated(table)`.
-        description: text that the file carries. Default: "", which stands for "made by matcam".
-        square: nodes of the tabulated square along each side, an even number from 8 to 512. Default: 192, a file of 36 MB;
-            fewer make a smaller and coarser one.
+        description: text for the file. Default: "", which means "made by matcam".
+        square: nodes of the tabulated square along each side, an even number from 8 to 512. Default: 192, a file of 36
+            MB; fewer give a smaller and coarser one.
 
     Returns:
         Dataset of the fields, as `read_rgl` returns and `write_rgl` and `Adaptive` take them. Attribute `missing_share` is the
         share of missing values among all above the horizon.
 
     Raises:
-        ArgumentError: the material is anisotropic, has another count of channels, or reflects nothing.
+        ArgumentError: the material is anisotropic, has another count of channels, or is black.
 
     Source:
         Dupuy and Jakob (2018), *An Adaptive Parameterization for Efficient Material Acquisition and Rendering*.
@@ -112,9 +117,9 @@ def adaptive_grid(material: Material, *, description: str = "", square: int = SQ
     if not isinstance(material, Material):
         raise ArgumentError(f"material must be a Material such as Tabulated(table), got {type(material).__name__}")
     if isinstance(material, Microfacet) and not isinstance(material.ndf, NDF):
-        raise ArgumentError(f"only isotropic materials are resampled, and {material.ndf!r} is not")
+        raise ArgumentError(f"only isotropic materials are resampled, but {material.ndf!r} is not")
     if isinstance(material, Adaptive) and material.mirrored:
-        raise ArgumentError("only isotropic materials are resampled, and this RGL file is anisotropic")
+        raise ArgumentError("only isotropic materials are resampled, but this RGL file is anisotropic")
     if type(square) is not int or square % 2 or not 8 <= square <= 512:
         raise ArgumentError(f"square must be an even number from 8 to 512, got {square!r}")
     return resampled_grid(material, _FINEST._replace(square=square), description)
@@ -125,8 +130,8 @@ def resampled_grid(
 ) -> xr.Dataset:
     """Resample a material, checked by `adaptive_grid`, to a grid of this size.
 
-    peak_error: largest relative error of the peak between two angles of the light up to 45 degrees; angles are added where it
-        is exceeded. None: no angle is added.
+    peak_error: largest relative error of the peak between two angles of the light up to 45 degrees; angles are added to
+    satisfy it. None: no angle is added.
     """
     square, light_angles = size.square, _light_angles(*size.angles)
     if peak_error is not None:
@@ -146,7 +151,8 @@ def resampled_grid(
     outgoing, cos_o, missing = _outgoing(material, theta_m, phi_m, light_angles)
     d = np.interp(place_u, u, facets)
     values = np.maximum(_fill_gaps(outgoing * (4 * seen_area[:, None, None] / d)[..., None], cos_o), 0)
-    # of samples: BRDF cos_o and the solid angle of views, 4 i . m that of half vectors, over the density of the warp
+    # density of samples: BRDF cos_o and the solid angle of views, 4 i . m that of half vectors, over the density of the
+    # warp
     light = light_angles[:, None, None]
     cos = np.cos(light) * np.cos(theta_m) + np.sin(light) * np.sin(theta_m) * np.cos(phi_m)
     solid = d * np.maximum(cos, 0) * _jacobian(place_u)
@@ -171,7 +177,7 @@ def resampled_grid(
 def peak_angles(material: Material, error: float) -> np.ndarray:
     """Choose angles of the light between which the peak is linear, rad.
 
-    The interval with the largest deviation is divided there until none exceeds the error (Douglas and Peucker 1973).
+    The interval with the largest deviation is divided until none exceeds the error (Douglas and Peucker 1973).
 
     Args:
         material: isotropic material.
@@ -200,9 +206,9 @@ def peak_angles(material: Material, error: float) -> np.ndarray:
 
 
 def _nodes(material: Material) -> int:
-    """Return the count of nodes in theta_h.
+    """Choose the number of nodes in theta_h.
 
-    It is a multiple of a MERL table's steps, with at least ten nodes to the lobe's width.
+    It is a multiple of the steps of a MERL table, with at least ten nodes in the width of the lobe.
     """
     finest = np.sqrt(float(material.finest) / _HALF_PI)
     return (_THETA_NODES - 1) * int(np.clip(np.ceil(10 / finest / (_THETA_NODES - 1)), 1, 8)) + 1
@@ -225,7 +231,7 @@ def _facets(material: Material, u: np.ndarray) -> np.ndarray:
     total = np.sum(np.where(known, weight, 0), axis=(1, 2))
     light = np.sum(np.where(known, weight**2 * brdf, 0), axis=(1, 2))
     if not np.any(light > 0):
-        raise ArgumentError("the material reflects nothing: there is nothing to sample")
+        raise ArgumentError("the material is black: it has no lobe to sample")
     mean = np.where(total > 0, light / np.where(total > 0, total, 1), np.nan)
     d = np.interp(u, u[total > 0], mean[total > 0])
     d = np.maximum(d, _FAINTEST * d.max())
@@ -252,15 +258,15 @@ def _projected_area(u: np.ndarray, facets: np.ndarray, theta_o: np.ndarray) -> n
 
 
 def _jacobian(u: np.ndarray) -> np.ndarray:
-    """Return the solid angle per area of the unit square."""
+    """Compute the solid angle per area of the unit square."""
     return 2 * np.pi**2 * u * np.sin(u**2 * _HALF_PI)
 
 
 def _visible(u: np.ndarray, facets: np.ndarray, light_angles: np.ndarray, azimuths: int) -> np.ndarray:
-    """Return the density of half vectors, (T, azimuths, nodes).
+    """Compute the density of half vectors, (T, azimuths, nodes), per area of the unit square.
 
-    It is per area of the unit square. Azimuths are distributed as visible normals and evenly, half and half. In each,
-    angles are distributed as visible normals and, for the sake of resolution, as sqrt(D) cos and evenly.
+    Half of the azimuths are distributed as visible normals, half uniformly. In each, angles are distributed as visible
+    normals and, for resolution, as sqrt(D) cos and uniformly.
     """
     theta = u**2 * _HALF_PI
     phi = np.linspace(-np.pi, np.pi, azimuths)[:, None]
@@ -277,10 +283,10 @@ def _visible(u: np.ndarray, facets: np.ndarray, light_angles: np.ndarray, azimut
 def _outgoing(
     material: Material, theta_m: np.ndarray, phi_m: np.ndarray, light_angles: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, float]:
-    """Return BRDF cos_o, cos_o, and the missing share above the horizon.
+    """Compute BRDF cos_o, cos_o, and the missing share above the horizon.
 
-    The light stands at `light_angles`, and half vectors have shape (T, rows, columns). Channels are last. BRDF cos_o is
-    NaN below the horizon and where missing.
+    The light is at `light_angles`, and half vectors have shape (T, rows, columns). Channels are last. BRDF cos_o is NaN
+    below the horizon and for missing values.
     """
     light = np.broadcast_to(light_angles[:, None, None], theta_m.shape)
     i = np.sin(light), np.zeros(light.shape), np.cos(light)
@@ -290,7 +296,7 @@ def _outgoing(
     reflected = np.asarray(material.reflected(local_shading(vector(*i), vector(*o))))
     reflected = reflected if reflected.ndim == 4 else reflected[..., None]
     if reflected.shape[-1] not in (1, len(CHANNELS)):
-        raise ArgumentError(f"an RGL file can hold {len(CHANNELS)} channels, this material has {reflected.shape[-1]}")
+        raise ArgumentError(f"an RGL file can have {len(CHANNELS)} channels, this material has {reflected.shape[-1]}")
     above = (o[2] > 0) & (twice > 0)
     outgoing = np.broadcast_to(reflected / np.cos(light)[..., None], (*light.shape, len(CHANNELS)))
     missing = float(np.isnan(outgoing[above]).mean()) if above.any() else 0.0
@@ -300,7 +306,7 @@ def _outgoing(
 def _fill_gaps(values: np.ndarray, cos_o: np.ndarray) -> np.ndarray:
     """Fill the gaps of every row.
 
-    Inside it is linear along the row. Beyond its last value it is linear in cos_o, and constant below -0.2.
+    Inside the interpolation is linear along the row. Beyond the last value it is linear in cos_o, and constant below -0.2.
     """
     columns = np.arange(values.shape[2])
     result = np.empty_like(values)
@@ -315,7 +321,7 @@ def _fill_gaps(values: np.ndarray, cos_o: np.ndarray) -> np.ndarray:
             if known.size > 1 and known[-1] < columns[-1]:
                 a, b = known[-2:]
                 slope = (row[b, channel] - row[a, channel]) / min(cos[b] - cos[a], -1e-6)
-                # towards the horizon the BRDF times the cosine may fall, never rise
+                # towards the horizon the BRDF times the cosine may fall, but not rise
                 whole[b + 1 :] += max(slope, 0) * (np.maximum(cos[b + 1 :], -0.2) - cos[b])
             result[(*place, slice(None), channel)] = whole
     empty = ~np.isfinite(result)

@@ -1,16 +1,16 @@
-"""The solid angles of a rig, in the words of goniophotometers: over which solid angle was the light collected?
+"""Solid angles of a rig in the terms of goniophotometers.
 
-For a camera before a sphere that is an equivalence. The kernel k of lens and pixel averages over A = 1 / integral of
-k^2 (px^2), which is the pixel's area where the lens does nothing. On a sphere of radius r px that is A / (r^2 cos
-theta_o) of NORMALS. A goniophotometer holds the sample still and averages over directions of VIEW. Views that move
-the half vector as much fill
+For a camera and a sphere the solid angle of the receiver is an equivalence. The kernel k of lens and pixel averages
+over A = 1 / integral of k^2 (px^2), which is the area of the pixel for an ideal lens. On a sphere of radius r px that
+is A / (r^2 cos theta_o) of NORMALS. The sample of a goniophotometer is fixed, and it averages over directions of VIEW.
+Views with the same motion of the half vector fill
 
     d omega_o = 4 cos theta_d d omega_h,
 
-which at the peak, where theta_o = theta_d, is 4 A / r^2 at every angle. Before a near camera the line of sight turns
-as well, and the angle matters: there the value holds for normal view. The normals of a cylinder far away turn in one
-plane only, and fill no solid angle. The lens's pupil, as the sample sees it, is another cone, and the lamp's disc a
-third. All three widen a highlight.
+which at the peak, where theta_o = theta_d, is 4 A / r^2 at every angle. For a near camera the line of sight turns as
+well, and the value holds for normal view. The normals of a distant cylinder turn in one plane only, and fill no solid
+angle. The pupil of the lens, seen from the sample, is a second cone, and the source disc a third. All three widen a
+highlight.
 """
 
 from __future__ import annotations
@@ -28,21 +28,21 @@ _REACH, _RINGS, _DIRECTIONS = 12.0, 6001, 64  # cycles/px; around: the box's tra
 
 
 def solid_angles(rig: Rig) -> dict[str, float | None]:
-    """Return the solid angles of a rig's receiver, pupil and lamp.
+    """Compute the solid angles of a rig's receiver, pupil and lamp.
 
-    The receiver's is the equivalent one of a goniophotometer: its views move the half vector at the peak as much as the
-    kernel of lens and pixel does.
+    The receiver's is the equivalent one of a goniophotometer: its views and the kernel of lens and pixel move the half
+    vector at the peak by the same amount.
 
     Args:
         rig: camera, sample and lamp.
 
     Returns:
-        `equivalent_receiver_sr`, sr, None where the half vector does not turn in every direction: for a flat sample, and for a
-        cylinder before a distant camera. `pupil_sr`, sr: the lens as seen from the sample, pi aperture^2 / 4. `lamp_sr`, sr:
-        the lamp's disc. `kernel_area_px2`, px^2: the kernel's noise-equivalent area.
+        `equivalent_receiver_sr`, sr, None if the half vector does not turn in every direction: for a flat sample, and
+        for a cylinder with a distant camera. `pupil_sr`, sr: the lens as seen from the sample, pi aperture^2 / 4.
+        `lamp_sr`, sr: the lamp's disc. `kernel_area_px2`, px^2: the kernel's noise-equivalent area.
 
     Raises:
-        ArgumentError: rig is no `Rig`.
+        ArgumentError: rig is not a `Rig`.
 
     Source:
         docs/exchange.md, *The receiver's solid angle*.
@@ -68,8 +68,7 @@ def solid_angles(rig: Rig) -> dict[str, float | None]:
 def metadata(rig: Rig, **about: str) -> dict[str, Any]:
     """Describe how a table was measured, as a JSON document.
 
-    It is metadata alone, meant to lie beside a table in any format: geometry with the receiver's solid angle, instrument,
-    quantity.
+    It is metadata for a table in any format: geometry with the solid angle of the receiver, instrument, quantity.
 
     Args:
         rig: camera, sample and lamp.
@@ -79,10 +78,10 @@ def metadata(rig: Rig, **about: str) -> dict[str, Any]:
         The document, as plain values.
 
     Raises:
-        ArgumentError: an entry of about is no string.
+        ArgumentError: an entry of about is not a string.
 
     Source:
-        The manner of the BRDF format of the BiRD and BxDiff projects (Lanevski et al. 2022), not its schema.
+        Modelled on the BRDF format of the BiRD and BxDiff projects (Lanevski et al. 2022), with another schema.
 
     Example:
         >>> document = matcam.exchange.metadata(matcam.rigs.merl(), sample="chrome")
@@ -108,16 +107,17 @@ def metadata(rig: Rig, **about: str) -> dict[str, Any]:
 
 
 def effective_area(camera: Camera) -> float:
-    """Return the noise-equivalent area of the camera's kernel, px^2.
+    """Compute the noise-equivalent area of the camera's kernel, px^2.
 
-    It is 1 / integral of k^2, by Parseval 1 / integral of the squared MTF over all frequencies. A pixel of full fill without
-    a lens has 1; Gaussians of standard deviation sigma have 4 pi sigma^2.
+    It is 1 / integral of k^2, by Parseval 1 / integral of the squared MTF over all frequencies. It is 1 for a pixel of
+    full fill without a lens, and 4 pi sigma^2 for a Gaussian of standard deviation sigma.
     """
     frequency = np.linspace(0, _REACH, _RINGS)
     angles = (np.arange(_DIRECTIONS) + 0.5) / _DIRECTIONS * np.pi / 4  # a square has eight such wedges
     squared = np.stack([np.asarray(camera.mtf(frequency, angle)) ** 2 for angle in angles])
     ring = 2 * np.pi * frequency * squared.mean(axis=0)
-    # a bare pixel's squared transform falls as 1 / f^3 times f around the rings: what lies beyond is as much as the last octave
+    # the squared transform of a bare pixel falls as 1 / f^3 times f around the rings: the remainder equals the last
+    # octave
     half = frequency >= _REACH / 2
     beyond = np.trapezoid(ring[half], frequency[half])
     return float(1 / (np.trapezoid(ring, frequency) + beyond))

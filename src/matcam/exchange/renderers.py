@@ -1,11 +1,11 @@
-"""Materials for renderers: microfacet materials as Mitsuba 3 and pbrt-v4 name them, and a sphere rendered by Mitsuba.
+"""Materials for renderers: microfacet materials for Mitsuba 3 and pbrt-v4, and a sphere rendered by Mitsuba.
 
-Such exports go wrong over the meaning of "roughness". Here it is alpha, the scale of facet SLOPES, as in Walter et al. 2007.
+Conventions of "roughness" differ. Here it is alpha, the scale of facet SLOPES, as in Walter et al. 2007.
 
-- Mitsuba's `alpha` is that value. pbrt's `roughness` is that value only with `remaproughness false`; by default pbrt takes
-  alpha = sqrt(roughness). Disney's roughness would be sqrt(alpha).
+- Mitsuba's `alpha` is that value. pbrt's `roughness` is that value only with `remaproughness false`; by default pbrt
+  uses alpha = sqrt(roughness). Disney's roughness would be sqrt(alpha).
 - Mitsuba masks separably, G1 G1, as `masking="smith-separable"`. pbrt masks with height correlation, as "smith".
-- What a renderer's model does not have is refused: `adaptive_grid` makes a file of any material.
+- Materials without a counterpart in the renderer raise ArgumentError; `adaptive_grid` converts any material to a file.
 """
 
 from __future__ import annotations
@@ -33,11 +33,11 @@ _ELSE = "convert it to a .bsdf file instead"
 
 
 def mitsuba_material(material: Microfacet) -> dict[str, Any]:
-    """Return a microfacet material as a dict for `mitsuba.load_dict`.
+    """Convert a microfacet material to a dict for `mitsuba.load_dict`.
 
-    It is meant for RGB variants. The export is exact for `masking="smith-separable"`, but for Mitsuba's rational
-    approximation of Beckmann's masking (0.35 %). Any other masking is replaced by that. A `blendbsdf` adds the
-    diffuse part; its shares are divided out again.
+    It is for RGB variants. The export is exact for `masking="smith-separable"`, except for Mitsuba's rational
+    approximation of Beckmann's masking (0.35 %). Any other masking is replaced by it. A `blendbsdf` adds the diffuse
+    part; its shares are divided out again.
 
     Args:
         material: GGX or Beckmann facets, isotropic or not, of a metal (`Conductor`) or a constant reflectance, with a diffuse
@@ -47,7 +47,7 @@ def mitsuba_material(material: Microfacet) -> dict[str, Any]:
         The dict.
 
     Raises:
-        ArgumentError: Mitsuba's models do not have such a material.
+        ArgumentError: Mitsuba has no such material.
 
     Source:
         Walter et al. (2007): alpha. Mitsuba 3, plugins `roughconductor` and `blendbsdf`.
@@ -88,9 +88,9 @@ def mitsuba_material(material: Microfacet) -> dict[str, Any]:
 
 
 def pbrt_material(material: Microfacet, name: str | None = None) -> str:
-    """Return a microfacet material as text for a pbrt-v4 scene.
+    """Convert a microfacet material to text for a pbrt-v4 scene.
 
-    n and k stand at this package's wavelengths of R, G and B, in nm.
+    n and k are given at the wavelengths of R, G and B of this package, in nm.
 
     Args:
         material: GGX facets, isotropic or not, of a metal (`Conductor`) without a diffuse part.
@@ -100,7 +100,7 @@ def pbrt_material(material: Microfacet, name: str | None = None) -> str:
         The text.
 
     Raises:
-        ArgumentError: pbrt's conductor is no such material, or the name holds quotes, backslashes or line breaks.
+        ArgumentError: pbrt's conductor does not support the material, or the name contains quotes, backslashes or line breaks.
 
     Source:
         Walter et al. (2007): alpha. pbrt-v4, material `conductor`.
@@ -116,7 +116,7 @@ def pbrt_material(material: Microfacet, name: str | None = None) -> str:
     if not isinstance(material.fresnel, Conductor) or np.any(np.asarray(material.diffuse) > 0):
         raise ArgumentError("pbrt's conductor can only be a metal without a diffuse part")
     if name is not None and (not name or any(c in name for c in '"\\\n')):
-        raise ArgumentError(f"name must hold no quotes, backslashes or line breaks, got {name!r}")
+        raise ArgumentError(f"name must not contain quotes, backslashes or line breaks, got {name!r}")
     along, across = _alphas(material)
     order = np.argsort(CHANNEL_WAVELENGTHS)
 
@@ -157,7 +157,7 @@ def _colour(values: np.ndarray) -> dict[str, Any]:
     return {"type": "rgb", "value": values.tolist()}
 
 
-_SKY = 0.2  # radiance of the even sky that a lone lamp leaves the rest of the sphere to be seen by
+_SKY = 0.2  # radiance of the uniform sky, which makes the shadow side of the sphere visible
 _VARIANT = "scalar_rgb"
 
 
@@ -171,19 +171,19 @@ def rendered_sphere(
 ) -> np.ndarray:
     """Render a sphere of a material by Mitsuba 3 (extra `matcam[render]`).
 
-    The sphere fills the picture. The camera is far away. Its film is a box of one pixel in float32, because Mitsuba's own
-    filter is a blur of half a pixel. Any material goes by way of `adaptive_grid`.
+    The sphere fills the image. The camera is distant. Its film has a box filter of one pixel in float32, because the
+    default filter of Mitsuba blurs by half a pixel. Materials are converted by `adaptive_grid`.
 
-    A lamp of irradiance pi stands far away, towards +x and a third as far upwards, under an even sky of radiance 0.2. A white
-    diffuse sphere has radiance 1 + 0.2 where it faces the lamp.
+    A distant lamp of irradiance pi is towards +x and a third of that upwards, with a uniform sky of radiance 0.2. A
+    white diffuse sphere has radiance 1 + 0.2 where it faces the lamp.
 
     Args:
         material: any isotropic material with one or three channels.
         lamp_angle: angle between lamp and camera, in (-pi, pi), rad. Default: 0.7.
-        environment: OpenEXR file of three channels (latitudes by longitudes) that takes the place of lamp and sky. Default:
-            None, lamp and sky.
+        environment: OpenEXR file of three channels (latitudes by longitudes) that replaces lamp and sky. Default: None,
+            lamp and sky.
         size: side of the picture, in [16, 4096], px. Default: 256.
-        samples: samples per pixel, in [1, 65536]. Default: 64; more make less noise.
+        samples: samples per pixel, in [1, 65536]. Default: 64; more reduce noise.
 
     Returns:
         Linear radiance, float32, (size, size, 3), without NaN; row 0 on top.
@@ -209,7 +209,7 @@ def rendered_sphere(
     mitsuba = _mitsuba()
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "material.bsdf"
-        with one_by_one():  # no output of the command's, which would have its name at the end only
+        with one_by_one():  # no file name of the output, which it gets only at the end
             write_rgl(path, adaptive_grid(material))
         scene = mitsuba.load_dict(_scene(mitsuba, path, lamp_angle, environment, size, samples))
         picture = np.asarray(mitsuba.render(scene), dtype=np.float32)
@@ -241,9 +241,7 @@ def _scene(
     if environment is not None:
         light = read_exr(environment)
         if light.ndim != 3 or light.shape[2] != 3 or not np.all(light >= 0) or not np.all(np.isfinite(light)):
-            raise ArgumentError(
-                f"{environment}: an environment has three channels of finite radiance, nowhere negative"
-            )
+            raise ArgumentError(f"{environment}: an environment has three channels of finite radiance, non-negative")
         return scene | {"environment": {"type": "envmap", "bitmap": mitsuba.Bitmap(light)}}
     towards = np.array([np.sin(lamp_angle), np.sin(lamp_angle) / 3, np.cos(lamp_angle)])
     lamp = {"type": "directional", "direction": (-towards).tolist(), "irradiance": {"type": "rgb", "value": np.pi}}

@@ -1,4 +1,4 @@
-"""Figures of calibrations: one edge, a camera fitted to many edges, and the MTFs of a chart's targets side by side."""
+"""Figures of calibrations: one edge, a camera fitted to many edges, and the MTFs of the targets of a chart."""
 
 from __future__ import annotations
 
@@ -46,13 +46,13 @@ def edge_figure(result: EdgeMTF, image: np.ndarray, roi: Sequence[int] | None, n
             x=0.01,
             ha="left",
             fontsize=11,
-            parse_math=False,  # dollars may stand in a file's name
+            parse_math=False,  # file names may contain dollar signs
         )
     return figure
 
 
 def _reach(result: EdgeMTF) -> float:
-    """Return the distance at which the edge is over, and a little more, px."""
+    """Return the distance beyond which the edge has reached its levels, px."""
     distance = np.linspace(0.5, 30, 60)
     line = result.lsf(distance).value
     return float(np.clip(2.2 * distance[line > 0.01 * line[0]].max(initial=2.0), 4, 30))
@@ -73,7 +73,7 @@ def _draw_region(axes: Axes, result: EdgeMTF, image: np.ndarray, roi: Sequence[i
     )
     t = np.linspace(-1, 1, 65)[:, None] * np.hypot(w, h) / 2
     length = w if abs(np.sin(result.angle)) > np.sqrt(0.5) else h
-    # the middle bulges towards the bright side by the bow
+    # the middle is displaced towards the bright side by the bow
     points = np.array(result.place) + t * along - result.bow * (2 * t / length) ** 2 * out
     axes.plot(points[:, 0], points[:, 1], color=VERMILION, lw=0.9)
     axes.set(xlim=(x - 0.5, x + w - 0.5), ylim=(y + h - 0.5, y - 0.5), xlabel="x [px]", ylabel="y [px]")
@@ -255,7 +255,7 @@ def _draw_residuals(axes: Axes, found: Calibration) -> None:
     axes.set(xlim=(0, 0.75), xlabel="frequency [cycles/px]", ylabel="edges less camera [-]")
     if len(found.channels) > 1:
         axes.legend(loc="upper right", fontsize=8.5, ncols=3)
-    axes.set_title("What the camera does not explain", loc="left")
+    axes.set_title("Residuals of the camera", loc="left")
 
 
 def _draw_field(axes: Axes, found: Calibration, picture: np.ndarray | None) -> None:
@@ -268,7 +268,7 @@ def _draw_field(axes: Axes, found: Calibration, picture: np.ndarray | None) -> N
         else:
             middle = ((picture.shape[1] - 1) / 2, (picture.shape[0] - 1) / 2)
         radius = np.hypot(edges.x - middle[0], edges.y - middle[1])
-        # edges whose normals point to the middle show the radial blur, the others the tangential one
+        # edges whose normals point to the centre show the radial blur, the others the tangential one
         along = np.abs(np.cos(edges.angle - np.arctan2(edges.y - middle[1], edges.x - middle[0])))
         for radial, fill in ((True, COLOURS[name]), (False, "white")):
             which = (along > np.sqrt(0.5)) == radial
@@ -288,7 +288,7 @@ _LOOKS = {
 
 
 def targets_figure(samples: Sequence[MTFSamples], camera: Camera | None = None, title: str = "") -> Figure:
-    """Draw the MTF of lens and pixel that each kind of target shows, with error bars.
+    """Draw the MTF of lens and pixel from each kind of target, with error bars.
 
     Args:
         samples: samples of all targets.

@@ -1,4 +1,4 @@
-"""A chart as a page to print. Levels are encoded for a printer or screen that reproduces sRGB."""
+"""Chart as a page to print. Levels are encoded for a printer or screen that reproduces sRGB."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _MOST = 2e8  # pixels of a raster
 
 
 class Polygon(NamedTuple):
-    """Hold a polygon of one level.
+    """Polygon with one level.
 
     Attributes:
         points: corners, mm (n, 2).
@@ -34,7 +34,7 @@ class Polygon(NamedTuple):
 
 
 def chart_figure(chart: Chart) -> Figure:
-    """Draw the page of a chart in its true size, with a ruler of 50 mm. Vector formats are the better ones to print."""
+    """Draw the page of a chart in true size, with a ruler of 50 mm. Vector formats are preferable for printing."""
     polygons = [polygon for fiducial in chart.fiducials for polygon in _fiducial(fiducial, chart.ink)]
     polygons += [polygon for element in chart.elements for polygon in element_polygons(element)]
     width, height = chart.page
@@ -52,7 +52,7 @@ def chart_figure(chart: Chart) -> Figure:
             ),
             autolim=False,
         )
-        # the ruler's ends and the words stand between the marks of the lower border
+        # the ends of the ruler and the words are between the marks of the lower border
         y, x = height - 0.045 * min(width, height), 0.14 * width
         axes.plot([x, x, x, x + 50, x + 50, x + 50], [y - 1, y + 1, y, y, y - 1, y + 1], color="black", lw=0.5)
         axes.text(x + 52, y, "50 mm", va="center", fontsize=6.5)
@@ -61,7 +61,7 @@ def chart_figure(chart: Chart) -> Figure:
 
 
 def check_raster(chart: Chart, dpi: float) -> None:
-    """Refuse a raster that is too coarse for a chart, or too large for memory."""
+    """Raise ArgumentError for a raster that is too coarse for a chart, or too large for memory."""
     checks.within("dpi", dpi, 50, 10_000)
     pixels = chart.page[0] * chart.page[1] * (dpi / _INCH) ** 2
     if pixels > _MOST:
@@ -71,7 +71,7 @@ def check_raster(chart: Chart, dpi: float) -> None:
 
 
 def element_polygons(element: Element) -> Iterator[Polygon]:
-    """Yield the polygons of an element, to be painted one after the other."""
+    """Yield the polygons of an element, in painting order."""
     if isinstance(element, Grating):
         yield from _grating(element)
     elif isinstance(element, Star):
@@ -84,13 +84,13 @@ def element_polygons(element: Element) -> Iterator[Polygon]:
 
 
 def _nearest_code(level: float) -> float:
-    """Return the nearest 8-bit sRGB code of a level, which writers would otherwise round down."""
+    """Return the nearest 8-bit sRGB code of a level, which writers would otherwise truncate."""
     return min((round(255 * float(srgb.encoded(level))) + 0.25) / 255, 1.0)
 
 
 def _circle(centre: tuple[float, float], radius: float) -> np.ndarray:
     t = 2 * np.pi * np.arange(_AROUND) / _AROUND
-    # corners a little outside, so that the polygon has the circle's area
+    # corners slightly outside, so that the polygon has the area of the circle
     radius *= np.sqrt(2 * np.pi / (_AROUND * np.sin(2 * np.pi / _AROUND)))
     return np.array(centre) + radius * np.stack([np.cos(t), np.sin(t)], axis=-1)
 
@@ -115,7 +115,7 @@ def _grating(grating: Grating) -> Iterator[Polygon]:
         for start, stop, level in _staircase(-half, half, grating, 2 * np.pi / grating.period):
             yield Polygon(strip(start, stop), level)
         return
-    # dark bars on a bright ground: where that is the paper's own level, its border leaves no trace
+    # dark bars on a bright background: if its level is that of the paper, its border is invisible
     yield Polygon(strip(-half, half), grating.bright)
     shift, reach = grating.phase / (2 * np.pi), half / grating.period
     for n in range(int(np.floor(shift - reach)) - 1, int(np.ceil(shift + reach)) + 2):
@@ -132,7 +132,7 @@ def _star(star: Star) -> Iterator[Polygon]:
 
 
 def _staircase(low: float, high: float, of: Grating | Star, per: float) -> Iterator[tuple[float, float, float]]:
-    """Yield (start, stop, level) of equal steps whose first harmonic is exactly the wanted sine.
+    """Yield (start, stop, level) of equal steps whose first harmonic is exactly the required sine.
 
     `per` is the phase per unit of length, rad.
     """
@@ -141,6 +141,6 @@ def _staircase(low: float, high: float, of: Grating | Star, per: float) -> Itera
     count = round((high - low) / step)
     for i in range(count):
         start = low + i * step
-        # painted over by the next one: no paper shows through where they meet
+        # the next step overlaps this one, so that no paper is visible between them
         stop = start + (2 if i + 1 < count else 1) * step
         yield start, stop, float(np.clip(mean + amplitude * np.cos(per * (start + step / 2) + of.phase), 0, 1))

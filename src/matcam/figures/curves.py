@@ -1,4 +1,4 @@
-"""Curves over an angle or a position: the paper's Figures 3 to 6, and the loss that a rig is predicted to have."""
+"""Curves over an angle or a position: Figures 3 to 6 of the paper, and the predicted loss of a rig."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from matcam.forward.prediction import LOSS, Prediction
 _TABLE_COLOURS = (GREEN, ORANGE, PURPLE, BLACK)
 _MOST_TABLES = 4
 _LIMIT = f"{100 * LOSS:g} % loss"
-"""Name of the line at which the loss counts."""
+"""Label of the loss limit."""
 
 
 def fresnel_figure(
@@ -32,7 +32,7 @@ def fresnel_figure(
     """
     channel = result.sizes["channel"] // 2 if channel is None else channel
     with styled():
-        figure = Figure(figsize=(9.6, 5.0))  # its margins are known: a search for them takes as long as to draw it
+        figure = Figure(figsize=(9.6, 5.0))  # fixed margins: a search for them takes as long as drawing
         left, right = figure.subplots(1, 2, width_ratios=(2.1, 1))
         draw_fresnel(left, result, tables, channel)
         handles, labels = left.get_legend_handles_labels()
@@ -40,7 +40,7 @@ def fresnel_figure(
         figure.subplots_adjust(left=0.065, right=0.988, top=0.91, bottom=0.135 + 0.037 * rows, wspace=0.2)
         name = str(result["channel"].values[channel])
         left.set_title(title or f"{result.attrs['source']}: Fresnel term, channel {name}", loc="left")
-        # under the axes: measured curves go everywhere
+        # legend under the axes, because measured curves may cover any part of them
         figure.legend(handles, labels, loc="lower left", bbox_to_anchor=(0.05, 0.0), ncols=2, fontsize=8.2)
         _draw_loss(right, result)
     return figure
@@ -188,7 +188,7 @@ def loss_figure(data: xr.Dataset) -> Figure:
         axes = figure.subplots()
         theta = np.degrees(data["theta"].values)
         ratios = data["ratio"].values
-        # cividis: made to look the same to readers with and without red-green blindness
+        # cividis: similar appearance for readers with and without red-green blindness
         colours = matplotlib.colormaps["cividis"](np.linspace(0.0, 0.88, ratios.size))
         for ratio, colour in zip(ratios, colours, strict=True):
             one = data.sel(ratio=ratio)
@@ -234,7 +234,7 @@ def draw_corrected_lobe(axes: Axes, table: xr.Dataset, recorded: xr.DataArray, a
     axes.plot(theta_h[good], after[good], ".", color=GREEN, ms=5, label="supported")
     axes.set_xscale("log")
     axes.set_yscale("log")
-    axes.minorticks_off()  # a hundred artists for each panel, two thirds of a page's time
+    axes.minorticks_off()  # a hundred artists for each panel take two thirds of the time of a page
     top = np.nanmax(after[seen])
     axes.set_ylim(max(top * 1e-7, np.nanmin(before[seen]) / 2), top * 2)
     axes.set_xlabel(r"half angle $\theta_h$ [degrees]")

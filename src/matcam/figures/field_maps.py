@@ -1,4 +1,4 @@
-"""Maps of a calibration over the picture: the lens's width in each part of it, and how far colours lie apart."""
+"""Maps of a calibration over the image: local width of the lens, and lateral colour."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ if TYPE_CHECKING:
 COLOURS = {"R": VERMILION, "G": GREEN, "B": BLUE, "Y": BLACK, "grey": BLACK}
 """Colours in which channels are drawn."""
 _LONGER, _SHORTER = 8, 6  # parts along the sides of the picture
-_FEWEST = 2  # edges in a part: one may lie badly
-_ROUNDING = 0.02  # of the width: range below which colours would show nothing but noise
+_FEWEST = 2  # number of edges in a part, for robustness against one bad edge
+_ROUNDING = 0.02  # share of the width: a smaller range of colours would only show noise
 
 
 class BlurMap(NamedTuple):
-    """Hold the median blur in parts of the picture (rows, columns), NaN where too few edges lie, and how many do.
+    """Median blur in parts of the image (rows, columns), NaN with too few edges, and number of edges.
 
     Attributes:
         x: borders of the columns, px.
         y: borders of the rows, px.
         sigma: median width of the lens as a Gaussian, px.
-        edges: how many there are (no unit).
+        edges: their number (no unit).
     """
 
     x: np.ndarray
@@ -38,7 +38,7 @@ class BlurMap(NamedTuple):
 
 
 def blur_map(edges: EdgeTable, shape: tuple[int, int]) -> BlurMap:
-    """Return the median blur of edges in parts of the picture. shape: its height and width, px."""
+    """Compute the median blur of edges in parts of the image. shape: its height and width, px."""
     height, width = shape
     rows, columns = (_SHORTER, _LONGER) if width >= height else (_LONGER, _SHORTER)
     x, y = np.linspace(-0.5, width - 0.5, columns + 1), np.linspace(-0.5, height - 0.5, rows + 1)
@@ -80,7 +80,7 @@ def draw_blur_map(axes: Axes, edges: EdgeTable, shape: tuple[int, int], channel:
 
 
 def draw_lateral_colour(axes: Axes, found: Calibration, shape: tuple[int, int]) -> None:
-    """Draw how far other colours lie outside of green, from the picture's middle to its corners."""
+    """Draw the radial displacement of other colours from green, from the centre of the image to its corners."""
     corner = float(np.hypot(*shape) / 2)
     radius = np.linspace(0, corner, 101)
     for name, lateral in found.lateral_colour.items():
@@ -96,7 +96,7 @@ def draw_lateral_colour(axes: Axes, found: Calibration, shape: tuple[int, int]) 
 
 
 def lateral_shift(lateral: LateralColour, radius: np.ndarray, corner: float) -> np.ndarray:
-    """Return how far further out a colour lies, px, at radii px. corner: the radius of the picture's corners, px."""
+    """Compute the radial displacement of a colour, px, at radii px. corner: radius of the corners of the image, px."""
     linear = lateral.scale * corner
     rho = radius / corner
     return np.asarray(linear * rho + (lateral.corner - linear) * rho**3)

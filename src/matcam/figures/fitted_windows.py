@@ -1,4 +1,4 @@
-"""What is shown of a reconstruction, as numbers: the pixels about each highlight, and the pinhole's slices."""
+"""Data for figures of a reconstruction: the pixels about each highlight, and slices of the pinhole table."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ def fitted_windows(result: Reconstruction) -> xr.Dataset:
         result: the reconstruction.
 
     Returns:
-        Dataset over picture, window_row and window_column: `window_recorded` and `window_fitted` in the unit of the merged
-        pictures, `window_residual`, recorded less fitted in standard deviations of the noise; NaN where a pixel was not used,
-        the residual also where it was clipped. Over picture: `picture_name`, `picture_theta_d` (rad), and in px `window_left`
-        and `window_top`, the first column and row; `outline_column`, `outline_row` and `outline_radius`; `highlight_column`
-        and `highlight_row`, the brightest pixel of the fitted window.
+        Dataset over picture, window_row and window_column: `window_recorded` and `window_fitted` in the unit of the
+        merged pictures, `window_residual`, recorded less fitted in standard deviations of the noise; NaN if a pixel was
+        not used; the residual is also NaN if it was clipped. Over picture: `picture_name`, `picture_theta_d` (rad), and
+        in px `window_left` and `window_top`, the first column and row; `outline_column`, `outline_row` and
+        `outline_radius`; `highlight_column` and `highlight_row`, the brightest pixel of the fitted window.
     """
     solution, layout = result.fit.solution, result.fit.layout
     problem, p = solution.problem, solution.p
@@ -41,7 +41,9 @@ def fitted_windows(result: Reconstruction) -> xr.Dataset:
         left = np.where(used & ~pixels.clipped[:count], (values - model) / std, np.nan)
 
         def picture(flat: np.ndarray, turned: float = window.turned) -> np.ndarray:
-            square = flat.reshape(WINDOW, WINDOW)  # v before u, and u runs along the rows' axis where it is turned
+            square = flat.reshape(
+                WINDOW, WINDOW
+            )  # v before u; u runs along the axis of the rows if the window is turned
             return square.T if turned else square
 
         column, row = (window.pixel_v, window.pixel_u) if window.turned else (window.pixel_u, window.pixel_v)
@@ -73,7 +75,8 @@ def fitted_windows(result: Reconstruction) -> xr.Dataset:
 
 
 def pinhole_slice(pinhole: xr.DataArray, theta_d: int, channel: int) -> np.ndarray:
-    """Return a pinhole's slice over theta_h, 1/sr: the mean over phi_d, because few cells of one azimuth hold a pixel.
+    """Compute a slice of a pinhole table over theta_h, 1/sr: the mean over phi_d, because few cells of one azimuth
+    contain a pixel.
 
     Args:
         pinhole: the table.
@@ -81,7 +84,7 @@ def pinhole_slice(pinhole: xr.DataArray, theta_d: int, channel: int) -> np.ndarr
         channel: index of the channel.
 
     Returns:
-        Positive values; NaN where no pixel fell.
+        Positive values; NaN without pixels.
     """
     all_round = np.asarray(pinhole.values[:, theta_d, :, channel], dtype=float)
     there = np.isfinite(all_round)

@@ -1,8 +1,7 @@
-"""The HTML pages of `correct`: one for a corrected table, and the index of a run over many.
+"""HTML pages of `correct`: one for a corrected table, and the index of a run over many.
 
-Each is one file that can be read offline and kept with the data. The index can be sorted without a network and leads to each
-material's page. Figures state their margins: labels are as long whatever is drawn, and finding room for them would take half of
-a page's time.
+Each is one file that can be read offline and kept with the data. The index can be sorted offline and links to the page
+of each material. Figures have fixed margins, because computing them would take half of the time of a page.
 """
 
 from __future__ import annotations
@@ -35,7 +34,7 @@ from matcam.inverse.operator.rig_axes import LAMP, LENS
 
 _SLICES = (5, 45, 65, 75)
 _SPHERE = 180  # px
-_CLOSER = 20.0  # magnification of a highlight that no magnification shows whole
+_CLOSER = 20.0  # magnification of a highlight that no magnification shows completely
 _READ_AS = {
     "hwhm_rad": "half width at half maximum, rad",
     "tail_exponent": "tail exponent",
@@ -92,7 +91,7 @@ def reflectance_figure(raw: xr.DataArray, done: Correction) -> Figure:
     peak = peak * np.cos(angle) ** 2
     middle = (angle > np.radians(10)) & (angle < np.radians(45))
     used = (theta > 10) & (theta < 45)
-    scale = np.nanmean(fitted[used])  # below 0 where noise is all that there is of a lobe
+    scale = np.nanmean(fitted[used])  # negative where a lobe is only noise
     with styled():
         figure = Figure(figsize=(7.5, 4.2))
         axes = figure.subplots(gridspec_kw={"left": 0.1, "right": 0.98, "bottom": 0.13, "top": 0.97})
@@ -133,7 +132,7 @@ def lobe_figure(raw: xr.DataArray, done: Correction) -> Figure:
 def sphere_figure(raw: xr.DataArray, done: Correction) -> Figure:
     """Draw a sphere under one lamp 50 degrees from the camera, before and after, and its highlight magnified.
 
-    The brightness of the sphere is logarithmic, that of the highlight is encoded for the screen; a row has one scale.
+    The brightness of the sphere is logarithmic, that of the highlight is encoded for the screen; each row has one scale.
     """
     tables = raw.values, done.table["brdf"].values
     zoom = highlight_zoom(*tables) or _CLOSER
@@ -156,7 +155,7 @@ def sphere_figure(raw: xr.DataArray, done: Correction) -> Figure:
                 axes.set_title(f"{title}: {part}", loc="left")
                 axes.axis("off")
         figure.supxlabel(
-            f"one scale a row; above logarithmic, black {black:.1g} and white {white:.1g} 1/sr; below display-encoded",
+            f"one scale per row; above logarithmic, black {black:.1g} and white {white:.1g} 1/sr; below display-encoded",
             fontsize=8,
             color=GREY,
         )
@@ -164,17 +163,17 @@ def sphere_figure(raw: xr.DataArray, done: Correction) -> Figure:
 
 
 INLINE = 1000
-"""Materials up to which thumbnails (16 kB each) should stand in the page itself."""
+"""Number of materials up to which thumbnails (16 kB each) are embedded in the page."""
 
 
 class _Cell(NamedTuple):
-    """Hold one cell of the index.
+    """Cell of the index.
 
     Attributes:
-        value: what the column is sorted by; "" sorts last.
-        text: what is shown.
-        link: address that the text leads to; "" for none.
-        details: lines that a click on the text opens.
+        value: sort key of the column; "" is last.
+        text: displayed text.
+        link: address of the link; "" for none.
+        details: lines that open after a click on the text.
     """
 
     value: str
@@ -184,7 +183,7 @@ class _Cell(NamedTuple):
 
 
 class _Column(NamedTuple):
-    """Describe one column of the index: lines of its head, "text" or "number", and its cell of a record."""
+    """Column of the index: lines of its head, "text" or "number", and a function from a record to its cell."""
 
     head: tuple[str, ...]
     kind: str
@@ -204,11 +203,11 @@ def write_run_index(
 
     Args:
         path: HTML file to write.
-        records: (name, what NAME.json holds) of the finished materials, read one after the other. NAME.png and, if the
-            record lists it, NAME.html lie beside the index.
+        records: (name, content of NAME.json) of the finished materials, read one after the other. NAME.png and, if the
+            record lists it, NAME.html are beside the index.
         failures: one line for each material that failed.
-        summary: what all materials of the run have in common, in words. Default: "".
-        inline: whether thumbnails stand in the page itself; otherwise it names their files. Default: True.
+        summary: common settings of all materials of the run, in words. Default: "".
+        inline: whether thumbnails are embedded in the page; otherwise it links to their files. Default: True.
         force: whether to replace the file. Default: False.
     """
     folder = Path(path).parent
@@ -221,7 +220,7 @@ def write_run_index(
 
 
 def _thumbnail(folder: Path, name: str, inline: bool) -> str:
-    """Return the address of a material's thumbnail; "" if it is not there."""
+    """Return the address of the thumbnail of a material; "" if it does not exist."""
     if not inline:
         return quote(f"{name}.png")
     try:
@@ -231,28 +230,28 @@ def _thumbnail(folder: Path, name: str, inline: bool) -> str:
 
 
 def _material(record: dict[str, Any]) -> _Cell:
-    """Return the material's name, with a link to its page."""
+    """Return the name of the material, with a link to its page."""
     name = record["name"]
     listed = record.get("run", {}).get("files", {})
     return _Cell(name, name, f"{quote(name)}.html" if f"{name}.html" in listed else "")
 
 
 def _verdict(record: dict[str, Any]) -> _Cell:
-    """Return the verdict in two words, which open the whole of it and the remarks."""
+    """Return the verdict in two words, which open the full text and the remarks."""
     short = record.get("determination") or "not determined"
     verdict = record.get("verdict") or ""
     return _Cell(short, short, details=(verdict, *(remark["text"] for remark in record.get("remarks") or ())))
 
 
 def _number(value: Any, text: Callable[[float], str]) -> _Cell:
-    """Return a value that may be missing."""
+    """Format a value that may be missing."""
     if not isinstance(value, int | float) or not math.isfinite(value):
         return _Cell("", "-")
     return _Cell(repr(float(value)), text(float(value)))
 
 
 def _with_std(value: Any, std: Any, scale: float = 1.0) -> _Cell:
-    """Return a value with its standard deviation, both times `scale`."""
+    """Format a value with its standard deviation, both times `scale`."""
 
     def text(x: float) -> str:
         error = f" ± {std * scale:.1g}" if isinstance(std, int | float) and math.isfinite(std) else ""
@@ -262,20 +261,20 @@ def _with_std(value: Any, std: Any, scale: float = 1.0) -> _Cell:
 
 
 def _lobe(record: dict[str, Any]) -> _Cell:
-    """Return the lobe's family, and whether it is bent."""
+    """Name the family of the lobe, and whether it is spline-modified."""
     words = f"bent {record['fit']['ndf']}" if record["fit"].get("bent") else str(record["fit"]["ndf"])
     return _Cell(words, words)
 
 
 def _roughness(record: dict[str, Any]) -> _Cell:
-    """Return the first parameter of the fit, which is its lobe's; a bent lobe has a half width alone."""
+    """Return the first parameter of the lobe, or the half width of a spline-modified lobe."""
     params, std = record["fit"]["params"], record["fit"]["std"]
     name = None if record["fit"].get("bent") else next(iter(params), None)
     return _Cell("", "-") if name is None else _with_std(params[name], std.get(name))
 
 
 def _free_parameter(name: str, scale: float = 1.0) -> Callable[[dict[str, Any]], _Cell]:
-    """Return the column of a rig's parameter as the data would have it."""
+    """Build the column of a fitted parameter of the rig."""
 
     def cell(record: dict[str, Any]) -> _Cell:
         fit = (record.get("doubts") or {}).get(name)
@@ -285,7 +284,7 @@ def _free_parameter(name: str, scale: float = 1.0) -> Callable[[dict[str, Any]],
 
 
 def _peak_loss(degrees: str) -> Callable[[dict[str, Any]], _Cell]:
-    """Return the column of the peak's loss at an angle."""
+    """Build the column of the loss of the peak at an angle."""
     return lambda record: _number((record.get("peak_lost") or {}).get(degrees), lambda x: f"{x:.0%}")
 
 

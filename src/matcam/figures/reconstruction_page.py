@@ -1,4 +1,4 @@
-"""The HTML page of a reconstruction: verdict, error budget, and the pictures by which a reader can doubt it."""
+"""HTML page of a reconstruction: verdict, error budget, and figures for a critical check."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from matcam.reconstruction.stated.captured_scene import INCOMPLETE
 if TYPE_CHECKING:
     from matcam.reconstruction.reconstruction import Reconstruction
 
-_SHOWN = 18  # pictures whose highlights are drawn
+_SHOWN = 18  # number of images whose highlights are drawn
 _BUDGET = (
     ("ratio", "F at grazing angles over F at 10 to 45°, %", 100.0),
     ("level", "F at 10 to 45°, absolute, %", 100.0),
@@ -46,7 +46,7 @@ def write_reconstruction_page(
         path: HTML file to write.
         result: the reconstruction.
         name: title of the page.
-        overview: a picture in which the fitted outline and highlights are drawn. Default: None, not drawn.
+        overview: an image in which the fitted outline and highlights are drawn. Default: None, not drawn.
         exposures: name, relative light and its standard deviation of each exposure. Default: none.
         force: whether to replace the file. Default: False.
     """
@@ -81,21 +81,21 @@ def write_reconstruction_page(
 def _of_cylinder(result: Reconstruction) -> list[tuple[str, Figure]]:
     return [
         ("Profiles of the strips about their highlights: recorded and fitted", profile_figure(result)),
-        ("Fresnel term: as the pictures say, and the curve through them", reflectance_figure(result)),
+        ("Fresnel term: strengths of the pictures, and the curve through them", reflectance_figure(result)),
     ]
 
 
 def _of_sphere(result: Reconstruction, overview: MergedPicture | None) -> list[tuple[str, Figure]]:
     figures = [
-        ("Fresnel term: as the pictures say, and the curve through them", reflectance_figure(result)),
+        ("Fresnel term: strengths of the pictures, and the curve through them", reflectance_figure(result)),
         (
             "The lobe, as a perfect camera would have measured it, and as a pinhole reads the same pictures",
             lobe_figure(result),
         ),
-        ("Highlights: recorded, fitted, and what is left", highlight_figure(result)),
+        ("Highlights: recorded, fitted, and residual", highlight_figure(result)),
     ]
     if overview is not None:
-        figures.insert(0, ("Outline and highlights that were found", overview_figure(result, overview)))
+        figures.insert(0, ("Fitted outline and highlights", overview_figure(result, overview)))
     return figures
 
 
@@ -171,7 +171,7 @@ def draw_reflectance(axes: Axes, result: Reconstruction) -> None:
 def lobe_figure(result: Reconstruction) -> Figure:
     """Draw the BRDF over theta_h at several theta_d, phi_d = 90 degrees, and the pinhole's mean over phi_d beside it."""
     grid = merl_grid("centre")
-    theta_d = np.sort(np.degrees(result.fit.solution.theta_d))  # where a pinhole has cells, too
+    theta_d = np.sort(np.degrees(result.fit.solution.theta_d))  # where a pinhole table has cells, too
     slices = [float(theta_d[k]) for k in np.unique(np.linspace(0, len(theta_d) - 1, 4).round().astype(int))]
     table = result.table
     channel = table["brdf"].sizes["channel"] // 2

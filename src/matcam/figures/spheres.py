@@ -1,4 +1,4 @@
-"""Spheres for the eye: from a table's entries, as a thumbnail before and after, rendered, or as a rig pictures them."""
+"""Images of spheres: from the entries of a table, as thumbnails before and after, rendered, or as simulated by a rig."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from matcam.figures.style import GREY, styled
 from matcam.files import tone_curve as srgb
 
 _INSIDE = 32
-"""Points along each side of a pixel over which it is averaged."""
+"""Number of points along each side of a pixel for its average."""
 LAMP = np.radians(50.0)
-"""Angle between lamp and camera."""
+"""Angle between lamp and camera, rad."""
 
 
 def table_sphere(
     values: np.ndarray, size: int, zoom: float = 1.0, lamp: float = LAMP, azimuth: float = 0.0
 ) -> np.ndarray:
-    """Return the radiance of a sphere under a distant lamp, (size, size, channel).
+    """Compute the radiance of a sphere under a distant lamp, (size, size, channel).
 
     Args:
-        values: a table's values (theta_h, theta_d, phi_d, channel); the nearest entry is taken, and missing is dark.
+        values: a table's values (theta_h, theta_d, phi_d, channel); the nearest entry is used, and missing entries are dark.
         size: height and width, px.
         zoom: magnification about the highlight (no unit). Default: 1, the whole sphere.
         lamp: angle between lamp and camera, rad. Default: 50 degrees.
@@ -50,9 +50,9 @@ def table_sphere(
 
 
 def whole_sphere(values: np.ndarray, size: int) -> np.ndarray:
-    """Compute the picture of `table_sphere`, the pixel of the highlight being the mean over its area.
+    """Compute the image of `table_sphere`, with an area average for the pixel of the highlight.
 
-    A highlight may be much narrower than a pixel, so that no pixel's centre meets it.
+    A highlight may be much narrower than a pixel, and lie between the centres of pixels.
 
     Args:
         values: values of a table (theta_h, theta_d, phi_d, channel), 1/sr.
@@ -65,33 +65,33 @@ def whole_sphere(values: np.ndarray, size: int) -> np.ndarray:
 
 
 def encoded_for_screen(picture: np.ndarray, white: float) -> np.ndarray:
-    """Encode a radiance for a screen (sRGB), in [0, 1]: `white` is white, and what is brighter stays white."""
+    """Encode a radiance for a screen (sRGB), in [0, 1]: `white` and brighter values are white."""
     return srgb.encoded(np.clip(picture / max(white, 1e-300), 0, 1))
 
 
 def body_white(corrected: np.ndarray) -> float:
-    """Return the radiance to show as white so that a sphere's body is well exposed: its 99th percentile."""
+    """Choose the radiance of white for a well exposed body of the sphere: its 99th percentile."""
     lit = corrected[corrected > 0]
     return float(np.quantile(lit, 0.99)) if lit.size else 0.0
 
 
 _MOST_DECADES, _FEWEST_DECADES = 8.0, 2.0
 _DIMMEST = 0.05
-"""Quantile of the lit pixels that is drawn black, within the largest and smallest count of decades."""
+"""Quantile of the lit pixels that is drawn black, within the limits of the number of decades."""
 _BODY = 0.12
-"""Grey level of what is dimmer than the scale, so that a sphere without diffuse light is still seen."""
+"""Grey level of radiances below the scale, so that a sphere without diffuse light is visible."""
 _GROUND = 0.45
-"""Grey level of the ground behind a sphere on a logarithmic scale, so that a black body has a visible outline."""
+"""Grey level of the background of a sphere on a logarithmic scale, so that a black body has a visible outline."""
 
 
 def logarithmic_range(*pictures: np.ndarray) -> tuple[float, float]:
-    """Compute the radiances that are drawn black and white where pictures are compared on one logarithmic scale.
+    """Compute the radiances of black and white for images on one logarithmic scale.
 
     Args:
-        pictures: radiances (height, width, channel), any count of them.
+        pictures: radiances (height, width, channel), any number of them.
 
     Returns:
-        The 5 % quantile of what is lit, but at least 2 and at most 8 decades below the largest value; and that value.
+        The 5 % quantile of lit pixels, at least 2 and at most 8 decades below the largest value; and that value.
     """
     lit = np.concatenate([picture[picture > 0] for picture in pictures])
     if not lit.size:
@@ -102,10 +102,10 @@ def logarithmic_range(*pictures: np.ndarray) -> tuple[float, float]:
 
 
 def logarithmic(picture: np.ndarray, black: float, white: float) -> np.ndarray:
-    """Encode the radiance of `table_sphere` for a screen on a logarithmic scale, in [0, 1], before a grey ground.
+    """Encode the radiance of `table_sphere` for a screen on a logarithmic scale, in [0, 1], on a grey background.
 
-    A mirror's highlight is 10^6 times brighter than its body: on a linear scale the picture is a dot on black. The scale
-    acts on the brightest channel; the ratios of the channels, which are the colour, are those of sRGB.
+    A mirror's highlight is 10^6 times brighter than its body: on a linear scale the image would be a dot on black. The
+    scale acts on the brightest channel; the ratios of the channels, which are the colour, are those of sRGB.
 
     Args:
         picture: radiance (size, size, channel).
@@ -122,17 +122,17 @@ def logarithmic(picture: np.ndarray, black: float, white: float) -> np.ndarray:
 
 
 SIZE = 64
-"""Height of the picture and width of each half, px."""
+"""Height of the image and width of each half, px."""
 _INSET = 26
-"""Side of the magnified highlight in a thumbnail, px: it fits into the unlit side of the sphere."""
+"""Side of the magnified highlight in a thumbnail, px, which fits into the unlit side of the sphere."""
 _ZOOMS = (200.0, 60.0, 20.0, 6.0)
 """Magnifications of a highlight, from the finest cells of a table, 2e-4 rad, to a lobe of about 10 degrees."""
 _WHOLE = 0.3
-"""Share of its peak to which a highlight must fall before the border of a picture that shows it whole."""
+"""Share of its peak to which a highlight must fall at the border of an image that shows it completely."""
 
 
 def highlight_zoom(*tables: np.ndarray) -> float | None:
-    """Compute the largest magnification at which a picture shows the highlight of each table whole; None: at none.
+    """Compute the largest magnification at which an image shows the highlight of each table completely, or None.
 
     Args:
         tables: values (theta_h, theta_d, phi_d, channel), 1/sr.
@@ -174,7 +174,7 @@ def spheres_figure(pictures: Mapping[str, np.ndarray], light: str, exposure: flo
 
     Args:
         pictures: linear radiances (size, size, 3) by their titles.
-        light: what lights them, in words.
+        light: light source, in words.
         exposure: factor before display: radiance 1 / exposure is white. Default: 1.
     """
     with styled():
@@ -190,10 +190,10 @@ def spheres_figure(pictures: Mapping[str, np.ndarray], light: str, exposure: flo
 
 
 def picture_figure(data: xr.DataArray, title: str) -> Figure:
-    """Draw a rig's picture beside the profile through its axis.
+    """Draw the image of a rig beside the profile through its axis.
 
-    Left, the picture is encoded for display, the 99.5th percentile of what is lit as white. Right, the row through the
-    optical axis has a logarithmic scale, which shows what the eye does not.
+    Left, the picture is encoded for display, with the 99.5th percentile of lit pixels as white. Right, the row through
+    the optical axis on a logarithmic scale, which shows faint light.
 
     Args:
         data: picture (row, column[, channel]), from `picture`.

@@ -1,4 +1,4 @@
-"""The profiles of a cylinder's strips: recorded and fitted."""
+"""Recorded and fitted profiles of the strips of a cylinder."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _SHOWN = 6
 
 
 def profile_figure(result: Reconstruction) -> Figure:
-    """Draw the profiles about the highlight in some pictures, one colour a strip, and the residuals below."""
+    """Draw the profiles about the highlight in some images, one colour per strip, and the residuals below."""
     fit, solution = result.fit, result.fit.solution
     problem = solution.problem
     count = len(fit.names)

@@ -1,7 +1,7 @@
-"""The style of all figures and pages, and how they are written.
+"""Style and writing of all figures and pages.
 
-No pyplot: it keeps global state, and costs half a second. Colours: Okabe & Ito's, which colour-blind readers tell apart.
-Pages are Jinja2 templates (templates/*.html), which escape all that is put into them.
+pyplot is not used, because it has global state, and takes half a second to import. Colours: Okabe & Ito's, which
+colour-blind readers can distinguish. Pages are Jinja2 templates (templates/*.html), which escape all values.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ BLUE, VERMILION, GREEN, ORANGE, SKY, PURPLE, YELLOW, BLACK = (
 CYCLE = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY, BLACK)
 GREY = "#6E6E6E"
 _COLOUR_BAR = "<colorbar>"
-"""Label that Matplotlib gives to the axes of a colour bar, which stands beside its panel and below the panel's title."""
+"""Label that Matplotlib gives to the axes of a colour bar, which is beside its panel and below the title of the panel."""
 _GAP = 10.0
-"""Distance between titles of neighbouring panels, and difference in height of panels of one row, dots."""
+"""Distance between titles of neighbouring panels, and tolerance of the height of panels of one row, dots."""
 _SMALLEST = 7.0
 """Smallest size of a title, points: the size of the smallest labels."""
 
@@ -54,32 +54,32 @@ _RC: Any = {
 
 
 def styled() -> AbstractContextManager[None]:
-    """Return the context in which every figure is drawn."""
+    """Return the context for drawing of every figure."""
     return matplotlib.rc_context(_RC)
 
 
 def save(figure: Figure, path: str | Path, *, force: bool = False, dpi: float = 144) -> None:
-    """Write a figure without a date, so that the same data give the same file. `dpi` is a PNG's."""
+    """Write a figure without a date, so that the same data give the same file. `dpi` applies to PNG."""
     path = check_picture(path, force=force)
     if path.suffix.lower() == ".png":
         drawn = _png(figure, dpi)
     else:
         metadata = {".pdf": {"CreationDate": None}, ".svg": {"Date": None}}[path.suffix.lower()]
-        stream = io.BytesIO()  # on a full disk Matplotlib would raise what it likes
+        stream = io.BytesIO()  # Matplotlib raises arbitrary errors on a full disk
         with styled():
             figure.draw_without_rendering()
             fit_titles(figure)
             figure.savefig(stream, format=path.suffix.lower()[1:], dpi=dpi, metadata=metadata)
-        drawn = stream.getvalue()  # an open view of it, kept by an error, brings Python 3.12 down
+        drawn = stream.getvalue()  # an open view of it, kept by an error, crashes Python 3.12
     with replacing(path, force=force) as temporary:
         temporary.write_bytes(drawn)
 
 
 def fit_titles(figure: Figure) -> bool:
-    """Shrink each title of a drawn figure that would leave the figure or run into the panel to its right.
+    """Shrink titles of a drawn figure that would leave it or overlap the panel to the right.
 
-    Titles hold names of files and parameters of rigs, which may be long; Matplotlib clips them. A title that would have to
-    become smaller than 7 points is broken into lines as well.
+    Titles contain names of files and parameters of rigs, which may be long; Matplotlib clips them. A title that would
+    be smaller than 7 points is also broken into lines.
 
     Returns:
         True if a title was changed, so that the figure must be drawn again.
@@ -95,7 +95,7 @@ def fit_titles(figure: Figure) -> bool:
 
 
 def _end(figure: Figure, axes: Axes) -> float:
-    """Compute the position at which a panel's title must end, in dots: at the next panel of its row, or the figure's edge."""
+    """Compute the end of the space for the title of a panel, in dots: the next panel of its row, or the edge of the figure."""
     here = axes.get_window_extent()
     panels = [one.get_window_extent() for one in figure.axes if one.get_label() != _COLOUR_BAR]
     right = [box.x0 - _GAP for box in panels if box.x0 >= here.x1 and box.y0 < here.y1 < box.y1 + _GAP]
@@ -103,7 +103,7 @@ def _end(figure: Figure, axes: Axes) -> float:
 
 
 def _fit(title: Text, room: float) -> bool:
-    """Make a title fit a width in dots. Return whether it had to be changed."""
+    """Fit a title into a width in dots. Return whether it was changed."""
     width = title.get_window_extent().width
     if width <= room:
         return False
@@ -124,18 +124,18 @@ def degrees_axis(axes: Axes, label: str, end: float = 90) -> None:
 
 
 def nyquist_line(axes: Axes, height: float = 1.0) -> None:
-    """Mark the highest frequency that whole pixels resolve, 0.5 cycles/px; its name stands just below `height`."""
+    """Mark the highest frequency that whole pixels resolve, 0.5 cycles/px; its name is just below `height`."""
     axes.axvline(0.5, color=GREY, lw=0.8)
     axes.annotate("Nyquist", (0.5, height), xytext=(3, -9), textcoords="offset points", fontsize=8, color=GREY)
 
 
 def inline_png(figure: Figure) -> str:
-    """Return a figure as the address of an image that stands in its page."""
+    """Encode a figure as the address of an embedded image."""
     return "data:image/png;base64," + base64.b64encode(_png(figure, 110)).decode()
 
 
 def _png(figure: Figure, dpi: float) -> bytes:
-    """Return a figure as a PNG file. `savefig` would lay it out twice."""
+    """Encode a figure as a PNG file. `savefig` would compute the layout twice."""
     stream, drawn_for = io.BytesIO(), figure.dpi
     with styled():
         figure.dpi = dpi
@@ -149,7 +149,7 @@ def _png(figure: Figure, dpi: float) -> bytes:
 
 
 def write_page(path: str | Path, template: str, content: Mapping[str, Any], *, force: bool = False) -> None:
-    """Write an HTML page from one of the package's templates; everything in `content` is escaped."""
+    """Write an HTML page from a template of the package; all values in `content` are escaped."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
     environment = Environment(
@@ -161,4 +161,4 @@ def write_page(path: str | Path, template: str, content: Mapping[str, Any], *, f
     )
     text = environment.get_template(template).render(content)
     with replacing(path, force=force) as temporary:
-        temporary.write_text(text, encoding="utf-8", errors="xmlcharrefreplace")  # a folder's name may be no text
+        temporary.write_text(text, encoding="utf-8", errors="xmlcharrefreplace")  # the name of a folder may not be text

@@ -1,10 +1,11 @@
 """Universal BRDF data format (JSON) of the metrology institutes (EMPIR 16NRM08 BiRD, schemas of version 1.0).
 
-A document has "metadata" (who measured what with what) and "data": arrays of equal length, one entry a reading, each with its
-unit: theta_i, phi_i, theta_r, phi_r, BRDF, optionally its uncertainty uBRDF, wavelength_i, polarization_i and others.
+A document has "metadata" (who measured what with what) and "data": arrays of equal length with units, one entry per
+reading: theta_i, phi_i, theta_r, phi_r, BRDF, optionally its uncertainty uBRDF, wavelength_i, polarization_i and
+others.
 
-The reader places readings of one pair of directions beside each other as channels, one a wavelength and polarisation. The
-writer turns channels into the wavelengths that their names state ("550 nm"), or else into the ad hoc variable "channel".
+The reader arranges readings of one pair of directions as channels, one per wavelength and polarisation. The writer
+converts channels to the wavelengths in their names ("550 nm"), or otherwise to the ad hoc variable "channel".
 """
 
 from __future__ import annotations
@@ -27,21 +28,22 @@ from matcam.core.readers.texts import read_json
 from matcam.files.samples import checked_samples, samples_from
 
 SCHEMA = "urn:bird-project:brdf_json_schema_v1.0"
-"""Name of the schema, as the format demands it in its documents."""
+"""Name of the schema, which the format requires in its documents."""
 _ANGLES = ("theta_i", "phi_i", "theta_r", "phi_r")
 _ANGLE_UNITS = {"rad": 1.0, "deg": math.pi / 180, "°": math.pi / 180}
 _VALUE_UNITS = ("1/sr", "sr^-1")
 _NANO = {"nm": 1.0, "μm": 1e3, "µm": 1e3, "um": 1e3}
 _MOST = 2_000_000
-"""Readings that are written, at most: each takes about 100 bytes."""
+"""Largest number of readings that are written; each takes about 100 bytes."""
 _LONGEST_NAME = 60
-"""Characters in the name of a channel, at most, as in a CSV of samples; each name takes the memory of the longest."""
+"""Largest number of characters in the name of a channel, as in a CSV of samples; each name takes the memory of the longest."""
 _SPARSEST = 1000
-"""Cells of the table that is read for each reading, at most: it grows with the square of the readings where each is of
-another pair of directions and another channel. The 50,000 readings of the largest document then take 400 MB."""
+"""Largest number of cells of the resulting table per reading: it grows with the square of the readings if each has
+another pair of directions and another channel. The 50,000 readings of the largest document then take 400 MB.
+"""
 _NOT_STATED = "not stated"
 _GRAZING = 1e-9
-"""Distance from 90 degrees that angles keep: the schema excludes 90 degrees itself."""
+"""Smallest distance of written angles from 90 degrees, which the schema excludes."""
 
 
 def read_bird(path: str | Path) -> xr.DataArray:
@@ -51,11 +53,12 @@ def read_bird(path: str | Path) -> xr.DataArray:
         path: file to read (.brdf, .json).
 
     Returns:
-        Values in 1/sr, dims (sample, channel), NaN where a pair of directions was not read in a channel. Coordinates theta_h,
-        theta_d and phi_d are in rad. Channels are named by wavelength and polarisation ("550 nm s"), or "BRDF".
+        Values in 1/sr, dims (sample, channel), NaN where a channel has no reading of a pair of directions. Coordinates
+        theta_h, theta_d and phi_d are in rad. Channels are named by wavelength and polarisation ("550 nm s"), or
+        "BRDF".
 
     Raises:
-        FileFormatError: the file is no such document, or its arrays do not fit each other.
+        FileFormatError: the file is not such a document, or its arrays do not fit each other.
 
     Example:
         >>> import tempfile, pathlib
@@ -72,7 +75,7 @@ def read_bird(path: str | Path) -> xr.DataArray:
     document = read_json(path, "a BRDF in BiRD's format")
     data = document.get("data") if isinstance(document, dict) else None
     if not isinstance(data, dict):
-        raise FileFormatError(f'{path}: is no BRDF in BiRD\'s format: it has no object "data"')
+        raise FileFormatError(f'{path}: is not a BRDF in BiRD\'s format: it has no object "data"')
     angles = [_column(path, data, name, _ANGLE_UNITS) for name in _ANGLES]
     values = _column(path, data, "BRDF", dict.fromkeys(_VALUE_UNITS, 1.0))
     for name, angle in zip(_ANGLES, angles, strict=True):
@@ -96,7 +99,7 @@ def read_bird(path: str | Path) -> xr.DataArray:
     column = np.array([number[one] for one in channel])
     row = order[place.reshape(-1)]
     if len(set(zip(row.tolist(), column.tolist(), strict=True))) < len(values):
-        raise FileFormatError(f"{path}: states several values of one pair of directions and channel")
+        raise FileFormatError(f"{path}: has several values of one pair of directions and channel")
     table[row, column] = values
     kept = [a[np.sort(first)] for a in angles]
     return samples_from(table, [np.asarray(a) for a in half_and_difference(*kept)], names).assign_attrs(
@@ -107,7 +110,7 @@ def read_bird(path: str | Path) -> xr.DataArray:
 def write_bird(path: str | Path, samples: xr.DataArray, *, force: bool = False) -> None:
     r"""Write BRDF samples as a BiRD JSON file.
 
-    What the format demands and the samples do not state (who measured, of what) is written as "not stated".
+    Required fields that the samples do not have (such as the laboratory) are written as "not stated".
 
     Args:
         path: file to write (.brdf).

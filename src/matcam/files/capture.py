@@ -1,12 +1,10 @@
-"""A capture: a folder of photographs of a sample under a moved lamp, and what is known of the rig.
+"""Capture: a folder of photographs of a sample under a moved lamp, with a description of the rig.
 
-    capture.toml    what is known: units in the names, a value or [value, standard deviation]
-    frames.csv      file,lamp,angle_deg,azimuth_deg,exposure,time_s     one line a picture; empty where it does not apply
-    frames/         pictures of the sample, one for each lamp position and exposure
-    dark/           lens covered, by exposure
-    flat/           evenly lit, pairs of one exposure
-    outline/        the sample before a bright field
-    reference/      a white patch or a monitor in pictures of its own, for a lamp position
+    capture.toml    description of the rig: units in the names, a value or [value, standard deviation] frames.csv
+    file,lamp,angle_deg,azimuth_deg,exposure,time_s     one line a picture; empty where it does not apply frames/
+    pictures of the sample, one for each lamp position and exposure dark/           lens covered, by exposure flat/
+    evenly lit, pairs of one exposure outline/        the sample before a bright field reference/      a white patch or
+    a monitor in pictures of its own, for a lamp position
 
 docs/capture.md lists the fields, `json_schema()` is the published schema (docs/capture-v1.schema.json). Bad settings are an
 error; a bad picture is left out and named in `Capture.problems`. Nothing outside of the folder is read.
@@ -48,14 +46,14 @@ Region = tuple[int, int, int, int]
 
 @dataclass(frozen=True)
 class Capture:
-    """Hold what a capture states, and read its frames when they are asked for.
+    """Description of a capture, and access to its frames.
 
     Attributes:
-        folder: where it lies.
-        frames: the pictures that can be used, in the order of `frames.csv`.
+        folder: folder of the capture.
+        frames: the usable images, in the order of `frames.csv`.
         lamps: lamp positions by name, in the same order.
         settings: capture.toml, checked, with all defaults.
-        problems: what is wrong with the other pictures, each naming its frame.
+        problems: errors of the other images, each with its frame.
     """
 
     folder: Path
@@ -65,7 +63,7 @@ class Capture:
     problems: tuple[Remark, ...] = ()
 
     def of(self, kind: str, lamp: str | None = None, exposure: str | None = None) -> list[CaptureFrame]:
-        """Return the frames of a kind, of one lamp position or exposure where that is given."""
+        """Select the frames of a kind, and optionally of one lamp position or exposure."""
         return [
             frame
             for frame in self.frames
@@ -74,31 +72,31 @@ class Capture:
 
     @property
     def exposures(self) -> list[str]:
-        """Return the exposures of the sample's pictures, the shortest nominal time first."""
+        """Return the exposures of the images of the sample, the shortest nominal time first."""
         times: dict[str, float] = {}
         for frame in self.of("frames"):
             times.setdefault(frame.exposure, frame.time)
         return sorted(times, key=lambda name: (math.isnan(times[name]), times[name]))
 
     def time(self, exposure: str) -> float:
-        """Return the nominal time of an exposure, s; NaN where it is not stated."""
+        """Return the nominal time of an exposure, s; NaN: unknown."""
         return next((f.time for f in self.frames if f.exposure == exposure and not math.isnan(f.time)), math.nan)
 
     @property
     def profile(self) -> Path | None:
-        """Return the file of the camera's profile; None where there is none."""
+        """Return the file of the camera profile; None without one."""
         name = self.settings["camera"]["profile"]
         return None if name is None else self.folder / name
 
     @property
     def mask(self) -> Path | None:
-        """Return the picture whose bright or dark disc is the sphere; None where there is none."""
+        """Return the image whose bright or dark disc is the sphere; None without one."""
         name = self.settings["outline"]["mask"]
         return None if name is None else self.folder / name
 
     @property
     def circle(self) -> tuple[tuple[float, float], Stated] | None:
-        """Return (column, row) of the sphere's outline and its radius, px; None: not stated."""
+        """Return (column, row) of the outline of the sphere and its radius, px; None: not given."""
         section = self.settings["outline"]
         if section["radius_px"] is None:
             return None
@@ -107,49 +105,49 @@ class Capture:
 
     @property
     def radius_mm(self) -> Stated | None:
-        """Return the sample's radius, mm; None: not stated."""
+        """Return the radius of the sample, mm; None: not given."""
         return _as_stated(self.settings["sample"]["radius_mm"])
 
     def stated(self, name: str) -> Stated | None:
-        """Return a value of [sample] by its field's name, such as "axis_column_px"; None: not stated."""
+        """Return a value of [sample] by the name of its field, such as "axis_column_px"; None: not given."""
         return _as_stated(self.settings["sample"][name])
 
     @property
     def camera_radii(self) -> Stated | None:
-        """Return the camera's distance from the sample's centre, in its radii; None: not stated."""
+        """Return the distance of the camera from the centre of the sample, in its radii; None: not given."""
         return self._in_radii("camera_mm")
 
     @property
     def lamp_radii(self) -> Stated | None:
-        """Return the lamp's distance from the sample's centre, in its radii; None: not stated."""
+        """Return the distance of the lamp from the centre of the sample, in its radii; None: not given."""
         return self._in_radii("lamp_mm")
 
     @property
     def direction_std(self) -> float:
-        """Return how well the lamps' directions are stated: standard deviation of each of two angles, rad."""
+        """Return the standard deviation of the directions of the lamps: of each of two angles, rad."""
         return math.radians(self.settings["lamp"]["direction_std_deg"])
 
     @property
     def reference_region(self) -> Region | None:
-        """Return where the reference stands in every frame; None: it is not in the frames."""
+        """Return the region of the reference in every frame; None: it is not in the frames."""
         section = self.settings["reference"]
         return None if section is None or section["apart"] else self.reference_place
 
     @property
     def reference_place(self) -> Region | None:
-        """Return where the reference stands in the frames that show it, the sample's or its own; None: not stated."""
+        """Return the region of the reference in the frames of the sample or in its own; None: not given."""
         section = self.settings["reference"]
         return None if section is None or section["region_px"] is None else tuple(section["region_px"])
 
     @property
     def reference_apart(self) -> bool:
-        """Say whether the reference stands in pictures of its own, in reference/."""
+        """Check whether the reference has its own images in reference/."""
         section = self.settings["reference"]
         return section is not None and bool(section["apart"])
 
     @property
     def region(self) -> Region | None:
-        """Return the part of the frames that is used; None: all of it."""
+        """Return the part of the frames that is used; None: the whole frame."""
         box = self.settings["sample"]["region_px"]
         return None if box is None else tuple(box)
 
@@ -161,14 +159,14 @@ class Capture:
         return Stated(ratio, ratio * math.hypot(distance.std / distance.value, radius.std / radius.value))
 
     def read(self, frame: CaptureFrame, region: Region | None = None) -> Photograph:
-        """Read a frame, or a region of it, as it lies in its file.
+        """Read a frame, or a region of it, without conversion.
 
         Args:
             frame: one of `frames`.
             region: first column, first row, width, height, px. None: the whole frame. Default: None.
 
         Returns:
-            The picture's codes; nothing is converted.
+            The codes of the image.
 
         Raises:
             FileFormatError: the file is missing, damaged, or no longer inside the folder.
@@ -181,12 +179,12 @@ def _as_stated(pair: list[float] | None) -> Stated | None:
 
 
 def read_capture(folder: str | Path) -> Capture:
-    """Read what a capture states, and which of its frames are there.
+    """Read the description of a capture, and list its frames.
 
-    No picture is decoded. Frames that are missing or stated wrongly are left out and listed in `problems`.
+    No picture is decoded. Missing or wrongly described frames are left out and listed in `problems`.
 
     Args:
-        folder: where `capture.toml` and `frames.csv` lie.
+        folder: folder of `capture.toml` and `frames.csv`.
 
     Returns:
         The capture.
@@ -217,7 +215,7 @@ def read_capture(folder: str | Path) -> Capture:
 
 
 def _check_light(folder: Path, settings: dict[str, Any], lamps: dict[str, LampGuess]) -> None:
-    """Refuse a way of knowing the lamps' light without what it needs."""
+    """Raise FileFormatError if the source of the light of the lamps lacks its data."""
     said, path = settings["lamp"]["intensity"], folder / SETTINGS
     lacking = [name for name, guess in lamps.items() if not guess.intensity]
     if said == "reference" and settings["reference"] is None:
@@ -263,12 +261,12 @@ def json_schema() -> dict[str, Any]:
 
 
 def _inside(folder: Path, name: str) -> Path:
-    """Return the path of a file of the folder; FileFormatError where it leads out of it."""
+    """Return the path of a file of the folder; FileFormatError if it is outside."""
     return listed_file(folder, name, "the capture's folder")
 
 
 def _listed(folder: Path) -> tuple[list[CaptureFrame], dict[str, LampGuess], list[Remark]]:
-    """Return the frames of frames.csv that are there, the lamps, and what is wrong with the others."""
+    """Return the existing frames of frames.csv, the lamps, and errors of the others."""
     path = folder / LIST
     check_within(path, folder)
     reader = csv.reader(f"{line}\n" for line in read_lines(path, "the list of a capture"))
@@ -279,7 +277,7 @@ def _listed(folder: Path) -> tuple[list[CaptureFrame], dict[str, LampGuess], lis
     except csv.Error as error:
         raise FileFormatError(f"{path}: line {reader.line_num}: {error}") from None
     if not lines or sorted(set(lines[0][1]) - {INTENSITY}) != sorted(COLUMNS):
-        got = " ".join(",".join(lines[0][1]).split()) if lines else "nothing"  # a cell in quotes may have many lines
+        got = " ".join(",".join(lines[0][1]).split()) if lines else "nothing"  # a quoted cell may have many lines
         raise FileFormatError(f"{path}: first line must be {','.join(COLUMNS)}, got {got:.100}")
     if len(lines) > _MOST:
         raise FileFormatError(f"{path}: {len(lines)} lines; a capture has at most {_MOST} frames")
@@ -322,18 +320,18 @@ def _listed(folder: Path) -> tuple[list[CaptureFrame], dict[str, LampGuess], lis
 def _frame(
     folder: Path, row: dict[str, str], seen: set[str], lamps: dict[str, LampGuess]
 ) -> tuple[CaptureFrame, LampGuess | None] | None:
-    """Return one line's frame and lamp; None where there is no such file, FileFormatError where it cannot be used."""
+    """Parse the frame and lamp of one line; None for a missing file, FileFormatError for an unusable line."""
     name = row["file"]
     path = _inside(folder, name)
     kind = PurePosixPath(name).parts[0]
     if kind not in KINDS or len(PurePosixPath(name).parts) != 2:
-        raise FileFormatError(f"{path}: lies in none of {', '.join(KINDS)}")
+        raise FileFormatError(f"{path}: is in none of {', '.join(KINDS)}")
     if name in seen:
         raise FileFormatError(f"{path}: is listed twice")
     if not is_file(path):
         return None
     if path.suffix.lower() not in PICTURES:
-        raise FileFormatError(f"{path}: is no picture by its suffix")
+        raise FileFormatError(f"{path}: its suffix is not that of a picture")
     values = {}
     for column in ("angle_deg", "azimuth_deg", "time_s"):
         try:
@@ -357,14 +355,14 @@ def _frame(
         guess = LampGuess(math.radians(values["angle_deg"]), math.radians(values["azimuth_deg"]), light)
         known = lamps.get(lamp)
         if known is not None and not np.allclose(known[:2], guess[:2], atol=1e-9, rtol=0, equal_nan=True):
-            raise FileFormatError(f"{path}: lamp {lamp} is stated at another place than before")
+            raise FileFormatError(f"{path}: lamp {lamp} has another position than before")
         if known is not None and known.intensity != guess.intensity:
-            raise FileFormatError(f"{path}: lamp {lamp} is stated with another intensity than before")
+            raise FileFormatError(f"{path}: lamp {lamp} has another intensity than before")
     return CaptureFrame(name, kind, lamp, row["exposure"], values["time_s"]), guess
 
 
 def _unlisted(folder: Path, frames: Iterable[CaptureFrame], problems: Iterable[Remark]) -> list[Remark]:
-    """Name the pictures of the folder that frames.csv does not list."""
+    """Name the images of the folder that are not in frames.csv."""
     listed = {frame.file for frame in frames}
     named = {str(problem).partition(": ")[0] for problem in problems}
     extra: list[str] = []

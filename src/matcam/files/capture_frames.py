@@ -1,4 +1,4 @@
-"""What a capture's list states: a picture, and where a lamp position is thought to be (capture.py reads it)."""
+"""Entries of the list of a capture: images and lamp positions (read by capture.py)."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ import numpy as np
 from matcam.core.errors import FileFormatError
 
 INTENSITY = "intensity"
-"""A column that only a table of the lamps' light needs: one number, or one of each colour."""
+"""Name of the column that only a table of the light of lamps requires: one number, or one per colour."""
 
 
 class CaptureFrame(NamedTuple):
-    """Name one picture of a capture.
+    """Image of a capture.
 
     Attributes:
         file: name inside the folder, such as "frames/L05_E2.tif".
-        kind: "frames", "dark", "flat", "outline" or "reference": the folder in which it lies.
-        lamp: the lamp position; empty where there is none.
-        exposure: which exposure; pictures of one exposure share their time.
-        time: nominal exposure time, s; NaN: not stated.
+        kind: "frames", "dark", "flat", "outline" or "reference": the name of its folder.
+        lamp: the lamp position; empty without one.
+        exposure: name of the exposure; images of one exposure share their time.
+        time: nominal exposure time, s; NaN: unknown.
     """
 
     file: str
@@ -33,12 +33,12 @@ class CaptureFrame(NamedTuple):
 
 
 class LampGuess(NamedTuple):
-    """State where a lamp position is thought to be, seen from the sample's centre.
+    """Stated direction of a lamp, seen from the centre of the sample.
 
     Attributes:
-        angle: between lamp and optical axis, rad; NaN: not stated.
-        azimuth: about the axis from +x (right) towards +y (up), rad; NaN: not stated.
-        intensity: the lamp's light, relative: one number, or one of each colour; empty: not stated.
+        angle: between lamp and optical axis, rad; NaN: unknown.
+        azimuth: about the axis from +x (right) towards +y (up), rad; NaN: unknown.
+        intensity: the lamp's light, relative: one number, or one of each colour; empty: unknown.
     """
 
     angle: float
@@ -47,13 +47,13 @@ class LampGuess(NamedTuple):
 
     @property
     def direction(self) -> np.ndarray:
-        """Return the unit vector (x, y, z) to the lamp; NaN where an angle is not stated."""
+        """Return the unit vector (x, y, z) to the lamp; NaN if an angle is unknown."""
         sin = math.sin(self.angle)
         return np.array([sin * math.cos(self.azimuth), sin * math.sin(self.azimuth), math.cos(self.angle)])
 
 
 def stated_intensity(path: Path, text: str) -> tuple[float, ...]:
-    """Return a lamp's stated light: numbers above 0, with spaces between those of colours."""
+    """Parse the light of a lamp: positive numbers, with spaces between those of colours."""
     try:
         light = tuple(float(part) for part in text.split())
     except ValueError:

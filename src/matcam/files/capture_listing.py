@@ -1,7 +1,8 @@
-"""The list of a capture from a folder of photographs: names, lamp positions, exposures and their times.
+"""List of a capture from a folder of photographs: names, lamp positions, exposures and their times.
 
-Pictures in the folder itself, or in its subfolder frames/, show the sample; those in dark/, flat/, outline/ and reference/ what
-these names say. Exposure times come from the files' metadata, directions from a light position file.
+Pictures in the folder itself, or in its subfolder frames/, show the sample; those in dark/, flat/, outline/ and
+reference/ are of the kind of their folder. Exposure times come from the files' metadata, directions from a light
+position file.
 """
 
 from __future__ import annotations
@@ -26,9 +27,9 @@ from matcam.files.photographs import PICTURES, open_photograph
 from matcam.files.picture_header import exposure_time
 
 _SAME_TIME = 1.1
-"""Ratio of two exposure times up to which they are one exposure: steps of a third of a stop are 1.26."""
+"""Ratio of two exposure times below which they are one exposure: steps of a third of a stop are 1.26."""
 _SAME_LAMP = math.radians(0.01)
-"""Angle between two directions up to which a light position file states one lamp position."""
+"""Angle between two directions below which a light position file gives one lamp position."""
 _SPLIT = re.compile(r"(?P<lamp>.+)[_-](?P<exposure>[^_-]+)")
 _MOST_EXPOSURES = 12
 
@@ -40,7 +41,7 @@ class Listing:
     Attributes:
         rows: lines of frames.csv by column.
         copies: picture -> its name in the capture.
-        notes: what the user should know or fill in.
+        notes: remarks, and fields that the user should fill in.
     """
 
     rows: list[dict[str, Any]] = field(default_factory=list)
@@ -48,7 +49,7 @@ class Listing:
     notes: list[str] = field(default_factory=list)
 
     def copy_to(self, folder: Path, *, force: bool = False) -> None:
-        """Copy the pictures into the folder of the capture; those that are there already stay.
+        """Copy the pictures into the folder of the capture; those that exist already are kept.
 
         Args:
             folder: of the capture.
@@ -71,8 +72,9 @@ class Listing:
 def list_photographs(source: str | Path, light_positions: str | Path | None = None) -> Listing:
     """List the photographs of a folder as a capture.
 
-    Photographs of one lamp position are found by, in this order: the light position file; names that end in the exposure, such
-    as "L01_E1"; exposure times that repeat from one lamp position to the next. Else each photograph has its own lamp position.
+    Photographs of one lamp position are grouped by, in this order: the light position file; names that end in the
+    exposure, such as "L01_E1"; exposure times that repeat from one lamp position to the next. Otherwise each photograph
+    has its own lamp position.
 
     Args:
         source: folder of photographs.
@@ -82,7 +84,7 @@ def list_photographs(source: str | Path, light_positions: str | Path | None = No
         The list.
 
     Raises:
-        ArgumentError: the folder holds no photograph.
+        ArgumentError: the folder contains no photograph.
         FileFormatError: the folder is missing, or the light position file is wrong.
     """
     source = Path(source)
@@ -90,14 +92,14 @@ def list_photographs(source: str | Path, light_positions: str | Path | None = No
     found = {kind: _pictures(source / kind) for kind in KINDS}
     found["frames"] = sorted([*_pictures(source), *found["frames"]], key=_in_order)
     if not found["frames"]:
-        text = f"{source}: holds no photograph of the sample ({', '.join(PICTURES[:6])} or camera raw)"
+        text = f"{source}: contains no photograph of the sample ({', '.join(PICTURES[:6])} or camera raw)"
         raise ArgumentError(text)
     listing = Listing()
     others = [
         path.name for path in _files(source) if path.suffix.lower() not in (*PICTURES, ".lp", ".csv", ".toml", ".json")
     ]
     if others:
-        listing.notes.append(f"{some_of(others)}: no picture of a known format; convert it to TIFF or PNG")
+        listing.notes.append(f"{some_of(others)}: not a picture of a known format; convert it to TIFF or PNG")
     times = {path: exposure_time(path) for paths in found.values() for path in paths}
     names = _exposure_names([time for time in times.values() if time is not None])
     positions = _light_positions(source, light_positions)
@@ -136,13 +138,13 @@ def _pictures(folder: Path) -> list[Path]:
 
 
 def _in_order(path: Path) -> list[tuple[int, int, str]]:
-    """Return a key by which picture 2 stands before picture 10."""
+    """Return a key that sorts image 2 before image 10."""
     parts = re.split(r"(\d+)", path.name.lower())
     return [(1, int(part), "") if part.isdecimal() else (0, 0, part) for part in parts]
 
 
 def _exposure_names(times: Sequence[float]) -> list[tuple[float, str]]:
-    """Return the least time and the name of each exposure, the shortest first."""
+    """Return the smallest time and the name of each exposure, the shortest first."""
     least: list[float] = []
     for time in sorted(times):
         if not least or time > _SAME_TIME * least[-1]:
@@ -151,7 +153,7 @@ def _exposure_names(times: Sequence[float]) -> list[tuple[float, str]]:
 
 
 def _exposure(time: float, names: Sequence[tuple[float, str]]) -> tuple[float, str]:
-    """Return the time, the same for all its pictures, and the name of the exposure of a picture."""
+    """Return the common time and the name of the exposure of an image."""
     return [one for one in names if one[0] <= time][-1]
 
 
@@ -166,7 +168,7 @@ def _light_positions(source: Path, path: str | Path | None) -> list[LightPositio
 
 
 def _matching(path: Path, directions: dict[str, LightPosition]) -> LightPosition | None:
-    """Return the lamp of a photograph: by its name, else by its name without suffix, as files are often converted."""
+    """Find the lamp of a photograph by its name, or by its name without suffix, because files are often converted."""
     if path.name.lower() in directions:
         return directions[path.name.lower()]
     stem = path.stem.lower()
@@ -176,10 +178,10 @@ def _matching(path: Path, directions: dict[str, LightPosition]) -> LightPosition
 def _lamp_names(
     frames: Sequence[Path], times: dict[Path, float | None], positions: list[LightPosition] | None
 ) -> dict[Path, tuple[str, str]]:
-    """Return the lamp position of each photograph, and the exposure that its name states, empty where it states none."""
+    """Return the lamp position of each photograph, and the exposure in its name, or empty."""
     by_name = {one.file.lower(): one for one in positions or ()}
     stated = {path: one for path in frames if (one := _matching(path, by_name)) is not None}
-    if stated and len(stated) == len(frames):  # of a bracket some tables name one photograph
+    if stated and len(stated) == len(frames):  # some tables name one photograph per bracket
         seen: list[np.ndarray] = []
         found = {}
         for path, one in stated.items():
@@ -214,7 +216,7 @@ def _named(frames: Sequence[Path], at: dict[Path, int], count: int) -> dict[Path
 
 
 def _kind_notes(path: Path) -> list[str]:
-    """Return the remarks on the first picture of the sample, which name the settings that accept it."""
+    """Describe the first image of the sample, with the settings that accept it."""
     try:
         values = open_photograph(path).values
     except MatcamError as error:
@@ -244,7 +246,7 @@ def _notes(
     notes += _kind_notes(found["frames"][0])
     unknown = [path.name for path, time in times.items() if time is None]
     if unknown:
-        notes.append(f"{some_of(unknown)}: the file states no exposure time: fill in time_s, or leave it empty")
+        notes.append(f"{some_of(unknown)}: the file has no exposure time: fill in time_s, or leave it empty")
     if positions is None:
         notes.append(
             "angle_deg and azimuth_deg are empty: fill them in, or give a light position file (.lp) with --lamps"
@@ -262,6 +264,6 @@ def _notes(
     missing = [kind for kind in ("dark", "outline") if not found[kind]]
     if missing:
         notes.append(
-            f"no pictures in {' and '.join(f'{kind}/' for kind in missing)}: docs/capture.md says what they are for"
+            f"no pictures in {' and '.join(f'{kind}/' for kind in missing)}: docs/capture.md describes their purpose"
         )
     return notes

@@ -1,4 +1,4 @@
-"""The fields of capture.toml: their types, limits and defaults. docs/capture.md says what they mean."""
+"""Fields of capture.toml: types, limits and defaults. docs/capture.md describes their meaning."""
 
 from __future__ import annotations
 
@@ -20,14 +20,16 @@ _TOO_LARGE = 1e12
 
 
 class Stated(NamedTuple):
-    """Hold a stated value with its standard deviation, in one unit; a standard deviation of 0 says that it is exact."""
+    """Stated value with its standard deviation, in one unit; a standard deviation of 0 means exact."""
 
     value: float
     std: float = 0.0
 
 
 def _stated(low: float, high: float = math.inf) -> tuple[BeforeValidator, WithJsonSchema]:
-    """Return what checks a value or [value, standard deviation] within limits, and its schema; it is kept as a list of two."""
+    """Build the validator of a value or [value, standard deviation] within limits, and its schema; both become a list
+    of two.
+    """
 
     def check(value: Any) -> list[float]:
         pair = value if isinstance(value, list) else [value, 0.0]
@@ -63,7 +65,7 @@ _ONLY = {
     "flat": ("tilt_deg", "mm_per_px"),
     "cylinder": ("outline_radius_px", "axis_column_px", "centre_row_px", "strip_rows_px", "strip_turn_deg"),
 }
-"""Fields of [sample] that only one kind of sample has."""
+"""Fields of [sample] that belong to one kind of sample only."""
 
 
 class _Strict(BaseModel):
@@ -96,7 +98,7 @@ class _Sample(_Strict):
         for kind, names in _ONLY.items():
             for name in names:
                 if self.kind != kind and getattr(self, name) is not None:
-                    raise ValueError(f"{name} belongs to a {kind}, and kind is {self.kind}")
+                    raise ValueError(f"{name} belongs to a {kind}, but kind is {self.kind}")
         rows, turns = self.strip_rows_px, self.strip_turn_deg
         if turns is not None and len(turns) != len(rows or ()):
             raise ValueError(f"strip_turn_deg has {len(turns)} angles for {len(rows or ())} strips of strip_rows_px")
@@ -144,7 +146,7 @@ class _Outline(_Strict):
 
 
 class CaptureSettings(_Strict):
-    """Check the tables of capture.toml; docs/capture.md says what the fields mean."""
+    """Tables of capture.toml with their checks; docs/capture.md describes the fields."""
 
     format: Literal["matcam capture"]
     version: Literal[1]

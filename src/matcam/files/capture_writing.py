@@ -1,4 +1,4 @@
-"""Write captures: a commented template to fill in, and the files of a whole capture (capture.py reads them)."""
+"""Writing of captures: a commented template, and the files of a whole capture (read by capture.py)."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def write_template(folder: str | Path, rows: Iterable[Mapping[str, Any]] = (), *
     """Write a commented capture.toml, a frames.csv, and the folders of the frames.
 
     Args:
-        folder: where the capture will lie; it is made.
+        folder: folder of the capture; it is created.
         rows: lines of frames.csv by column. Default: none.
         force: replace an existing capture.toml and frames.csv (no unit). Default: False.
 
@@ -97,9 +97,9 @@ def write_description(
     """Write capture.toml and frames.csv.
 
     Args:
-        folder: where the capture lies.
-        settings: tables of capture.toml by name, values that JSON can hold.
-        rows: lines of frames.csv by column; what is missing stays empty.
+        folder: folder of the capture.
+        settings: tables of capture.toml by name, values that JSON can represent.
+        rows: lines of frames.csv by column; missing cells are empty.
         force: replace existing files (no unit). Default: False.
     """
     for name, content in ((SETTINGS, as_toml(settings)), (LIST, _table(rows))):
@@ -124,7 +124,7 @@ def write_codes(path: Path, codes: np.ndarray, *, force: bool = False) -> None:
 
 
 def as_toml(settings: Mapping[str, Any]) -> str:
-    """Return tables of plain values as TOML: JSON's numbers, texts and lists are TOML's, too."""
+    """Format tables of plain values as TOML: numbers, texts and lists of JSON are valid TOML."""
     lines = [f"{key} = {json.dumps(value)}" for key, value in settings.items() if not isinstance(value, dict)]
     for name, table in settings.items():
         if isinstance(table, dict):

@@ -1,10 +1,10 @@
 """Labelled arrays (xarray Datasets) on disk: as NetCDF-4, and as Zarr in one zip file.
 
-NetCDF-4 is self-describing and read by xarray, MATLAB, R and most else. Zarr (version 3, .zarr.zip) is what `xarray.open_zarr`
-reads, here and from object storage. It is a zip and not a folder, because a file appears whole or not at all; its members carry
-CRC-32 checksums. Zarr needs the extra `matcam[scale]`.
+NetCDF-4 is self-describing and supported by xarray, MATLAB, R and many others. `xarray.open_zarr` reads Zarr (version
+3, .zarr.zip) from disk and from object storage. It is a zip and not a folder, because a file can be written atomically;
+its members carry CRC-32 checksums. Zarr needs the extra `matcam[scale]`.
 
-Both formats may claim to hold far more than they do, so that sizes are checked before anything is read.
+Headers of both formats may claim far more data than there are, so sizes are checked before reading.
 """
 
 from __future__ import annotations
@@ -32,17 +32,17 @@ def write_netcdf(path: str | Path, data: xr.Dataset, *, force: bool = False, com
     """Write a Dataset with its attributes as NetCDF-4.
 
     A table of standard deviations, a float64 variable of more than two dimensions whose name ends in _std, is stored as
-    float32: 7 digits of an uncertainty suffice. All other variables keep their type and every bit.
+    float32: 7 digits of an uncertainty suffice. All other variables are stored exactly.
 
     Args:
         path: file to write (.nc).
         data: result with labels and units.
         force: replace an existing file (no unit). Default: False.
-        compress: whether to compress its arrays by deflate at level 1, without loss; every reader of NetCDF-4 knows it.
-            Default: True.
+        compress: whether to compress its arrays by deflate at level 1, without loss; every reader of NetCDF-4 supports
+            it. Default: True.
 
     Raises:
-        ArgumentError: `data` is no Dataset.
+        ArgumentError: `data` is not a Dataset.
         OutputError: the file cannot be written, or exists and `force` is False.
 
     Example:
@@ -56,7 +56,7 @@ def write_netcdf(path: str | Path, data: xr.Dataset, *, force: bool = False, com
     """
     _check_dataset(data)
     checks.flag("compress", compress)
-    # uninterrupted: xarray's lock stays shut where it is interrupted, and closing the file waits for it
+    # uninterrupted: an interruption would leave xarray locked, and closing the file would wait for the lock
     with replacing(path, force=force) as temporary, uninterrupted():
         stored = with_short_deviations(data)
         _write(temporary, stored, _compressed(stored) if compress else {})
@@ -68,12 +68,12 @@ _Encoding = dict[str, dict[str, Any]]
 
 
 def _write(path: Path, data: xr.Dataset, encoding: _Encoding) -> None:
-    # in memory first: HDF5 crashes on a full disk
+    # in memory first, because HDF5 crashes on a full disk
     path.write_bytes(data.to_netcdf(engine="h5netcdf", format="NETCDF4", encoding=encoding))
 
 
 def with_short_deviations(data: xr.Dataset) -> xr.Dataset:
-    """Convert tables of standard deviations to float32; what exceeds its range becomes its largest value."""
+    """Convert tables of standard deviations to float32; values beyond its range become its largest value."""
     tables = {
         name: one
         for name, one in data.data_vars.items()
@@ -86,7 +86,7 @@ def with_short_deviations(data: xr.Dataset) -> xr.Dataset:
 
 
 def _compressed(data: xr.Dataset) -> _Encoding:
-    """Encode each array of numbers compressed: a table by its first dimension, whole where it has few."""
+    """Encode each array of numbers compressed: a table in chunks along its first dimension, or whole if that is short."""
     encoding: _Encoding = {}
     for name, one in data.data_vars.items():
         if one.ndim and one.dtype.kind in "biuf":
@@ -95,7 +95,7 @@ def _compressed(data: xr.Dataset) -> _Encoding:
 
 
 def _readable(path: Path, data: xr.Dataset) -> bool:
-    """Check that `read_netcdf` accepts a compressed file. It refuses arrays that are much larger than their file."""
+    """Check that `read_netcdf` accepts a compressed file: it refuses arrays that are much larger than their file."""
     try:
         shapes = {str(name): (one.shape, one.dtype) for name, one in data.variables.items()}
         check_stored_sizes(path, path.stat().st_size, shapes)
@@ -114,7 +114,7 @@ def read_netcdf(path: str | Path) -> xr.Dataset:
         The Dataset, in memory.
 
     Raises:
-        FileFormatError: the file is no NetCDF-4 file, is damaged, or claims to hold more than 16 times its bytes.
+        FileFormatError: the file is not NetCDF-4, is damaged, or claims more than 16 times its bytes.
 
     Example:
         >>> import tempfile, xarray
@@ -133,7 +133,7 @@ def read_netcdf(path: str | Path) -> xr.Dataset:
     stored = read_apart("matcam.files.decoders:decode_netcdf", path, libraries=("h5py", "h5netcdf"))
     try:
         return xr.decode_cf(xr.Dataset(_variables(stored), attrs=stored["attrs"]))
-    except Exception as error:  # labels that contradict each other
+    except Exception as error:  # inconsistent labels
         raise FileFormatError(f"{path}: damaged NetCDF file: {one_line(error)}") from None
 
 
@@ -146,7 +146,7 @@ def write_zarr(path: str | Path, data: xr.Dataset, *, force: bool = False) -> No
         force: replace an existing file (no unit). Default: False.
 
     Raises:
-        ArgumentError: `data` is no Dataset, or zarr is not installed.
+        ArgumentError: `data` is not a Dataset, or zarr is not installed.
         OutputError: the file cannot be written, or exists and `force` is False.
 
     Example:
@@ -162,11 +162,11 @@ def write_zarr(path: str | Path, data: xr.Dataset, *, force: bool = False) -> No
     members: dict[str, Any] = {}
     store = _storage().MemoryStore(members)
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # text has no final specification in Zarr 3: other readers may not know it
-        # not compressed: a reader can tell from the file's size what it may have to hold
+        warnings.simplefilter("ignore")  # text has no final specification in Zarr 3: other readers may not support it
+        # not compressed, so that the size of the file bounds the required memory
         plain = {name: {"compressors": ()} for name in data.variables}
         data.to_zarr(store, zarr_format=3, consolidated=False, encoding=plain)
-    # by way of memory, because a zip cannot replace what was written to it, and the attributes are written twice
+    # through memory, because a zip cannot replace a member, and the attributes are written twice
     with replacing(path, force=force) as temporary, zipfile.ZipFile(temporary, "w", zipfile.ZIP_STORED) as packed:
         for name in sorted(members, key=lambda name: (not name.endswith(DESCRIPTION), name)):
             packed.writestr(name, members[name].to_bytes())
@@ -176,14 +176,14 @@ def read_zarr(path: str | Path) -> xr.Dataset:
     """Read a Dataset, whole, from Zarr in one zip file.
 
     Args:
-        path: zip file whose members are stored as they are (zip -0).
+        path: zip file with uncompressed members (zip -0).
 
     Returns:
         The Dataset, in memory.
 
     Raises:
         ArgumentError: zarr is not installed.
-        FileFormatError: the file is no Zarr in a zip, is damaged, or claims to hold more than 16 times its bytes.
+        FileFormatError: the file is not Zarr in a zip, is damaged, or claims more than 16 times its bytes.
 
     Example:
         >>> import tempfile, xarray
@@ -209,7 +209,7 @@ def read_zarr(path: str | Path) -> xr.Dataset:
             if isinstance(fill := variable["attrs"].get("_FillValue"), str):  # base64 of its bytes, as xarray writes it
                 variable["attrs"]["_FillValue"] = FillValueCoder.decode(fill, variable["values"].dtype)
         return xr.decode_cf(xr.Dataset(_variables(stored), attrs=stored["attrs"]))
-    except Exception as error:  # labels that contradict each other
+    except Exception as error:  # inconsistent labels
         raise FileFormatError(f"{path}: damaged Zarr: {one_line(error)}") from None
 
 

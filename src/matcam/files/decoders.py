@@ -1,7 +1,7 @@
-"""Decode labelled arrays, apart: what runs in a process of its own (apart.py) to read NetCDF-4 and Zarr.
+"""Decoders of labelled arrays (NetCDF-4 and Zarr), which run in a separate process (apart.py).
 
-Nothing here trusts its file. Before any value is read, these are refused by name: links and storage in other files, groups,
-filters and codecs beyond a short list (others are loaded as plugins), and arrays larger than 16 times the file.
+Files are not trusted. Before any value is read, these are rejected: links and storage in other files, groups, filters
+and codecs beyond a short list (others are loaded as plugins), and arrays larger than 16 times the file.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from matcam.core.errors import ArgumentError, FileFormatError
 
 _MOST_TIMES, _MOST_VARIABLES, _SPARE = 16, 256, 1 << 16
 _BYTES_A_TEXT = 64
-"""Bytes of memory that a text of variable length takes: an object of Python and the pointers to it."""
+"""Memory of a text of variable length, bytes: a Python object and the pointers to it."""
 _FILTERS = {1: "deflate", 2: "shuffle", 3: "fletcher32", 4: "szip", 5: "nbit", 6: "scaleoffset"}
-"""HDF5's own filters by number. Any other is a plugin."""
+"""Built-in filters of HDF5 by number. Any other is a plugin."""
 _CODECS = {"bytes", "crc32c", "gzip", "zstd", "blosc", "transpose", "vlen-utf8"}
 _NUMBERS = {
     "bool",
@@ -35,44 +35,44 @@ _NUMBERS = {
 _TEXTS = {"string", "fixed_length_utf32"}
 DESCRIPTION = "zarr.json"
 _DESCRIPTION_BYTES = 1 << 20
-_LONGEST_END = 22 + (1 << 16)  # bytes: what ends a zip, with its comment
+_LONGEST_END = 22 + (1 << 16)  # bytes: end of a zip, with its comment
 _LOCAL_HEADER = 30  # bytes, without its name and extra field
 
 
 def check_stored_sizes(path: Path, size: int, variables: Mapping[str, tuple[tuple[int, ...], Any]]) -> None:
-    """Refuse arrays that are larger than their file could hold.
+    """Check that arrays are not larger than their file can represent.
 
-    FileFormatError where a length is not a whole number from 0, and where arrays of these shapes and types take more than 16
-    times the file's bytes together: damaged, or compressed beyond what is trusted.
+    FileFormatError if a length is not a non-negative integer, or if the arrays together take more than 16 times the
+    bytes of the file: damaged, or compressed too strongly.
     """
     if len(variables) > _MOST_VARIABLES:
         raise FileFormatError(f"{path}: {len(variables)} variables: damaged, or not a result")
     total = 0
     for name, (shape, kind) in variables.items():
         check_lengths(path, name, shape)
-        # text of any length does not state its size
+        # text of variable length has no stated size
         each = kind.itemsize if isinstance(kind, np.dtype) and kind.kind != "O" else _BYTES_A_TEXT
         total += math.prod(shape) * max(each, 1)
         if total > _MOST_TIMES * size + _SPARE:
             raise FileFormatError(
                 f"{path}: variable {name!r:.60} of {' x '.join(map(str, shape))} values does not fit into {size} bytes: "
-                "damaged, or compressed beyond what is trusted"
+                "damaged, or compressed too strongly"
             )
 
 
 def check_lengths(path: Path, name: str, shape: Sequence[Any]) -> None:
-    """Check that lengths are whole numbers from 0. FileFormatError."""
+    """Check that lengths are non-negative integers. FileFormatError."""
     if not all(type(length) is int and length >= 0 for length in shape):
         raise FileFormatError(f"{path}: variable {name!r:.60} has the lengths {list(shape)!r:.60}: damaged")
 
 
 def one_line(error: Exception) -> str:
-    """Return a library's complaint as one line, cut short."""
+    """Format an error of a library as one line, shortened."""
     return " ".join(str(error).split())[:120] or type(error).__name__
 
 
 def decode_netcdf(path: Path) -> dict[str, Any]:
-    """Return the variables and attributes of a NetCDF-4 file as plain arrays."""
+    """Read the variables and attributes of a NetCDF-4 file as plain arrays."""
     import h5netcdf
     import h5py
 
@@ -87,12 +87,12 @@ def decode_netcdf(path: Path) -> dict[str, Any]:
                 return {"variables": variables, "attrs": _texts(file.attrs)}
     except FileFormatError:
         raise
-    except Exception as error:  # the library raises whatever its C code returned
+    except Exception as error:  # the library raises the errors of its C code
         raise FileFormatError(f"{path}: damaged NetCDF file: {one_line(error)}") from None
 
 
 def _texts(attributes: Mapping[str, Any]) -> dict[str, Any]:
-    """Return attributes with text as text: one character alone is stored as a byte."""
+    """Convert attributes with text to text: a single character is stored as a byte."""
     return {
         name: value.decode("utf-8", "replace") if isinstance(value, bytes) else value
         for name, value in attributes.items()
@@ -117,7 +117,7 @@ def _check_hdf5(path: Path, file: Any) -> None:
         if isinstance(variable, h5py.Group):
             raise FileFormatError(f"{path}: {name!r:.60} is a group; results have variables only")
         if not isinstance(variable, h5py.Dataset):
-            continue  # a named type, which no variable needs to be read
+            continue  # a named type, which no variable requires
         if variable.external:
             raise FileFormatError(
                 f"{path}: variable {name!r:.60} is stored in another file, {variable.external[0][0]!r:.80}: not read"
@@ -125,7 +125,9 @@ def _check_hdf5(path: Path, file: Any) -> None:
         if variable.is_virtual:
             raise FileFormatError(f"{path}: variable {name!r:.60} is put together from other files: not read")
         if variable.dtype.kind == "O" and h5py.check_string_dtype(variable.dtype) is None:
-            raise FileFormatError(f"{path}: variable {name!r:.60} holds lists or references; numbers and text are read")
+            raise FileFormatError(
+                f"{path}: variable {name!r:.60} contains lists or references; only numbers and text are read"
+            )
         creation = variable.id.get_create_plist()
         seen: set[int] = set()
         for number in range(creation.get_nfilters()):
@@ -138,16 +140,16 @@ def _check_hdf5(path: Path, file: Any) -> None:
                 raise FileFormatError(f"{path}: variable {name!r:.60} passes {_FILTERS[code]} twice: damaged")
             seen.add(code)
         shapes[name] = (variable.shape or (), variable.dtype)
-        if variable.chunks:  # a chunk is decoded whole, however little of it belongs to the array
+        if variable.chunks:  # a chunk is decoded completely, even if the array uses little of it
             shapes[f"{name} (chunk)"] = (variable.chunks, variable.dtype)
-    # nothing is read before this: a damaged dimension is filled with as many values as it says
+    # checked before reading, because a damaged dimension is filled up to its stated length
     size = path.stat().st_size
     check_stored_sizes(path, size, {name: v for name, v in shapes.items() if not name.endswith(" (chunk)")})
     check_stored_sizes(path, size, {name: v for name, v in shapes.items() if name.endswith(" (chunk)")})
 
 
 def decode_zarr(path: Path) -> dict[str, Any]:
-    """Return the variables and attributes of a Zarr in one zip file as plain arrays."""
+    """Read the variables and attributes of a Zarr in one zip file as plain arrays."""
     try:
         import zarr
         from zarr import storage
@@ -185,13 +187,13 @@ def decode_rows(folder: Path, *, arrays: list[str], row: int | None = None) -> d
 
 
 def _check_zarr(path: Path) -> None:
-    """Check the zip's list of members, then every description, before anything is decoded."""
+    """Check the directory of the zip, then every description, before decoding."""
     size = path.stat().st_size
     _check_directory(path, size)
     with zipfile.ZipFile(path) as archive:
         members = archive.infolist()
         if any(m.compress_type != zipfile.ZIP_STORED or max(m.file_size, m.compress_size) > size for m in members):
-            raise FileFormatError(f"{path}: damaged, or compressed by zip: members are stored as they are (zip -0)")
+            raise FileFormatError(f"{path}: damaged, or compressed by zip: members must be uncompressed (zip -0)")
         _check_members(path, size, members)
         described = {}
         for member in members:
@@ -230,7 +232,7 @@ def check_codecs(path: Path, name: str, document: dict[str, Any]) -> None:
     kind = document["data_type"]
     kind = kind["name"] if isinstance(kind, dict) else kind
     if kind not in _NUMBERS | _TEXTS:
-        raise FileFormatError(f"{path}: {name!r:.60} holds values of type {kind!r:.40}; numbers and text are read")
+        raise FileFormatError(f"{path}: {name!r:.60} has values of type {kind!r:.40}; only numbers and text are read")
     if document["chunk_grid"]["name"] != "regular":
         raise FileFormatError(f"{path}: {name!r:.60} has no regular chunks")
     if document.get("storage_transformers"):
@@ -247,7 +249,7 @@ def chunk_shape(document: dict[str, Any]) -> tuple[int, ...]:
 
 
 def _width(kind: Any) -> np.dtype | None:
-    """Return a type of the width of one value; None for text of any length."""
+    """Return a type with the width of one value; None for text of variable length."""
     if isinstance(kind, dict):
         length = kind.get("configuration", {}).get("length_bytes")
         return np.dtype(f"V{int(length)}") if length else None
@@ -255,7 +257,7 @@ def _width(kind: Any) -> np.dtype | None:
 
 
 def _check_members(path: Path, size: int, members: list[zipfile.ZipInfo]) -> None:
-    """Refuse members that overlap or stand twice: many that share the same bytes are a bomb."""
+    """Reject members that overlap or occur twice, because many members with the same bytes are a zip bomb."""
     end = 0
     for member in sorted(members, key=lambda m: m.header_offset):
         if member.header_offset < end:
@@ -265,11 +267,11 @@ def _check_members(path: Path, size: int, members: list[zipfile.ZipInfo]) -> Non
         raise FileFormatError(f"{path}: damaged: its members end at byte {end} of {size}")
     names = [member.filename for member in members]
     if len(set(names)) < len(names):
-        raise FileFormatError(f"{path}: damaged: a member stands in it twice")
+        raise FileFormatError(f"{path}: damaged: a member occurs twice")
 
 
 def _check_directory(path: Path, size: int) -> None:
-    """Check where the zip's list of members lies, because memory is asked for as much of it as it claims."""
+    """Check the position of the directory of the zip, because its claimed size is allocated."""
     with path.open("rb") as file:
         file.seek(max(0, size - _LONGEST_END))
         end = file.read()

@@ -22,18 +22,19 @@ from matcam.core.io import reading, replacing
 from matcam.core.readers.names import is_file
 
 MERL_SOURCE = "https://zenodo.org/records/8101681/files/BRDFDatabase.zip"
-"""The MERL BRDF database as its owners publish it since 2023 (CC BY-SA 4.0, doi:10.5281/zenodo.8101680): one archive,
-out of which single materials are read by HTTP range requests."""
+"""Address of the MERL BRDF database as published by its owners (CC BY-SA 4.0, doi:10.5281/zenodo.8101680): one archive,
+from which single materials are read by HTTP range requests.
+"""
 
 SOURCE_SETTING = "MATCAM_MERL_SOURCE"
 """Environment variable that names another source: an archive (ending in .zip) or a folder of NAME.binary files."""
 
 _SIZE = 34_992_012  # bytes of every MERL file
 _TIMEOUT = 60  # s without a byte
-_DEADLINE = 1800.0  # s for one file, however it drips
+_DEADLINE = 1800.0  # s for one file
 _BLOCK = 1 << 16  # bytes
-_TAIL = 1 << 17  # bytes at an archive's end, where its list of members is
-_MOST_AT_ONCE = 16 << 20  # bytes that a list of members may take
+_TAIL = 1 << 17  # bytes at the end of an archive that contain its directory
+_MOST_AT_ONCE = 16 << 20  # largest size of a directory, bytes
 
 
 @cache
@@ -53,13 +54,13 @@ def fetch_merl(
 ) -> Path:
     """Fetch one published MERL file and check it.
 
-    A file that is there and is right is kept. Nothing is left where something goes wrong, and no more is read than such a
-    file holds, whatever the server sends.
+    A correct file that exists is kept. After an error no file is left, and at most the size of the published file is read.
 
     Args:
         material: name as published, such as "chrome".
         folder: folder to put NAME.binary into.
-        source: an archive (ending in .zip) or folder on another server. Default: None, `SOURCE_SETTING`, else `MERL_SOURCE`.
+        source: an archive (ending in .zip) or folder on another server. Default: None, `SOURCE_SETTING`, otherwise
+            `MERL_SOURCE`.
         progress: function that is called with (done, total) bytes. Default: None.
         force: replace a file of that name that is not the published one (no unit). Default: False.
 
@@ -68,7 +69,7 @@ def fetch_merl(
 
     Raises:
         ArgumentError: the material is unknown; the message names the nearest.
-        DownloadError: the file cannot be had, or is not, by its SHA-256, the published one.
+        DownloadError: the file cannot be fetched, or its SHA-256 is not that of the published one.
         OutputError: another file has its name and `force` is False, or it cannot be written.
     """
     checksums = merl_checksums()
@@ -88,7 +89,7 @@ def fetch_merl(
                 if progress:
                     progress(done, _SIZE)
         if digest.hexdigest() != checksums[material]:
-            raise DownloadError(f"{material}: what {source} sent is not the published file (SHA-256 differs)")
+            raise DownloadError(f"{material}: the file from {source} is not the published one (SHA-256 differs)")
     return path
 
 
@@ -98,8 +99,8 @@ def _sha256(path: Path) -> str:
 
 
 def _pieces(source: str, material: str) -> Generator[bytes]:
-    """Yield a published file piece by piece, no more bytes than it has. DownloadError for whatever goes wrong."""
-    # half a second that only a download should cost
+    """Yield a published file in pieces, at most its size. DownloadError for all failures."""
+    # imported here, because it takes half a second that only a download requires
     import requests
     import urllib3
 
@@ -128,7 +129,7 @@ def _limited(pieces: Iterable[bytes], source: str) -> Iterator[bytes]:
             raise DownloadError(f"{source}: sends more than the {_SIZE} bytes of the published file")
         yield piece
     if done < _SIZE:
-        raise DownloadError(f"{source}: it broke off after {done} of {_SIZE} bytes")
+        raise DownloadError(f"{source}: the connection ended after {done} of {_SIZE} bytes")
 
 
 def _member(web: _Web, source: str, name: str) -> Iterator[bytes]:
@@ -148,13 +149,13 @@ def _member(web: _Web, source: str, name: str) -> Iterator[bytes]:
 
 
 class _Web:
-    """Make requests that end at a deadline, and read no more of an answer than is asked for."""
+    """HTTP requests with a deadline, which read at most the requested bytes."""
 
     def __init__(self, session: Any, deadline: float):
         self.session, self.deadline = session, deadline
 
     def stream(self, address: str, span: tuple[int, int] | None = None) -> Iterator[bytes]:
-        """Yield what a server answers, as it comes; `span`: only these bytes, first and last."""
+        """Yield the answer of a server in pieces; `span`: only these bytes, first and last."""
         headers = {"Accept-Encoding": "identity"} | ({"Range": f"bytes={span[0]}-{span[1]}"} if span else {})
         with self.session.get(address, headers=headers, timeout=_TIMEOUT, stream=True) as reply:
             reply.raise_for_status()
@@ -163,7 +164,7 @@ class _Web:
             left = span[1] - span[0] + 1 if span else _SIZE + 1
             read = getattr(
                 reply.raw, "read1", reply.raw.read
-            )  # what has come, so that a dripping server meets the deadline
+            )  # received pieces, so that a slow server meets the deadline
             while left > 0 and (piece := read(min(_BLOCK, left))):
                 left -= len(piece)
                 yield piece
@@ -172,17 +173,17 @@ class _Web:
 
     @staticmethod
     def _check_span(address: str, reply: Any, span: tuple[int, int]) -> None:
-        """Check that these bytes are coming, and no others."""
+        """Check that the answer contains exactly these bytes."""
         if reply.status_code != 206:
             raise DownloadError(
                 f"{address}: this server sends only the whole archive; fetch and unpack it yourself, or name a folder of files"
             )
         stated = reply.headers.get("Content-Range", "")
         if not re.fullmatch(rf"bytes {span[0]}-[0-9]{{1,18}}/[0-9]{{1,18}}", stated):
-            raise DownloadError(f"{address}: answers a request for some bytes with {stated!r:.60}")
+            raise DownloadError(f"{address}: answered a range request with {stated!r:.60}")
 
     def size(self, address: str) -> int:
-        """Return a file's size, bytes: by a request for one byte, because some servers answer HEAD differently."""
+        """Return the size of a file, bytes, by a request for one byte, because some servers answer HEAD differently."""
         headers = {"Accept-Encoding": "identity", "Range": "bytes=0-0"}
         with self.session.get(address, headers=headers, timeout=_TIMEOUT, stream=True) as reply:
             reply.raise_for_status()
@@ -191,7 +192,7 @@ class _Web:
 
 
 class _RemoteFile(io.RawIOBase):
-    """Read a file on a server as zipfile reads: its end from memory, the rest as a stream for as long as no place is left out.
+    """Remote file for zipfile: its end from memory, the remainder as a stream while it is read sequentially.
 
     Attributes:
         size: of the file, bytes.

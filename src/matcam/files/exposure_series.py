@@ -1,14 +1,14 @@
-"""A series of exposures of an evenly lit field and of darkness, from which a sensor is characterised.
+"""Series of exposures of a uniform field and of darkness, from which a sensor is characterised.
 
-Two kinds of folders are read. One has a descriptor, a text file in the format of the public EMVA 1288 reference data sets:
+There are two kinds of folders. One has a descriptor, a text file in the format of the public EMVA 1288 reference data sets:
 
     n 12 640 480                    bits, width, height
     b 40000.0 120.0                 lit: exposure time, ns, and photons a pixel
     i images/b_000_snap_001.png     a file, relative to the descriptor; two or more of each exposure
     d 40000.0                       dark: exposure time, ns
 
-The other has pictures in folders dark/ and flat/, or with names that begin so. Exposure times stand in the names
-("flat_20ms_1.tif") or in the files' metadata; the lamp stays the same.
+The other has pictures in folders dark/ and flat/, or with names that begin so. Exposure times are in the names
+("flat_20ms_1.tif") or in the metadata of the files; the lamp is constant.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class ExposureSet(NamedTuple):
     Attributes:
         lit: whether the field was lit.
         time: exposure time, s.
-        photons: photons a pixel; NaN: not stated, and the light is proportional to the time.
+        photons: photons per pixel; NaN: unknown, and the light is proportional to the time.
         files: the frames.
     """
 
@@ -63,12 +63,12 @@ class ExposureSet(NamedTuple):
 
 @dataclass(frozen=True)
 class ExposureSeries:
-    """Exposures of an evenly lit field and of darkness.
+    """Exposures of an uniform field and of darkness.
 
     Attributes:
         source: folder or descriptor that was read.
         sets: frames of each exposure, dark ones first, then by light.
-        bits: depth of the codes; None: not stated.
+        bits: depth of the codes; None: unknown.
     """
 
     source: Path
@@ -81,7 +81,7 @@ class ExposureSeries:
         return "photons" if all(math.isfinite(one.photons) for one in self.sets if one.lit) else "s"
 
     def light(self, one: ExposureSet) -> float:
-        """Relative light of an exposure: photons a pixel, or the exposure time, s."""
+        """Relative light of an exposure: photons per pixel, or the exposure time, s."""
         return one.photons if self.light_unit == "photons" else one.time
 
 
@@ -176,15 +176,13 @@ def _listed(folder: Path) -> ExposureSeries:
         stated = _TIME.findall(re.sub(r"[_-]", " ", str(inside)))
         time = float(stated[-1][0]) * _UNITS[stated[-1][1]] if stated else exposure_time(file)
         if time is None:
-            raise FileFormatError(
-                f"{file}: states no exposure time, neither in its metadata nor in its name, as in flat_20ms_1.tif"
-            )
+            raise FileFormatError(f"{file}: has no exposure time in its metadata or its name, as in flat_20ms_1.tif")
         key = (lit, f"{time:.{_DIGITS}g}")
         one = found.setdefault(key, ExposureSet(lit, time, math.nan if lit else 0.0, ()))
         found[key] = one._replace(files=(*one.files, file))
     if not found:
         raise FileFormatError(
-            f"{folder}: holds no exposures: it needs pictures in dark/ and flat/, names that begin so, or a descriptor"
+            f"{folder}: contains no exposures: it needs pictures in dark/ and flat/, names that begin so, or a descriptor"
         )
     return _series(folder, found.values(), None)
 

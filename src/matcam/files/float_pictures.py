@@ -14,8 +14,8 @@ OpenEXR: one part, scan lines, 32-bit floats, lossless. All little-endian.
          -  chunks: int32 y, int32 size, then so many bytes
 
 Channels: "Y" for (H, W); "R", "G", "B" for three; "C0000", "C0001", ... for any other number (the format keeps them in
-alphabetical order). The whole skeleton is checked here before the library sees the file, which trusts it. Files are
-decoded apart (picture_decoders.py).
+alphabetical order). The structure is checked here before the library decodes the file, because the library trusts it.
+Decoding runs in a separate process (picture_decoders.py).
 """
 
 from __future__ import annotations
@@ -37,15 +37,15 @@ from matcam.files.picture_header import LARGEST, check_memory, check_promised, p
 _DECODERS = "matcam.files.picture_decoders"
 _MAGIC, _FLOAT, _MOST_CHANNELS = 20000630, 2, 4096
 _LINES_PER_CHUNK = {0: 1, 1: 1, 2: 1, 3: 16, 4: 32}
-"""Compression -> scan lines to a chunk: none, RLE, ZIPS, ZIP, PIZ. The others lose digits of floats."""
+"""Compression to number of scan lines per chunk: none, RLE, ZIPS, ZIP, PIZ. The others lose digits of floats."""
 _LONGEST_HEADER = 1 << 20  # bytes
 
 
 def as_float32(picture: ArrayLike) -> np.ndarray:
-    """Return a picture as contiguous float32.
+    """Convert an image to contiguous float32.
 
-    NaN (missing) and infinities pass. ArgumentError for a wrong shape, for complex numbers or text, and for values that float32
-    cannot hold.
+    NaN (missing) and infinities pass. ArgumentError for a wrong shape, for complex numbers or text, and for values
+    beyond float32.
     """
     given = checks.plain_array("picture", picture)
     labels = [str(label) for label in np.atleast_1d(getattr(picture, "coords", {}).get("channel", ()))]
@@ -63,12 +63,12 @@ def as_float32(picture: ArrayLike) -> np.ndarray:
         stored = np.ascontiguousarray(given, dtype=np.float32)
     lost = np.isinf(stored) & np.isfinite(given)
     if np.any(lost):
-        raise ArgumentError(f"picture must lie within float32's range, got {given[lost].flat[0]:g}")
+        raise ArgumentError(f"picture must lie within the range of float32, got {given[lost].flat[0]:g}")
     return stored
 
 
 def file_size(path: Path) -> int:
-    """Return a file's size in bytes; FileFormatError if there is no file that can be read."""
+    """Return the size of a file in bytes; FileFormatError without a readable file."""
     with reading(path, "a picture"):
         return path.stat().st_size
 
@@ -82,7 +82,7 @@ def write_float_tiff(path: str | Path, picture: ArrayLike, *, force: bool = Fals
         force: replace an existing file (no unit). Default: False.
 
     Raises:
-        ArgumentError: the picture has another shape, or values that float32 cannot hold.
+        ArgumentError: the picture has another shape, or values beyond float32.
         OutputError: the file cannot be written, or exists and `force` is False.
 
     Example:
@@ -117,7 +117,7 @@ def read_float_tiff(path: str | Path) -> np.ndarray:
         Values, float32, shape (H, W) or (H, W, channels), row 0 on top.
 
     Raises:
-        FileFormatError: the file is damaged, has several pages, or holds other numbers than 32-bit floats.
+        FileFormatError: the file is damaged, has several pages, or contains other numbers than 32-bit floats.
 
     Example:
         >>> import tempfile
@@ -149,7 +149,7 @@ def write_exr(path: str | Path, picture: ArrayLike, *, force: bool = False) -> N
         force: replace an existing file (no unit). Default: False.
 
     Raises:
-        ArgumentError: the picture has another shape, or values that float32 cannot hold.
+        ArgumentError: the picture has another shape, or values beyond float32.
         OutputError: the file cannot be written, or exists and `force` is False.
 
     Example:
@@ -191,7 +191,7 @@ def _write_channels(path: str | Path, planes: Mapping[str, np.ndarray], force: b
     with replacing(path, force=force) as temporary:
         try:
             OpenEXR.File(header, channels).write(str(temporary))
-        except RuntimeError as error:  # what the library makes of a full disk
+        except RuntimeError as error:  # error of the library on a full disk
             reason = " ".join(str(error).split()).rpartition('". ')[2].rstrip(".")
             raise OutputError(f"output {path} cannot be written: {reason:.100}") from None
 
@@ -206,7 +206,7 @@ def read_exr(path: str | Path) -> np.ndarray:
         Values, float32, shape (H, W) or (H, W, channels), row 0 on top.
 
     Raises:
-        FileFormatError: the file is damaged, or holds something else; the message says what can be read.
+        FileFormatError: the file is damaged, or has other content; the message lists what is supported.
 
     Example:
         >>> import tempfile
@@ -222,12 +222,12 @@ def read_exr(path: str | Path) -> np.ndarray:
     stored = read_apart(f"{_DECODERS}:decode_exr", path, libraries=("OpenEXR",), channels=skeleton.channels)
     planes = [stored[name] for name in skeleton.channels]
     if any(p.shape != (skeleton.height, skeleton.width) or p.dtype != np.float32 for p in planes):
-        raise FileFormatError(f"{path}: damaged OpenEXR file: its channels are not what its header says")
+        raise FileFormatError(f"{path}: damaged OpenEXR file: its channels differ from its header")
     return planes[0] if skeleton.channels == ("Y",) else np.stack(planes, axis=-1)
 
 
 def _names(channels: int | None) -> tuple[str, ...]:
-    """Return the names of a picture's channels."""
+    """Name the channels of an image."""
     if channels is None:
         return ("Y",)
     return ("R", "G", "B") if channels == 3 else tuple(f"C{i:04}" for i in range(channels))
@@ -264,7 +264,7 @@ def _checked_skeleton(path: Path) -> _Skeleton:
                 length = struct.unpack("<i", file.read(4))[0]
                 if not 0 <= length <= size - 8 - offset:
                     raise FileFormatError(
-                        f"{path}: truncated or damaged: byte {offset + 4} says {length} bytes of {size}"
+                        f"{path}: truncated or damaged: byte {offset + 4} gives {length} bytes of {size}"
                     )
     except (struct.error, IndexError, KeyError, UnicodeDecodeError):
         raise FileFormatError(f"{path}: damaged OpenEXR header") from None
@@ -272,7 +272,7 @@ def _checked_skeleton(path: Path) -> _Skeleton:
 
 
 def _attributes(head: bytes) -> tuple[dict[str, bytes], int]:
-    """Return the header's attributes by name, and the byte behind them."""
+    """Parse the attributes of the header by name, and return the byte after them."""
     found, at = {}, 8
     while head[at]:
         name, at = _text(head, at)
@@ -295,7 +295,7 @@ def _described(path: Path, attributes: dict[str, bytes], size: int) -> tuple[tup
         at += 16
         if kind != _FLOAT:
             stored = {0: "whole numbers", 1: "16-bit floats"}.get(kind, "an unknown type")
-            raise FileFormatError(f"{path}: channel {name!r:.40} holds {stored}; 32-bit floats are read")
+            raise FileFormatError(f"{path}: channel {name!r:.40} has {stored}; only 32-bit floats are read")
         if sampling != [1, 1]:
             raise FileFormatError(f"{path}: channel {name!r:.40} is subsampled")
         names.append(name)

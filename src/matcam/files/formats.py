@@ -1,7 +1,7 @@
-"""The formats that matcam reads and writes: one table, from which everything else takes its lists.
+"""Formats that matcam reads and writes: one table, from which all lists are derived.
 
-A format is recognised by a file's content, and chosen by an output's suffix. Readers and writers are imported when they are
-called, so that the command line can print these lists without loading them.
+A format is recognised by the content of a file, and chosen by the suffix of an output. Readers and writers are imported
+when they are called, so that the command line can print these lists without loading them.
 """
 
 from __future__ import annotations
@@ -23,32 +23,32 @@ CONTENTS = {
     "table": "a table on the MERL grid",
     "fields": "a BRDF in RGL's parameterisation",
     "samples": "scattered samples",
-    "result": "a result that is no BRDF",
+    "result": "a result other than a BRDF",
     "picture": "a picture",
     "camera": "a camera profile",
     "sidecar": "a picture sidecar",
     "chart": "a chart's description",
     "surface": "a fitted surface",
 }
-"""What a file can hold, in words."""
+"""Contents of files, in words."""
 
 MEASUREMENTS = ("table", "fields", "samples", "result", "picture")
-"""The contents that `convert` moves from one format to another."""
+"""Contents that `convert` converts between formats."""
 
 
 @dataclass(frozen=True)
 class Format:
-    """Describe one file format.
+    """One file format.
 
     Attributes:
         name: short name, as in reports.
         title: name for people.
-        holds: keys of `CONTENTS` that it can hold.
-        suffixes: endings of its files' names, lower case, the usual one first.
-        starts: bytes that its files begin with, any of them.
-        mark: text that its documents hold near their beginning.
-        hint: how people can recognise a file.
-        reader: function that reads a path, as "module:function" below `matcam`; "": it stands above this package.
+        holds: keys of `CONTENTS` that it supports.
+        suffixes: endings of the names of its files, lower case, the preferred one first.
+        starts: alternative first bytes of its files.
+        mark: text near the beginning of its documents.
+        hint: hint for people to recognise a file.
+        reader: function that reads a path, as "module:function" below `matcam`; "": in a layer above this package.
         writers: functions that write (path, data, force=...), by content, named likewise.
     """
 
@@ -64,15 +64,15 @@ class Format:
 
     @property
     def written(self) -> tuple[str, ...]:
-        """Keys of `CONTENTS` that can be written to it; a profile and a chart write themselves."""
+        """Keys of `CONTENTS` that can be written to it; a profile and a chart have their own writers."""
         return tuple(self.writers) or (() if self.reader else self.holds)
 
     def read(self, path: str | Path, **options: Any) -> Any:
-        """Read a file. `options` go to the reader, such as `sampling` for MERL."""
+        """Read a file. `options` are passed to the reader, such as `sampling` for MERL."""
         return _function(self.reader)(path, **options)
 
     def writer(self, content: str) -> Callable[..., None]:
-        """Return the function that writes (path, data, force=...); ArgumentError where the format cannot hold the content."""
+        """Return the function that writes (path, data, force=...); ArgumentError if the format does not support the content."""
         if content in self.writers:
             return _function(self.writers[content])
         choice, suffix = ", ".join(suffixes_for(content)), self.suffixes[0]
@@ -80,7 +80,7 @@ class Format:
             raise ArgumentError(f"a picture goes into {choice}, not into {suffix}")
         if "picture" in self.holds:
             raise ArgumentError(f"{CONTENTS[content]} is not a picture: it goes into {choice}, not into {suffix}")
-        raise ArgumentError(f"{CONTENTS[content]} has no place in {suffix}: {choice} can hold it")
+        raise ArgumentError(f"{CONTENTS[content]} cannot be stored in {suffix}: use {choice}")
 
 
 _LABELLED = ("table", "fields", "samples", "result")
@@ -211,17 +211,17 @@ _HEAD = 4096  # bytes
 
 
 def format_named(name: str) -> Format:
-    """Return the format of this short name."""
+    """Return the format with this short name."""
     return next(form for form in FORMATS if form.name == name)
 
 
 def suffixes_for(*contents: str) -> tuple[str, ...]:
-    """Return the suffixes of the formats that are written with any of these contents, in the order of `FORMATS`."""
+    """Return the suffixes of the formats that can be written with any of these contents, in the order of `FORMATS`."""
     return tuple(dict.fromkeys(s for form in FORMATS for s in form.suffixes if set(contents) & set(form.written)))
 
 
 def titles_for(*contents: str) -> str:
-    """Return the titles and suffixes of the formats that are read and hold any of these contents, for people."""
+    """Return titles and suffixes of the formats that can be read and support any of these contents, for people."""
     read = (form for form in FORMATS if set(contents) & set(form.holds) and form.name != "materialx")
     return ", ".join(
         f"{form.title} ({', '.join(form.suffixes)})" if ".json" not in form.suffixes else form.title for form in read
@@ -229,9 +229,9 @@ def titles_for(*contents: str) -> str:
 
 
 def identify(path: str | Path) -> str:
-    """Return the short name of a file's format, by its content, or by its name where the content is damaged.
+    """Identify the format of a file by its content, or by its name if the content is damaged.
 
-    Raises FileFormatError for anything that matcam does not read.
+    Raises FileFormatError for unsupported files.
     """
     path = Path(path)
     with reading(path), path.open("rb") as file:
@@ -244,7 +244,7 @@ def identify(path: str | Path) -> str:
     if head.startswith(b"PK\3\4") and b"zarr.json" in head + tail:
         return "zarr"
     if head.lstrip().startswith(b"{"):
-        # a sidecar holds a camera profile: the first mark is the document's own
+        # a sidecar contains a camera profile: the first mark is that of the document itself
         marked = [form for form in FORMATS if form.mark and form.mark in head]
         named = [
             form.name
@@ -263,13 +263,13 @@ def identify(path: str | Path) -> str:
         if not form.mark and path.suffix in form.suffixes:
             return form.name
     known = (f"{form.title} ({form.hint})" if form.hint else form.title for form in FORMATS)
-    raise FileFormatError(f"{path}: none of what matcam reads: {', '.join(known)}")
+    raise FileFormatError(f"{path}: not a format that matcam reads: {', '.join(known)}")
 
 
 def format_for(path: str | Path, *contents: str) -> Format:
-    """Return the format that an output's name chooses, among those that can hold any of these contents.
+    """Return the format for the name of an output, among those that support any of these contents.
 
-    Default: any measurement. ArgumentError where the name ends in none of their suffixes.
+    Default: any measurement. ArgumentError for a name with none of their suffixes.
     """
     name, contents = Path(path).name.lower(), contents or MEASUREMENTS
     for form in FORMATS:
@@ -292,15 +292,15 @@ _DECODERS = {
         (".arw", ".cr2", ".cr3", ".dng", ".nef", ".raf", ".rw2"), ("matcam.files.picture_decoders", "rawpy")
     ),
 }
-"""Ending of a file's name -> what decodes such files apart."""
+"""Suffix to modules that decode such files in a separate process."""
 _MOST_LOOKED_AT = 100
 
 
 def decoded_by(paths: Iterable[Path]) -> list[str]:
-    """Return the modules that will decode those of `paths` that exist, or what lies in them, by the files' names."""
+    """Return the modules that decode existing ones of `paths`, or files in them, by the names of the files."""
     suffixes = set()
     for path in paths:
-        with contextlib.suppress(OSError, ValueError):  # the command will say so
+        with contextlib.suppress(OSError, ValueError):  # the command reports the error
             inside = path.iterdir() if is_folder(path) else [path] if is_there(path) else []
             suffixes |= {file.suffix.lower() for file in islice(inside, _MOST_LOOKED_AT)}
     return sorted({module for suffix in suffixes & set(_DECODERS) for module in _DECODERS[suffix]})

@@ -1,4 +1,4 @@
-"""Light position files (`.lp`) of reflectance transformation imaging: one line a photograph, with the position of its lamp.
+"""Light position files (`.lp`) of reflectance transformation imaging: one line per photograph, with the position of its lamp.
 
 The first line is the number of lines that follow. Each has a file name and x, y, z of the lamp seen from the sample's centre:
 x right, y up, z to the camera. Vectors have unit length, or the lamp's distance in any unit (RTIBuilder, Cultural Heritage
@@ -20,7 +20,7 @@ from matcam.core.io import replacing
 from matcam.core.readers.texts import read_lines
 
 _UNIT = 0.02
-"""Relative scatter of the lengths about 1 up to which vectors are unit vectors: files round to two digits or more."""
+"""Relative scatter of the lengths about 1 below which vectors are unit vectors: files round to two digits or more."""
 
 
 class LightPosition(NamedTuple):
@@ -53,7 +53,7 @@ def read_light_positions(path: str | Path) -> list[LightPosition]:
         path: file to read.
 
     Returns:
-        One position a photograph, in the order of the file.
+        One position per photograph, in the order of the file.
 
     Raises:
         FileFormatError: the file is missing, or a line is wrong; the message names the line.
@@ -119,7 +119,7 @@ def are_unit_vectors(positions: list[LightPosition]) -> bool:
 
 
 def _position(path: Path, number: int, line: str) -> LightPosition:
-    name, *cells = line.rsplit(None, 3)  # a name may hold blanks
+    name, *cells = line.rsplit(None, 3)  # a name may contain blanks
     try:
         position = np.array([float(cell) for cell in cells])
     except ValueError:

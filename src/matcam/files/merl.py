@@ -6,8 +6,8 @@
     byte 23328012   float64[1458000]    blue
     byte 34992012   end
 
-A value times 1/1500, 1.15/1500, 1.66/1500 (R, G, B) is the BRDF in 1/sr; negative means missing. phi_d runs over
-[0, pi): phi_d + pi is the same by reciprocity. The file does not say where in its cell a value was sampled.
+A value times 1/1500, 1.15/1500, 1.66/1500 (R, G, B) is the BRDF in 1/sr; negative means missing. phi_d runs over [0,
+pi): phi_d + pi is the same by reciprocity. The file does not contain the sampling position in a cell.
 """
 
 from __future__ import annotations
@@ -37,15 +37,16 @@ def read_merl(path: str | Path, sampling: Sampling = "centre") -> xr.DataArray:
 
     Args:
         path: MERL file (.binary).
-        sampling: where in its cell each value was sampled, "centre" or "edge" (no unit). Default: "centre". The file does not
-            say it, and at a sharp peak the choice changes values by up to 45 %. It is kept in `attrs["sampling"]` and decides
-            the angle coordinates.
+        sampling: position in its cell at which each value was sampled, "centre" or "edge" (no unit). Default: "centre".
+            The file does not contain it, and at a sharp peak the choice changes values by up to 45 %. It is stored in
+            `attrs["sampling"]` and determines the angle coordinates.
 
     Returns:
         Table in 1/sr, dims (theta_h, theta_d, phi_d, channel), shape (90, 90, 180, 3); NaN where missing.
 
     Raises:
-        FileFormatError: the file is no MERL file, holds NaN or infinities, or no valid value; the message names the byte.
+        FileFormatError: the file is not a MERL file, contains NaN or infinities, or has no valid value; the message
+            names the byte.
         ArgumentError: `sampling` is neither "centre" nor "edge".
 
     Source:
@@ -66,13 +67,13 @@ def read_merl(path: str | Path, sampling: Sampling = "centre") -> xr.DataArray:
     checks.choice("sampling", sampling, SAMPLINGS)
     stored = _read_stored(path)
     missing = stored < 0
-    # a reduction tells whether anything is wrong; only then is the place looked for
+    # a reduction shows whether a value is wrong; only then is its position searched
     with np.errstate(over="ignore", invalid="ignore"):
         suspicious = not np.isfinite(np.sum(stored, where=~missing)) or np.isneginf(np.min(stored))
     if suspicious:
         _refuse_non_finite(path, stored)
     if missing.all():
-        raise FileFormatError(f"{path}: every value is negative, that is missing: there is nothing to work with")
+        raise FileFormatError(f"{path}: every value is negative, which means missing: the table is empty")
     stored *= SCALE[:, None, None, None]
     stored[missing] = np.nan
     return brdf_table(np.moveaxis(stored, 0, -1), sampling, source=path.name)
@@ -85,12 +86,12 @@ def write_merl(path: str | Path, brdf: xr.DataArray, *, force: bool = False) -> 
 
     Args:
         path: file to write (.binary).
-        brdf: table in 1/sr as from `read_merl`, three channels (by their labels R, G, B, where they have labels), nowhere
-            negative, not all missing, shape (90, 90, 180, 3).
+        brdf: table in 1/sr as from `read_merl`, three channels (by their labels R, G, B, if they have labels),
+            non-negative, not all missing, shape (90, 90, 180, 3).
         force: replace an existing file (no unit). Default: False.
 
     Raises:
-        ArgumentError: the format cannot hold the table: it has other than three channels, negative values, or none.
+        ArgumentError: the format does not support the table: it has not three channels, negative values, or no values.
         OutputError: the file cannot be written, or exists and `force` is False.
 
     Example:
@@ -123,7 +124,7 @@ def write_merl(path: str | Path, brdf: xr.DataArray, *, force: bool = False) -> 
 
 
 def _read_stored(path: Path) -> np.ndarray:
-    """Return stored values (3, 90, 90, 180); allocate nothing before size and header have been checked."""
+    """Read stored values (3, 90, 90, 180), after size and header have been checked."""
     with reading(path, "a MERL file"):
         size = path.stat().st_size
         with path.open("rb") as file:
@@ -132,7 +133,7 @@ def _read_stored(path: Path) -> np.ndarray:
                 raise FileFormatError(f"{path}: {size} bytes; a MERL file starts with 12 bytes of dimensions")
             dims = tuple(np.frombuffer(header, dtype=_HEADER).tolist())
             if dims != GRID_SHAPE:
-                raise FileFormatError(f"{path}: not a MERL file: bytes 0 to 11 say {dims}, not {GRID_SHAPE}")
+                raise FileFormatError(f"{path}: not a MERL file: bytes 0 to 11 are {dims}, not {GRID_SHAPE}")
             if size != FILE_BYTES:
                 what = "truncated" if size < FILE_BYTES else "oversized"
                 raise FileFormatError(f"{path}: {what}: {size} bytes, a MERL file has {FILE_BYTES}")
@@ -143,8 +144,10 @@ def _read_stored(path: Path) -> np.ndarray:
 
 
 def _refuse_non_finite(path: Path, stored: np.ndarray) -> None:
-    """Raise FileFormatError naming the first byte whose value is not finite."""
+    """Raise FileFormatError that names the first byte whose value is not finite."""
     bad = np.flatnonzero(~np.isfinite(stored))
-    if bad.size:  # a sum of huge but valid values overflows too
+    if bad.size:  # a sum of huge but valid values overflows, too
         byte = _HEADER_BYTES + _VALUE.itemsize * bad[0]
-        raise FileFormatError(f"{path}: byte {byte} holds {stored.flat[bad[0]]}, not a number ({bad.size} such values)")
+        raise FileFormatError(
+            f"{path}: byte {byte} is {stored.flat[bad[0]]}, not a finite number ({bad.size} such values)"
+        )

@@ -1,6 +1,6 @@
 """Photographs as arrays of their own codes: TIFF, PNG and JPEG in 8 or 16 bits, OpenEXR, camera raw.
 
-Nothing is converted, scaled, rotated or demosaiced. Files are decoded apart (picture_decoders.py).
+Images are not converted, scaled, rotated or demosaiced. Files are decoded in a separate process (picture_decoders.py).
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ PICTURES = (".tif", ".tiff", ".png", ".jpg", ".jpeg", ".exr", *SUFFIXES)
 
 
 class Mosaic(NamedTuple):
-    """Hold a linear mosaic.
+    """Linear mosaic.
 
     Attributes:
         values: counts above the black level, float32 (height, width).
@@ -49,8 +49,8 @@ class Mosaic(NamedTuple):
 def read_raw(path: str | Path, region: tuple[int, int, int, int] | None = None) -> Mosaic:
     """Read the mosaic of a camera raw file, or a region of it (first column and row, both even, width, height).
 
-    FileFormatError naming the file where LibRaw does not know it, where it is damaged, or its colours are no Bayer mosaic, and
-    where rawpy is not installed.
+    FileFormatError that names the file if LibRaw does not support it, if it is damaged, if its colours are not a Bayer
+    mosaic, or if rawpy is not installed.
     """
     path = Path(path)
     there = _memory_for(path)
@@ -61,14 +61,14 @@ def read_raw(path: str | Path, region: tuple[int, int, int, int] | None = None) 
 
 
 class Photograph(NamedTuple):
-    """Hold a picture as it lies in its file, and what the file says of it.
+    """Image as stored in its file, with metadata.
 
     Attributes:
         values: (height, width) or (height, width, 3), in the file's own type.
-        cfa: colours of a mosaic's first 2 x 2 px, row by row ("RGGB"); None: no mosaic.
+        cfa: colours of a mosaic's first 2 x 2 px, row by row ("RGGB"); None: not a mosaic.
         saturation: value of a full pixel; infinite if it is not known.
-        linear: whether the format holds linear values by its nature: camera raw, floats.
-        exif: what the file says of the camera.
+        linear: whether the format stores linear values: camera raw, floats.
+        exif: metadata of the camera.
     """
 
     values: np.ndarray
@@ -79,11 +79,11 @@ class Photograph(NamedTuple):
 
 
 def open_photograph(path: str | Path, region: tuple[int, int, int, int] | None = None) -> Photograph:
-    """Read a picture of any of these formats, or a region of it.
+    """Read an image of any of these formats, or a region of it.
 
-    region: first column, first row, width, height, px; the first two even, so that a mosaic's colours stay where they are. It
-    is cut out where the picture is decoded. FileFormatError naming the file where it is missing, unknown, damaged, smaller
-    than the region, or larger than memory allows.
+    region: first column, first row, width, height, px; the first two even, to preserve the mosaic. It is cropped during
+    decoding. FileFormatError that names the file if it is missing, unknown, damaged, smaller than the region, or too
+    large for the memory.
     """
     path = Path(path)
     with reading(path, "a picture"):
@@ -99,9 +99,9 @@ def open_photograph(path: str | Path, region: tuple[int, int, int, int] | None =
 
 
 def read_photograph(path: str | Path, region: tuple[int, int, int, int] | None = None) -> np.ndarray:
-    """Return the codes of a picture or of a region, (height, width) or (height, width, 3), in the file's own type.
+    """Read the codes of an image or of a region, (height, width) or (height, width, 3), in the type of the file.
 
-    An alpha channel is left out. FileFormatError naming the file where it is missing, of another format, or damaged.
+    An alpha channel is left out. FileFormatError that names the file if it is missing, of another format, or damaged.
     """
     path = Path(path)
     there = _memory_for(path)
@@ -116,7 +116,7 @@ def _read_exr(path: Path) -> np.ndarray:
 
 
 def _memory_for(path: Path) -> int:
-    """Return the bytes of memory that there are for a picture; FileFormatError for what cannot be one."""
+    """Return the available memory for an image, bytes; FileFormatError for a file that is too large."""
     with reading(path, "a picture"):
         if path.stat().st_size > _LARGEST:
             raise FileFormatError(f"{path}: {path.stat().st_size} bytes is too large for a photograph")

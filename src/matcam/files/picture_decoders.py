@@ -1,8 +1,8 @@
-"""Decode pictures, apart: what runs in a process of its own (apart.py) to read TIFF, PNG, JPEG, OpenEXR and camera raw.
+"""Decoders of images (TIFF, PNG, JPEG, OpenEXR, camera raw), which run in a separate process (apart.py).
 
-Decoders are tifffile and imagecodecs, which keep 16 bits (Pillow turns a 16-bit colour PNG into 8 bits), OpenEXR, and LibRaw
-(rawpy, extra `raw`), which gives the mosaic as the sensor counted it. `there` is the memory, in bytes, that the calling process
-has for the picture and its working copies: a picture that does not fit is refused before it is decoded.
+Decoders are tifffile and imagecodecs, which keep 16 bits (Pillow turns a 16-bit colour PNG into 8 bits), OpenEXR, and
+LibRaw (rawpy, extra `raw`), which gives the mosaic of the sensor. `there` is the memory, in bytes, of the calling
+process for the image and its working copies: a larger image is rejected before decoding.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from matcam.files.picture_header import DEFLATE_LIMIT, check_memory, check_promi
 
 _TIFF, _PNG, _JPEG = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"), b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff"
 _START = 26  # bytes: up to the size in a PNG
-_PREVIEW, _CANON = 1, b"CR"  # a bit of NewSubfileType (TIFF 6.0); what stands behind a CR2's TIFF header
+_PREVIEW, _CANON = 1, b"CR"  # a bit of NewSubfileType (TIFF 6.0), and the bytes after the TIFF header of a CR2
 
 
 def decode_photograph(path: Path, *, there: int, region: Sequence[int] | None = None) -> np.ndarray:
-    """Return the codes of a TIFF, PNG or JPEG, or of a region of it, without an alpha channel.
+    """Decode a TIFF, PNG or JPEG, or a region of it, without an alpha channel.
 
     (height, width) or (height, width, 3).
     """
@@ -33,7 +33,7 @@ def decode_photograph(path: Path, *, there: int, region: Sequence[int] | None = 
         picture = _decoded(path, start, there, in_part=region is not None)
     except FileFormatError:
         raise
-    except Exception as error:  # decoders raise what they like on damaged files
+    except Exception as error:  # decoders raise arbitrary errors on damaged files
         raise FileFormatError(f"{path}: damaged picture: {' '.join(str(error).split())[:120]}") from None
     if picture.ndim == 3 and picture.shape[2] in (2, 4):
         picture = picture[..., : picture.shape[2] - 1]
@@ -54,15 +54,17 @@ def _decoded(path: Path, start: bytes, there: int, *, in_part: bool = False) -> 
             page = file.pages[0].aspage()
             if page.subfiletype & _PREVIEW or start[8:10] == _CANON:
                 raise FileFormatError(
-                    f"{path}: holds first a preview of {page.imagewidth} x {page.imagelength} px, as camera raw has: "
+                    f"{path}: starts with a preview of {page.imagewidth} x {page.imagelength} px, like camera raw: "
                     "give the raw file its own suffix (.dng, .nef, .cr2, ...)"
                 )
             check_memory(path, *_tiff_size(page.shape), np.dtype(page.dtype or "u1").itemsize, there)
             size = path.stat().st_size
             ends = [a + n for a, n in zip(page.dataoffsets, page.databytecounts, strict=True)]
             if page.nbytes > DEFLATE_LIMIT * size or max(ends, default=0) > size:
-                raise FileFormatError(f"{path}: header says {page.shape}, more than its {size} bytes can hold: damaged")
-            # of a picture that lies in the file as it is, only the pages of the region are read
+                raise FileFormatError(
+                    f"{path}: header gives {page.shape}, more than its {size} bytes can hold: damaged"
+                )
+            # if the file stores the image uncompressed, only the pages of the region are read
             mapped = in_part and page.is_memmappable
             picture = page.asarray(out="memmap") if mapped else np.asarray(page.asarray())
             planar = page.planarconfig == 2 and picture.ndim == 3
@@ -79,14 +81,14 @@ def _decoded(path: Path, start: bytes, there: int, *, in_part: bool = False) -> 
 
 
 def _tiff_size(shape: tuple[int, ...]) -> tuple[int, int, int]:
-    """Return height, width and channels; a page of separate colours begins with them."""
+    """Return height, width and channels; pages with separate colours have the channels first."""
     if len(shape) == 3 and shape[0] < shape[2]:
         return shape[1], shape[2], shape[0]
     return shape[0], shape[1], int(np.prod(shape[2:]))
 
 
 def decode_raw(path: Path, *, there: int, region: Sequence[int] | None = None) -> dict[str, Any]:
-    """Return the mosaic of a camera raw file, or a region of it: `values` above the black level, `cfa` and `saturation`."""
+    """Decode the mosaic of a camera raw file, or a region of it: `values` above the black level, `cfa` and `saturation`."""
     import rawpy
 
     try:
@@ -103,7 +105,7 @@ def decode_raw(path: Path, *, there: int, region: Sequence[int] | None = None) -
         what = what.decode("ascii", "replace") if isinstance(what, bytes) else str(what)
         raise FileFormatError(f"{path}: camera raw cannot be read: {what}") from None
     if counts is None or counts.ndim != 2 or pattern is None or pattern.shape != (2, 2):
-        raise FileFormatError(f"{path}: its colours are no Bayer mosaic of 2 x 2 px; others are not supported")
+        raise FileFormatError(f"{path}: its colours are not a Bayer mosaic of 2 x 2 px; others are not supported")
     cfa = "".join(names[i] for i in pattern.ravel())
     if sorted(cfa) != ["B", "G", "G", "R"] or cfa[0] == cfa[3] != "G":
         raise FileFormatError(f"{path}: its mosaic is {cfa}; red, green, green, blue is supported")
@@ -114,18 +116,18 @@ def decode_raw(path: Path, *, there: int, region: Sequence[int] | None = None) -
 
 
 def decode_float_tiff(path: Path, *, there: int) -> np.ndarray:
-    """Return a TIFF of 32-bit floats as it was written."""
+    """Decode a TIFF of 32-bit floats."""
     import tifffile
 
     size = path.stat().st_size
-    logging.getLogger("tifffile").setLevel(logging.CRITICAL + 1)  # it logs what it then raises
+    logging.getLogger("tifffile").setLevel(logging.CRITICAL + 1)  # it also logs the errors that it raises
     try:
         with tifffile.TiffFile(path) as file:
             if len(file.pages) != 1:
                 raise FileFormatError(f"{path}: {len(file.pages)} pages; one is read")
             page = file.pages[0].aspage()
             if page.dtype != np.float32:
-                raise FileFormatError(f"{path}: holds {page.dtype or 'unknown numbers'}; 32-bit floats are read")
+                raise FileFormatError(f"{path}: has {page.dtype or 'unknown numbers'}; 32-bit floats are read")
             shape = file.series[0].shape if file.is_shaped else page.shape
             if len(shape) not in (2, 3) or page.planarconfig != 1:
                 raise FileFormatError(f"{path}: a picture of shape {shape}; (H, W) or (H, W, channels) is read")
@@ -138,17 +140,17 @@ def decode_float_tiff(path: Path, *, there: int) -> np.ndarray:
             return np.ascontiguousarray(page.asarray().reshape(shape), dtype=np.float32)
     except FileFormatError:
         raise
-    except Exception as error:  # a damaged file makes its reader throw nearly anything
+    except Exception as error:  # damaged files cause arbitrary errors of the reader
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise FileFormatError(f"{path}: not a TIFF file that can be read: {reason:.100}") from None
 
 
 def decode_exr(path: Path, *, channels: list[str]) -> dict[str, np.ndarray]:
-    """Return channels of an OpenEXR file, whose skeleton has been checked, by name."""
+    """Decode the channels of an OpenEXR file, whose structure has been checked, by name."""
     import OpenEXR
 
     try:
         stored = OpenEXR.File(str(path), separate_channels=True).channels()
         return {name: np.asarray(stored[name].pixels) for name in channels}
-    except Exception as error:  # the library throws whatever its C++ threw
+    except Exception as error:  # the library passes on errors of its C++ threads
         raise FileFormatError(f"{path}: damaged OpenEXR file: {' '.join(str(error).split())[:100]}") from None

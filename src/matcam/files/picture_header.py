@@ -1,11 +1,11 @@
-"""What a picture file says of itself before it is decoded: its size, and the camera that took it.
+"""Metadata of an image before decoding: its size, and the camera.
 
-The size is read from the first bytes, before memory is asked for the picture.
+The size is read from the first bytes, before memory is allocated for the image.
 
-Maker, model and f-number stand in the TIFF or Exif directory. Exif is a TIFF directory, wherever it stands: at the start of a
-TIFF and of most camera raw files, in the APP1 segment of a JPEG, in the eXIf chunk of a PNG (CIPA DC-008-2023, 4.6). It is a
-uint16 count, then entries of 12 bytes: uint16 tag, uint16 type, uint32 count, and the value or its offset. A file whose
-directory is damaged says nothing; its pixels decide.
+Maker, model and f-number are in the TIFF or Exif directory. Exif is a TIFF directory in one of these places: at the
+start of a TIFF and of most camera raw files, in the APP1 segment of a JPEG, in the eXIf chunk of a PNG (CIPA
+DC-008-2023, 4.6). It is a uint16 count, then entries of 12 bytes: uint16 tag, uint16 type, uint32 count, and the value
+or its offset. A damaged directory counts as absent.
 """
 
 from __future__ import annotations
@@ -21,87 +21,87 @@ from matcam.core.errors import FileFormatError
 from matcam.core.memory import available_memory
 from matcam.core.readers.apart import files_are_trusted
 
-_SHARE = 0.5  # of the available memory, that one picture may take
-_WORKING = 24  # bytes for each pixel: a plane of light in float64, its mask, and two copies on the way
-_UNASKED, _MOST_TIMES = 1 << 30, 100  # bytes that any picture may take; beyond them, times its file
+_SHARE = 0.5  # share of the available memory for one image
+_WORKING = 24  # bytes per pixel: a plane of light in float64, its mask, and two temporary copies
+_UNASKED, _MOST_TIMES = 1 << 30, 100  # bytes that any image may take; beyond them, a multiple of its file
 _MOST_SEGMENTS = 200
 LARGEST = 1 << 29
-"""Values in one picture of floats, at most (2 GiB): a header that promises more is taken for damaged."""
+"""Largest number of values in an image of floats (2 GiB): a header with more is damaged."""
 DEFLATE_LIMIT = 1032
-"""What deflate makes of a byte at most (258 of every 2 bits): 1032."""
+"""Largest expansion of a byte by deflate (258 for every 2 bits)."""
 _FRAMES = {0xC0, 0xC1, 0xC2, 0xC3, 0xC5, 0xC6, 0xC7, 0xC9, 0xCA, 0xCB, 0xCD, 0xCE, 0xCF}
 _CHANNELS = {0: 1, 2: 3, 3: 3, 4: 2, 6: 4}
-"""PNG's colour types."""
+"""Colour types of PNG to number of channels."""
 _MAKE, _MODEL, _EXIF, _F_NUMBER, _DNG = 0x010F, 0x0110, 0x8769, 0x829D, 0xC612
 _EXPOSURE_TIME = 0x829A
 _WIDTH, _HEIGHT, _LONG = 0x0100, 0x0101, 4
 _ASCII, _LONGEST_TEXT = 2, 200
 _MOST_ENTRIES = 500
 _TIFF = {b"II*\0": "<", b"MM\0*": ">", b"IIRO": "<", b"IIU\0": "<"}
-"""First bytes -> order; the last two are Olympus's and Panasonic's."""
+"""First bytes to byte order; the last two are those of Olympus and Panasonic."""
 
 
 def picture_memory() -> int:
-    """Return the bytes that one picture with its working copies may take: half of what is available."""
+    """Return the memory for one image with its working copies, bytes: half of the available memory."""
     return int(_SHARE * available_memory())
 
 
 def check_memory(path: Path, height: int, width: int, channels: int, depth: int, there: int) -> None:
-    """Refuse a picture that does not fit, with its working copies, into `there` bytes (FileFormatError).
+    """Raise FileFormatError for an image that does not fit into `there` bytes with its working copies.
 
-    Unless files are trusted, refuse also a large one that takes more than a hundred times its file: no camera writes it.
+    Unless files are trusted, a large image of more than a hundred times its file is rejected, too: no camera writes one.
     """
     decoded = height * width * channels * depth
     needed = decoded + height * width * _WORKING
     if needed > there:
         raise FileFormatError(
-            f"{path}: a picture of {width} x {height} px needs {needed / 2**30:.1f} GiB; of the memory here "
-            f"{there / 2**30:.1f} GiB may be used"
+            f"{path}: a picture of {width} x {height} px needs {needed / 2**30:.1f} GiB; only "
+            f"{there / 2**30:.1f} GiB of the memory may be used"
         )
     size = path.stat().st_size
     if needed > _UNASKED and decoded > _MOST_TIMES * size and not files_are_trusted():
         raise FileFormatError(
-            f"{path}: a picture of {width} x {height} px in {size} bytes is compressed beyond what is trusted, and needs "
+            f"{path}: a picture of {width} x {height} px in {size} bytes is compressed too strongly, and needs "
             f"{needed / 2**30:.1f} GiB"
         )
 
 
 def cut(picture: np.ndarray, region: Sequence[int] | None, path: Path) -> np.ndarray:
-    """Return a region (first column, first row, width, height) of a picture; all of it for None.
+    """Crop an image to a region (first column, first row, width, height); None: the whole image.
 
-    FileFormatError where the region is not within the picture.
+    FileFormatError if the region is not within the image.
     """
     if region is None:
         return picture
     column, row, width, height = region
     if column + width > picture.shape[1] or row + height > picture.shape[0] or min(column, row) < 0:
         raise FileFormatError(
-            f"{path}: a picture of {picture.shape[1]} x {picture.shape[0]} px does not hold the region of {width} x {height} "
+            f"{path}: a picture of {picture.shape[1]} x {picture.shape[0]} px has no region of {width} x {height} "
             f"px at column {column}, row {row}: is it of another size than the others?"
         )
     return picture[row : row + height, column : column + width]
 
 
 def check_promised(path: Path, height: int, width: int, channels: int, size: int) -> None:
-    """Refuse a picture that its file cannot hold, before any memory is asked for it.
+    """Check that a file can contain its image, before memory is allocated.
 
-    FileFormatError for one that nobody would store, or that `size` bytes cannot hold however well they are compressed.
+    FileFormatError for an implausibly large image, or one that `size` bytes cannot represent with any compression.
     """
     values = height * width * channels
     if min(height, width, channels) < 1 or values > LARGEST or 4 * values > DEFLATE_LIMIT * size:
         raise FileFormatError(
-            f"{path}: header says {height} x {width} pixels of {channels} channels, in {size} bytes: damaged or too large"
+            f"{path}: header gives {height} x {width} pixels of {channels} channels, in {size} bytes: damaged or too large"
         )
 
 
 def png_size(start: bytes) -> tuple[int, int, int, int]:
-    """Return height, width, channels and bytes to a sample, from a PNG's first 26 bytes."""
+    """Return height, width, channels and bytes per sample from the first 26 bytes of a PNG."""
     width, height, bits, colours = struct.unpack_from(">IIBB", start, 16)
     return height, width, _CHANNELS.get(colours, 4), max(bits // 8, 1)
 
 
 def jpeg_size(path: Path) -> tuple[int, int, int, int]:
-    """Return height, width, channels and bytes to a sample of a JPEG; zeros where it does not say."""
+    """Return height, width, channels and bytes per sample of a JPEG; zeros if unknown."""
     with path.open("rb") as file:
         at = 2
         for _ in range(_MOST_SEGMENTS):
@@ -117,13 +117,13 @@ def jpeg_size(path: Path) -> tuple[int, int, int, int]:
 
 
 class Exif(NamedTuple):
-    """Hold what a picture file says of its camera.
+    """Metadata of the camera in an image file.
 
     Attributes:
-        camera: maker and model; empty if the file does not say.
-        f_number: f-number of the picture; None: the file does not say.
-        dng: whether the file is a digital negative: camera raw, though it looks like a TIFF.
-        size: width and height that a TIFF's first directory states, px; None: it does not.
+        camera: maker and model; empty: unknown.
+        f_number: f-number of the picture; None: unknown.
+        dng: whether the file is a digital negative: camera raw in a TIFF container.
+        size: width and height in the first directory of a TIFF, px; None: unknown.
     """
 
     camera: str = ""
@@ -133,7 +133,7 @@ class Exif(NamedTuple):
 
 
 def read_exif(path: str | Path) -> Exif:
-    """Return the metadata of a picture; empty where there are none, or none that can be read."""
+    """Read the metadata of an image; empty if they are missing or unreadable."""
     try:
         with Path(path).open("rb") as file:
             base = _start(file)
@@ -143,7 +143,7 @@ def read_exif(path: str | Path) -> Exif:
 
 
 def exposure_time(path: str | Path) -> float | None:
-    """Read the exposure time that a picture's Exif directory states, s; None where there is none (CIPA DC-008-2023, 4.6.5)."""
+    """Read the exposure time from the Exif directory of an image, s; None without one (CIPA DC-008-2023, 4.6.5)."""
     try:
         with Path(path).open("rb") as file:
             base = _start(file)
@@ -165,7 +165,7 @@ def exposure_time(path: str | Path) -> float | None:
 
 
 def _start(file: BinaryIO) -> int | None:
-    """Return the place of the TIFF header, or None."""
+    """Return the offset of the TIFF header, or None."""
     head = file.read(12)
     if head[:4] in _TIFF:
         return 0
@@ -204,7 +204,7 @@ def _directory(file: BinaryIO, base: int) -> Exif:
         file.seek(base + struct.unpack(order + "I", found[_F_NUMBER][2])[0])
         over, under = struct.unpack(order + "II", file.read(8))
         f_number = over / under if over and under else None
-    # many models repeat their maker's name
+    # many models repeat the name of their maker
     named = model if model.lower().startswith(make.lower()) else f"{make} {model}"
     return Exif(named.strip(), f_number, _DNG in first, _size(first, order))
 

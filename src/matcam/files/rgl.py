@@ -79,8 +79,8 @@ def read_rgl(path: str | Path) -> xr.Dataset:
         Dataset of the fields; `Adaptive` makes a material of it.
 
     Raises:
-        FileFormatError: the file is no tensor file, is truncated, or its fields do not make a BRDF; the message names the byte
-            or the field.
+        FileFormatError: the file is not a tensor file, is truncated, or its fields do not make a BRDF; the message
+            names the byte or the field.
 
     Source:
         Dupuy and Jakob (2018), "An adaptive parameterization for efficient material acquisition and rendering".
@@ -155,7 +155,7 @@ def write_rgl(path: str | Path, fields: xr.Dataset, *, force: bool = False) -> N
 
 
 def check_fields(fields: xr.Dataset) -> xr.Dataset:
-    """Return fields with the file's names of dimensions; ArgumentError, naming the field, if they make no BRDF."""
+    """Check fields and name their dimensions as in the file; ArgumentError that names a wrong field."""
     return _checked({str(name): field.values for name, field in fields.variables.items()})
 
 
@@ -164,11 +164,11 @@ def _next_aligned(at: int) -> int:
 
 
 def _checked(fields: dict[str, np.ndarray]) -> xr.Dataset:
-    """Label the fields; ArgumentError, naming the field, if they make no BRDF."""
+    """Label the fields; ArgumentError that names a wrong field."""
     colour = "spectra" if "wavelengths" in fields else "rgb"
     missing = [name for name in (*_REQUIRED, colour) if name not in fields]
     if missing:
-        raise ArgumentError(f"field {missing[0]} is missing: no BRDF in RGL's form")
+        raise ArgumentError(f"field {missing[0]} is missing: not a BRDF in RGL's form")
     for name, dims in _DIMS.items():
         if name in fields:
             array = fields[name]
@@ -208,7 +208,7 @@ def _check_numbers(data: xr.Dataset, colour: str) -> None:
         )
     for name in ("vndf", "luminance"):
         if not np.all(np.max(data[name].values, axis=(2, 3)) > 0):
-            raise ArgumentError(f"field {name} must hold something above 0 for every direction of the light")
+            raise ArgumentError(f"field {name} must have a positive value for every direction of the light")
     if data.sizes["row"] != data.sizes["column"]:
         raise ArgumentError(f"field luminance must be square, got {data.sizes['row']} x {data.sizes['column']}")
     if colour == "rgb" and data.sizes["channel"] != 3:

@@ -1,11 +1,11 @@
-"""BRDF samples as plain text (CSV), one pair of directions a line: what any program reads and any gonio-photometer can write.
+"""BRDF samples as plain text (CSV), one pair of directions per line, for exchange with other programs and goniophotometers.
 
     theta_h_rad,theta_d_rad,phi_d_rad,R_per_sr,G_per_sr,B_per_sr
     0.0123,0.5,1.2,0.31,0.30,0.28
 
-The first line names the columns, in any order. Angles end in _deg or _rad: either theta_h, theta_d, phi_d (half and difference
-angles) or theta_i, phi_i, theta_o, phi_o (light and view, to the surface normal). Every other column must end in _per_sr and is
-a channel of the BRDF. An empty value is missing. Numbers are written with all their digits.
+The first line names the columns, in any order. Angles end in _deg or _rad: either theta_h, theta_d, phi_d (half and
+difference angles) or theta_i, phi_i, theta_o, phi_o (light and view, to the surface normal). Every other column must
+end in _per_sr and is a channel of the BRDF. An empty value is missing. Numbers are written with all digits.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ _LABEL = re.compile(r"[^,\x00-\x1f\"]{1,60}")
 
 
 def samples_of(table: xr.DataArray) -> xr.DataArray:
-    """Return all values of a table that some channel has, as samples with dims (sample, channel)."""
+    """Return all values of a table that exist in some channel, as samples with dims (sample, channel)."""
     stacked = checked_table(table).transpose("phi_d", "theta_d", "theta_h", "channel")
     known = np.isfinite(stacked.values).any(axis=-1)
     angles = np.meshgrid(*(stacked[name].values for name in reversed(_HALF)), indexing="ij")[::-1]
@@ -49,9 +49,9 @@ def samples_of(table: xr.DataArray) -> xr.DataArray:
 
 
 def table_of(samples: xr.DataArray) -> xr.DataArray:
-    """Return the table that has these samples; what is not among them is missing.
+    """Build the table of these samples; other cells are missing.
 
-    Nothing is interpolated: ArgumentError where a sample lies beside the MERL grid, or two in one cell.
+    There is no interpolation: ArgumentError if a sample is not on the MERL grid, or two are in one cell.
     """
     samples = in_order(checked_samples(samples), "samples")
     labels = [str(label) for label in samples["channel"].values]
@@ -69,7 +69,7 @@ def table_of(samples: xr.DataArray) -> xr.DataArray:
         worst = int(np.argmax(np.max(apart, axis=0)))
         where = ", ".join(f"{name} {np.degrees(found[name][worst]):.4f}" for name in _HALF)
         raise ArgumentError(
-            f"sample {worst + 1} ({where} degrees) lies beside the MERL grid: scattered samples are not resampled"
+            f"sample {worst + 1} ({where} degrees) is not on the MERL grid: scattered samples are not resampled"
         )
     values = np.full((*(g.size for g in grid.values()), len(CHANNELS)), np.nan)
     numbers = np.ravel_multi_index(tuple(nearest), values.shape[:3])
@@ -82,7 +82,7 @@ def table_of(samples: xr.DataArray) -> xr.DataArray:
 
 
 def checked_samples(samples: xr.DataArray) -> xr.DataArray:
-    """Return samples of a BRDF, dims (sample, channel); ArgumentError names the wrong dims, coordinate, label or unit."""
+    """Check samples of a BRDF, dims (sample, channel); ArgumentError names the wrong dims, coordinate, label or unit."""
     if not isinstance(samples, xr.DataArray) or samples.dims != ("sample", "channel"):
         dims = getattr(samples, "dims", type(samples).__name__)
         raise ArgumentError(f"samples must have dims (sample, channel) (see read_samples), got {dims}")
@@ -149,8 +149,8 @@ def read_samples(path: str | Path) -> xr.DataArray:
         are in rad.
 
     Raises:
-        FileFormatError: columns are not known, a line is no numbers, an angle is out of its range, or a value is infinite; the
-            message names the line.
+        FileFormatError: a column is unknown, a line is not numeric, an angle is out of its range, or a value is
+            infinite; the message names the line.
 
     Example:
         >>> import tempfile
@@ -200,6 +200,6 @@ def _check(path: Path, angles: dict[str, np.ndarray], values: np.ndarray) -> Non
             )
     if np.isinf(values).any():
         line = int(np.flatnonzero(np.isinf(values).any(axis=1))[0])
-        raise FileFormatError(f"{path}: line {line + 2} holds an infinite value")
+        raise FileFormatError(f"{path}: line {line + 2} has an infinite value")
     if not np.isfinite(values).any():
-        raise FileFormatError(f"{path}: every value is missing: there is nothing to work with")
+        raise FileFormatError(f"{path}: every value is missing: the file is empty")

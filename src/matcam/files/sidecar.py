@@ -1,4 +1,4 @@
-"""The sidecar of a picture: a JSON file beside it that holds all that is needed to invert it.
+"""Sidecar of an image: a JSON file beside it with all data that are required to invert it.
 
     {
       "format": "matcam picture sidecar",  "version": 1,
@@ -15,9 +15,9 @@
       "notes": ""
     }
 
-Units stand in the names; row 0 is on top, pixel centres lie on integers, and the axis is the optical axis, which a crop
-may have left outside the picture. `json_schema()` is the published schema (docs/picture-sidecar-v1.schema.json). The
-camera is checked by its own format, which lives elsewhere: `Camera.from_profile`.
+Units are in the names; row 0 is on top, pixel centres lie on integers, and the axis is the optical axis, which may lie
+outside a cropped image. `json_schema()` is the published schema (docs/picture-sidecar-v1.schema.json). The camera is
+checked by its own format: `Camera.from_profile`.
 """
 
 from __future__ import annotations
@@ -116,7 +116,7 @@ class _Sidecar(_Strict):
 
 
 def sidecar_path(picture: str | Path) -> Path:
-    """Return where the sidecar of a picture lies.
+    """Return the path of the sidecar of an image.
 
     Args:
         picture: the picture's file.
@@ -149,18 +149,18 @@ def write_sidecar(
 ) -> None:
     """Write the sidecar of a picture from its sections.
 
-    docs/forward.md and the published schema (docs/picture-sidecar-v1.schema.json) list the fields; units stand in their names.
+    docs/forward.md and the published schema (docs/picture-sidecar-v1.schema.json) list the fields; units are in their names.
 
     Args:
         path: file to write, as from `sidecar_path`.
-        picture: file, shape (rows, columns, channels), quantity, wavelengths in m, place of the optical axis in px.
+        picture: file, shape (rows, columns, channels), quantity, wavelengths in m, position of the optical axis in px.
         camera: camera profile, as from `Camera.profile()`.
-        sample: kind "sphere", "cylinder" or "flat", radius in px, distance in radii; None: infinitely far.
-        lamp: angles between lamp and optical axis, azimuths about it (None: 0) and the lamp's angular radius, rad, all as the
-            sample's centre sees them; its distance in radii (None: infinitely far).
+        sample: kind "sphere", "cylinder" or "flat", radius in px, distance in radii; None: infinite.
+        lamp: angles between lamp and optical axis, azimuths about it (None: 0) and the lamp's angular radius, rad, all
+            seen from the centre of the sample; its distance in radii (None: infinite).
         blur: jitter in px, aperture over distance (no unit), focus in rad.
-        exposure: electrons per unit of radiance, times in s, seed; None: no noise was added.
-        material: free; what describes the material.
+        exposure: electrons per unit of radiance, times in s, seed; None: without noise.
+        material: free description of the material.
         notes: free text. Default: "".
         force: replace an existing file (no unit). Default: False.
 
@@ -217,7 +217,7 @@ def read_sidecar(path: str | Path) -> dict[str, Any]:
         Its sections as dicts by name, checked, with all fields present.
 
     Raises:
-        FileFormatError: the file is no sidecar, or a field is missing, unknown or out of its range; the message names it.
+        FileFormatError: the file is not a sidecar, or a field is missing, unknown or out of its range; the message names it.
 
     Example:
         >>> matcam.io.read_sidecar("none.exr.json")

@@ -1,7 +1,6 @@
-"""Decode tables (CSV, RGL, UTIA), apart: what runs in a process of its own (core/readers/apart.py).
+"""Decoders of tables (CSV, RGL, UTIA), which run in a separate process (core/readers/apart.py).
 
-samples.py, rgl.py and utia.py describe the formats. This file imports neither xarray nor JAX, which the process would have
-to load.
+samples.py, rgl.py and utia.py describe the formats. This file imports neither xarray nor JAX, to start quickly.
 """
 
 from __future__ import annotations
@@ -21,14 +20,14 @@ VALUE = "_per_sr"
 _UNITS = {"rad": 1.0, "deg": np.pi / 180}
 _LONGEST_HEAD, _LINES_AT_ONCE = 4096, 1 << 16
 _LONGEST_LINE = 16 << 10
-"""Bytes in a line of a CSV file: the first line names at most 450 columns, whose values have at most 25 characters each."""
+"""Bytes in a line of a CSV file: at most 450 columns with at most 25 characters each."""
 _BLOCK = 1 << 16  # bytes
 
 RGL_MAGIC, RGL_VERSION = b"tensor_file\0", b"\1\0"
 RGL_TYPES = dict(enumerate(("u1", "i1", "<u2", "<i2", "<u4", "<i4", "<u8", "<i8", "<f2", "<f4", "<f8"), 1))
 UTIA_SHAPE = (3, 6, 48, 6, 48)
 _UTIA_BYTES = 8 * math.prod(UTIA_SHAPE)
-"""Bytes of a file of UTIA: it has no other mark."""
+"""Size of a UTIA file, bytes, its only mark."""
 _MOST_FIELDS, _MOST_DIMENSIONS, _LONGEST_NAME = 64, 8, 64
 
 
@@ -40,7 +39,7 @@ def decode_csv(path: Path) -> dict[str, Any]:
 
 
 def _check_lines(path: Path) -> None:
-    """Refuse a long line, for whose columns the parser takes much more time and memory than for as many lines."""
+    """Reject a long line, which takes the parser much more time and memory than many short ones."""
     before, number = 0, 1
     with path.open("rb") as file:
         while block := file.read(_BLOCK):
@@ -49,7 +48,7 @@ def _check_lines(path: Path) -> None:
             if max(lengths) > _LONGEST_LINE:
                 number += next(k for k, length in enumerate(lengths) if length > _LONGEST_LINE)
                 raise FileFormatError(
-                    f"{path}: line {number} has more than {_LONGEST_LINE} bytes: damaged, or no samples"
+                    f"{path}: line {number} has more than {_LONGEST_LINE} bytes: damaged, or not samples"
                 )
             before, number = lengths[-1], number + len(lengths) - 1
 
@@ -90,7 +89,7 @@ def _values(path: Path, columns: int) -> np.ndarray:
     """Read the lines below the names of the columns, (lines, columns)."""
     import pandas as pd
 
-    old = tuple(map(int, pd.__version__.split(".")[:2])) < (3, 1)  # whose ordinary converter loses the last digit
+    old = tuple(map(int, pd.__version__.split(".")[:2])) < (3, 1)  # whose standard converter loses the last digit
     exact: Any = {"float_precision": "round_trip"} if old else {}
     blocks, at = [], 0
     try:
@@ -117,12 +116,12 @@ def _values(path: Path, columns: int) -> np.ndarray:
     except (ValueError, pd.errors.ParserError, pd.errors.ParserWarning, OverflowError) as error:
         raise FileFormatError(f"{path}: after line {at + 1}: {' '.join(str(error).split())[:120]}") from None
     if not blocks:
-        raise FileFormatError(f"{path}: no line follows the names of the columns")
+        raise FileFormatError(f"{path}: there is no line after the names of the columns")
     return np.concatenate(blocks)
 
 
 def decode_rgl(path: Path) -> dict[str, np.ndarray]:
-    """Read all fields of a tensor file, each within it, together no longer than it."""
+    """Read all fields of a tensor file, with checks that they lie within it."""
     content = path.read_bytes()
     start = len(RGL_MAGIC) + len(RGL_VERSION)
     if content[:start] != RGL_MAGIC + RGL_VERSION:
@@ -134,13 +133,13 @@ def decode_rgl(path: Path) -> dict[str, np.ndarray]:
     try:
         (count,) = struct.unpack_from("<I", content, start)
         if count > _MOST_FIELDS:
-            raise FileFormatError(f"{path}: byte {start} says {count} fields: damaged, or no BRDF")
+            raise FileFormatError(f"{path}: byte {start} gives {count} fields: damaged, or not a BRDF")
         at = start + 4
         for _ in range(count):
             (length,) = struct.unpack_from("<H", content, at)
             name = content[at + 2 : at + 2 + length].decode()
             if not 0 < length <= _LONGEST_NAME or not name.isidentifier() or name in found:
-                raise FileFormatError(f"{path}: byte {at} does not hold the name of another field")
+                raise FileFormatError(f"{path}: byte {at} is not the name of another field")
             at += 2 + length
             dimensions, code, offset = struct.unpack_from("<HBQ", content, at)
             if dimensions > _MOST_DIMENSIONS or code not in RGL_TYPES:
@@ -167,5 +166,5 @@ def decode_utia(path: Path) -> np.ndarray:
         raise FileFormatError(f"{path}: has {size} bytes; a BRDF of UTIA has {_UTIA_BYTES}")
     values = np.fromfile(path, "<f8").reshape(UTIA_SHAPE)
     if not np.isfinite(values).all():
-        raise FileFormatError(f"{path}: holds {np.count_nonzero(~np.isfinite(values))} values that are not finite")
+        raise FileFormatError(f"{path}: has {np.count_nonzero(~np.isfinite(values))} values that are not finite")
     return values

@@ -1,14 +1,14 @@
-"""Tone curves: what light the codes of a picture stand for.
+"""Tone curves: the light of the codes of an image.
 
 The transfer function of sRGB (IEC 61966-2-1) and its inverse: light as a share of white <-> code as a share of full scale.
 
 Curves as text (OECF tables, ISO 14524):
 
-    one number a line           linear value of code 0, 1, 2, ...
-    three numbers a line        the same for red, green and blue
-    two numbers a line          code and linear value, codes increasing; values between are interpolated without overshoot
+    one number per line         linear value of code 0, 1, 2, ... three numbers per line      the same for red, green
+    and blue two numbers per line        code and linear value, codes increasing; values between are interpolated
+    without overshoot
 
-Numbers stand apart by blanks, commas or semicolons; "#" begins a comment.
+Numbers are separated by blanks, commas or semicolons; "#" begins a comment.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ _DEEPEST = 65535
 
 
 def encoded(light: ArrayLike) -> np.ndarray:
-    """Return sRGB codes of linear light; below 0 they continue on the straight part."""
+    """Convert linear light to sRGB codes; negative values continue the linear part."""
     light = np.asarray(light, dtype=np.float64)
     return np.where(light <= 0.0031308, 12.92 * light, 1.055 * np.maximum(light, 0) ** (1 / 2.4) - 0.055)
 
 
 def decoded(code: ArrayLike) -> np.ndarray:
-    """Return the linear light of sRGB codes, the inverse of `encoded`."""
+    """Convert sRGB codes to linear light, the inverse of `encoded`."""
     code = np.asarray(code, dtype=np.float64)
     return np.where(code <= 0.04045, code / 12.92, ((np.maximum(code, 0) + 0.055) / 1.055) ** 2.4)
 
@@ -39,11 +39,11 @@ def decoded(code: ArrayLike) -> np.ndarray:
 def read_tone_curve(path: str | Path) -> np.ndarray:
     """Read linear values by code, (codes,) or (codes, 3).
 
-    FileFormatError naming file and line where it is no tone curve, or one that is not monotone.
+    FileFormatError that names file and line if it is not a tone curve, or not monotone.
     """
     values = read_numbers(path)
     try:
-        with np.errstate(all="ignore"):  # of what is not finite, or nearly so: it is refused
+        with np.errstate(all="ignore"):  # non-finite or nearly infinite values are rejected
             if values.ndim == 2 and values.shape[1] == 2:
                 return curve_through(values[:, 0], values[:, 1])
             return checked_curve(values[:, 0] if values.ndim == 2 and values.shape[1] == 1 else values)
@@ -54,7 +54,7 @@ def read_tone_curve(path: str | Path) -> np.ndarray:
 def read_numbers(path: str | Path, columns: int | None = None) -> np.ndarray:
     """Read lines of numbers as (lines, columns), without comments and empty lines.
 
-    columns: numbers in every line; None: one to three, the same in all. FileFormatError naming file and line.
+    columns: numbers in every line; None: one to three, the same in all. FileFormatError that names file and line.
     """
     path = Path(path)
     lines = read_lines(path, "a tone curve")
@@ -74,7 +74,7 @@ def read_numbers(path: str | Path, columns: int | None = None) -> np.ndarray:
 
 
 def checked_curve(values: np.ndarray) -> np.ndarray:
-    """Return a table of linear values by code; ArgumentError if it is too short, not finite or not monotone."""
+    """Check a table of linear values by code; ArgumentError if it is too short, not finite or not monotone."""
     if values.ndim not in (1, 2) or len(values) < 2 or (values.ndim == 2 and values.shape[1] != 3):
         raise ArgumentError(
             f"tone curve must be at least 2 linear values by code, one or three each, got shape {values.shape}"
@@ -86,14 +86,14 @@ def checked_curve(values: np.ndarray) -> np.ndarray:
         code = int(np.argmax(falls))
         raise ArgumentError(f"tone curve is not monotone: it falls from code {code} to {code + 1}")
     if (values[-1] <= values[0]).any():
-        raise ArgumentError("tone curve is flat: all codes stand for the same light")
+        raise ArgumentError("tone curve is flat: all codes have the same light")
     return values
 
 
 def curve_through(codes: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Return the table (codes,) through points (code, linear value), continued straight to code 0.
+    """Interpolate a table (codes,) through points (code, linear value), extrapolated linearly to code 0.
 
-    ArgumentError where codes do not increase strictly within 0 to 65535, or values fall.
+    ArgumentError if codes do not increase strictly within 0 to 65535, or values fall.
     """
     from scipy.interpolate import PchipInterpolator
 
@@ -106,6 +106,6 @@ def curve_through(codes: np.ndarray, values: np.ndarray) -> np.ndarray:
     try:
         inside = PchipInterpolator(codes, values)(np.clip(at, codes[0], codes[-1]))
     except ValueError:
-        raise ArgumentError("tone curve is too steep to be followed: give points that lie less close") from None
+        raise ArgumentError("tone curve is too steep for interpolation: give points further apart") from None
     slope = (values[1] - values[0]) / (codes[1] - codes[0])
     return checked_curve(inside + np.minimum(at - codes[0], 0) * slope)

@@ -26,11 +26,11 @@ def read_utia(path: str | Path) -> xr.Dataset:
         path: file to read (.bin).
 
     Returns:
-        Dataset with `brdf` as the file states it, dims (theta_i, phi_i, theta_o, phi_o, channel), angles in rad. The values are
-        not resampled: 15 degrees from one angle to the next cannot hold a highlight, so there is no way from here to a table.
+        Dataset with `brdf` as in the file, dims (theta_i, phi_i, theta_o, phi_o, channel), angles in rad. The values
+        are not resampled: steps of 15 degrees do not resolve a highlight, so there is no conversion to a table.
 
     Raises:
-        FileFormatError: the file has another size, or holds values that are not finite.
+        FileFormatError: the file has another size, or contains non-finite values.
 
     Source:
         Filip and Vavra (2014), *Template-Based Sampling of Anisotropic BRDFs*.

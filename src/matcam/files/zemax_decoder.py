@@ -1,6 +1,6 @@
-"""Decode Zemax's BSDF Data Interchange files, apart: what runs in a process of its own (core/readers/apart.py).
+"""Decoder of Zemax's BSDF Data Interchange files, which runs in a separate process (core/readers/apart.py).
 
-zemax.py describes the format. This file imports neither xarray nor JAX, which the process would have to load.
+zemax.py describes the format. This file imports neither xarray nor JAX, to start quickly.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ import numpy as np
 from matcam.core.errors import FileFormatError
 
 _LARGEST = 256 << 20
-"""Bytes of a file; a thousand times a measurement of one wavelength."""
+"""Largest size of a file, bytes; a thousand times a measurement at one wavelength."""
 AXES = ("SampleRotation", "AngleOfIncidence", "ScatterAzimuth", "ScatterRadial")
 _CHANNELS = {"Monochrome": "Y", "TristimulusX": "X", "TristimulusY": "Y", "TristimulusZ": "Z"}
 _MOST = 100_000
-"""Angles along one axis, at most: more are damage."""
+"""Largest number of angles along one axis; more indicate damage."""
 
 
 def decode_zemax(path: Path) -> dict[str, Any]:
@@ -48,7 +48,7 @@ def decode_zemax(path: Path) -> dict[str, Any]:
 
 
 def _head(path: Path, words: list[str]) -> tuple[dict[str, str], dict[str, np.ndarray], int]:
-    """Read settings and axes up to the first block of data; also its index among the words."""
+    """Read settings and axes up to the first block of data, and the index of that block among the words."""
     settings: dict[str, str] = {}
     axes: dict[str, np.ndarray] = {"SampleRotation": np.zeros(1)}
     at = 0
@@ -72,7 +72,7 @@ def _head(path: Path, words: list[str]) -> tuple[dict[str, str], dict[str, np.nd
             at += 1
     missing = [name for name in AXES if name not in axes]
     if missing or at + 1 >= len(words):
-        raise FileFormatError(f"{path}: is no whole BSDF of Zemax: it lacks {', '.join(missing) or 'its data'}")
+        raise FileFormatError(f"{path}: is not a complete BSDF of Zemax: it lacks {', '.join(missing) or 'its data'}")
     return settings, axes, at
 
 
@@ -100,6 +100,6 @@ def _blocks(path: Path, words: list[str], shape: tuple[int, int, int]) -> tuple[
         at += 1
     if len(blocks) != shape[0] * len(names) or len(set(names)) != len(names):
         raise FileFormatError(
-            f"{path}: has {len(blocks)} blocks of values; {shape[0]} angles of incidence need as many a channel"
+            f"{path}: has {len(blocks)} blocks of values; {shape[0]} angles of incidence need as many per channel"
         )
     return names, np.array(blocks).reshape(len(names), *shape)

@@ -1,4 +1,4 @@
-"""What a camera records of a material: tables, pictures, peaks."""
+"""Records of a material by a camera: tables, images, peaks."""
 
 import lazy_loader
 

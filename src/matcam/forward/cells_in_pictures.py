@@ -1,4 +1,4 @@
-"""Where the cells of a table lie in the pictures of a sphere, and what a table's entry is of their pixels (docs/model.md 3)."""
+"""Positions of the cells of a table in the images of a sphere, and the pixels behind each entry (docs/model.md 3)."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _POINTS: dict[CellValue, tuple[float, ...]] = {
     "unknown": (0.5,),
     "mean": (0.5 - np.sqrt(1 / 12), 0.5 + np.sqrt(1 / 12)),  # two Gauss-Legendre points along theta_h and phi_d
 }
-"""Places in a cell at which it is looked at, as shares of its sides."""
+"""Evaluation points in a cell, as shares of its sides."""
 
 
 def cell_sampling(cell_value: CellValue) -> Sampling:
@@ -30,14 +30,14 @@ def cell_sampling(cell_value: CellValue) -> Sampling:
 
 
 class CellChoice(NamedTuple):
-    """Say which pixels make a table's cells.
+    """Choice of the pixels behind the cells of a table.
 
     Attributes:
-        cell_value: what a cell stands for.
-        crop: (height, width) of the sensor, px; None: it shows all.
+        cell_value: meaning of a cell's value.
+        crop: (height, width) of the sensor, px; None: unlimited.
         azimuth: of the lamp in all pictures, rad.
         elongation: of the material's lobe, no unit.
-        pixel_phase: of the real pixels that are looked up, px; None: every cell has pixels of its own.
+        pixel_phase: of the real pixels that are looked up, px; None: every cell has its own pixels.
         even: whether the pictures through the lens are the same mirrored up and down.
         shift: of the pictures, (right, up), px.
     """
@@ -53,7 +53,7 @@ class CellChoice(NamedTuple):
     def cells(self, sample: Curved, lamp_nearness: jax.Array | None = None) -> TableCells | RealCells:
         """Return the cells of a table of this sample."""
         cells = self._unshifted(sample, lamp_nearness)
-        # a pixel of a shifted picture sees what one of the picture itself sees elsewhere
+        # a pixel of a shifted image corresponds to another position of the unshifted one
         x, y = (at - by for at, by in zip(cells.places[:2], self.shift, strict=True))
         return cells._replace(places=cells.places._replace(x=x, y=y))
 
@@ -62,29 +62,30 @@ class CellChoice(NamedTuple):
             return table_cells(sample, self.cell_value, self.crop, self.azimuth, lamp_nearness, self.even)
         if not sample.distant or lamp_nearness is not None:
             raise ArgumentError(
-                "a real pixel grid needs a distant camera and lamp: before near ones each cell has a picture of its own"
+                "a real pixel grid needs a distant camera and lamp: with near ones each cell has its own picture"
             )
         if self.pixel_phase is None:
             raise ArgumentError(
-                f"cells of '{self.cell_value}' need the rig's pixel_phase (x, y), px: without it nobody knows where the "
-                "pixels lie"
+                f"cells of '{self.cell_value}' need the rig's pixel_phase (x, y), px, which gives the positions "
+                "of the pixels"
             )
         return _real_cells(float(sample.radius), self, self.pixel_phase)
 
 
 class TableCells(NamedTuple):
-    """The cells of a table as seen one way: arrays over (theta_d, theta_h, phi_d, point, point).
+    """Cells of a table in one of the two directions: arrays over (theta_d, theta_h, phi_d, point, point).
 
-    With the lamp in the sensor's x direction, phi_d + pi is seen where pi - phi_d is, mirrored. So reversing phi_d, and the
-    points along it, gives the other way. With any other lamp, and through a lens that is not even, phi_d runs all round.
+    With the lamp in the x direction of the sensor, the image at phi_d + pi mirrors that at pi - phi_d. Reversing phi_d,
+    and the points along it, therefore gives the other direction. With any other lamp, or through a lens that is not
+    even, phi_d covers the whole turn.
 
     Attributes:
-        places: places of those that are seen.
-        flat_index: their positions in the flattened arrays.
+        places: positions of the visible ones.
+        flat_index: their indices in the flattened arrays.
         irradiance: cosine of the light at each cell, times a near lamp's irradiance over that at the centre.
-        weight: share of the cell's value that each point makes; 0 where it is not seen.
+        weight: share of each point in the value of its cell; 0 where it is not visible.
         pixels: pixels behind the cells, (theta_h, theta_d, phi_d).
-        mirrored: True where reversing phi_d gives the other way.
+        mirrored: True where reversing phi_d gives the other direction.
     """
 
     places: RecordPlaces
@@ -105,7 +106,7 @@ def table_cells(
 ) -> TableCells:
     """Find the cells of a table in the pictures of a sphere.
 
-    The sensor shows `crop`, (height, width), px; None stands for all.
+    The sensor covers `crop`, (height, width), px; None: unlimited.
     """
     n_h, n_d, n_p = GRID_SHAPE
     mirrored = azimuth == 0 and even
@@ -113,7 +114,7 @@ def table_cells(
     share = (np.arange(n_h)[:, None] + points) / n_h
     theta_h = (share**2 * np.pi / 2)[None, :, None, :, None]
     theta_d = merl_grid(cell_sampling(cell_value)).theta_d[:, None, None, None, None]
-    # where 0 is sampled, pi has to be, too: its mirror image
+    # sampling 0 requires sampling pi, its mirror image
     columns = np.arange(n_p + (cell_value == "edge") if mirrored else 2 * n_p)
     phi_d = ((columns[:, None] + points) / n_p * np.pi)[None, None, :, None, :]
     theta_h, theta_d, phi_d = np.broadcast_arrays(theta_h, theta_d, phi_d)
@@ -137,7 +138,7 @@ def table_cells(
     solid = (np.sin(edges[:-1] + np.diff(edges) / 2) * np.diff(edges) * np.pi / n_p)[None, :, None, None, None]
     content = np.where(seen, cos_o * solid, 0.0) * float(sample.radius) ** 2 / points.size**2
     pixels = (content + _other_way(content, mirrored)).sum(axis=(3, 4))[:, :, :n_p].transpose(1, 0, 2)
-    # equal shares of sqrt(theta_h) hold unequal numbers of pixels
+    # equal shares of sqrt(theta_h) contain unequal numbers of pixels
     weight = content * share[None, :, None, :, None] * np.sin(theta_h) if cell_value == "mean" else seen * 1.0
     irradiance = cos_i * np.asarray(closeness(lamp_nearness, jnp.asarray(cos_i))) ** 2
     return TableCells(places, index, irradiance, weight, pixels, mirrored)
@@ -149,9 +150,9 @@ class RealCells(NamedTuple):
     Attributes:
         places: the pixels, of all slices.
         irradiance: (pixels,), cosine of the light at each.
-        cell: (entries,), position of a cell in the flattened (theta_d, theta_h, phi_d).
-        pixel: (entries,), position of a pixel behind it.
-        share: (entries,), share of the cell's value that it makes.
+        cell: (entries,), index of a cell in the flattened (theta_d, theta_h, phi_d).
+        pixel: (entries,), index of a pixel behind it.
+        share: (entries,), share of the pixel in the value of the cell.
         pixels: pixels behind the cells, (theta_h, theta_d, phi_d).
     """
 
@@ -187,9 +188,9 @@ def _real_cells(radius: float, chosen: CellChoice, phase: PixelPhase) -> RealCel
 
 
 def cell_means(radiance: jax.Array, cells: TableCells | RealCells) -> jax.Array:
-    """Average the BRDF over the places of each cell, both ways.
+    """Average the BRDF over the positions of each cell, both directions.
 
-    It is NaN where none is seen.
+    It is NaN where no position is visible.
     """
     channels = radiance.shape[-1]
     if isinstance(cells, RealCells):

@@ -1,9 +1,9 @@
-"""What a rig records of the cells of a table on a cylinder, which shows the normals of one line (docs/model.md 3).
+"""Record of the cells of a table on a cylinder, which shows the normals of one line (docs/model.md 3).
 
-A cell asks for a normal beside the plane of camera and lamp. A sphere shows it there; a cylinder shows it when the lamp is
-turned about the optical axis, until the normal lies across the cylinder's axis. So each cell has a lamp of its own, and is
-read on the line across the axis at which the camera looks squarely. Before a near camera, or under a near lamp, that line
-alone shows the cell at its angles: beside it light comes from elsewhere.
+The normal of a cell lies beside the plane of camera and lamp. A sphere shows it there. A cylinder shows it if the lamp
+is turned about the optical axis until the normal is perpendicular to the axis of the cylinder. Each cell therefore has
+its own lamp, and is recorded on the line across the axis that contains the optical axis. In a near rig only that line
+shows the cell at its angles.
 """
 
 from __future__ import annotations
@@ -24,17 +24,17 @@ from matcam.rigs import UNKNOWN, Rig
 from matcam.sample.curved import Cylinder, Sphere
 
 _TURN = 1e-9
-"""Sine of half an azimuth up to which it is a whole turn, and none."""
+"""Sine of half an azimuth below which it is a whole turn."""
 
 
 class CylinderCells(NamedTuple):
-    """Hold the cells of a table on a cylinder. Arrays over (theta_h, theta_d, phi_d, way).
+    """Cells of a table on a cylinder. Arrays over (theta_h, theta_d, phi_d, direction).
 
     Attributes:
-        places: those that are seen.
-        flat_index: their positions in the flattened arrays.
+        places: positions of the visible ones.
+        flat_index: their indices in the flattened arrays.
         irradiance: of the surface at each cell, over that at the centre of a surface that faces the lamp.
-        seen: whether a cell is seen.
+        seen: whether a cell is visible.
     """
 
     places: LinePlaces
@@ -44,25 +44,25 @@ class CylinderCells(NamedTuple):
 
 
 def check_cylinder(rig: Rig, azimuth: float = 0.0) -> None:
-    """Raise ArgumentError for a rig whose cylinder no table can be recorded of.
+    """Raise ArgumentError for a rig with a cylinder of which no table can be recorded.
 
-    rig: with a cylinder. azimuth: of the lamp that was asked for, rad.
+    rig: with a cylinder. azimuth: requested azimuth of the lamp, rad.
     """
     if any(abs(np.sin((turned or 0.0) / 2)) > _TURN for turned in (azimuth, rig.lamp_azimuth)):
         raise ArgumentError(
-            "a cylinder's table has a lamp of its own for every cell: the lamp's azimuth must be left out"
+            "a table of a cylinder has another lamp azimuth for every cell: the azimuth must be left out"
         )
     if rig.cell_value not in ("centre", "edge", UNKNOWN):
         raise ArgumentError(
-            f"cells of '{rig.cell_value}' need a sphere: on a cylinder each cell has a picture of its own; cell_value must be "
+            f"cells of '{rig.cell_value}' need a sphere: on a cylinder each cell has its own picture; cell_value must be "
             "'centre' or 'edge'"
         )
 
 
 def cylinder_table(material: Material, rig: Rig, workspace: Workspace) -> tuple[jax.Array, np.ndarray]:
-    """Return the table that a rig records of a material on a cylinder, (90, 90, 180, channels), 1/sr, and its pixels' counts.
+    """Compute the table of a material on a cylinder, (90, 90, 180, channels), 1/sr, and the pixel counts of its cells.
 
-    Differentiable in material and camera. NaN where no way shows a cell. Each way that shows one is a pixel.
+    Differentiable in material and camera. NaN where a cell is not visible. Each visible direction is one pixel.
     """
     sample, near = rig.sample, rig.lamp.nearness
     assert isinstance(sample, Cylinder)
@@ -77,7 +77,7 @@ def cylinder_table(material: Material, rig: Rig, workspace: Workspace) -> tuple[
 
 
 def cylinder_cells(rig: Rig) -> CylinderCells:
-    """Return where a rig's cylinder shows the cells of a table."""
+    """Compute the positions of the cells of a table on the cylinder of a rig."""
     grid = merl_grid(cell_sampling(rig.cell_value))
     angles = np.meshgrid(*grid, [0.0, np.pi], indexing="ij")
     theta_h, theta_d, phi_d = angles[0], angles[1], angles[2] + angles[3]
@@ -92,9 +92,9 @@ def cylinder_cells(rig: Rig) -> CylinderCells:
 
 
 def line_places(rig: Rig, theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray) -> LinePlaces:
-    """Return where a rig's cylinder shows half and difference angles, and under which lamps.
+    """Compute the positions of half and difference angles on the cylinder of a rig, and their lamps.
 
-    A sphere of its size shows them at the same distance from the optical axis, under a lamp at the same angle from it.
+    A sphere of the same radius shows them at the same distance from the optical axis, under a lamp at the same angle from it.
     """
     sample: Cylinder = rig.sample  # type: ignore[assignment]
     sphere = Sphere(float(sample.radius), float(sample.distance))

@@ -1,4 +1,4 @@
-"""The false haze and the false diffuse part that a lens's glare adds to a record."""
+"""False haze and false diffuse part that glare of a lens adds to a record."""
 
 from __future__ import annotations
 
@@ -34,8 +34,8 @@ _NAMES = {
 def false_light(material: Material, rig: Rig, theta_d: float = np.pi / 8) -> xr.Dataset:
     """Predict the haze and the diffuse part that a halo adds.
 
-    Veiling glare makes them of the highlight (docs/model.md 2). The angles lie across the plane of camera and lamp
-    (phi_d = pi / 2), where light and view stay high.
+    They are veiling glare of the highlight (docs/model.md 2). The angles lie across the plane of camera and lamp (phi_d
+    = pi / 2), where light and view stay far from the horizon.
 
     Args:
         material: the material.
@@ -43,16 +43,16 @@ def false_light(material: Material, rig: Rig, theta_d: float = np.pi / 8) -> xr.
         theta_d: slice of the table, in [0, pi/4], rad. Default: pi / 8.
 
     Returns:
-        Dataset over theta_h (rad) and channel, 1/sr: `true` BRDF, `recorded`, and `added`, which is recorded less the record
-        without the halo. `false_diffuse` over channel is the albedo of the Lambertian part that `added` is taken for far from
-        the highlight: pi times its mean from 30 degrees on.
+        Dataset over theta_h (rad) and channel, 1/sr: `true` BRDF, `recorded`, and `added`, the difference to the record
+        without the halo. `false_diffuse` over channel is the albedo of the Lambertian part that would explain `added`
+        far from the highlight: pi times its mean from 30 degrees on.
 
     Raises:
-        ArgumentError: the lens has no halo, or the sample is no sphere.
+        ArgumentError: the lens has no halo, or the sample is not a sphere.
     """
     optics = rig.camera.optics
     if not isinstance(optics, HaloOptics):
-        raise ArgumentError("the lens has no halo: HaloOptics(core, fraction, radius)")
+        raise ArgumentError("the lens has no halo: use HaloOptics(core, fraction, radius)")
     if not isinstance(rig.sample, Sphere):
         raise ArgumentError(f"false light can be predicted for a Sphere, not for a {type(rig.sample).__name__}")
     theta_d = float(checks.within("theta_d", theta_d, 0, np.pi / 4, "rad"))

@@ -1,9 +1,9 @@
-"""Pictures of a material on a curved sample, as the rig's camera takes them.
+"""Images of a material on a curved sample, as the camera of a rig takes them.
 
-A picture within a stated error is exact only where it has to be: most of a sample is smooth, or dark beside its highlight. A
-pixel records a value between the least and the largest radiance within its kernel's reach. Where these differ by less than
-the error, the radiance at its centre will do. A highlight can hide between the centres, so all around it is exact. So can a
-crescent, or its tips: light is asked for along the limb, too.
+An image within a given error is exact only where required: most of a sample is smooth, or dark beside its highlight. A
+pixel records a value between the smallest and the largest radiance within the support of its kernel. Where these differ
+by less than the error, the radiance at its centre suffices. A highlight may lie between the centres, so its whole
+surroundings are exact. So may a crescent, or its tips, so light is evaluated along the limb, too.
 """
 
 from __future__ import annotations
@@ -47,30 +47,31 @@ def picture(
     seed: Seed | None = None,
     time: float = 0.0,
 ) -> xr.DataArray:
-    """Return the picture of a sphere or cylinder under the rig's lamp.
+    """Simulate the image of a curved sample under a rig's lamp.
 
     The lamp's irradiance is 1 at the sample's centre, on a surface that faces it. Row 0 is on top. Pixel centres lie on
     integers, and the optical axis at ((width - 1) / 2, (height - 1) / 2). For derivatives see `picture_values`.
 
-    A lamp's disc is a disc: the picture is the mean over those of its points. That takes 15 times as long for a disc whose
-    image is as wide as the blur, and more for a larger one.
+    The image under a source disc is the mean over those of its points. This takes 15 times as long for a disc whose
+    image is as wide as the blur, and longer for a larger one.
 
     Args:
         material: material of the sample, such as `Microfacet(GGX(0.1), 0.9)`.
         rig: camera, sample and lamp; the sample is a `Sphere` or `Cylinder`.
-        lamp_angle: angle between lamp and optical axis, seen from the sample's centre, rad: 2 theta_d if all is distant. In
-            [0, pi), or up to where a near lamp lights nothing that a near camera sees.
-        azimuth: of the lamp about the optical axis, in [-2 pi, 2 pi], rad. Neither pixels nor a cylinder's axis (y) turn with
-            it. Default: None, the rig's `lamp_azimuth`, or 0, the lamp towards +x (right); pi / 2 is towards +y (up).
-        shape: (height, width), px. Default: the rig's crop, or what holds the sample and its blur.
+        lamp_angle: angle between lamp and optical axis, seen from the sample's centre, rad: 2 theta_d in a distant rig.
+            In [0, pi), or up to the angle where a near lamp lights no visible surface.
+        azimuth: of the lamp about the optical axis, in [-2 pi, 2 pi], rad. Pixels and the axis of a cylinder (y) do not
+            turn with it. Default: None, the rig's `lamp_azimuth`, or 0, the lamp towards +x (right); pi / 2 is towards
+            +y (up).
+        shape: (height, width), px. Default: the crop of the rig, or an area that contains the sample and its blur.
         shift: of the sample and the optical axis from the picture's middle, px: columns to the right, rows down. Default:
             none.
         error: largest error allowed, as a share of the picture's peak, in [1e-6, 0.1], no unit; the larger, the faster.
-            Default: None, as exact as is known (1e-4 of every value or 1e-7 of the peak). By frequencies it allows half as
-            large an error of the transfer function, 1e-6 by default.
+            Default: None, full accuracy (1e-4 of every value or 1e-7 of the peak). The route by frequencies allows an
+            error of the transfer function of half of it, by default 1e-6.
         exposure: electrons per unit of radiance, e- sr, for a raw picture of the camera's sensor. Default: None, radiance.
         seed: seed of the raw picture's noise, a whole number or a JAX key. Default: None, allowed for radiance only.
-        time: exposure time of the raw picture, s, in which dark current gathers. Default: 0.
+        time: exposure time of the raw picture, s, for the dark current. Default: 0.
 
     Returns:
         Radiance, 1/sr, or digital values, DN, (row, column, channel); (row, column) behind a colour mosaic. Coordinates `x`
@@ -78,7 +79,7 @@ def picture(
         "frequencies" where a finer picture was filtered as the lens does, "space" where the lens is a sum of Gaussians.
 
     Raises:
-        ArgumentError: an argument is out of its range, the lamp lights nothing that is seen or stands in the camera, the
+        ArgumentError: an argument is out of its range, the lamp lights no visible surface or is inside the camera, the
             sample is flat, or exposure lacks a sensor or a seed.
 
     Source:
@@ -135,7 +136,7 @@ def picture_values(
     shape: tuple[int, int] | None = None,
     azimuth: ArrayLike | None = None,
 ) -> jax.Array:
-    """Return the radiance of `picture` as an array.
+    """Compute the radiance of `picture` as an array.
 
     It is differentiable in the parameters of material and camera.
 
@@ -166,7 +167,7 @@ def picture_values(
 def _record_within(error: float, material: Material, view: View) -> jax.Array:
     """Record a picture within `error` of its largest value.
 
-    It must not be differentiated: which pixels are exact depends on the material.
+    It must not be differentiated, because the material decides which pixels are exact.
     """
     turned = _turned(view)
     scales = [group.scale for group in groups_of(view.imaging.blur, view.imaging.sample, turned)]
@@ -206,22 +207,24 @@ def _record_within(error: float, material: Material, view: View) -> jax.Array:
 
 
 def _turned(view: View) -> bool:
-    """Say whether pixels are turned against the scene's axes, which are those of a cylinder."""
+    """Check whether pixels are turned relative to the axes of the scene, which are those of a cylinder."""
     return isinstance(view.imaging.sample, Sphere) and bool(np.any([point.azimuth for point in view.points]))
 
 
 _Places = Sequence[np.ndarray]
 """x and y, px."""
 _ALONG = 0.5
-"""Step along the limb at which light is asked for, px."""
+"""Step along the limb at which light is evaluated, px."""
 _BELOW_LIMB = 1.5 * 3.0 ** -np.arange(16)
-"""Distances from the limb there, px: one lies in a crescent however thin."""
+"""Distances of these positions from the limb, px: one lies in any crescent."""
 
 
 def _on_sphere(
     material: Material, view: View, point: LampPoint, wide: _Places, pixels: _Places
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the light of a point of the lamp at centres of pixels, the most about each, and which may see its highlight."""
+    """Compute the light of a point of the lamp at centres of pixels, the largest about each, and the pixels near its
+    highlight.
+    """
     imaging, sample = nearer(view.imaging, point.distance), view.imaging.sample
     turned = _turned(view)
     turn = Turn(jnp.cos(point.azimuth), jnp.sin(point.azimuth))
@@ -234,7 +237,7 @@ def _on_sphere(
 
 
 def _most_at_limb(scene: Scene, radius: float, light: np.ndarray, wide: _Places) -> np.ndarray:
-    """Return the light at centres, or what of the limb lies nearest to each where that is brighter."""
+    """Return the light at centres, or at the nearest point of the limb if that is brighter."""
     count = few_lengths(int(np.ceil(2 * np.pi * radius / _ALONG)))
     azimuth = 2 * np.pi * np.arange(count) / count
     depth = radius - np.minimum(_BELOW_LIMB, radius / 2)[:, None]
@@ -250,7 +253,7 @@ def _most_at_limb(scene: Scene, radius: float, light: np.ndarray, wide: _Places)
 def _on_cylinder(
     material: Material, view: View, point: LampPoint, wide: _Places, pixels: _Places
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the same before a cylinder; its limbs count as highlights, too."""
+    """The same for a cylinder; its limbs count as highlights, too."""
     sample, blur, nearness = view.imaging
     assert isinstance(sample, Cylinder)
     seen, own = (places_under(at[0].ravel(), at[1].ravel(), point, nearness) for at in (wide, pixels))
@@ -270,13 +273,13 @@ def _at_centres(scene: Scene, x: jax.Array, y: jax.Array) -> jax.Array:
 def _raw_conversion(
     sensor: Sensor | None, exposure: float | None, seed: Seed | None, time: float
 ) -> Callable[[jax.Array], jax.Array] | None:
-    """Return the function from radiance to a raw picture; None where radiance is wanted."""
+    """Return the function from radiance to a raw image; None for radiance."""
     if exposure is None:
         return None
     if sensor is None:
         raise ArgumentError("exposure needs a camera with a sensor: Camera(optics, pixel, sensor=Sensor(...))")
     if seed is None:
-        raise ArgumentError("exposure needs a seed: a whole number, the same for the same noise")
+        raise ArgumentError("exposure needs a seed: a whole number, which selects the noise")
 
     def raw(values: jax.Array) -> jax.Array:
         if sensor.cfa is not None and values.shape[-1] == 1:

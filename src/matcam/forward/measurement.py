@@ -1,9 +1,9 @@
-"""The table that a rig records of a material: every cell of the MERL grid as its pixels see it (docs/model.md 3).
+"""Table of a material as a rig records it: every cell of the MERL grid through its pixels (docs/model.md 3).
 
-One picture of a sphere, with lamp and camera 2 theta_d apart, is one theta_d slice of a table. It shows each cell twice: at
-azimuth pi - phi_d about the half vector, and opposite. The cell's value is the mean of the two records, each divided by the
-cosine of the light there. Which places those are, and how to integrate them, depends on the rig alone: a workspace keeps the
-plan for the next material. Cells on one pixel share its noise (docs/model.md 8).
+One picture of a sphere, with lamp and camera 2 theta_d apart, is one theta_d slice of a table. It shows each cell
+twice: at azimuth pi - phi_d about the half vector, and opposite. The cell's value is the mean of the two records, each
+divided by the cosine of the light there. Their positions and integrals depend on the rig alone, so a workspace keeps
+the plan for the next material. Cells on one pixel share its noise (docs/model.md 8).
 """
 
 from __future__ import annotations
@@ -56,32 +56,32 @@ from matcam.sample.shape import Flat, Place
 def measure(
     material: Material, rig: Rig, workspace: Workspace | None = None, *, azimuth: ArrayLike | None = None
 ) -> xr.DataArray:
-    """Return the BRDF table that a rig records of a material.
+    """Simulate the BRDF table that a rig records of a material.
 
-    Each cell is the pixel centred on the point of the cell that the rig's `cell_value` names; "mean" is the mean over the
-    pixels inside. "nearest" and "bilinear" look the cell up in a real grid of pixels, as "mean" does where the rig states
-    `pixel_phase`: so cells near the peak repeat a pixel. The record is divided by the cosine of the light at the pixel's
-    centre. It is averaged over the two places that show the cell (reciprocity). A flat sample's light is the same all over:
-    nothing is lost.
+    The value of a cell comes from a pixel centred on the point of the cell that `cell_value` of the rig specifies;
+    "mean" is the mean over the pixels inside. "nearest" and "bilinear" look the cell up in a real grid of pixels, and
+    so does "mean" if the rig has a `pixel_phase`. Cells near the peak then repeat a pixel. The record is divided by the
+    cosine of the light at the pixel's centre. It is averaged over the two positions that show the cell (reciprocity).
+    The light of a flat sample is uniform and is not blurred.
 
-    Before a near camera or under a near lamp each cell is taken from the picture whose lamp shows it at its angles, and
-    divided by the lamp's irradiance there. A whole table takes about 15 s on two cores, and that for every point of a
-    lamp's disc: 20 and more. For derivatives see `table_values`.
+    In a near rig each cell comes from the image whose lamp shows it at its angles, and is divided by the irradiance of
+    the lamp there. A whole table takes about 15 s on two cores, for each of the 20 or more points of a source disc. For
+    derivatives see `table_values`.
 
-    A cylinder shows the normals of one line: each cell is taken from the picture whose lamp is turned about the optical axis
-    until the cell's normal lies there. The line is where the camera looks squarely at the axis, at height 0.
+    A cylinder shows the normals of one line, which crosses its axis at height 0. Each cell comes from the image whose
+    lamp is turned about the optical axis until the normal of the cell lies on that line.
 
     Args:
         material: material to record, such as `Microfacet(GGX(0.1), 0.9)`, with one channel (grey) or three.
         rig: camera, sample and lamp; any sample.
         workspace: keeps the plan of a rig's table for its next material. Default: None, the process's own.
-        azimuth: of the lamp about the optical axis in all pictures, in [-2 pi, 2 pi], rad. The plane of incidence turns, the
-            square pixels do not. Default: None, the rig's `lamp_azimuth`, or 0, the lamp towards +x.
+        azimuth: of the lamp about the optical axis in all pictures, in [-2 pi, 2 pi], rad. The plane of incidence
+            turns; the square pixels do not. Default: None, the rig's `lamp_azimuth`, or 0, the lamp towards +x.
 
     Returns:
-        BRDF, 1/sr, on the MERL grid (theta_h, theta_d, phi_d, channel), NaN where nothing is recorded. Coordinate `pixels`
-        (theta_h, theta_d, phi_d) counts the pixels behind a cell, both places together. Attribute `kernel_error` is the
-        largest error of the lens's transfer function, as it was taken; 0 for Gaussian lenses.
+        BRDF, 1/sr, on the MERL grid (theta_h, theta_d, phi_d, channel), NaN where no pixel shows a cell. Coordinate
+        `pixels` (theta_h, theta_d, phi_d) counts the pixels behind a cell at both positions. Attribute `kernel_error`
+        is the largest error of the transfer function of the lens; 0 for Gaussian lenses.
 
     Raises:
         ArgumentError: a cylinder's lamp has an azimuth, or its cells are on real pixels; the lens differs over the field, or
@@ -138,7 +138,7 @@ def table_values(
         azimuth: of the lamp about the optical axis in all pictures, rad. Default: None, the rig's, or 0, towards +x.
 
     Returns:
-        BRDF, (90, 90, 180, channels), 1/sr, NaN where nothing is recorded; and the count of pixels behind each cell,
+        BRDF, (90, 90, 180, channels), 1/sr, NaN where no pixel shows a cell; and the number of pixels behind each cell,
         (90, 90, 180).
 
     Raises:
@@ -173,7 +173,7 @@ def table_values(
 
 
 def _colours(rig: Rig) -> list[tuple[Rig, tuple[float, float]]]:
-    """Return the rig of each colour of a lens that has several, else of all, and how far its image is shifted, px."""
+    """Return the rig of each colour of a lens that has several, otherwise of all, and the shift of its image, px."""
     optics = rig.camera.optics
     if not isinstance(optics, ColourOptics):
         return [(rig, (0.0, 0.0))]
@@ -185,7 +185,7 @@ def _colours(rig: Rig) -> list[tuple[Rig, tuple[float, float]]]:
 def _values_through(
     material: Material, rig: Rig, azimuth: float, shift: tuple[float, float], workspace: Workspace
 ) -> tuple[jax.Array, np.ndarray]:
-    """Return values and pixel counts of a table through one lens. shift: of its pictures, (right, up), px."""
+    """Compute values and pixel counts of a table through one lens. shift: of its images, (right, up), px."""
     if served_by_frequencies(rig, material):
         return _by_frequencies(material, rig, azimuth, shift)
     imaging = imaging_of(rig)
@@ -200,7 +200,7 @@ def _values_through(
 def _by_frequencies(
     material: Material, rig: Rig, azimuth: float, shift: tuple[float, float]
 ) -> tuple[jax.Array, np.ndarray]:
-    """Return the same from the frequencies of each slice's picture."""
+    """Compute the same from the frequencies of the image of each slice."""
     even = rig.camera.optics.isotropic and shift[1] == 0
     chosen = CellChoice(rig.cell_value, rig.crop, azimuth, material.elongation, rig.pixel_phase, even, shift)
     assert isinstance(rig.sample, Sphere)
@@ -210,12 +210,12 @@ def _by_frequencies(
 
 
 def _azimuth(rig: Rig, azimuth: ArrayLike | None) -> float:
-    """Return the lamp's azimuth in a table's pictures: as given, else the rig's, else 0."""
+    """Return the azimuth of the lamp in the images of a table: as given, otherwise that of the rig, otherwise 0."""
     return float(checks.scalar("azimuth", rig.azimuths(azimuth)))
 
 
 def true_table(material: Material, sampling: Sampling = "centre") -> xr.DataArray:
-    """Return a material's own table, which no camera has blurred.
+    """Evaluate the table of a material without a camera.
 
     Args:
         material: the material.
@@ -236,7 +236,7 @@ def true_table(material: Material, sampling: Sampling = "centre") -> xr.DataArra
 
 
 class TablePlan(NamedTuple):
-    """The cells of a table, and the plan of their record."""
+    """Cells of a table, and the plan of their record."""
 
     cells: TableCells | RealCells
     plan: IntegrationPlan
@@ -247,7 +247,9 @@ def _table_plan(imaging: Imaging, chosen: CellChoice, workspace: Workspace) -> T
     imaging = jax.lax.stop_gradient(imaging)
     leaves, tree = jax.tree.flatten(imaging)
     if not all(is_concrete(leaf) for leaf in leaves):
-        raise ArgumentError("the rig's numbers set which pixels make up a table: call this outside of jax.jit and vmap")
+        raise ArgumentError(
+            "the rig's parameters set which pixels make up a table: call this outside of jax.jit and vmap"
+        )
 
     def plan() -> TablePlan:
         cells = chosen.cells(imaging.sample, imaging.lamp_nearness)
@@ -260,15 +262,15 @@ def _table_plan(imaging: Imaging, chosen: CellChoice, workspace: Workspace) -> T
 
 
 def _slice_lamps(imaging: Imaging, chosen: CellChoice) -> np.ndarray:
-    """Return the angle between lamp and optical axis of each slice's own picture, rad."""
+    """Compute the angle between lamp and optical axis of the image of each slice, rad."""
     theta_d = jnp.asarray(merl_grid(cell_sampling(chosen.cell_value)).theta_d)
     return np.asarray(imaging.sample.lamp_angle(theta_d, imaging.lamp_nearness))
 
 
 def _under_disc(material: Material, rig: Rig, imaging: Imaging, chosen: CellChoice) -> tuple[jax.Array, np.ndarray]:
-    """Return values and pixel counts of a table under a lamp's disc: the mean over its points.
+    """Compute values and pixel counts of a table under a source disc: the mean over its points.
 
-    Slices whose highlight needs about as many points are recorded together, one point of the disc at a time.
+    Slices whose highlights require a similar number of points are recorded together, one point of the disc at a time.
     """
     cells = chosen.cells(imaging.sample, imaging.lamp_nearness)
     lamps, places = _slice_lamps(imaging, chosen), cells.places
@@ -294,9 +296,9 @@ def _under_disc(material: Material, rig: Rig, imaging: Imaging, chosen: CellChoi
 
 
 def _flat_values(material: Material, rig: Rig) -> jax.Array:
-    """Return the values of a flat sample, both ways.
+    """Compute the values of a flat sample, both directions.
 
-    It is tilted so that each cell is seen. Even light has no blur.
+    It is tilted so that each cell is visible. Uniform light is not blurred.
     """
     if rig.cell_value not in ("centre", "edge", UNKNOWN):
         raise ArgumentError("a flat sample's pixels all show one cell: cell_value must be 'centre' or 'edge'")
@@ -308,7 +310,7 @@ def _flat_values(material: Material, rig: Rig) -> jax.Array:
 
 
 PICTURE_STRIDE = 1 << 13
-"""Pixels per picture row in a pixel's number; a picture is never that wide."""
+"""Pixels per row in the number of a pixel; no image is that wide."""
 
 CHROMIUM_WIDTH = 0.002
 """Width of the lobe of `simulated_chromium`, rad: half a pixel on the MERL rig's sphere."""
@@ -317,8 +319,8 @@ CHROMIUM_WIDTH = 0.002
 def with_pixel_noise(table: xr.DataArray, rig: Rig, noise: PixelNoise, seed: int) -> xr.DataArray:
     """Add to a table the noise of the pixels behind its cells.
 
-    Each theta_d slice is one picture. Cells that share a pixel share its noise; a mean of pixels has that of their mean.
-    Negative results stay negative: clipping would bias faint cells.
+    Each theta_d slice is one picture. Cells that share a pixel share its noise; a mean of pixels has that of their
+    mean. Negative results are kept, because clipping would bias faint cells.
 
     Args:
         table: BRDF on the MERL grid, (90, 90, 180, channels), 1/sr.
@@ -351,7 +353,7 @@ def with_pixel_noise(table: xr.DataArray, rig: Rig, noise: PixelNoise, seed: int
     phase = rig.pixel_phase
     on_line = isinstance(rig.sample, Cylinder)
     if phase is None and rig.cell_value == "mean" and rig.sample.distant:
-        phase = 0.0, 0.0  # as good as any
+        phase = 0.0, 0.0  # an arbitrary choice
     phases = None if phase is None else phase_of_slices(phase)
     azimuth = _azimuth(rig, azimuth_of(table))
     if isinstance(rig.sample, Cylinder):
@@ -368,7 +370,7 @@ def with_pixel_noise(table: xr.DataArray, rig: Rig, noise: PixelNoise, seed: int
             numbers, place = np.unique(np.stack([pixels.first[j], pixels.second[j]]), return_inverse=True)
             place = place.reshape(2, *pixels.first[j].shape)
             draws = rng.standard_normal((2, numbers.size, values.shape[3]))[:, place].mean(axis=1)
-        else:  # either way is a pixel of its own
+        else:  # each direction has its own pixel
             draws = rng.standard_normal((2, 2, *values[:, j].shape)).mean(axis=1)
         picture = values[:, j]
         brightest = np.nanmax(picture, axis=(0, 1), initial=0.0)
@@ -405,18 +407,18 @@ def _pixel_number(place: Place, azimuth: float) -> np.ndarray:
 
 
 def simulated_chromium(seed: int = 1) -> xr.DataArray:
-    """Simulate what the MERL rig would have recorded of an ideal chromium sphere.
+    """Simulate the table of an ideal chromium sphere on the MERL rig.
 
-    The lobe is Gaussian, 0.002 rad wide; n and k are those of Rakic et al. (1998). Noise is 1 % per pixel, without a floor: a
-    MERL file cannot hold values below 0. The true answer is known, so this tests eyes and installation. It does not test the
-    method, for which tests/oracle is made.
+    The lobe is Gaussian, 0.002 rad wide; n and k are those of Rakic et al. (1998). Noise is 1 % per pixel, without a
+    floor, because a MERL file cannot contain negative values. The truth is known, so this serves demonstrations and
+    tests of the installation. It does not test the method; tests/oracle does.
     """
     return default_workspace().remember("simulated chromium", seed, lambda: _noisy_chromium(seed), most=1).copy()
 
 
 def _noisy_chromium(seed: int) -> xr.DataArray:
     n, k, _ = metal("Cr", CHANNEL_WAVELENGTHS, "rakic")
-    # without masking: for so smooth a surface it is 1 to within 1e-6 up to 89 degrees
+    # without masking, which for so smooth a surface is 1 to within 1e-6 up to 89 degrees
     chromium = Microfacet(GaussianNDF(CHROMIUM_WIDTH), Conductor(n, k), masking=None)
     table = with_pixel_noise(measure(chromium, merl()), merl(), PixelNoise(0.01, 0.0), seed)
     return table.assign_attrs(source="simulated chromium")

@@ -1,11 +1,12 @@
-"""The real pixels behind the cells of one picture of a distant sphere (docs/model.md 3, *Cells on real pixels*).
+"""Real pixels behind the cells of one image of a distant sphere (docs/model.md 3, *Cells on real pixels*).
 
-A measured table is not recorded by pixels that lie where its cells are. The picture has its own grid, and a cell's value is
-looked up in it: the pixel whose centre is nearest to the cell's place, the bilinear interpolation between four, or the mean of
-the pixels that show directions of the cell. Near the peak many cells repeat one pixel. A pixel's value is its radiance over
-the cosine of the light at its own centre, so that what is repeated is repeated to the last digit.
+The pixels of a measured table do not lie at the positions of its cells. The image has its own grid, and the value of a
+cell is looked up in it: the pixel whose centre is nearest to the cell, the bilinear interpolation between four, or the
+mean of the pixels that show directions of the cell. Near the peak many cells repeat one pixel. The value of a pixel is
+its radiance over the cosine of the light at its own centre, so repeated values agree to the last digit.
 
-The grid's phase says where the pixels lie: their centres are whole numbers of px plus the phase from the sphere's centre.
+The phase of the grid specifies the positions of the pixels: their centres are whole numbers of px plus the phase from
+the centre of the sphere.
 """
 
 from __future__ import annotations
@@ -20,19 +21,19 @@ from matcam.core.grid import GRID_SHAPE, merl_grid
 from matcam.rigs import ON_REAL_PIXELS, CellValue, PixelPhase, Rig
 
 _SMALLEST = 1e-12
-"""Weight below which an interpolation does not ask for a pixel."""
+"""Weight below which an interpolation omits a pixel."""
 _STRIDE = 1 << 16
-"""Pixels per row in a pixel's number; no picture is that wide."""
+"""Pixels per row in the number of a pixel; no image is that wide."""
 
 
 class PixelGrid(NamedTuple):
-    """Say how cells are looked up in a real grid of pixels.
+    """Lookup of cells in a real grid of pixels.
 
     Attributes:
         rule: "nearest", "bilinear" or "mean".
         phase: of the grid, px; one for all pictures, or one for the picture of each slice of theta_d. None: a "mean" of
             pixels of any phase.
-        azimuth: of the lamp against the grid's rows, rad.
+        azimuth: of the lamp relative to the rows of the grid, rad.
     """
 
     rule: CellValue
@@ -40,29 +41,29 @@ class PixelGrid(NamedTuple):
     azimuth: float = 0.0
 
     def of_slices(self, slices: np.ndarray) -> np.ndarray:
-        """Return the phase of each slice's picture, (slices, 2), px; 0 where none is known."""
+        """Return the phase of the image of each slice, (slices, 2), px; 0 if it is unknown."""
         return phase_of_slices(self.phase or (0.0, 0.0))[slices]
 
 
 def phase_of_slices(phase: PixelPhase) -> np.ndarray:
-    """Return the phase of every slice's picture, (90, 2), px."""
+    """Return the phase of the image of every slice, (90, 2), px."""
     return np.broadcast_to(np.asarray(phase, dtype=float), (GRID_SHAPE[1], 2))
 
 
 def grid_of(rig: Rig) -> PixelGrid | None:
-    """Return the grid that a rig's cells are looked up in; None: each has a pixel of its own, or nobody knows the grid."""
+    """Return the grid in which the cells of a rig are looked up; None: each cell has its own pixel, or the grid is unknown."""
     if rig.cell_value == "mean" or (rig.cell_value in ON_REAL_PIXELS and rig.pixel_phase is not None):
         return PixelGrid(rig.cell_value, rig.pixel_phase, rig.lamp_azimuth or 0.0)
     return None
 
 
 class PlacePixels(NamedTuple):
-    """Hold the pixels that are looked up for places in a picture; the last axis is over the pixels of one place.
+    """Pixels that are looked up for positions in an image; the last axis is over the pixels of one position.
 
     Attributes:
         x: centres, px from the sphere's centre.
         y: the same upwards.
-        weight: share of each; they add up to 1.
+        weight: share of each; the shares add up to 1.
     """
 
     x: np.ndarray
@@ -71,13 +72,13 @@ class PlacePixels(NamedTuple):
 
 
 class SlicePixels(NamedTuple):
-    """Hold the pixels behind all cells of one theta_d slice.
+    """Pixels behind all cells of one theta_d slice.
 
     Attributes:
         x: (pixels,), centres in the plane of light and view, px from the sphere's centre, the lamp towards +x.
         y: (pixels,), the same across it.
         cos_i: (pixels,), cosine of the light at each centre.
-        share: (cells, pixels) matrix, cells over (theta_h, phi_d); rows add up to 1, and to 0 where nothing is seen.
+        share: (cells, pixels) matrix, cells over (theta_h, phi_d); rows add up to 1, or to 0 for invisible cells.
     """
 
     x: np.ndarray
@@ -87,12 +88,12 @@ class SlicePixels(NamedTuple):
 
 
 def looked_up(rule: CellValue, phase: ArrayLike, x: np.ndarray, y: np.ndarray) -> PlacePixels:
-    """Return the pixels that a rule looks up for places of a picture.
+    """Find the pixels that a rule looks up for positions of an image.
 
     Args:
         rule: "nearest" or "bilinear".
-        phase: of the pixel grid, px, (2,) or (..., 2), over the axes of the places.
-        x: places, px from the sphere's centre along the sensor's rows.
+        phase: of the pixel grid, px, (2,) or (..., 2), over the axes of the positions.
+        x: positions, px from the centre of the sphere along the rows of the sensor.
         y: the same across them.
     """
     shift = np.asarray(phase)
@@ -109,7 +110,7 @@ def looked_up(rule: CellValue, phase: ArrayLike, x: np.ndarray, y: np.ndarray) -
 
 
 class PixelAngles(NamedTuple):
-    """Hold the angles at which a distant sphere's picture shows pixels; arrays of one shape.
+    """Angles at which the image of a distant sphere shows pixels; arrays of one shape.
 
     Attributes:
         theta_h: half angle, rad.
@@ -125,7 +126,7 @@ class PixelAngles(NamedTuple):
 
 
 def pixel_angles(radius: float, theta_d: np.ndarray | float, x: np.ndarray, y: np.ndarray) -> PixelAngles:
-    """Return the angles that the centres of pixels show, in the plane of light and view."""
+    """Compute the angles at the centres of pixels, in the plane of light and view."""
     n_x, n_y = x / radius, y / radius
     depth2 = 1 - n_x**2 - n_y**2
     n_z = np.sqrt(np.maximum(depth2, 0))
@@ -149,14 +150,14 @@ def slice_pixels(
     crop: tuple[int, int] | None = None,
     azimuth: float = 0.0,
 ) -> SlicePixels:
-    """Return the pixels behind all cells of a slice, both places of a cell together.
+    """Find the pixels behind all cells of a slice, both positions of a cell together.
 
     Args:
         rule: "nearest", "bilinear" or "mean".
         phase: of the pixel grid, px.
         radius: of the sphere, px.
         theta_d: of the slice, rad.
-        crop: (height, width) of the sensor, px about the optical axis; None: it shows all.
+        crop: (height, width) of the sensor, px about the optical axis; None: unlimited.
         azimuth: of the lamp about the optical axis, rad.
     """
     n_h, _, n_p = GRID_SHAPE
@@ -196,7 +197,7 @@ def slice_pixels(
 def _pixels_inside(
     phase: np.ndarray, radius: float, theta_d: float, azimuth: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return (cell, x, y) of every pixel that shows light, the cell being the one whose directions its centre shows."""
+    """Return (cell, x, y) of every lit pixel, with the cell that contains the directions at its centre."""
     n_h, _, n_p = GRID_SHAPE
     size = int(np.ceil(radius)) + 1
     line = np.arange(-size, size + 1.0)
@@ -209,7 +210,7 @@ def _pixels_inside(
 
 
 def turned(x: np.ndarray, y: np.ndarray, angle: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return places of a picture that is turned about the sphere's centre by an angle, rad."""
+    """Rotate positions of an image about the centre of the sphere by an angle, rad."""
     if angle == 0:
         return x, y
     return x * np.cos(angle) - y * np.sin(angle), x * np.sin(angle) + y * np.cos(angle)

@@ -1,4 +1,4 @@
-"""The loss at the peak that is to be expected of a rig, before anything is measured."""
+"""Prediction of the loss at the peak for a rig."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
 LOSS = 0.05
-"""Relative loss beyond which an angle is no longer trusted (`loss_angle`)."""
+"""Relative loss above which an angle is not trusted (`loss_angle`)."""
 _ANGLES = np.radians(np.append(np.arange(0, 90, 0.25), 89.9))
 
 
@@ -41,7 +41,7 @@ class Prediction(NamedTuple):
 
     @property
     def relative_response(self) -> np.ndarray:
-        """Response over that at theta = 0, no unit."""
+        """Divide the response by that at theta = 0, no unit."""
         return self.response / self.response[:, :1]
 
     def columns(self) -> dict[str, Sequence[Any]]:
@@ -146,8 +146,8 @@ def predicted(rig: Rig, ndfs: Sequence[NDF], dims: int = 2, exact: bool = False,
         ndfs: the lobes.
         dims: see `peak_response`. Default: 2.
         exact: see `peak_response`; masking is Smith's. Default: False.
-        fast: True for a quarter of the angles by `response_preview`, in two dimensions on a sphere, without the disc of a lens
-            out of focus. Default: False.
+        fast: True for a quarter of the angles by `response_preview`, in two dimensions on a sphere, without defocus.
+            Default: False.
     """
     if fast:
         from matcam.forward.previews import response_preview
@@ -167,7 +167,7 @@ def predicted(rig: Rig, ndfs: Sequence[NDF], dims: int = 2, exact: bool = False,
 
 
 def loss_angle(rig: Rig, ndf: NDF, dims: int = 2) -> float:
-    """Return the first angle whose relative loss exceeds 5 %.
+    """Find the first angle whose relative loss exceeds 5 %.
 
     The loss is that of the peak in the tangent plane, relative to theta = 0 (see `peak_response`).
 
@@ -178,7 +178,7 @@ def loss_angle(rig: Rig, ndf: NDF, dims: int = 2) -> float:
             the same in both.
 
     Returns:
-        Angle, rad; pi/2 if no angle below 89.9 degrees loses as much.
+        Angle, rad; pi/2 if the loss is smaller at all angles below 89.9 degrees.
 
     Raises:
         ArgumentError: see `peak_response`.

@@ -1,12 +1,13 @@
-"""Previews: what a rig records, about a thousand times faster than the exact routes and nearly as well.
+"""Previews of records, about a thousand times faster than the exact computation and nearly as accurate.
 
-- The light at the centres of a picture's pixels is the sphere without a camera.
-- The highlight is a sum of Gaussians in the tangent plane (docs/model.md 4), through a lens that is a sum of Gaussians, too.
-- What the camera changes is the difference of these two lobes times the peak. It is added to the sphere.
+- The light at the centres of pixels gives the sphere without a camera.
+- The highlight is a sum of Gaussians in the tangent plane (docs/model.md 4), through a lens that is a sum of Gaussians,
+  too.
+- The difference of these two lobes times the peak is the effect of the camera. It is added to the sphere.
 
-So a preview has no blurred limb and no blurred terminator. It takes the lobe's shape at the highlight for its shape all
-over, takes a lamp's disc for a Gaussian of its variance, and leaves out a rig's aperture. A program is compiled once for all
-rigs of a kind of lens and pixel: every number may change.
+A preview thus has no blurred limb and no blurred terminator. It uses the shape of the lobe at the highlight everywhere,
+replaces a source disc by a Gaussian of its variance, and neglects the aperture of a rig. A program is compiled once for
+all rigs with one kind of lens and pixel.
 """
 
 from __future__ import annotations
@@ -36,18 +37,18 @@ from matcam.sample.curved import Sphere
 _MARGIN = 1.03
 """Half the side of a sphere's preview, in radii of the sphere."""
 _STEEPEST = 1.56
-"""Largest theta_d of a picture, rad."""
+"""Largest theta_d of an image, rad."""
 _LARGEST = 4096
-"""Most values along a preview's side."""
+"""Largest number of values along the side of a preview."""
 _FAR = 1e8
-"""Distance that stands for an infinite one, radii: near and far share a program."""
+"""Distance that replaces an infinite one, radii, so that near and far rigs share a program."""
 
 
 def response_preview(rig: Rig, ndf: NDF, theta: ArrayLike) -> jax.Array:
-    """Return the response at the peak, fast enough for a slider.
+    """Compute the response at the peak, fast enough for a slider.
 
-    It is `peak_response` in the tangent plane, with the lens as a sum of Gaussians: within 1e-6 for a Gaussian lens and its
-    halo, within 0.5 % for another. A lamp's disc is a Gaussian, which is 2 % off for one as wide as the blur.
+    It is `peak_response` in the tangent plane, with the lens as a sum of Gaussians: within 1e-6 for a Gaussian lens and
+    its halo, within 0.5 % for others. A source disc is a Gaussian, with an error of 2 % for a disc as wide as the blur.
 
     Args:
         rig: camera, `Sphere` and lamp.
@@ -78,7 +79,7 @@ def response_preview(rig: Rig, ndf: NDF, theta: ArrayLike) -> jax.Array:
 def highlight_preview(
     material: Microfacet, rig: Rig, theta_d: float, half_side: float | None = None, points: int = 96
 ) -> xr.Dataset:
-    """Return a close-up of the highlight, as it is and as recorded.
+    """Simulate a close-up of the highlight, with and without the camera.
 
     The lobe is taken in the tangent plane. For lobes up to 0.05 rad it lies within 1 % of the exact picture's peak up to
     60 degrees on a sphere of 60 px, wherever the picture shows neither limb nor terminator.
@@ -87,12 +88,13 @@ def highlight_preview(
         material: a metal or dielectric whose lobe is a sum of Gaussians: ggx, beckmann or gaussian.
         rig: camera, `Sphere` and lamp.
         theta_d: difference angle at the highlight, in [0, 1.56], rad.
-        half_side: distance from the highlight to the close-up's border, px. Default: None, 4 half widths of what is recorded.
-        points: count of values along each side. Default: 96.
+        half_side: distance from the highlight to the close-up's border, px. Default: None, 4 half widths of the recorded lobe.
+        points: number of values along each side. Default: 96.
 
     Returns:
-        Dataset over y and x, px from the highlight, x towards the lamp: `true` and `recorded` radiance of the middle channel,
-        1/sr, and `difference`, recorded less true. `recorded` at a point is what a pixel centred there reads.
+        Dataset over y and x, px from the highlight, x towards the lamp: `true` and `recorded` radiance of the middle
+        channel, 1/sr, and `difference`, recorded less true. `recorded` at a point is the value of a pixel centred
+        there.
 
     Raises:
         ArgumentError: an argument is out of its range or of the wrong kind.
@@ -108,24 +110,25 @@ def highlight_preview(
     """
     rig, angle = _checked(material, rig, theta_d)
     given: Any = np.asarray(np.nan if half_side is None else float(checks.positive("half_side", half_side, "px")))
-    places: Any = np.linspace(-1, 1, _count("points", points, 3))  # NumPy's: each conversion is a program of its own
+    # arrays of NumPy: each conversion by JAX would require a program
+    places: Any = np.linspace(-1, 1, _count("points", points, 3))
     side, true, recorded = (np.asarray(part) for part in _closeup(material, rig, angle, places, given))
     offsets = places * float(side)
     return _dataset(true, recorded, offsets, offsets, theta_d=float(theta_d))
 
 
 def sphere_preview(material: Microfacet, rig: Rig, theta_d: float, side: int = 192) -> xr.Dataset:
-    """Return a sphere under the lamp, as it is and as recorded.
+    """Simulate a sphere under the lamp, with and without the camera.
 
-    For lobes up to 0.1 rad it lies within 1 % of the peak of the exact picture up to 60 degrees on a sphere of 60 px, and for
-    lobes of 0.3 rad within 3 %, wherever the picture shows neither limb nor terminator. A halo of 2 % of the light, which
-    brings both far into the picture, makes it 1.5 %.
+    For lobes up to 0.1 rad it lies within 1 % of the peak of the exact picture up to 60 degrees on a sphere of 60 px,
+    and for lobes of 0.3 rad within 3 %, wherever the picture shows neither limb nor terminator. With a halo of 2 % of
+    the light, which carries both far into the image, the error is 1.5 %.
 
     Args:
         material: a metal or dielectric whose lobe is a sum of Gaussians: ggx, beckmann or gaussian.
         rig: camera, `Sphere` and lamp.
         theta_d: difference angle at the highlight, in [0, 1.56], rad.
-        side: largest width and height, values. Several pixels are one value where the sphere is wider. Default: 192.
+        side: largest width and height, in values. For a wider sphere a value covers several pixels. Default: 192.
 
     Returns:
         Dataset over y and x, px from the optical axis, x towards the lamp: `true` and `recorded` radiance of the middle
@@ -150,7 +153,7 @@ def sphere_preview(material: Microfacet, rig: Rig, theta_d: float, side: int = 1
     block = int(np.ceil(width / side))
     block += 1 - block % 2  # a value lies on the optical axis
     count = 2 * int(np.ceil(width / block / 2 - 0.5)) + 1
-    # a grid of one size serves spheres of all: a program is compiled for each size
+    # a grid of one size for spheres of all sizes, because each size requires a program
     whole = np.arange(2 * (side // 2) + 1)
     at: Any = (whole - side // 2) * float(block)
     shown = slice((whole.size - count) // 2, (whole.size + count) // 2)
@@ -161,7 +164,7 @@ def sphere_preview(material: Microfacet, rig: Rig, theta_d: float, side: int = 1
 
 
 def _checked_rig(rig: Rig, ndf: object) -> Rig:
-    """Check rig and lobe; return the rig as the one kind for which programs are compiled."""
+    """Check rig and lobe; convert the rig to the kind for which programs are compiled."""
     if not isinstance(rig, Rig):
         raise ArgumentError(f"rig must be a Rig such as rigs.merl(), got {type(rig).__name__}")
     if not isinstance(rig.sample, Sphere):
@@ -223,9 +226,9 @@ class _SumOfGaussians(eqx.Module):
     """A highlight on the sensor: Gaussians of the lobe times Gaussians of the lens.
 
     Attributes:
-        weights: of the lobe's, (n,), no unit.
-        std: of the lobe's along x and y, (n,) each, px.
-        lens_weights: of the lens's, (k,), no unit.
+        weights: of the lobe, (n,), no unit.
+        std: of the lobe along x and y, (n,) each, px.
+        lens_weights: of the lens, (k,), no unit.
         spread: standard deviation of lens, jitter and lamp along x and y, (k,) each, px.
     """
 
@@ -248,7 +251,7 @@ def _sum_of_gaussians(rig: Rig, ndf: MixtureNDF, theta: jax.Array) -> _SumOfGaus
 
 
 def _recorded_lines(rig: Rig, std: jax.Array, spread: jax.Array, at: jax.Array) -> jax.Array:
-    """Return the record of lines of unit peak, (..., k, n): k Gaussians of the lens, n of the lobe."""
+    """Compute the record of lines of unit peak, (..., k, n): k Gaussians of the lens, n of the lobe."""
     total = jnp.hypot(std, spread[:, None])
     return jnp.sqrt(2 * jnp.pi) * std * rig.camera.pixel.of_gaussian(at[..., None, None], total)
 
@@ -269,7 +272,7 @@ def _responses(rig: Rig, ndf: MixtureNDF, theta: jax.Array) -> jax.Array:
 def _closeup(
     material: Microfacet, rig: Rig, theta: jax.Array, places: jax.Array, half_side: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Return half the side, px, and the lobe as it is and as recorded, (y, x) each, 1/sr; half_side NaN: see above."""
+    """Return half the side, px, and the true and the recorded lobe, (y, x) each, 1/sr; half_side NaN: see above."""
     lobe = _sum_of_gaussians(rig, _mixture(material), theta)
     half_side = jnp.where(jnp.isnan(half_side), 4 * _recorded_width(rig, lobe), half_side)
     scene, place = _scene(material, rig, theta)
@@ -280,7 +283,7 @@ def _closeup(
 
 
 def _recorded_width(rig: Rig, lobe: _SumOfGaussians) -> jax.Array:
-    """Return a half width of the record, px, by the curvature of its Gaussians at the peak."""
+    """Estimate a half width of the record, px, from the curvature of its Gaussians at the peak."""
     own = 1 / (lobe.weights @ (1 / lobe.std[1] ** 2))
     pixel = rig.camera.pixel.half_width**2 / 3
     return 1.18 * jnp.sqrt(own + jnp.min(lobe.spread[1]) ** 2 + pixel)
@@ -302,13 +305,13 @@ def _recorded(rig: Rig, lobe: _SumOfGaussians, x: jax.Array, y: jax.Array) -> ja
 
 
 def _sum(lobe: _SumOfGaussians, down: jax.Array, across: jax.Array) -> jax.Array:
-    """Return the sum over lens and lobe of products of lines, (y, k, n) and (x, k, n)."""
+    """Sum products of lines, (y, k, n) and (x, k, n), over lens and lobe."""
     weighted = down * (lobe.lens_weights[:, None] * lobe.weights)
     return weighted.reshape(len(down), -1) @ across.reshape(len(across), -1).T
 
 
 def _scene(material: Microfacet, rig: Rig, theta: jax.Array) -> tuple[Scene, jax.Array]:
-    """Return the scene, and the place of its highlight on the x axis, px."""
+    """Build the scene, and compute the position of its highlight on the x axis, px."""
     sample, near = rig.sample, rig.lamp.nearness
     assert isinstance(sample, Sphere)
     scene = Scene(material, sample, sample.lamp_angle(theta, near), near)
@@ -323,7 +326,7 @@ def _middle(channels: jax.Array) -> jax.Array:
 def _sphere(
     material: Microfacet, rig: Rig, theta: jax.Array, at: jax.Array, block: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    """Return the sphere at the places `at` along both axes, as it is and as recorded."""
+    """Compute the true and the recorded sphere at the positions `at` along both axes."""
     scene, place = _scene(material, rig, theta)
     x, y = at[None, :], at[:, None]
     element, lit = scene.shown(x, y)
@@ -341,7 +344,7 @@ def _sphere(
         )
         return sums[0] + of_y, sums[1] + of_x
 
-    # the mean over a value's pixels is separable, as the Gaussians are
+    # the mean over the pixels of a value is separable, as the Gaussians are
     nothing = jnp.zeros((at.size, lobe.lens_weights.size, lobe.weights.size))
     mean_down, mean_across = (one / block for one in jax.lax.fori_loop(0, block, add, (nothing, nothing)))
     recorded = _sum(lobe, mean_down, mean_across)
@@ -350,7 +353,7 @@ def _sphere(
     left = points - peak * centre
 
     def sphere(changed: jax.Array) -> jax.Array:
-        # what the tangent plane leaves of a lobe counts as much less as the lobe itself does
+        # the residual of the tangent plane is scaled as the lobe itself
         share = jnp.minimum(1.0, changed / jnp.maximum(centre, 1e-300))
         return jnp.maximum(left * share + peak * changed, 0.0)
 
@@ -358,6 +361,6 @@ def _sphere(
 
 
 def _mean_lines(std: jax.Array, at: jax.Array, width: jax.Array) -> jax.Array:
-    """Return the mean of Gaussian lines of unit peak over intervals of a width, (at, n)."""
+    """Average Gaussian lines of unit peak over intervals of a width, (at, n)."""
     ends = [jax.scipy.special.ndtr((at[:, None] + side * width / 2) / std) for side in (1, -1)]
     return jnp.sqrt(2 * jnp.pi) * std / width * (ends[0] - ends[1])

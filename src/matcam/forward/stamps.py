@@ -1,8 +1,8 @@
 """Small pictures of single highlights, by the thousand: elliptical Gaussians through a Gaussian lens and a box pixel.
 
 Lens and highlight add up to one Gaussian. Along the pixel grid its mean over a pixel is a product of two differences of
-erf, and neighbouring pixels share their edges. At any other orientation it is the Gaussian of y times that of x given y,
-whose mean moves with y. The integral over x is again a difference of erf; that over the pixel's height is smooth.
+erf, and neighbouring pixels share their edges. At any other orientation it is the Gaussian of y times that of x given
+y, whose mean depends on y. The integral over x is again a difference of erf; that over the pixel's height is smooth.
 """
 
 from __future__ import annotations
@@ -30,12 +30,12 @@ from matcam.sample.curved import Sphere
 _ERROR = 1e-8
 """Error of the rule over a pixel's height, relative to the highlight's density."""
 _NARROWEST = 0.2
-"""Least total standard deviation, px, that the rule is made for, and the one where the values are traced."""
+"""Smallest total standard deviation, px, that the rule resolves; it is assumed for traced values."""
 _LARGEST = 4096
 
 
 class Highlights(NamedTuple):
-    """Describe elliptical Gaussian highlights on the sensor.
+    """Elliptical Gaussian highlights on the sensor.
 
     The values broadcast against each other, one entry per highlight.
 
@@ -64,19 +64,19 @@ class Highlights(NamedTuple):
 def highlight_stamps(camera: Camera, size: int, highlights: Highlights) -> jax.Array:
     """Draw pictures of Gaussian highlights.
 
-    Row 0 is on top. Stamps along the pixel grid are exact. At any angle they are within 5e-7 of the peak where lens and
-    highlight together are nowhere narrower than 0.2 px (tests).
+    Row 0 is on top. Stamps along the pixel grid are exact. At any angle they are within 5e-7 of the peak if the total
+    standard deviation is at least 0.2 px (tests).
 
     Args:
         camera: camera with a Gaussian lens (a halo may surround it) and a box pixel.
         size: side of a stamp, in [1, 4096], px.
-        highlights: the highlights; what they broadcast to are the leading axes of the result.
+        highlights: the highlights; their broadcast shape gives the leading axes of the result.
 
     Returns:
         Pictures, (..., size, size), in units of flux per px^2. Differentiable in all parameters, and usable inside jax.jit.
 
     Raises:
-        ArgumentError: the lens or the pixel is another, a value is not finite, or shapes do not broadcast.
+        ArgumentError: the lens or the pixel is of another kind, a value is not finite, or shapes do not broadcast.
 
     Source:
         docs/model.md 2: the product of erf differences.
@@ -100,11 +100,11 @@ def highlight_stamps(camera: Camera, size: int, highlights: Highlights) -> jax.A
 def rig_highlights(
     rig: Rig, width: ArrayLike, lamp_angle: ArrayLike, azimuth: ArrayLike | None = None, *, reflectance: ArrayLike = 1.0
 ) -> Highlights:
-    """Return the highlights that a rig's sphere shows of a lobe.
+    """Compute the highlights of a lobe on the sphere of a rig.
 
-    The lobe is Gaussian, and the sphere is replaced by its tangent plane. A near lamp's irradiance falls off, and it turns the
-    half vector over the picture, as a near camera does. The lamp's disc, a lens out of focus and registration jitter widen a
-    highlight as Gaussians of their own variance. Nothing is masked.
+    The lobe is Gaussian, and the sphere is replaced by its tangent plane. A near lamp's irradiance falls off, and it
+    turns the half vector over the picture, as a near camera does. The source disc, defocus and registration jitter
+    widen a highlight as Gaussians of the same variance. There is no masking.
 
     Args:
         rig: camera, sample and lamp; the sample is a `Sphere`. Its lens and pixel are for `highlight_stamps`.
@@ -115,11 +115,13 @@ def rig_highlights(
         reflectance: F of each highlight, no unit, >= 0. Default: 1.
 
     Returns:
-        The highlights, x and y from the optical axis: subtract from them the places of the stamps' middles. Their flux is
-        that of radiance under the lamp's irradiance of 1 at the sphere's centre, 1/sr px^2. Differentiable.
+        The highlights, x and y from the optical axis: subtract the positions of the centres of the stamps from them.
+        Their flux is that of radiance under the lamp's irradiance of 1 at the sphere's centre, 1/sr px^2.
+        Differentiable.
 
     Raises:
-        ArgumentError: the sample is no sphere, a value is out of its range, or a lamp is behind the sphere or in the camera.
+        ArgumentError: the sample is not a sphere, a value is out of its range, or a lamp is behind the sphere or inside
+            the camera.
 
     Source:
         docs/model.md 4 and 10: the tangent plane.
@@ -188,8 +190,8 @@ class _PixelEdges(eqx.Module):
     """Edges of a row of pixels.
 
     Attributes:
-        size: count of pixels.
-        shared: True where neighbours share their edges, because the pixels are a px wide.
+        size: number of pixels.
+        shared: True if neighbours share their edges, because the pixels are 1 px wide.
         half_width: half the width of a pixel, px.
     """
 
@@ -200,7 +202,7 @@ class _PixelEdges(eqx.Module):
     def positions(self) -> jax.Array:
         """Return the edges, px from the middle.
 
-        They are one row of shared ones, or all left ones before all right.
+        They are one row of shared edges, or all left edges followed by all right ones.
         """
         if self.shared:
             return jnp.arange(self.size + 1) - self.size / 2
@@ -215,7 +217,7 @@ class _PixelEdges(eqx.Module):
 
 
 def _gaussians(camera: Camera) -> list[tuple[jax.Array, jax.Array]]:
-    """Return (weight, standard deviation) of the lens's parts."""
+    """Return (weight, standard deviation) of the Gaussians of the lens."""
     if not isinstance(camera, Camera):
         raise ArgumentError(f"camera must be a Camera (optics and pixel), got {type(camera).__name__}")
     if not isinstance(camera.pixel, BoxPixel):
@@ -229,10 +231,7 @@ def _gaussians(camera: Camera) -> list[tuple[jax.Array, jax.Array]]:
 
 
 def _order(lens: list[tuple[jax.Array, jax.Array]], lights: _Lights) -> int:
-    """Return the count of Gauss-Legendre nodes over a pixel's height.
-
-    The narrowest Gaussian of all decides.
-    """
+    """Choose the number of Gauss-Legendre nodes over the height of a pixel, for the narrowest Gaussian."""
     lengths = [jax.lax.stop_gradient(a) for a in (lights.std_along, lights.std_across, *(s for _, s in lens))]
     if all(is_concrete(a) for a in lengths) and lights.std_along.size:
         along, across, *sigmas = (np.min(np.asarray(a)) for a in lengths)
@@ -246,7 +245,7 @@ def _order(lens: list[tuple[jax.Array, jax.Array]], lights: _Lights) -> int:
 
 
 def _log_error(order: int, length: float) -> float:
-    """Return the logarithm of the Gauss-Legendre rule's error.
+    """Compute the logarithm of the error of the Gauss-Legendre rule.
 
     The integrand is exp(-t^2 / 2) over `length`, and the error is relative to the length. The bound is length^(2n+1)
     n!^4 / ((2n+1) (2n)!^3) max |f^(2n)| with max |f^(2n)| = (2n-1)!!.

@@ -1,8 +1,8 @@
-"""A whole capture of a known material, as a rig would have taken it: brackets of mosaic frames, darks, outline, reference.
+"""Synthetic capture of a known material: brackets of mosaic frames, dark frames, outline, reference.
 
-For practice and for planning. It is drawn with this package's own forward model: what is reconstructed from it tests everything
-but that model. What the capture states is wrong as a lab's is: lamp table, exposure times, distances, reflectance of the patch.
-The sphere moves a little from one lamp position to the next, and the lamp's light drifts.
+It serves practice and planning. It is simulated with the forward model of this package, so a reconstruction from it
+tests everything except that model. The stated values have realistic errors: lamp table, exposure times, distances,
+reflectance of the patch. The sphere moves a little from one lamp position to the next, and the lamp's light drifts.
 """
 
 from __future__ import annotations
@@ -35,13 +35,13 @@ _FIELD = 0.6  # of the full well, by the bright field of an outline frame
 
 
 class WhitePatch(NamedTuple):
-    """State a white patch beside the sphere that faces the camera, and how well that is known.
+    """White patch beside the sphere that faces the camera, and the errors of its stated properties.
 
     Attributes:
         reflectance: no unit. Default: 0.98.
-        reflectance_std: error of what is stated of it. Default: 0.003.
-        depth: how far it stands before the sphere's centre, towards the camera, radii. Default: 0.
-        depth_std: error of what is stated of it, radii. Default: 0.02.
+        reflectance_std: error of the stated reflectance. Default: 0.003.
+        depth: distance from the centre of the sphere towards the camera, radii. Default: 0.
+        depth_std: error of the stated depth, radii. Default: 0.02.
     """
 
     reflectance: float = 0.98
@@ -51,21 +51,22 @@ class WhitePatch(NamedTuple):
 
 
 class CapturePlan(NamedTuple):
-    """State what a synthetic capture consists of, and what is wrong with what it states.
+    """Contents of a synthetic capture, and the errors of its stated values.
 
     Attributes:
         theta_d: difference angle of each lamp position at the sphere's mirror point, rad, (n,).
         azimuth: of the lamp's arc about the optical axis, rad.
-        exposures: of each lamp position. Default: 5.
-        step: from one exposure to the next, > 1. Default: 4.
+        exposures: number per lamp position. Default: 5.
+        step: ratio of successive exposures, > 1. Default: 4.
         lamp_std: error of the stated lamp angles, rad. Default: 0.3 degrees.
-        gain_std: of the lamp's light from one lamp position to the next, relative. Default: 0.005.
+        gain_std: standard deviation of the light between lamp positions, relative. Default: 0.005.
         time_std: true over nominal exposure time, relative. Default: 0.05.
-        error: of the drawn pictures, a share of their peak (`picture`). Default: 1e-4.
-        shift_std: of the sphere from one lamp position to the next, along columns and rows, px. Default: 0.2.
+        error: of the simulated images, as a share of their peak (`picture`). Default: 1e-4.
+        shift_std: standard deviation of the position of the sphere between lamp positions, along columns and rows, px.
+            Default: 0.2.
         distance_std: error of the stated distances, relative. Default: 0.005.
-        patch: the white patch that is in every frame of a sphere or cylinder; None: light that follows the lamp's output.
-            Default: a usual one.
+        patch: the white patch that is in every frame of a sphere or cylinder; None: light that follows the lamp's
+            output. Default: a typical one.
         shape: (height, width) of a flat sample's pictures, px. Default: None, 256 x 256.
     """
 
@@ -95,20 +96,20 @@ def simulate_capture(
 ) -> dict[str, Any]:
     """Write a capture of a sphere, a cylinder or a flat sample, and its truth beside it (truth.json).
 
-    A flat sample has textures of diffuse albedo and specular strength about the material's. It is tilted from picture to
-    picture under one distant lamp, and its capture has neither reference nor outline frames.
+    A flat sample has textures of diffuse albedo and specular strength about the material's. It is tilted between images
+    under one distant lamp, and its capture has neither reference nor outline frames.
 
     Args:
         material: of the sample.
         rig: camera with a sensor of at most 16 bits, a sample and a lamp.
-        plan: lamp positions, exposures, and errors of what is stated.
-        folder: where to write; it is made.
+        plan: lamp positions, exposures, and errors of stated values.
+        folder: output folder; it is created.
         seed: of noise and errors. Default: 0.
         force: replace existing files (no unit). Default: False.
-        progress: called with lamp positions done and all. Default: None.
+        progress: called with the numbers of finished and of all lamp positions. Default: None.
 
     Returns:
-        The truth: as truth.json holds it.
+        The truth, as in truth.json.
 
     Raises:
         ArgumentError: the rig has no sensor, its sample cannot be simulated, or the plan is out of range.
@@ -196,7 +197,7 @@ def simulate_capture(
 
 
 def sensor_or_usual(rig: Rig) -> Rig:
-    """Return the rig, with a usual sensor where its camera states none: 30,000 electrons, 14 bits, RGGB, flat: grey."""
+    """Give the rig a typical sensor if its camera has none: 30,000 electrons, 14 bits, RGGB; grey for a flat sample."""
     camera = rig.camera
     if camera.sensor is not None:
         return rig
@@ -207,7 +208,7 @@ def sensor_or_usual(rig: Rig) -> Rig:
 
 
 def _holds_files(folder: Path) -> bool:
-    """Return whether somebody's files are in a folder, not only what a run that was ended has left."""
+    """Check whether a folder contains files other than leftovers of an interrupted run."""
     return any(not is_folder(path) and not path.name.startswith(".") for path in folder.rglob("*"))
 
 
@@ -221,12 +222,12 @@ def _sensor(rig: Rig) -> Sensor:
 
 
 def _drawn(sample: SyntheticSample, material: Material, lamp: dict[str, Any], error: float) -> np.ndarray:
-    """Return radiance (height, width, channels) of one lamp position."""
+    """Compute the radiance (height, width, channels) of one lamp position."""
     return sample.drawn(material, lamp, error)
 
 
 def _mosaic(sensor: Sensor, radiance: np.ndarray) -> np.ndarray:
-    """Return what each pixel sees: its own colour, or the mean of all."""
+    """Select the colour of each pixel, or the mean of all channels."""
     if sensor.cfa is None:
         return radiance.mean(2)
     three = np.broadcast_to(radiance, (*radiance.shape[:2], 3)) if radiance.shape[2] == 1 else radiance
@@ -235,7 +236,7 @@ def _mosaic(sensor: Sensor, radiance: np.ndarray) -> np.ndarray:
 
 
 def _exposed(sensor: Sensor, electrons: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Return codes of expected electrons that are a mosaic already (`Sensor.expose` is for radiance)."""
+    """Compute codes of expected electrons that are a mosaic already (`Sensor.expose` is for radiance)."""
     well = float(sensor.full_well)
     charge = np.minimum(rng.poisson(np.minimum(electrons, 2 * well + 100)), well)
     code = float(sensor.gain) * (charge + float(sensor.read_noise) * rng.standard_normal(charge.shape))
@@ -243,7 +244,7 @@ def _exposed(sensor: Sensor, electrons: np.ndarray, rng: np.random.Generator) ->
 
 
 def _patch_radiance(patch: WhitePatch, rig: Rig, lamp: dict[str, Any], shape: tuple[int, int]) -> np.ndarray:
-    """Return the radiance of a white patch under unit irradiance at the sphere's centre (docs/model.md 10), 1/sr."""
+    """Compute the radiance of a white patch under unit irradiance at the centre of the sphere (docs/model.md 10), 1/sr."""
     column, row, width, height = _REFERENCE
     x, y = np.meshgrid(
         np.arange(column, column + width) - (shape[1] - 1) / 2, (shape[0] - 1) / 2 - np.arange(row, row + height)
@@ -272,7 +273,7 @@ def _finite(value: Any) -> float | None:
 def _settings(
     rig: Rig, sample: SyntheticSample, sensor: Sensor, plan: CapturePlan, rng: np.random.Generator
 ) -> dict[str, Any]:
-    """Return capture.toml: what is known, as wrong as it is stated to be."""
+    """Build capture.toml from the stated values, including their errors."""
     spread = plan.distance_std
     distances = {
         "camera_mm": _of_curved(rig, "distance") * (1 + spread * rng.standard_normal()),

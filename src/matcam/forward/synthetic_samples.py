@@ -1,4 +1,4 @@
-"""Samples of synthetic captures: a sphere, a cylinder and a textured flat sample, each with its lamps, pictures and outline."""
+"""Samples of synthetic captures: a sphere, a cylinder and a textured flat sample, each with its lamps, images and outline."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from matcam.sample.shape import Curved, Flat
 RADIUS_MM = 25.0
 """Radius of a simulated sphere or cylinder, mm."""
 MARGIN = 48
-"""Border of a picture beside a curved sample, px: the reference stands in it."""
+"""Border of an image beside a curved sample, px, which contains the reference."""
 _ROWS = 96
 """Height of a cylinder's picture, px."""
 _LARGEST_TILT = math.radians(40)
 _LAMP_OF_FLAT = math.radians(20)
-"""Angle of the fixed lamp over a flat sample: half angles then go from 10 degrees through 0 to 30 as it is tilted."""
+"""Angle of the fixed lamp over a flat sample, rad: half angles then range from 10 degrees through 0 to 30 as it is tilted."""
 _TEXTURE_SLOPE = -2.0
 """Exponent of the textures' power over frequency, as of natural textures (van der Schaaf and van Hateren 1996)."""
 _CONTRASTS = (0.2, 0.3)
@@ -35,7 +35,9 @@ _MM_PER_PX = 0.02
 
 
 class LampErrors(NamedTuple):
-    """Standard deviations of a lamp position: of its stated direction, rad, its light, relative, and the sample's shift, px."""
+    """Standard deviations of a lamp position: of its stated direction, rad, its light, relative, and the shift of the
+    sample, px.
+    """
 
     direction: float
     gain: float
@@ -43,25 +45,25 @@ class LampErrors(NamedTuple):
 
 
 class SyntheticSample(Protocol):
-    """A sample in a synthetic capture: what a kind of sample decides of its pictures and of capture.toml."""
+    """Sample in a synthetic capture, with its effect on the images and on capture.toml."""
 
     shape: tuple[int, int]
     may_clip: bool
-    """Whether the longer exposures may clip: a flat sample's pictures are transformed, and a clipped pixel has no value."""
+    """Whether longer exposures may clip. Images of a flat sample are transformed, and a clipped pixel has no value."""
 
     def lamps(
         self, theta_d: np.ndarray, azimuth: float, errors: LampErrors, rng: np.random.Generator
     ) -> Iterator[dict[str, Any]]:
-        """Yield every lamp position: where it is, where it is stated to be, its light, and the sample's shift."""
+        """Yield every lamp position: true and stated direction, light, and shift of the sample."""
 
     def drawn(self, material: Material, lamp: dict[str, Any], error: float) -> np.ndarray:
         """Compute the radiance of one lamp position, (height, width, channels), 1/sr."""
 
     def before_field(self, shift: np.ndarray) -> np.ndarray | None:
-        """Compute the share of a bright field's light that each pixel sees past the sample; None: it has no outline."""
+        """Compute the share of a bright field that each pixel receives past the sample; None: the sample has no outline."""
 
     def settings(self) -> dict[str, Any]:
-        """The section [sample] of capture.toml."""
+        """Return the section [sample] of capture.toml."""
 
 
 def synthetic_sample(rig: Rig, shape: tuple[int, int] | None, seed: int) -> SyntheticSample:
@@ -69,7 +71,7 @@ def synthetic_sample(rig: Rig, shape: tuple[int, int] | None, seed: int) -> Synt
 
     Args:
         rig: camera, sample and lamp.
-        shape: (height, width) of the pictures, px; None: the sample's. Only of a flat sample.
+        shape: (height, width) of the pictures, px; None: that of the sample. For flat samples only.
         seed: of a flat sample's textures.
 
     Raises:
@@ -78,9 +80,7 @@ def synthetic_sample(rig: Rig, shape: tuple[int, int] | None, seed: int) -> Synt
     if isinstance(rig.sample, Flat):
         return _FlatSample(rig, shape or (256, 256), seed)
     if shape is not None:
-        raise ArgumentError(
-            "the size of a capture's pictures follows from the radius: leave it out for a sphere or cylinder"
-        )
+        raise ArgumentError("the size of the pictures follows from the radius: leave it out for a sphere or cylinder")
     if isinstance(rig.sample, Sphere):
         return _SphereSample(rig, rig.sample)
     if isinstance(rig.sample, Cylinder):
@@ -135,7 +135,9 @@ class _CurvedSample:
         return image if image.ndim == 3 else image[..., None]
 
     def _past_edge(self, beyond: np.ndarray, angle: np.ndarray) -> np.ndarray:
-        """Return the light of a field beyond a straight edge, by the distance from it, px, and the direction across it, rad."""
+        """Compute the light of a field beyond a straight edge, by the distance from it, px, and the direction across
+        it, rad.
+        """
         out = (beyond > 0).astype(float)
         near = np.abs(beyond) < 12
         turned = np.minimum(np.mod(angle, np.pi / 2), np.pi / 2 - np.mod(angle, np.pi / 2))[
@@ -160,7 +162,7 @@ class _SphereSample(_CurvedSample):
         super().__init__(rig, (side, side))
 
     def before_field(self, shift: np.ndarray) -> np.ndarray:
-        """Along a limb of hundreds of pixels' radius the edge is straight."""
+        """Along a limb with a radius of hundreds of pixels the edge is straight."""
         x, y = self._from_centre(shift)
         return self._past_edge(np.hypot(x, y) - self.radius, np.arctan2(y, x))
 
@@ -179,7 +181,7 @@ class _CylinderSample(_CurvedSample):
         return self._past_edge(np.abs(x) - self.radius, np.zeros(self.shape))
 
     def settings(self) -> dict[str, Any]:
-        # the lens mixes the strip with what is above and below it
+        # the lens mixes the strip with its neighbours above and below
         return {
             "kind": "cylinder",
             "radius_mm": [RADIUS_MM, 0.005],
@@ -200,7 +202,7 @@ class _FlatSample:
             raise ArgumentError("a flat sample needs a grey sensor: give a camera whose sensor has no cfa")
         self.rig, self.shape = rig, shape
         rng = np.random.default_rng(seed + 1_000_000)
-        size = (2 * shape[0], 2 * shape[1])  # the tilted sample shows more than its pictures hold head-on
+        size = (2 * shape[0], 2 * shape[1])  # the tilted sample shows more than the pictures contain head-on
         self.textures = [1 + contrast * _noise(size, rng) for contrast in _CONTRASTS]
         self._tilts: list[float] = []
 
@@ -210,7 +212,7 @@ class _FlatSample:
         tilts = np.linspace(0, _LARGEST_TILT, len(theta_d))
         self._tilts = np.degrees(tilts).round(6).tolist()
         half = math.degrees(_LAMP_OF_FLAT / 2)
-        exact = errors._replace(direction=0.0, shift=0.0)  # reconstruct takes both as exact
+        exact = errors._replace(direction=0.0, shift=0.0)  # reconstruct assumes that both are exact
         for number, tilt in enumerate(self._tilts):
             yield _lamp(number, _LAMP_OF_FLAT, azimuth, exact, rng, theta_d_deg=half, tilt_deg=tilt)
 
@@ -228,7 +230,7 @@ class _FlatSample:
 
 
 def _noise(shape: tuple[int, int], rng: np.random.Generator) -> np.ndarray:
-    """Return a periodic random texture of mean 0 and standard deviation 1, without what one texel is too coarse for."""
+    """Draw a periodic random texture of mean 0 and standard deviation 1, without frequencies that a texel cannot represent."""
     frequency = np.hypot(np.fft.fftfreq(shape[0])[:, None], np.fft.fftfreq(shape[1]))
     amplitude = np.maximum(frequency, 2 / min(shape)) ** (_TEXTURE_SLOPE / 2) * (frequency < 0.45)
     amplitude[0, 0] = 0.0
@@ -237,7 +239,7 @@ def _noise(shape: tuple[int, int], rng: np.random.Generator) -> np.ndarray:
 
 
 def _weights(material: Material, tilt: float, towards: np.ndarray) -> tuple[float, float]:
-    """Return the radiance of the lobe and of the diffuse part where both textures are 1, mean of the channels, 1/sr."""
+    """Compute the radiance of the lobe and of the diffuse part where both textures are 1, mean of the channels, 1/sr."""
     normal, view = np.array([math.sin(tilt), 0.0, math.cos(tilt)]), np.array([0.0, 0.0, 1.0])
     half = (towards + view) / np.linalg.norm(towards + view)
     cos_i = max(float(normal @ towards), 0.0)

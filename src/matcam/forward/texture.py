@@ -1,7 +1,8 @@
-"""Texture on a flat sample: the contrast that survives tilt and camera (paper (4)), and the picture of it.
+"""Texture on a flat sample: contrast after tilt and camera (paper (4)), and its image.
 
-A texture is periodic, so its picture is a sum of waves. Each arrives at its own frequency, stretched by the tilt along x, and
-keeps the camera's total transfer function there. Pixels are read at their centres; nothing is resampled.
+A texture is periodic, so its image is a sum of waves. Each has its own frequency on the sensor, changed by the tilt
+along x, and is multiplied by the transfer function of the camera there. The sum is evaluated at the centres of pixels,
+without resampling.
 """
 
 from __future__ import annotations
@@ -24,10 +25,10 @@ _MOST_WAVES = 1 << 23  # in the quarter plane: half a GB per channel
 
 
 def texture_contrast(rig: Rig, frequency: ArrayLike, theta_o: ArrayLike) -> jax.Array:
-    """Return the recorded over the true contrast of a sinusoidal texture.
+    """Compute the recorded over the true contrast of a sinusoidal texture.
 
-    The texture varies along the tilt. A frequency nu arrives at nu / cos(theta_o), and keeps the camera's MTF there. A
-    negative contrast means that bright and dark have changed places.
+    The texture varies along the tilt. On the sensor a frequency nu becomes nu / cos(theta_o), where the MTF of the
+    camera applies. A negative contrast means that bright and dark are exchanged.
 
     Args:
         rig: a rig with a `Flat` sample.
@@ -60,23 +61,23 @@ def textured_picture(
     texture_pitch: float = 1.0,
     texels: Texels = "band-limited",
 ) -> jax.Array:
-    """Return the picture of a textured flat sample, tilted along x.
+    """Simulate the image of a textured flat sample, tilted along x.
 
-    The camera is far away. The texture repeats itself, and its centre is the picture's. The result is exact to rounding, as far
-    as the lens's MTF has died out at its `band()`.
+    The camera is distant. The texture is periodic, and its centre is that of the image. The result is exact to rounding
+    if the MTF of the lens vanishes at its `band()`.
 
     Args:
-        texture: albedo, or anything that light is proportional to, (H, W) or (H, W, channels), finite and >= 0; row 0 on top.
+        texture: albedo, or any factor of the light, (H, W) or (H, W, channels), finite and >= 0; row 0 on top.
         rig: a rig with a `Flat` sample.
         theta_o: angle of the tilt, in [0, pi/2), rad.
         shape: (rows, columns) of the picture, px. Default: the texture's.
         texture_pitch: distance of neighbouring texels on the sensor, head-on, px. Default: 1.
-        texels: signal between the texels' centres. Default: "band-limited", the smoothest periodic signal through their values:
-            a sampled sine is that sine, and beside an edge it overshoots, even below 0. "squares" makes each texel a square
+        texels: signal between the texels' centres. Default: "band-limited", the smoothest periodic signal through their
+            values: a sampled sine is reproduced, and edges overshoot, even below 0. "squares" makes each texel a square
             of constant albedo (a chart, a print): the picture of a positive kernel stays >= 0.
 
     Returns:
-        Picture in the texture's unit, (rows, columns) or (rows, columns, channels). A uniform texture is read as it is.
+        Picture in the texture's unit, (rows, columns) or (rows, columns, channels). A uniform texture keeps its value.
         Differentiable in texture, angle and camera.
 
     Raises:
@@ -97,7 +98,7 @@ def textured_picture(
     texture = _check_texture(texture)
     theta_o = checks.scalar("theta_o", checks.viewing_angle("theta_o", theta_o))
     checks.scalar("texture_pitch", checks.positive("texture_pitch", texture_pitch, "px"))
-    pitch = float(texture_pitch)  # decides how many waves there are: not to be traced
+    pitch = float(texture_pitch)  # must be concrete, because it decides the number of waves
     rows, columns = _check_shape(texture.shape[:2] if shape is None else shape)
     height, width = texture.shape[:2]
     band = rig.camera.optics.band() if texels == "squares" else None
@@ -108,7 +109,7 @@ def textured_picture(
             f"texture of {height} x {width} texels of {pitch:g} px makes {across.k.size} x {along.k.size} waves that this lens "
             f"may pass: more than {4 * _MOST_WAVES}; give a smaller texture"
         )
-    # the transfer function is even in both frequencies: a quarter of the plane will do
+    # the transfer function is even in both frequencies: a quarter of the plane suffices
     frequency_x = flat.frequency_on_sensor(np.arange(along.k.size // 2 + 1) / (width * pitch), theta_o)
     frequency_y = jnp.arange(across.k.size // 2 + 1)[:, None] / (height * pitch)
     picture = _sum_of_waves(
@@ -124,10 +125,10 @@ class _AxisWaves(NamedTuple):
     """The waves exp(2 pi i k u / texels) of a texture along one axis, symmetric about 0.
 
     Attributes:
-        texels: count of texels.
+        texels: number of texels.
         k: wave numbers.
         weight: share of each wave in the signal between the texels' centres.
-        at: places of the pixels on the texture, in texels.
+        at: positions of the pixels on the texture, in texels.
     """
 
     texels: int
@@ -137,14 +138,14 @@ class _AxisWaves(NamedTuple):
 
 
 def _axis_waves(texels: int, pixels: int, foreshortening: ArrayLike, pitch: float, band: float | None) -> _AxisWaves:
-    """Return the waves along an axis.
+    """Build the waves along an axis.
 
-    Those of squares go up to `band`, cycles/px. None stands for a band-limited signal.
+    Those of squares go up to `band`, cycles/px. None: a band-limited signal.
     """
     at = (texels - 1) / 2 + (jnp.arange(pixels) - (pixels - 1) / 2) / (pitch * foreshortening)
     if band is None:
         k = np.arange(-(texels // 2), texels // 2 + 1)
-        # the wave that changes sign from texel to texel is its own mirror image
+        # the wave that changes sign between texels is its own mirror image
         return _AxisWaves(texels, k, np.where(2 * np.abs(k) == texels, 0.5, 1.0), at)
     reach = int(np.ceil(band * texels * pitch))
     k = np.arange(-reach, reach + 1)
@@ -153,9 +154,9 @@ def _axis_waves(texels: int, pixels: int, foreshortening: ArrayLike, pitch: floa
 
 @eqx.filter_jit
 def _sum_of_waves(planes: jax.Array, transfer: jax.Array, across: _AxisWaves, along: _AxisWaves) -> jax.Array:
-    """Sum the waves that the camera leaves of a texture (H, W, channels).
+    """Sum the waves of a texture (H, W, channels) after the camera.
 
-    The transfer function is given at the wave numbers from 0 on.
+    The transfer function is given at wave numbers from 0.
     """
     transfer = transfer[jnp.abs(across.k)[:, None], jnp.abs(along.k)]
     spectrum = jnp.fft.fft2(planes, axes=(0, 1), norm="forward")

@@ -1,7 +1,7 @@
-"""A sample as a rig photographs it, and the exact record of its pixels.
+"""View of a sample by a rig, and the exact record of its pixels.
 
-Through a lens that is a sum of Gaussians every pixel is recorded by itself, by the operator (`integral/`). Through one that
-ends at a frequency all that sends light is known or recorded at several places a pixel, and filtered (`frequencies/`).
+Through a lens that is a sum of Gaussians every pixel is recorded separately, by the operator (`integral/`). Through a
+band-limited lens all light is computed or recorded at several positions per pixel, and filtered (`frequencies/`).
 """
 
 from __future__ import annotations
@@ -40,22 +40,22 @@ from matcam.sample.shape import Curved
 _PLACES = 1 << 20
 """Pixels times points of a lamp that are recorded at once: they fit into 1 GiB."""
 _AT_ONCE = 1 << 18
-"""Places of a fine record that are recorded at once."""
+"""Number of positions of a fine record that are recorded at once."""
 _FARTHEST_REACH = 8.0  # px beyond the limb that a picture holds unless it is given a shape
 
 
 class View(NamedTuple):
-    """A sample as it is photographed, and the part of it that the picture shows.
+    """Sample, camera and lamp, and the part of the sample in the image.
 
     Attributes:
         imaging: sample, blur and the lamp's nearness.
         lamp_angle: angle between lamp and optical axis, rad.
-        turning: 0, with the derivative of the lamp's angle, rad; None: nobody asks for it.
+        turning: 0, with the derivative of the lamp's angle, rad; None: it is not differentiated.
         azimuth: of the lamp, rad.
         points: the lamp's points, each of one angle and azimuth.
-        x: places of the columns, px.
-        y: places of the rows, px.
-        lens: what a fine record is filtered by; None: the lens is a part of the imaging.
+        x: positions of the columns, px.
+        y: positions of the rows, px.
+        lens: filter of a fine record; None: the lens is part of the imaging.
     """
 
     imaging: Imaging
@@ -75,14 +75,14 @@ def view_of(
     shape: tuple[int, int] | None,
     error: float | None = None,
 ) -> View:
-    """Return a rig's view of a sample.
+    """Build the view of a sample by a rig.
 
     Args:
         material: of the sample.
         rig: camera, sample and lamp.
         lamp: angle between lamp and optical axis, and its azimuth; None: the rig's, rad.
-        shape: (height, width) of the picture, px. None: what holds the sample.
-        error: largest error of a transfer function that is aimed at, twice. Default: None, as exact as is known.
+        shape: (height, width) of the picture, px. None: an area that contains the sample.
+        error: twice the target for the largest error of a transfer function. Default: None, full accuracy.
 
     Raises:
         ArgumentError: see `matcam.picture`.
@@ -118,13 +118,13 @@ def view_of(
 
 
 def _lens_of(material: Material, rig: Rig, sample: Curved, error: float | None) -> PictureLens | None:
-    """Return what the picture is filtered by; None where the lens is a sum of Gaussians."""
+    """Choose the filter of the image; None if the lens is a sum of Gaussians."""
     optics = rig.camera.optics
-    # a cylinder goes on beyond any picture, and its light with it: one row is all of them, where all is distant
+    # a cylinder extends beyond any image: in a distant rig one row represents all
     if isinstance(sample, Cylinder) and not (sample.distant and rig.lamp.nearness is None):
         checked_isotropic(optics, "a cylinder's picture before a near camera or lamp")
         return None
-    aimed = None if error is None else error / 2  # of the transfer function: half of it shows at the peak
+    aimed = None if error is None else error / 2  # of the transfer function: half of it is visible at the peak
     if isinstance(sample, Cylinder) and varies_over_field(optics):
         raise ArgumentError("a cylinder's picture needs a lens that is the same all over the field: use a Sphere")
     lens = picture_lens(rig.camera, float(jax.lax.stop_gradient(sample.radius)), aimed)
@@ -135,9 +135,9 @@ def _lens_of(material: Material, rig: Rig, sample: Curved, error: float | None) 
 
 
 def _picture_shape(rig: Rig, shape: tuple[int, int] | None, reach: float) -> tuple[int, int]:
-    """Return the picture's (height, width), px.
+    """Return (height, width) of the image, px.
 
-    It is the given shape, the rig's crop, or a square that holds the sample and its light's reach of at most 8 px.
+    It is the given shape, the crop of the rig, or a square that contains the sample and its blur of at most 8 px.
     """
     if shape is not None:
         return picture_shape("shape", shape)
@@ -148,7 +148,7 @@ def _picture_shape(rig: Rig, shape: tuple[int, int] | None, reach: float) -> tup
 
 
 def exact_record(material: Material, view: View) -> jax.Array:
-    """Return the radiance of all pixels, 1/sr, (rows, columns, channels)."""
+    """Compute the radiance of all pixels, 1/sr, (rows, columns, channels)."""
     if view.lens is not None:
         return _filtered_record(material, view, view.lens)
     x, y = (np.ascontiguousarray(a.ravel()) for a in np.meshgrid(view.x, view.y))
@@ -156,7 +156,7 @@ def exact_record(material: Material, view: View) -> jax.Array:
 
 
 def _filtered_record(material: Material, view: View, lens: PictureLens) -> jax.Array:
-    """Record all that sends light at several places a pixel, and filter it as the lens does."""
+    """Record all light at several positions per pixel, and filter it by the lens."""
     endless = isinstance(view.imaging.sample, Cylinder)
     if serves(view.imaging.sample, material.elongation, lens.highest) and not view.imaging.blur.varies:
         per_px, across, along, record = _light_record(material, view, lens)
@@ -172,7 +172,7 @@ def _filtered_record(material: Material, view: View, lens: PictureLens) -> jax.A
     rows = np.zeros_like(rows) if endless else rows
     seen = []
     for c, colour in enumerate(lens.colours):
-        # one colour is that of all channels
+        # one colour applies to all channels
         own = slice(None) if len(lens.colours) == 1 else [min(c, record.spectrum.shape[-1] - 1)]
         passed = (
             filtered(share.only(own), one, lens.pixel, lens.limit, colour.shift)
@@ -183,7 +183,7 @@ def _filtered_record(material: Material, view: View, lens: PictureLens) -> jax.A
 
 
 def _light_record(material: Material, view: View, lens: PictureLens) -> tuple[int, FineLine, FineLine, FineRecord]:
-    """Return points a pixel, columns, rows, and what is recorded of a sphere's light."""
+    """Return points per pixel, columns, rows, and the record of the light of a sphere."""
     sample = view.imaging.sample
     radius = float(jax.lax.stop_gradient(sample.radius))
     per_px = max(lens.limit.per_px, per_px_for(lens.highest, radius))
@@ -201,7 +201,7 @@ def _light_record(material: Material, view: View, lens: PictureLens) -> tuple[in
 
 
 def _fine_record(material: Material, view: View, lens: PictureLens) -> tuple[int, FineLine, FineLine, FineRecord]:
-    """Return the same from places each of which is recorded by itself."""
+    """Compute the same from positions that are recorded separately."""
     per_px, endless = lens.limit.per_px, isinstance(view.imaging.sample, Cylinder)
     reach = max(group.scale.reach for group in groups_of(view.imaging.blur, view.imaging.sample))
     side = float(jax.lax.stop_gradient(view.imaging.sample.radius)) + reach
@@ -221,7 +221,7 @@ def _fine_record(material: Material, view: View, lens: PictureLens) -> tuple[int
 def record_pixels(material: Material, view: View, x: np.ndarray, y: np.ndarray) -> jax.Array:
     """Record pixels centred on (x, y) px; shape (pixels, channels).
 
-    The picture is the mean over the lamp's points; many of them are recorded at once.
+    The image is the mean over the points of the lamp; many of them are recorded at once.
     """
     sample, blur, nearness = view.imaging
     if isinstance(sample, Cylinder):
@@ -247,7 +247,7 @@ def record_pixels(material: Material, view: View, x: np.ndarray, y: np.ndarray) 
 
 
 def _rings(points: list[LampPoint], most: int) -> Iterator[list[LampPoint]]:
-    """Split a lamp's points into lists of at most `most` that are equally far away."""
+    """Split the points of a lamp into lists of at most `most` at equal distances."""
     for _, ring in groupby(points, lambda point: point.distance):
         while some := list(islice(ring, most)):
             yield some

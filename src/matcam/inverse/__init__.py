@@ -1,4 +1,4 @@
-"""From a record to the material: fits through the camera, corrections, bounds."""
+"""Estimation of a material from its record: fits through the camera, corrections, and bounds."""
 
 import lazy_loader
 

@@ -1,7 +1,7 @@
-"""Which lamp angles, exposures, radius and tolerances a wanted accuracy of F needs (docs/model.md 10).
+"""Lamp angles, exposures, radius and tolerances that a wanted accuracy of F requires (docs/model.md 10).
 
-What pixels and lens allow comes from `limits`. What geometry and light must be known to follows from how steep F is: an error
-of an angle reads F at another angle, an error of a picture's light is one of F.
+`limits` gives the accuracy that pixels and lens allow. The tolerances of geometry and light follow from the slope of F:
+an error of an angle evaluates F at another angle, and a relative error of an image's light is one of F.
 """
 
 from __future__ import annotations
@@ -26,29 +26,29 @@ from matcam.sample.curved import Sphere
 
 _FIRST = 5.0
 _STEP = 4.5
-"""Degrees of theta_d: the first lamp position, and the largest step to the next."""
+"""Largest step of theta_d between lamp positions, and the first position, degrees."""
 _SHARES = 4.0
-"""Independent sources of error that share a wanted accuracy: angle, light, outline, pixels."""
+"""Number of independent sources of error that share the wanted accuracy: angle, light, outline, pixels."""
 _FLOOR = 30.0
-"""Read noises at which a dim pixel still tells something."""
+"""Signal of the dimmest useful pixel, in units of the read noise."""
 _STEP_OF_EXPOSURE = 4.0
 _RADII = (0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0)
-"""Radii, in that of the rig, among which the smallest that will do is named."""
+"""Radii that are tried, as multiples of the radius of the rig."""
 
 
 class CaptureNeeds(NamedTuple):
-    """Hold what a wanted accuracy needs.
+    """Requirements of a wanted accuracy of F.
 
     Attributes:
         theta_d: of the lamp positions, rad, (n,).
         lamp_angle: between lamp and optical axis, seen from the sample's centre, rad, (n,).
-        radius: smallest radius of the limb among those tried at which pixels allow the accuracy, px; infinite: none of them.
+        radius: smallest tried radius of the limb at which the pixels allow the accuracy, px; infinite if none of them does.
         fresnel_std: bound of F at the last angle for each radius tried, (radius px, relative standard deviation).
-        exposures: how many, in steps of 4.
+        exposures: number of exposures, in steps of a factor of 4.
         dynamic_range: brightest pixel over the dimmest that matters.
-        lamp_std: what every lamp's direction must be known to, rad.
-        outline_std: what the sphere's centre and radius must be known to, px.
-        gain_std: what a picture's light must be known to, relative.
+        lamp_std: tolerance of the direction of each lamp, rad.
+        outline_std: tolerance of centre and radius of the sphere, px.
+        gain_std: relative tolerance of the light of an image.
         slope: change of F with the angle at the last one, relative, 1/rad.
     """
 
@@ -64,7 +64,7 @@ class CaptureNeeds(NamedTuple):
     slope: float
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the needs as a JSON object, angles in degrees."""
+        """Return the requirements as a JSON object, angles in degrees."""
         return {
             "theta_d_deg": np.degrees(self.theta_d).tolist(),
             "lamp_angle_deg": np.degrees(self.lamp_angle).tolist(),
@@ -90,7 +90,7 @@ def plan_capture(
     noise: PixelNoise | None = None,
     workspace: Workspace | None = None,
 ) -> CaptureNeeds:
-    """Say what a wanted accuracy of F at a large angle needs.
+    """Plan a capture for a wanted accuracy of F.
 
     The accuracy is shared by four independent errors: the angle, the picture's light, the outline, and the pixels; each may
     take half of it.
@@ -144,7 +144,7 @@ def plan_capture(
             break
     at = smallest if math.isfinite(smallest) else bounds[-1][0]
     sensor = rig.camera.sensor
-    # brightest: the recorded peak at the last angle; dimmest: its hundredth at the first one
+    # brightest: the recorded peak at the last angle; dimmest: 1 % of the peak at the first angle
     ends = np.array([theta_d[0], last])
     peaks = np.asarray(peak_response(_enlarged(rig, at), GGX(roughness), ends)) / np.cos(ends)
     ratio = 100 * peaks[1] / peaks[0] * reflectance(last) / reflectance(float(theta_d[0]))
@@ -166,7 +166,7 @@ def plan_capture(
 
 
 def _enlarged(rig: Rig, radius: float) -> Rig:
-    """Return the rig with a sphere of another radius in the picture, px, at the same distances in radii."""
+    """Replace the radius of the sphere in the image, px; distances in radii stay."""
     assert isinstance(rig.sample, Sphere)
     distance = np.inf if rig.sample.distant else rig.sample.distance
     return eqx.tree_at(lambda r: r.sample, rig, Sphere(radius, distance))

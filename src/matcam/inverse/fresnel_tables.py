@@ -17,18 +17,18 @@ from matcam.material.reflectance import fresnel_conductor
 
 _DIMS = ("theta_d", "channel")
 _REFRACTIVE = (1.3, 1.4, 1.5, 1.6, 1.7, 1.8)
-"""Indices of dielectrics that a result is compared with."""
+"""Refractive indices of dielectrics that a result is compared with."""
 _NAMES = {
     "tabulated": "F of tabulated optical constants, normalised",
     "tabulated_f0": "F of tabulated optical constants at normal incidence",
     "rms_corrected": "rms of corrected / tabulated - 1",
     "rms_raw": "rms of raw / tabulated - 1",
 }
-"""Names in words of the variables of the result."""
+"""Descriptive names of the variables of the result."""
 
 
 def check_fresnel_result(result: xr.Dataset) -> None:
-    """Refuse what is no Dataset as from `fresnel`. ArgumentError names what it lacks."""
+    """Check that a result is a Dataset as from `fresnel`; ArgumentError names what it lacks."""
     checks.instance("result", result, xr.Dataset)
     dims = {"theta_d": ("theta_d",), "raw": _DIMS, "corrected": _DIMS, "supported_angle": _DIMS[1:]}
     lacking = [name for name, wanted in dims.items() if name not in result.variables or result[name].dims != wanted]
@@ -52,11 +52,12 @@ def tabulated_fresnel(
 
         - `tabulated`: F of the table's n and k, normalised over the same range of theta_d as `result`.
         - `tabulated_f0`: F at normal incidence, (table, channel).
-        - `rms_corrected`, `rms_raw`: rms over theta_d of (result / tabulated - 1), (table, channel), from the start of the
-          normalisation to the supported angle; NaN where nothing is supported.
+        - `rms_corrected`, `rms_raw`: rms over theta_d of (result / tabulated - 1), (table, channel), from the start of
+          the normalisation to the supported angle; NaN where no angle is supported.
 
     Raises:
-        ArgumentError: there is no such metal, not one wavelength for each channel, or `result` lacks something.
+        ArgumentError: the metal is unknown, the number of wavelengths is not that of the channels, or `result` lacks a
+            variable.
 
     Source:
         `metals` lists the tables.

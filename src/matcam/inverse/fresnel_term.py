@@ -1,4 +1,4 @@
-"""The Fresnel term of a measured material, with and without the camera: the paper's equation (13) and Figure 6."""
+"""Fresnel term of a measured material, with and without its camera: equation (13) and Figure 6 of the paper."""
 
 from __future__ import annotations
 
@@ -46,15 +46,16 @@ SUPPORTED_STD = 0.05
 """Relative standard deviation beyond which an angle is no longer supported by the data."""
 
 NORMALISE = (np.radians(10.0), np.radians(45.0))
-"""theta_d over whose mean F is normalised. Below 10 degrees lamp and camera are in each other's way on real rigs; metals'
-F is flat to 45."""
+"""theta_d over whose mean F is normalised. Below 10 degrees lamp and camera occlude each other on real rigs; F of
+metals is flat up to 45 degrees.
+"""
 
 _NEGLIGIBLE = 1e-3
-"""Probability of no camera below which it is not fitted in all slices."""
+"""Probability of no camera below which the fit without camera is not repeated in all slices."""
 _SHARP_LENS = 0.05
-"""px."""
+"""Width of a lens below which a small width is used instead, px."""
 _PARTS = 5
-"""In which the angles of exact peaks are computed."""
+"""Number of parts in which the angles of exact peaks are computed."""
 _QUIET = np.radians(np.arange(6, 60, 3))  # theta_d where lobes of real tables are complete
 _NAMES = {
     "raw": "F from the recorded peak",
@@ -72,7 +73,7 @@ _NAMES = {
     "hwhm": "half width of the lobe at half its maximum [rad]",
     "hwhm_std": "standard deviation of hwhm [rad]",
 }
-"""Names in words, and units, of the variables of the results."""
+"""Descriptive names and units of the variables of the results."""
 
 
 def fresnel(
@@ -89,10 +90,10 @@ def fresnel(
 ) -> xr.Dataset:
     """Extract the Fresnel term of a table, with and without its camera.
 
-    F is free in every slice; one lobe and a Lambertian part are common to all. The camera's specified uncertainty is a prior
-    that the data may improve on, and the shape of its lens is fitted, too. F is averaged over the explanations that `correct`
-    averages over, and what it withholds is withheld here. `corrected` and `corrected_peak` may disagree by more
-    than their errors. Then the lobe is not of this shape, or does not widen as this camera would make it.
+    F is free in every slice; one lobe and a Lambertian part are common to all. The uncertainty of the camera is a
+    prior, and the shape of its lens is fitted, too. F is averaged over the same explanations as in `correct`, and
+    withheld where `correct` withholds. If `corrected` and `corrected_peak` disagree by more than their errors, the lobe
+    has another shape, or does not widen as this camera would widen it.
 
     Args:
         brdf: table as from `read_merl`, 1/sr.
@@ -111,24 +112,24 @@ def fresnel(
 
         - `raw`, `raw_std`: F from the recorded peak alone, as if the camera were perfect.
         - `corrected_peak`: the paper's estimate, raw over the loss at the peak, relative to theta_d = 0.
-        - `corrected`, `corrected_std`: F from the lobe fitted through the camera. The error has a part of pixel noise
-          and of each picture's gain (`corrected_std_noise`), and one of the camera (`corrected_std_camera`).
+        - `corrected`, `corrected_std`: F from the lobe fitted through the camera. The error has a part from pixel noise
+            and the gain of each image (`corrected_std_noise`), and one from the camera (`corrected_std_camera`).
         - `absolute`, `absolute_std`: the same, not normalised; NaN where the lobe is too narrow for its strength to be known.
         - `response`: recorded / true peak. `masking`: G in the mirror direction.
-        - `supported_angle`: last theta_d, rad, up to which corrected_std stays under 5 % of corrected.
-        - `width`, `width_std`: width of the lobe, as its NDF defines it; of a bent lobe its half width, rad.
-        - `hwhm`, `hwhm_std`: half width of the lobe at half its maximum, rad, whatever its shape.
+        - `supported_angle`: last theta_d, rad, up to which corrected_std is below 5 % of corrected.
+        - `width`, `width_std`: width of the lobe, as its NDF defines it; of a spline-modified lobe its half width, rad.
+        - `hwhm`, `hwhm_std`: half width of a lobe of any shape at half its maximum, rad.
         - `budget_std`: part of each source in corrected_std, over (source, theta_d, channel); the sum of the squares is that of
           corrected_std. Along `source` are the type, value, standard uncertainty and degrees of freedom (`fresnel_budget`).
 
         `corrected` and `corrected_peak` have mean 1 over the range. `raw` is corrected_peak times the relative loss.
-        The attribute `picture_gain` is the standard deviation of a picture's gain, as far as F is rougher than its noise; and
-        `withheld` is 1 where rig and data contradict each other, so that `corrected` is F without a camera.
-        The attribute `remarks` has a line for each remark, "code: text" (`matcam.core.remark.from_attribute`).
+        The attribute `picture_gain` is the standard deviation of the gain of an image, estimated from the roughness of
+        F beyond its noise. `withheld` is 1 if rig and data contradict each other; `corrected` is then F without a
+        camera. The attribute `remarks` has a line for each remark, "code: text" (`matcam.core.remark.from_attribute`).
 
     Raises:
         ArgumentError: an argument is wrong, or the rig is not one that a fit can follow.
-        FitError: the table has no highlight, or nothing to normalise by.
+        FitError: the table has no highlight, or no values to normalise by.
 
     Source:
         The paper's equation (13) and Figure 6; docs/model.md sections 5 and 8.
@@ -152,7 +153,7 @@ def fresnel(
         brdf, located.rig, masking=masking, noise=noise, workspace=workspace or default_workspace(),
         slice_step=max(slice_step, SEARCH_STEP),
     )  # fmt: skip
-    setup.rule()  # by itself: what it compiles serves the others
+    setup.rule()  # alone: the programs that it compiles serve the other fits
     with done_behind(setup.with_(slice_step=slice_step).rule):
         explained = explain(setup, located, ndf)
     found = explained.setup.with_(slice_step=slice_step).solve(start=explained.fit)
@@ -171,7 +172,7 @@ def fresnel(
     ]
     others = []
     for doubt in explained.doubts:
-        if doubt.contradicts and doubt.counted:  # what `correct` does not support is not stated here
+        if doubt.contradicts and doubt.counted:  # F is given only where `correct` supports it
             free = explained.setup.with_(slice_step=slice_step, also=(doubt.axis.name,)).solve(start=doubt.fit)
             others.append((doubt.axis.name, NormalisedFresnel(free, normalise), doubt.counted))
     lobe, theta_d = found.ndf, found.theta_d
@@ -247,7 +248,7 @@ def fresnel(
 
 
 def fresnel_budget(result: xr.Dataset, theta_d: float, channel: str | None = None) -> UncertaintyBudget:
-    """Return the uncertainty budget of the corrected F at an angle (GUM).
+    """Compute the uncertainty budget of the corrected F at an angle (GUM).
 
     Its combined uncertainty is `corrected_std`. Sources are the readings, the gains of the pictures, the stated camera, and the
     other explanations of the table.
@@ -280,26 +281,26 @@ def fresnel_budget(result: xr.Dataset, theta_d: float, channel: str | None = Non
     value, degrees = float(result["corrected"].values[at]), float(np.degrees(result["theta_d"].values[at[0]]))
     if not np.isfinite(value):
         raise ArgumentError(
-            f"the result has no F at theta_d = {degrees:.1f} degrees in channel {channel}: choose an angle where it has"
+            f"the result has no F at theta_d = {degrees:.1f} degrees in channel {channel}: choose an angle where it has a value"
         )
     return parts_budget(f"F({degrees:.1f} deg), {channel}", value, budget_parts(result), at)
 
 
 def _fitted_rig(rig: Rig, found: MaterialFit) -> Rig:
-    """Return the rig with its lens as fitted; a lens of almost no width has a little, which no pixel shows."""
+    """Return the rig with its lens as fitted. A lens of almost no width gets a small one, which no pixel resolves."""
     if LENS not in found.params:
         return rig
     return rig_with(rig, {LENS: max(found.params[LENS], _SHARP_LENS)})
 
 
 def _peak_responses(rig: Rig, lobe: NDF, theta_d: np.ndarray, masking: Masking, log_slope: np.ndarray) -> np.ndarray:
-    """Return recorded over true peak, (n,). log_slope: of ln F, 1/rad, (n,), which shows in the pictures of near rigs.
+    """Compute recorded over true peak, (n,). log_slope: of ln F, 1/rad, (n,), which near rigs record.
 
-    Where the lamp's azimuth turns the pixels, the fit's own operator knows the response.
+    Where the azimuth of the lamp turns the pixels, the operator of the fit gives the response.
     """
     view = sample_view(rig)
     if not view.azimuth:
-        # parts of one length have one program, and the cores share them
+        # parts of one length share one program, and the cores share them
         parts = np.split(theta_d, _PARTS if theta_d.size % _PARTS == 0 else 1)
 
         def exact(part: np.ndarray) -> np.ndarray:
@@ -317,7 +318,7 @@ def _peak_responses(rig: Rig, lobe: NDF, theta_d: np.ndarray, masking: Masking, 
 
 @kept_program
 def _mirror_masking(ndf: NDF, theta_d: jax.Array, masking: Masking) -> tuple[jax.Array, jax.Array]:
-    """Return G where light and view mirror each other, and D in the same direction, 1/sr."""
+    """Compute G where light and view mirror each other, and D in the same direction, 1/sr."""
     highest = ndf.d(0.0)
     if masking is None:
         return jnp.ones_like(theta_d), highest
@@ -326,7 +327,7 @@ def _mirror_masking(ndf: NDF, theta_d: jax.Array, masking: Masking) -> tuple[jax
 
 
 def _check_highlight(brdf: xr.DataArray, normalise: tuple[float, float]) -> None:
-    """Raise FitError for a table that does not fall to half of its peak anywhere, or is missing where F is normalised."""
+    """Raise FitError for a table that does not fall to half of its peak, or is missing where F is normalised."""
     quiet = brdf.values[merl_grid(sampling_of(brdf)).index(theta_d=_QUIET)]
     there = np.isfinite(quiet)
     rings = np.where(there, quiet, 0).sum(axis=2) / np.maximum(there.sum(axis=2), 1)
@@ -345,7 +346,7 @@ def _check_highlight(brdf: xr.DataArray, normalise: tuple[float, float]) -> None
 
 
 def _supported_angle(term: NormalisedFresnel, theta_d: np.ndarray) -> np.ndarray:
-    """Return the last theta_d up to which the standard deviation stays under 5 %, counted outwards from the normalisation."""
+    """Return the last theta_d up to which the standard deviation is below 5 %, counted outwards from the normalisation."""
     relative = np.hypot(term.std_noise, term.std_camera) / term.normalised
     fine = relative < SUPPORTED_STD  # False where NaN
     result = np.zeros(len(fine))

@@ -1,4 +1,4 @@
-"""The Fresnel term over its own mean, with errors and their sources, and its average over the explanations of a table."""
+"""Fresnel term over its mean, with errors and their sources, averaged over the explanations of a table."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ NO_CAMERA = "no camera, rather than this one"
 
 
 class NormalisedFresnel:
-    """Hold the strengths of a fit with their errors, over their mean. Arrays of shape (channels, slices).
+    """Strengths of a fit with their errors, over their mean. Arrays of shape (channels, slices).
 
     `parts` are the sources of the normalised term's variance; their sum is that of `std_noise` and `std_camera`.
     """
@@ -39,7 +39,7 @@ class NormalisedFresnel:
         noise, camera = (c / divisor[:, :, None] / divisor[:, None, :] for c in strengths[1:3])
         self.relative = noise + camera
 
-        # normalising subtracts the mean's own change
+        # normalising subtracts the change of the mean
         share = np.where(used, strength, 0) / (count * mean)
         self._off_mean = np.eye(theta_d.size) - share[:, None, :]
         self.std_noise, self.std_camera = (self._normalised_std(c) for c in (noise, camera))
@@ -58,7 +58,7 @@ class NormalisedFresnel:
         self.absolute_std = np.where(resolved, std, np.nan)
 
     def _normalised_std(self, covariance: np.ndarray) -> np.ndarray:
-        """Return the standard deviation of the normalised term, from the relative covariance (channels, slices, slices)."""
+        """Compute the standard deviation of the normalised term from the relative covariance (channels, slices, slices)."""
         variance = np.einsum("cst,ctu,csu->cs", self._off_mean, covariance, self._off_mean)
         return self.normalised * np.sqrt(np.clip(variance, 0, None))
 
@@ -164,7 +164,7 @@ def budget_parts(result: xr.Dataset) -> list[VariancePart]:
 
 
 def nothing_to_normalise_by(normalise: tuple[float, float]) -> FitError:
-    """Return the error for a table without a highlight in the range of theta_d, rad, over which F is normalised."""
+    """Build the error for a table without a highlight in the range of theta_d, rad, over which F is normalised."""
     low, high = np.degrees(normalise)
     return FitError(
         f"no theta_d between {low:g} and {high:g} degrees shows a highlight in every channel: cannot normalise"

@@ -1,4 +1,4 @@
-"""The peaks of a table over theta_d as a Fresnel term for the eye, beside that of a metal. No fit, no camera."""
+"""Peaks of a table over theta_d as a visual estimate of the Fresnel term, beside that of a metal. No fit, no camera."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ NORMALISED_OVER = (np.radians(10.0), np.radians(45.0))
 
 
 def recorded_peak(brdf: xr.DataArray, theta_d: np.ndarray) -> np.ndarray:
-    """Return the mean of the cells nearest to the highlight in the slices at theta_d, (channels, slices).
+    """Average the cells nearest to the highlight in the slices at theta_d, (channels, slices).
 
     NaN where they are missing or not positive.
     """
@@ -25,9 +25,9 @@ def recorded_peak(brdf: xr.DataArray, theta_d: np.ndarray) -> np.ndarray:
 
 
 def peak_curve(table: xr.DataArray) -> xr.DataArray:
-    """Return the peak times cos^2 theta_d, of mean 1 over 10 to 45 degrees.
+    """Compute the peak times cos^2 theta_d, of mean 1 over 10 to 45 degrees.
 
-    For a lobe of one shape that is the Fresnel term where nothing masks (docs/model.md 6).
+    For a lobe of constant shape and without masking this is the Fresnel term (docs/model.md 6).
 
     Args:
         table: BRDF on the MERL grid, 1/sr.
@@ -46,7 +46,7 @@ def peak_curve(table: xr.DataArray) -> xr.DataArray:
 
 
 def metal_curve(name: str, theta_d: np.ndarray) -> np.ndarray:
-    """Return a metal's Fresnel term from tabulated n and k, normalised as `peak_curve` is, (theta_d, 3).
+    """Compute the Fresnel term of a metal from tabulated n and k, normalised as `peak_curve` is, (theta_d, 3).
 
     Args:
         name: of the metal, such as "Cr".
@@ -57,7 +57,7 @@ def metal_curve(name: str, theta_d: np.ndarray) -> np.ndarray:
 
 
 def conductor_curve(n: np.ndarray, k: np.ndarray, theta_d: np.ndarray) -> np.ndarray:
-    """Return a conductor's Fresnel term, normalised as `peak_curve` is, (theta_d, channel).
+    """Compute the Fresnel term of a conductor, normalised as `peak_curve` is, (theta_d, channel).
 
     Args:
         n: refractive index of each channel, no unit.

@@ -1,8 +1,8 @@
-"""The gain of each picture: by how much the Fresnel term is rougher, from slice to slice, than its noise.
+"""Gain of each image, from the roughness of the Fresnel term over the slices beyond its noise.
 
-Fourth differences over neighbouring slices take a smooth F away. What is left is normal; its covariance is that of the noise
-and of gains that are independent. The gains' variance is averaged over its posterior: ten slices know it to a factor of two,
-and errors by the likeliest variance alone would be too small (of 30 tables they held 56 % where 68 % are meant).
+Fourth differences over neighbouring slices remove a smooth F. They are normally distributed, with the covariance of the
+noise and of independent gains. The variance of the gains is averaged over its posterior: ten slices determine it to a
+factor of two, and the most probable variance alone would give standard deviations that are too small.
 """
 
 from __future__ import annotations
@@ -12,21 +12,24 @@ import numpy as np
 from matcam.core.remark import Remark
 
 _FOURTH = np.array([1.0, -4.0, 6.0, -4.0, 1.0])
-_STEEP = np.radians(70.0)  # theta_d up to which F is smooth enough for its roughness to be the pictures'
-_CLEAR = 4.0  # 2 ln likelihood that a gain must bring to be believed
-_GRID = np.geomspace(0.03, 300.0, 120)  # standard deviations that are weighed, in units of the noise's
+_STEEP = np.radians(
+    70.0
+)  # theta_d up to which F is smooth enough for its roughness to come from the gains of the images
+_CLEAR = 4.0  # smallest 2 ln likelihood ratio in favour of a gain
+# standard deviations of the gain in units of the noise, over which the posterior is averaged
+_GRID = np.geomspace(0.03, 300.0, 120)
 
 
 def picture_gain(theta_d: np.ndarray, curves: np.ndarray, covariances: np.ndarray) -> float:
-    """Return the standard deviation of a picture's gain, relative; 0 where no more than noise is seen.
+    """Estimate the relative standard deviation of the gain of an image; 0 if noise explains the roughness.
 
     Args:
-        theta_d: of the slices (n,), rad, evenly apart.
-        curves: F of the channels (channels, n), on any scale; NaN where it is not known.
+        theta_d: of the slices (n,), rad, equally spaced.
+        curves: F of the channels (channels, n), on any scale; NaN where it is unknown.
         covariances: of the noise of ln F (channels, n, n).
     """
     quiet = int((theta_d < _STEEP).sum())
-    # a picture's gain is that of all its channels, which do not count as several
+    # one gain per image for all channels, which do not count as several
     found = [
         _likelihood(curve[:quiet], covariance[:quiet, :quiet])
         for curve, covariance in zip(curves, covariances, strict=True)
@@ -39,7 +42,7 @@ def picture_gain(theta_d: np.ndarray, curves: np.ndarray, covariances: np.ndarra
     if 2 * (log_likelihood[1:].max() - log_likelihood[0]) < _CLEAR:
         return 0.0
     variance = noise * _GRID**2
-    # as good as no prior: flat in the variance below the noise's, in its logarithm above
+    # almost no prior: flat in the variance below that of the noise, in its logarithm above
     weight = np.exp(log_likelihood[1:] - log_likelihood[1:].max()) * variance / (variance + noise)
     return float(np.sqrt(weight @ variance / weight.sum()))
 
@@ -47,24 +50,24 @@ def picture_gain(theta_d: np.ndarray, curves: np.ndarray, covariances: np.ndarra
 def strengths_gain(
     theta_d: np.ndarray, strengths: np.ndarray, noise_covariance: np.ndarray, rig_covariance: np.ndarray
 ) -> float:
-    """Return the same of a fit's strengths, (channels, slices), whose covariances are (channels, slices, slices)."""
+    """Estimate the same from the strengths of a fit, (channels, slices), with covariances (channels, slices, slices)."""
     divisor = np.where(np.isfinite(strengths), strengths, np.inf)
     covariance = (noise_covariance + rig_covariance) / divisor[:, :, None] / divisor[:, None, :]
     return picture_gain(theta_d, strengths, covariance)
 
 
 def gain_remarks(gain: float) -> tuple[Remark, ...]:
-    """Say that there is a gain, where there is."""
+    """List the remark on a gain, if there is one."""
     if not gain:
         return ()
-    text = (
-        f"F scatters from picture to picture by {gain:.1%}: a gain of each picture, which its standard deviation holds"
-    )
+    text = f"F scatters from picture to picture by {gain:.1%}: a gain of each picture, which its standard deviation includes"
     return (Remark("picture-gain", text),)
 
 
 def _likelihood(curve: np.ndarray, covariance: np.ndarray) -> tuple[float, np.ndarray] | None:
-    """Return the noise's mean variance, and ln likelihood without a gain and with each of `_GRID`; None for too few slices."""
+    """Compute the mean variance of the noise, and ln likelihood without a gain and with each of `_GRID`; None for too
+    few slices.
+    """
     good = np.isfinite(curve) & (curve > 0) & np.isfinite(np.diagonal(covariance))
     size = len(_FOURTH)
     starts = [first for first in range(curve.size - size + 1) if good[first : first + size].all()]

@@ -1,4 +1,4 @@
-"""Bounds on what a rig's pictures can tell: Cramer-Rao bounds, and blurs that look alike (docs/model.md 8)."""
+"""Cramer-Rao bounds on what the images of a rig determine, and correlations between blurs (docs/model.md 8)."""
 
 from __future__ import annotations
 
@@ -25,19 +25,19 @@ from matcam.numerics.linalg import scaled_inverse
 from matcam.rigs import Rig
 
 ROUGHNESSES = (0.0003, 0.0005, 0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2)
-"""Roughnesses that are judged where the user names none."""
+"""Roughnesses that are judged by default."""
 
 _STEP = 0.004
 """Relative standard deviation of the lens for which its axis is made: the bounds need slopes only."""
 _SEEN = 3.0
-"""Standard deviations at which a blur is seen."""
+"""Standard deviations at which a blur is detected."""
 
 BLURS: dict[str, tuple[str, float]] = {
     "lamp (degrees)": (LAMP, float(np.radians(0.15))),
     "jitter (px)": ("jitter", 0.15),
     "defocus (aperture / distance)": ("aperture", 0.004),
 }
-"""What else widens a highlight: field of `Rig`, and the size at which its signature is taken."""
+"""Other blurs of a highlight: field of `Rig`, and the size at which the signature is computed."""
 _NAMES = {
     "width_std": "bound of ln roughness, lens exact",
     "width_std_stated": "bound of ln roughness, lens as its profile states",
@@ -50,7 +50,7 @@ _NAMES = {
     "width_std_changed": "bound of ln roughness after a change of the rig",
     "size": "size of the blur [unit in the name of the blur]",
 }
-"""Names in words, and units, of the variables of the result."""
+"""Descriptive names and units of the variables of the result."""
 
 
 def limits(
@@ -62,35 +62,35 @@ def limits(
     slice_step: int = 10,
     workspace: Workspace | None = None,
 ) -> xr.Dataset:
-    """Bound which roughness and which angle a rig can recover at all.
+    """Bound the roughness and the angle that a rig can recover.
 
-    The bounds (Cramer-Rao) also tell what mimics the lens, and what to change. F is free in every slice, and does not change
-    within one. Masking is Smith's, as there are no data to choose another by.
+    The Cramer-Rao bounds also show which blurs mimic the lens, and which changes of the rig help. F is free in every
+    slice, and constant within one. Masking is Smith's, because there are no data to choose another.
 
     Args:
         rig: the rig: a camera with a Gaussian lens, a sphere, and a lamp; distant or near.
-        ndf: family of the lobe, one with a single width. Default: "ggx". It is not "auto", as there are no data to choose by.
+        ndf: family of the lobe, one with a single width. Default: "ggx". "auto" is not available without data.
         roughness: roughnesses to judge, no unit (n,). Default: ten from 0.0003 to 0.2.
         noise: noise of a pixel and of the picture gain. Default: None, 1 % of the value, 1e-4 of the peak and 1 % of gain.
-        slice_step: spacing of the slices of theta_d (no unit). Default: 10, unlike `fit`: rigs are compared by the bounds of
-            nine slices. The bounds shrink with more slices.
+        slice_step: spacing of the slices of theta_d (no unit). Default: 10, unlike `fit`, which suffices to compare rigs.
+            Bounds shrink with more slices.
         workspace: keeps what depends on the rig alone for the next call. Default: None, the process's own.
 
     Returns:
         Dataset over roughness, theta_d (rad), blur and change:
 
-        - `width_std`: bound of ln roughness, camera exact. `width_std_stated`: with the lens known as its profile says, NaN
-          where it says nothing. `width_std_free`: with the lens left free.
+        - `width_std`: bound of ln roughness, camera exact. `width_std_stated`: with the uncertainty of the lens as in
+            its profile, NaN if it has none. `width_std_free`: with the lens free.
         - `lens_std_free`: bound of ln sigma_mtf then.
         - `fresnel_std`: bound of F at each theta_d, relative; lens as stated, else exact; without the picture gain.
-        - `alike`, (roughness, blur): correlation of what a blur changes with what a wider lens changes, after all that
-          roughness and F can explain. 1 cannot be told apart.
-        - `smallest`, (roughness, blur): size at which the blur is seen at 3 standard deviations, lens free.
-        - `width_bias`, (roughness, blur): change of ln roughness if a blur of the size in `size` is there and ignored.
+        - `alike`, (roughness, blur): correlation of the effect of a blur with that of a wider lens, after roughness and
+            F are fitted. 1 is indistinguishable.
+        - `smallest`, (roughness, blur): size at which the blur is detected at 3 standard deviations, lens free.
+        - `width_bias`, (roughness, blur): change of ln roughness if a blur of the size in `size` exists and is ignored.
         - `width_std_changed`, (roughness, change, lens): `width_std` and `width_std_free` after a change of the rig.
 
     Raises:
-        ArgumentError: the rig is not one that a fit can follow, its lens is no Gaussian, or a roughness is out of range.
+        ArgumentError: the rig is not one that a fit can follow, its lens is not Gaussian, or a roughness is out of range.
 
     Source:
         docs/model.md section 8.
@@ -155,7 +155,7 @@ def limits(
 
 
 def changed_rigs(rig: Rig) -> dict[str, Rig]:
-    """Return what a user can change, each by itself."""
+    """Return the changes of a rig that a user can make, each by itself."""
     radius, sigma = float(rig.sample.radius), float(rig.camera.parameters()[LENS])  # type: ignore[attr-defined]
 
     def with_(radius: float, sigma: float) -> Rig:
@@ -171,7 +171,7 @@ def changed_rigs(rig: Rig) -> dict[str, Rig]:
 
 
 class _View(NamedTuple):
-    """Hold what bounds depend on besides the roughness.
+    """Conditions of the bounds besides the roughness.
 
     Attributes:
         rig: the rig.
@@ -189,7 +189,7 @@ class _View(NamedTuple):
 
 
 class _Information:
-    """Hold the Fisher information of ln roughness and ln sigma_mtf in the chosen cells, F free in every slice."""
+    """Fisher information of ln roughness and ln sigma_mtf in the chosen cells, F free in every slice."""
 
     def __init__(self, view: _View, roughness: float):
         self.view, self.roughness = view, roughness
@@ -214,7 +214,7 @@ class _Information:
         self.columns = self.free(slopes)
 
     def free(self, column: np.ndarray) -> np.ndarray:
-        """Return a change of the record in standard deviations, without what free strengths explain."""
+        """Project a change of the record, in standard deviations, to be orthogonal to free strengths."""
         u = column * self.root
         return u - self.direction * (u * self.direction).sum(-1, keepdims=True)
 
@@ -230,7 +230,7 @@ class _Information:
         return np.sqrt(np.diag(self._matrix(prior)))
 
     def fresnel_std(self, prior: float) -> np.ndarray:
-        """Bound F of every slice, relative: its own pixels' noise, and roughness and lens through the lobe."""
+        """Bound F of every slice, relative: from its own pixels' noise, and from roughness and lens through the lobe."""
         by_lobe = ((self.slopes * self.root) * self.direction).sum(-1) / np.where(self.length > 0, self.length, np.inf)
         shared = np.einsum("ps,pq,qs->s", by_lobe, self._matrix(prior), by_lobe)
         return np.sqrt(np.where(self.length > 0, 1 / np.maximum(self.length, 1e-300) ** 2 + shared, np.inf))
@@ -242,7 +242,7 @@ def _exact_and_free(information: _Information) -> tuple[float, float]:
 
 
 def _signature(own: _Information, field: str, size: float) -> tuple[float, float, float]:
-    """Return (alike, smallest, width_bias) of one blur."""
+    """Compute (alike, smallest, width_bias) of one blur."""
     blurred = rig_with(own.view.rig, {field: size})
     other = _Information(own.view._replace(rig=blurred), own.roughness)
     change = own.free(other.record - own.record).ravel()
@@ -256,6 +256,6 @@ def _signature(own: _Information, field: str, size: float) -> tuple[float, float
     sizes = np.sqrt((by_blur @ by_blur) * (by_lens @ by_lens))
     alike = float(by_blur @ by_lens / sizes) if sizes > 0 else 1.0
     left = by_blur - by_lens * (by_blur @ by_lens) / max(by_lens @ by_lens, 1e-300)
-    deviations = float(np.sqrt(left @ left))  # at `size`; a blur adds variance, so they go as size^2
+    deviations = float(np.sqrt(left @ left))  # at `size`; a blur adds variance, so they scale with size^2
     smallest = size * np.sqrt(_SEEN / deviations) if deviations > 1e-6 else np.inf
     return alike, float(np.degrees(smallest)) if field == LAMP else smallest, exact

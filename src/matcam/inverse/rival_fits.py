@@ -1,9 +1,9 @@
-"""Two explanations of a table: its camera, or a surface that shadows itself as no roughness would.
+"""Two explanations of a table: its camera, or free shadowing.
 
-Both fits have a lobe of any smooth shape, and F free in every slice. One sees the lobe through the camera, with Smith's
-masking, which follows from the lobe. The other sees it as it is, with masking free (Bagher, Snyder & Nowrouzezahrai 2016).
-Both use the same cells; each estimates its own noise, and parameters that the data determine are counted against it (Akaike
-1974).
+Both fits have a lobe of any smooth shape, and F free in every slice. One models the lobe through the camera, with
+Smith's masking, which follows from the lobe. The other has no camera and a free masking (Bagher, Snyder &
+Nowrouzezahrai 2016). Both use the same cells and estimate their own noise. Akaike's criterion penalises the parameters
+that the data determine (Akaike 1974).
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ _CLEAR = 10.0
 
 
 class Rival(NamedTuple):
-    """Hold one explanation of a table.
+    """One explanation of a table.
 
     Attributes:
         fit: the fit.
-        parameters: number of parameters that the data determine (no unit); those that smoothness holds do not count.
+        parameters: number of parameters that the data determine (no unit); those that smoothness determines do not count.
         akaike: 2 parameters - 2 ln likelihood (no unit).
     """
 
@@ -38,7 +38,7 @@ class Rival(NamedTuple):
     akaike: float
 
     def to_dict(self) -> dict[str, Any]:
-        """Return what the comparison needs, as plain numbers.
+        """Return the comparison as numbers.
 
         Returns:
             The criterion, and how well the fit explains the data.
@@ -53,11 +53,11 @@ class Rival(NamedTuple):
 
 
 class Rivals(NamedTuple):
-    """Hold both explanations of a table, as `rivals` found them.
+    """Both explanations of a table, as `rivals` found them.
 
     Attributes:
-        camera: the table seen through its camera.
-        shadowing: the table seen as it is, with free masking.
+        camera: the fit through the camera.
+        shadowing: the fit without a camera, with free masking.
 
     Example:
         >>> found = matcam.rivals(table, matcam.rigs.merl())  # doctest: +SKIP
@@ -71,12 +71,12 @@ class Rivals(NamedTuple):
 
     @property
     def difference(self) -> float:
-        """Return by how much Akaike's criterion favours the camera (no unit)."""
+        """Return the difference in Akaike's criterion favouring the camera (no unit)."""
         return self.shadowing.akaike - self.camera.akaike
 
     @property
     def verdict(self) -> str:
-        """Say which explanation is better, and what noise each would need."""
+        """State which explanation is better, and the noise that each requires."""
         noise = (
             f"a pixel's noise would be {self.camera.fit.noise.relative:.2%} with the camera, "
             f"{self.shadowing.fit.noise.relative:.2%} with free shadowing"
@@ -87,7 +87,7 @@ class Rivals(NamedTuple):
         return f"{better} explains the data better (Akaike's criterion differs by {abs(self.difference):.0f}): {noise}"
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the comparison as plain numbers and texts.
+        """Return the comparison as numbers and texts.
 
         Returns:
             A dictionary that `matcam fit --rival --json` prints.
@@ -100,15 +100,15 @@ def rivals(
 ) -> Rivals:
     """Fit a table through its camera, and with free shadowing instead.
 
-    Masking is not an argument: it is what the two differ in, Smith's or free.
+    Masking is not an argument, because the two fits differ in it: Smith's or free.
 
     Args:
         brdf: table as from `read_merl`, 1/sr.
         rig: the rig that recorded it: a sphere; camera and lamp are distant or near.
-        ndf: family that both lobes are bent away from. Default: "ggx". It hardly matters, as a bent lobe is as good as no
-            family.
-        slice_step: spacing of the slices of theta_d that are used (no unit). Default: 6, unlike `fit`, because bent lobes
-            are slow to fit and a few slices decide.
+        ndf: family that both spline-modified lobes start from. Default: "ggx". The choice hardly matters, because the
+            splines are free.
+        slice_step: spacing of the slices of theta_d that are used (no unit). Default: 6, unlike `fit`, because
+            spline-modified lobes are slow to fit and few slices suffice.
         workspace: keeps what depends on the rig alone for the next call. Default: None, the process's own.
 
     Returns:
@@ -116,7 +116,7 @@ def rivals(
 
     Raises:
         ArgumentError: an argument is wrong, or the rig is not one that a fit can follow.
-        FitError: the table holds nothing to fit.
+        FitError: the table has no values to fit.
 
     Source:
         Bagher, Snyder & Nowrouzezahrai (2016), free shadowing; Akaike (1974); docs/model.md section 8.

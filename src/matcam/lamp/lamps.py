@@ -1,10 +1,10 @@
-"""Lamps: how far away they stand, and how large their disc is (docs/model.md 10).
+"""Lamps: distance and size of the source disc (docs/model.md 10).
 
-A lamp stands beside the sample. Where it stands in one picture, the picture says: the angle between lamp and optical axis, and
-the azimuth about that axis. A lamp shines evenly all round. Its irradiance is 1 at the sample's centre, on a surface that
-faces it. Lengths are in radii of the sample.
+The position of a lamp belongs to each image: the angle between lamp and optical axis, and the azimuth about that axis.
+A lamp is isotropic. Its irradiance is 1 at the sample's centre, on a surface that faces it. Lengths are in radii of the
+sample.
 
-A disc is the mean over its points, each of which is a lamp of its own (`lamp_points`).
+The light of a disc is the mean over its points, each of which is a lamp (`lamp_points`).
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ if TYPE_CHECKING:
 _LARGEST_DISC = np.pi / 8
 """Largest angular radius of a lamp's disc, rad."""
 STEEPEST = 0.1
-"""Least cosine of theta_d by which a lamp's ellipse is stretched: there it is as long as the sample."""
+"""Smallest cosine of theta_d by which the ellipse of a lamp is stretched: there it is as long as the sample."""
 _TURNS = 2 * np.pi
 _AT_CAMERA = 1e-6
-"""Distance from the camera, as a share of the camera's own, below which a lamp stands in it."""
+"""Distance from the camera, as a share of that of the camera, below which a lamp is inside it."""
 
 
 class Lamp(Module):
-    """Describe a lamp: a point, or a disc that faces the sample's centre."""
+    """Lamp: a point, or a disc that faces the sample's centre."""
 
     @property
     @abstractmethod
@@ -56,7 +56,7 @@ class Lamp(Module):
 
 
 class DistantLamp(Lamp):
-    """Describe a lamp whose light falls parallel on the sample.
+    """Lamp whose light falls parallel on the sample.
 
     Args:
         radius: angular radius of the lamp's disc seen from the sample, rad, [0, pi/8]. Default: 0, a point.
@@ -79,7 +79,7 @@ class DistantLamp(Lamp):
 
     @property
     def nearness(self) -> None:
-        """None: its light falls parallel."""
+        """None, because its light is parallel."""
         return
 
     @property
@@ -93,9 +93,9 @@ class DistantLamp(Lamp):
 
 
 class NearLamp(Lamp):
-    """Describe a lamp close by, whose light falls off.
+    """Lamp close by, whose light falls off.
 
-    Irradiance goes as the inverse square of the distance from the lamp, and as the cosine at the surface.
+    Irradiance is proportional to the inverse square of the distance from the lamp, and to the cosine at the surface.
 
     Args:
         distance: of the lamp from the sample's centre, in radii of the sample, above 1.
@@ -132,7 +132,7 @@ class NearLamp(Lamp):
 
     @property
     def angular_radius(self) -> jax.Array:
-        """Return the angle under which the sample's centre sees the radius, rad."""
+        """Return the angular radius, seen from the centre of the sample, rad."""
         return xp.arctan(self.radius / self.distance)
 
     def with_angular_radius(self, angular_radius: float) -> NearLamp:
@@ -141,7 +141,7 @@ class NearLamp(Lamp):
 
 
 def closeness(lamp_nearness: ArrayLike | None, cos_i: jax.Array) -> jax.Array:
-    """Return the lamp's distance from the sample's centre over that from its surface, 1 for a distant lamp.
+    """Compute the distance of the lamp from the centre of the sample over that from its surface, 1 for a distant lamp.
 
     Its square is the irradiance across the light there, over that at the centre.
 
@@ -156,12 +156,12 @@ def closeness(lamp_nearness: ArrayLike | None, cos_i: jax.Array) -> jax.Array:
 
 
 class LampPoint(NamedTuple):
-    """Hold one point of a lamp in some pictures, as the sample's centre sees it.
+    """One point of a lamp in some pictures, as the sample's centre sees it.
 
     Attributes:
         angle: between the point and the optical axis in each picture, rad.
         azimuth: of the point about the axis, from +x towards +y, of angle's shape, rad.
-        distance: of the point over that of the lamp's centre, no unit.
+        distance: of the point over that of the centre of the lamp, no unit.
         weight: share of the lamp's irradiance at the sample's centre, no unit.
     """
 
@@ -172,16 +172,16 @@ class LampPoint(NamedTuple):
 
 
 def lamp_points(lamp: Lamp, lamp_angle: np.ndarray, azimuth: np.ndarray | float, fineness: float) -> list[LampPoint]:
-    """Return the points whose mean is the lamp.
+    """Generate the points whose mean is the lamp.
 
-    The rule is Gauss-Legendre in the squared radius times equal steps round the disc. With blurs in the picture that are
-    as wide as `fineness` says, it errs by less than 5e-5 of any value above a thousandth of the peak (tests).
+    The rule is Gauss-Legendre in the squared radius times equal steps round the disc. For the blur given by `fineness`,
+    its error is below 5e-5 of any value above a thousandth of the peak (tests).
 
     Args:
         lamp: the lamp.
         lamp_angle: angles between the lamp's centre and the optical axis, rad, any shape.
         azimuth: of the lamp about the optical axis, rad, one or of lamp_angle's shape.
-        fineness: radius of the disc over the standard deviation of what blurs its image, no unit.
+        fineness: radius of the disc over the standard deviation of the blur of its image, no unit.
 
     Returns:
         One point of the rule after the other, ring by ring.
@@ -193,10 +193,10 @@ def lamp_points(lamp: Lamp, lamp_angle: np.ndarray, azimuth: np.ndarray | float,
     share, weight = np.polynomial.legendre.leggauss(rings)
     points = []
     for ring, (u, ring_weight) in enumerate(zip((1 + share) / 2, weight / 2, strict=True)):
-        if lamp.nearness is None:  # evenly over the disc's solid angle
+        if lamp.nearness is None:  # uniform over the solid angle of the disc
             up = 1 - u * (1 - np.cos(disc))
             aside, length = np.sqrt((1 - up) * (1 + up)), 1.0
-        else:  # a flat disc: its points stand further away than its centre, and their irradiance is less
+        else:  # a flat disc: its points are further away than its centre, and their irradiance is smaller
             aside, up = np.sqrt(u) * np.tan(disc), 1.0
             length = float(np.hypot(aside, up))
         for turn in (np.arange(spokes) + ring % 2 / 2) * _TURNS / spokes:
@@ -210,33 +210,33 @@ def lamp_points(lamp: Lamp, lamp_angle: np.ndarray, azimuth: np.ndarray | float,
 
 
 def rings_and_spokes(fineness: float) -> tuple[int, int]:
-    """Return how many rings of points, and points on each, stand for an even disc; see `lamp_points`."""
+    """Return the number of rings of points, and of points on each, for a uniform disc; see `lamp_points`."""
     return int(np.ceil(1.3 + 1.1 * fineness)), int(np.ceil(6.5 + 4.2 * fineness))
 
 
 def disc_of(lamp: Lamp) -> float:
-    """Return the angular radius of a lamp's disc, which sets how many points stand for it, rad; outside of jax.jit."""
+    """Return the angular radius of a source disc, which sets its number of points, rad; outside of jax.jit."""
     return checks.outside_jit(lamp.angular_radius, "the lamp's numbers")
 
 
 def checked_azimuth(azimuth: ArrayLike, name: str = "azimuth") -> float:
-    """Return one azimuth in [-2 pi, 2 pi] rad; more is degrees by mistake. name: of the argument, for the message."""
+    """Check one azimuth in [-2 pi, 2 pi] rad; larger values are degrees by mistake. name: of the argument, for the message."""
     return float(checks.scalar(name, checked_azimuths(azimuth, name)))
 
 
 def checked_azimuths(azimuth: ArrayLike, name: str = "azimuth") -> jax.Array:
-    """Return azimuths in [-2 pi, 2 pi] rad, any shape. name: of the argument, for the message."""
+    """Check azimuths in [-2 pi, 2 pi] rad, any shape. name: of the argument, for the message."""
     what = "rad (2 pi is a turn)"
     return checks.within(name, azimuth, -_TURNS, _TURNS, what)
 
 
 def checked_lamp_angle(lamp_angle: ArrayLike, lamp: Lamp, camera_distance: ArrayLike) -> float:
-    """Return one angle between lamp and optical axis, rad, if the lamp lights anything that is seen."""
+    """Check one angle between lamp and optical axis, rad, for which the lamp lights a visible surface."""
     return float(checks.scalar("lamp_angle", checked_lamp_angles(lamp_angle, lamp, camera_distance)))
 
 
 def checked_lamp_angles(lamp_angle: ArrayLike, lamp: Lamp, camera_distance: ArrayLike) -> jax.Array:
-    """Return angles between lamp and optical axis, rad, if the lamp lights anything that is seen.
+    """Check angles between lamp and optical axis, rad, for which the lamp lights a visible surface.
 
     Args:
         lamp_angle: the angles, rad, any shape.
@@ -244,7 +244,7 @@ def checked_lamp_angles(lamp_angle: ArrayLike, lamp: Lamp, camera_distance: Arra
         camera_distance: distance of the camera from the sample's centre, radii.
 
     Raises:
-        ArgumentError: the lamp stands behind all that is seen, or in the camera.
+        ArgumentError: the lamp is behind the visible surface, or inside the camera.
     """
     camera_distance = checks.outside_jit(camera_distance, "the rig's numbers")
     nearness = 0.0 if lamp.nearness is None else checks.outside_jit(lamp.nearness, "the lamp's numbers")
@@ -255,7 +255,7 @@ def checked_lamp_angles(lamp_angle: ArrayLike, lamp: Lamp, camera_distance: Arra
         apart = xp.hypot(1 / nearness * xp.sin(angle), 1 / nearness * xp.cos(angle) - camera_distance)
         if is_concrete(apart) and bool(xp.any(apart < _AT_CAMERA * camera_distance)):
             raise ArgumentError(
-                f"the lamp stands in the camera, {camera_distance:g} radii from the sample on its axis: "
+                f"the lamp is inside the camera, {camera_distance:g} radii from the sample on its axis: "
                 "give another lamp_angle or lamp_distance"
             )
     return angle

@@ -1,4 +1,4 @@
-"""What light does at a surface: lobes, masking, Fresnel reflectance, tables."""
+"""Reflection at a surface: lobes, masking, Fresnel reflectance, tables."""
 
 import lazy_loader
 

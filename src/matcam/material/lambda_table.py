@@ -1,8 +1,8 @@
-"""Smith's Lambda of a lobe in many directions at once, from a small table whose directions are no lobe's own.
+"""Smith's Lambda of a lobe in many directions, from a small table with common directions for all lobes.
 
-Where a direction lies in the table does not depend on the lobe, so that a fit, which looks from the same directions at one lobe
-after the other, finds each place once. 1 / (1 + Lambda) is right to 3e-6 for roughnesses from 1e-4 to 1, and to 1e-5 for lobes
-as steep as EPD's with kappa 1.8.
+The position of a direction in the table does not depend on the lobe, so that a fit, which evaluates successive lobes in
+the same directions, computes each position once. 1 / (1 + Lambda) is accurate to 3e-6 for roughnesses from 1e-4 to 1,
+and to 1e-5 for lobes as steep as EPD's with kappa 1.8.
 """
 
 from __future__ import annotations
@@ -17,49 +17,49 @@ from matcam.material.ndf.ggx import GGX
 from matcam.numerics.approximation import AnyValues, between_entries, four_about
 
 STEEPEST = 1e-4
-"""Cosine, and cotangent, at which the table begins."""
-_LEVEL = 1e4  # cotangent at which it ends: there nothing is masked
+"""Smallest cosine, and cotangent, of the table."""
+_LEVEL = 1e4  # largest cotangent of the table, without masking
 _ENTRIES = 161
 _LAST = _ENTRIES - 1.0
 _STEP = float(np.log(_LEVEL / STEEPEST) / _LAST)
 
 COTS = STEEPEST * np.exp(_STEP * np.arange(_ENTRIES))
-"""Cotangents of the table's directions, even in the logarithm."""
+"""Cotangents of the directions of the table, equally spaced in the logarithm."""
 
 
 def quick_lambda(ndf: NDF, cos: jax.Array, table: jax.Array | None = None) -> jax.Array:
-    """Return Lambda in directions of cosine `cos` > 0; where it is an integral, from a table.
+    """Compute Lambda in directions of cosine `cos` > 0, in closed form or from a table.
 
-    table: as `quick_table` returns it, where it is at hand. Default: None.
+    table: from `quick_table`, if it is available. Default: None.
     """
     table = quick_table(ndf) if table is None else table
     return ndf.smith_lambda(cos) if table is None else lambda_at(table, place_of(cos))
 
 
 def quick_table(ndf: NDF) -> jax.Array | None:
-    """Return ln(1 + Lambda) in the table's directions; None where a closed form is quicker."""
+    """Compute ln(1 + Lambda) in the directions of the table; None for lobes with a closed form."""
     if isinstance(ndf, GGX | Beckmann | ShadowedNDF):
         return None
     return jnp.log1p(ndf.smith_lambda(COTS / np.sqrt(1 + COTS**2)))
 
 
 def place_of(cos: AnyValues) -> AnyValues:
-    """Return the place of directions in the table, counted from 0; arrays of NumPy give arrays of NumPy."""
+    """Compute the position of directions in the table, counted from 0; arrays of NumPy give arrays of NumPy."""
     numbers = np if isinstance(cos, np.ndarray) else jnp
     sin2 = numbers.maximum((1 - cos) * (1 + cos), _LEVEL**-2)
     return numbers.log(cos / numbers.sqrt(sin2) / STEEPEST) / _STEP
 
 
 def lambda_at(table: jax.Array, place: jax.Array) -> jax.Array:
-    """Return Lambda at places of a table, by the cubic through four entries; steeper than them all it goes as 1 / cot."""
+    """Interpolate Lambda at positions of a table by the cubic through four entries; steeper directions scale as 1 / cot."""
     log = between_entries(table, jnp.clip(place, 0.0, _LAST))
     return jnp.maximum(jnp.exp(log + _STEP * jnp.maximum(-place, 0.0)) - 1, 0.0)
 
 
 def by_entries(place: jax.Array, by_log: jax.Array) -> jax.Array:
-    """Return the derivatives of a sum by a table's entries, for each index of the first axis, (cells, entries).
+    """Differentiate a sum by the entries of a table, for each index of the first axis, (cells, entries).
 
-    by_log: those by ln(1 + Lambda) at each place, of its shape (cells, ...).
+    by_log: derivatives by ln(1 + Lambda) at each position, of its shape (cells, ...).
     """
     first, shares = four_about(jnp.clip(place, 0.0, _LAST), _ENTRIES)
     cell = jnp.arange(place.shape[0]).reshape(-1, *[1] * (place.ndim - 1))

@@ -1,4 +1,4 @@
-"""Masking and shadowing: the share of a rough surface that the rest does not hide (docs/model.md 6).
+"""Masking and shadowing: the visible share of a rough surface (docs/model.md 6).
 
 Smith's Lambda of a direction is the ratio of masked to visible facets. A lobe gives it in closed form, by an integral over
 its slopes, or from a table of that integral; `g2` joins the Lambdas of light and view.
@@ -19,10 +19,10 @@ if TYPE_CHECKING:
     from matcam.core.jax import jax
 
 Masking = str | None
-"""Name of a masking model, one of `MASKING_MODELS`; None leaves masking out."""
+"""Name of a masking model, one of `MASKING_MODELS`; None for no masking."""
 
 MASKINGS: tuple[Masking, ...] = (*MASKING_MODELS, None)
-"""All that `masking` may be."""
+"""All values of `masking`."""
 
 JointMasking = Callable[["jax.Array", "jax.Array", "jax.Array"], "jax.Array"]
 """G2 from the Lambdas of light and view and the azimuth between them."""
@@ -30,22 +30,24 @@ JointMasking = Callable[["jax.Array", "jax.Array", "jax.Array"], "jax.Array"]
 SlopeDensity = Callable[["jax.Array"], "jax.Array"]
 """P22 of an isotropic surface as a function of the SQUARED slope."""
 
-_STEPS = np.linspace(-3.7, 3.7, 201)  # of the exp-sinh rule: rounding even for a P22 as steep as exp(-slope^8)
-_FARTHEST = 1e9  # cot theta: Lambda is 0 long before
-_NEAREST = 1e-30  # cosine: keeps Lambda finite at the horizon, where 1 / Lambda is 0 for every purpose
+_STEPS = np.linspace(
+    -3.7, 3.7, 201
+)  # of the exp-sinh rule: accurate to rounding even for a P22 as steep as exp(-slope^8)
+_FARTHEST = 1e9  # cot theta: Lambda is 0 at smaller angles
+_NEAREST = 1e-30  # cosine: keeps Lambda finite at the horizon, where 1 / Lambda is effectively 0
 
-# The table's grid: even in asinh(cot / (scale _KNEE)), that is in cot close to the horizon and in its logarithm elsewhere
+# grid of the table: even in asinh(cot / (scale _KNEE)), that is in cot near the horizon and in its logarithm elsewhere
 _NODES, _KNEE, _REACH = 2048, 1e-2, 1e4
 _SPACING = float(np.arcsinh(_REACH / _KNEE) / (_NODES - 1))
 _NUS = np.maximum(_KNEE * np.sinh(_SPACING * np.arange(_NODES)), 1e-11)
 
 
 def smith_lambda(slope_density: SlopeDensity, scale: jax.Array, cot: jax.Array) -> jax.Array:
-    """Return Smith's Lambda of an isotropic slope density by its integral (`smith_rule`).
+    """Compute Smith's Lambda of an isotropic slope density by its integral (`smith_rule`).
 
     Args:
         slope_density: P22 as a function of the squared slope.
-        scale: slope on which P22 falls, shape ().
+        scale: scale of the slope on which P22 falls, shape ().
         cot: cot theta of the directions.
     """
     slope2, weight = smith_rule(scale, cot)
@@ -60,13 +62,13 @@ def smith_rule(scale: jax.Array, cot: jax.Array) -> tuple[jax.Array, jax.Array]:
     falls. Its relative error is below 1e-10 (tests).
 
     Args:
-        scale: slope on which P22 falls, shape ().
+        scale: scale of the slope on which P22 falls, shape ().
         cot: cot theta of the directions.
 
     Source:
         docs/model.md 6.
     """
-    scale = constant(scale)  # where the integrand is looked at does not change the integral
+    scale = constant(scale)  # the nodes do not affect the integral
     mu = xp.clip(cot, _NEAREST, _FARTHEST)[..., None]
     y = xp.sqrt(scale**2 + mu**2) * np.exp(np.pi / 2 * np.sinh(_STEPS))
     step = (_STEPS[1] - _STEPS[0]) * np.pi / 2 * np.cosh(_STEPS)
@@ -81,13 +83,13 @@ def smith_rule(scale: jax.Array, cot: jax.Array) -> tuple[jax.Array, jax.Array]:
 def tabulated_lambda(slope_density: SlopeDensity, scale: jax.Array, cos: jax.Array) -> jax.Array:
     """Return Smith's Lambda in directions of cosine `cos` > 0 to the normal.
 
-    A few directions take the integral. More directions than a table has nodes take a table and cubic interpolation, to
-    1e-9 of 1 / (1 + Lambda) for scales from 1e-4 to 1.
+    Few directions use the integral. More directions than nodes of a table use a table and cubic interpolation, to 1e-9
+    of 1 / (1 + Lambda) for scales from 1e-4 to 1.
     """
     cot = cot_of(cos)
     if cot.size <= _NODES:
         return smith_lambda(slope_density, scale, cot)
-    scale = constant(scale)  # the table's places do not change the function
+    scale = constant(scale)  # the nodes of the table do not affect the function
     nu = xp.minimum(cot / scale, _REACH)
     # nu (1 + Lambda) has a finite limit at the horizon; far off it is nu
     table = xp.log(_NUS * (1 + smith_lambda(slope_density, scale, scale * _NUS)))
@@ -95,13 +97,13 @@ def tabulated_lambda(slope_density: SlopeDensity, scale: jax.Array, cos: jax.Arr
 
 
 def cot_of(cos: jax.Array) -> jax.Array:
-    """Return cot theta of directions with cos theta in (0, 1]: large but finite along the normal."""
+    """Compute cot theta of directions with cos theta in (0, 1]: large but finite along the normal."""
     cos = xp.maximum(cos, _NEAREST)
     return cos / xp.sqrt(xp.maximum((1 - cos) * (1 + cos), _FARTHEST**-2))
 
 
 def g2(masking: Masking, lambda_i: jax.Array, lambda_o: jax.Array, azimuth: jax.Array) -> jax.Array:
-    """Return the joint masking of light and view from their Lambdas.
+    """Compute the joint masking of light and view from their Lambdas.
 
     Args:
         masking: name of the model; None: 1, no masking.
@@ -115,20 +117,20 @@ def g2(masking: Masking, lambda_i: jax.Array, lambda_o: jax.Array, azimuth: jax.
 
 
 def height_correlated(lambda_i: jax.Array, lambda_o: jax.Array, azimuth: jax.Array) -> jax.Array:
-    """Return 1 / (1 + L_i + L_o): both directions see the same heights (Ross et al. 2005; Heitz 2014, (99))."""
+    """Compute 1 / (1 + L_i + L_o): both directions depend on the same heights (Ross et al. 2005; Heitz 2014, (99))."""
     return 1 / (1 + lambda_i + lambda_o)
 
 
 def separable(lambda_i: jax.Array, lambda_o: jax.Array, azimuth: jax.Array) -> jax.Array:
-    """Return G1(i) G1(o): the two directions are independent."""
+    """Compute G1(i) G1(o): the two directions are independent."""
     return 1 / ((1 + lambda_i) * (1 + lambda_o))
 
 
 def azimuth_correlated(lambda_i: jax.Array, lambda_o: jax.Array, azimuth: jax.Array) -> jax.Array:
-    """Return the masking of van Ginneken et al. (1998; Heitz 2014, section 5.3).
+    """Compute the masking of van Ginneken et al. (1998; Heitz 2014, section 5.3).
 
-    1 / (1 + max + c min) with c = 4.41 azimuth / (4.41 azimuth + 1): nothing counts twice where light and view share a
-    side.
+    1 / (1 + max + c min) with c = 4.41 azimuth / (4.41 azimuth + 1): shared masking counts once if light and view are
+    on the same side.
     """
     correlation = 4.41 * azimuth / (4.41 * azimuth + 1)
     return 1 / (1 + xp.maximum(lambda_i, lambda_o) + correlation * xp.minimum(lambda_i, lambda_o))

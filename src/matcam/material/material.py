@@ -1,4 +1,4 @@
-"""What every material offers: the light that it sends back, and how much of it in all."""
+"""Interface of materials: BRDF and albedo."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _NODES, _AZIMUTHS = 720, 64  # of the albedo's half vectors: theta_h, phi_h
 
 
 class Material(eqx.Module):
-    """An opaque surface with a BRDF. Channels, where it has them, are the last axis of every result."""
+    """Opaque surface with a BRDF. Channels, if any, are the last axis of every result."""
 
     def __repr__(self) -> str:
         return constructor_call(self)
@@ -28,10 +28,10 @@ class Material(eqx.Module):
     def reflected(self, shading: Shading) -> jax.Array:
         """Return the BRDF times both cosines, 1/sr.
 
-        It is finite up to the horizon and at it, 0 where light or view lies below, and NaN where data are missing.
+        It is finite including the horizon, 0 if light or view are below it, and NaN for missing data.
 
         Args:
-            shading: light and view as the surface sees them; its arrays broadcast.
+            shading: directions of light and view; its arrays broadcast.
 
         Returns:
             Shape of `shading`, with (channels,) behind it if the material has channels.
@@ -76,7 +76,7 @@ class Material(eqx.Module):
 
 
 def shading_at(theta_h: ArrayLike, theta_d: ArrayLike, phi_d: ArrayLike, phi_h: ArrayLike = 0.0) -> Shading:
-    """Return light and view as a surface sees them at half and difference angles, rad, which broadcast."""
+    """Compute the shading at half and difference angles, rad, which broadcast."""
     theta_h, theta_d, phi_d, phi_h = checks.broadcastable(theta_h=theta_h, theta_d=theta_d, phi_d=phi_d, phi_h=phi_h)
     cos_i, cos_o = cosines(theta_h, theta_d, phi_d)
     slope = jnp.tan(theta_h)
@@ -87,7 +87,7 @@ def shading_at(theta_h: ArrayLike, theta_d: ArrayLike, phi_d: ArrayLike, phi_h: 
 def above_horizon(shading: Shading) -> tuple[Shading, jax.Array]:
     """Return `shading` with harmless values below the horizon, and a mask of what lies above it.
 
-    NaN in a branch that is not taken would still poison derivatives.
+    NaN in an unused branch would still affect derivatives.
     """
     above = (shading.cos_i > 0) & (shading.cos_o > 0)
     cos_i, cos_o = (jnp.where(above, c, 0.5) for c in (shading.cos_i, shading.cos_o))
@@ -96,9 +96,9 @@ def above_horizon(shading: Shading) -> tuple[Shading, jax.Array]:
 
 
 def theta_h_of(shading: Shading) -> jax.Array:
-    """Return the half vector's angle to the normal, rad."""
+    """Compute the angle of the half vector to the normal, rad."""
     slope2 = shading.slope_along**2 + shading.slope_across**2
-    mirror = slope2 == 0  # the root's slope is infinite there
+    mirror = slope2 == 0  # the slope of the root is infinite there
     return jnp.where(mirror, 0.0, jnp.arctan(jnp.sqrt(jnp.where(mirror, 1.0, slope2))))
 
 
@@ -110,7 +110,7 @@ def albedo(material: Material, theta: ArrayLike) -> np.ndarray:
     1e-4 rad.
 
     Args:
-        material: any material; what it is missing (NaN) counts as 0.
+        material: any material; missing values (NaN) count as 0.
         theta: angle of the view to the normal, at azimuth 0, rad, [0, pi/2), shape (n,).
 
     Returns:

@@ -1,19 +1,20 @@
 """Measured BRDFs as materials: tables on the MERL grid, and RGL's adaptive parameterisation.
 
-A table is interpolated linearly, and what it is missing stays missing. The adaptive parameterisation is that of Dupuy & Jakob
-(2018; files/rgl.py has its fields).
+A table is interpolated linearly, and missing values stay missing. The adaptive parameterisation is that of Dupuy &
+Jakob (2018; files/rgl.py has its fields).
 
-The half vector m is a point u of the unit square: theta = u^2 pi / 2, phi = (2 v - 1) pi, azimuth from that of the light
-where the material is isotropic. A map that flattens the density `vndf` carries it to the point s at which `rgb` is tabulated:
+The half vector m is a point u of the unit square: theta = u^2 pi / 2, phi = (2 v - 1) pi, azimuth from that of the
+light where the material is isotropic. A map that flattens the density `vndf` maps it to the point s at which `rgb` is
+tabulated:
 
     BRDF cos theta_o = rgb(s) ndf(u_m) / (4 sigma(u_i))           with `jacobian`; rgb(s) alone without.
 
-"i" is the light, "o" the view. A measured file need not be reciprocal, and its tables go below zero here and there.
+"i" is the light, "o" the view. A measured file need not be reciprocal, and its tables have some negative values.
 
 Densities are bilinear between the nodes of a grid and given for some directions of light. The map runs row by row
 (section 4): y is the marginal distribution along the rows' axis, x the conditional one along the columns within a row.
-Between the directions of light the densities AND their integrals are interpolated linearly, as Mitsuba's `Marginal2D` does,
-so that what is stored on the flattened square is found where that renderer finds it.
+Between the directions of light the densities AND their integrals are interpolated linearly, as Mitsuba's `Marginal2D`
+does, so that positions on the flattened square agree with that renderer.
 """
 
 from __future__ import annotations
@@ -37,23 +38,23 @@ _HALF_PI = np.pi / 2
 
 
 class Tabulated(Material):
-    """Interpolate a BRDF table on the MERL grid.
+    """BRDF table on the MERL grid, interpolated.
 
     It is linear in (sqrt theta_h, theta_d, phi_d).
 
-    - Values sit at the centre or the edge of their cells, as the table's `sampling` says.
+    - Values are at the centre or the edge of their cells, according to `sampling` of the table.
     - phi_d + pi is phi_d (reciprocity), so the last phi_d and the first are neighbours.
-    - Below the first theta_h the first value holds: through theta_h = 0 the table continues at phi_d + pi, which is the
-      same. Beyond the last theta_h and theta_d the last value holds.
-    - A missing cell (NaN) stays missing: the result is NaN wherever the nearest sampling point is. Elsewhere missing
-      neighbours are left out, and the weights of the others are scaled up to 1.
+    - Below the first theta_h the first value is used: through theta_h = 0 the table continues at phi_d + pi, which is
+      the same. Beyond the last theta_h and theta_d the last value is used.
+    - A missing cell (NaN) stays missing: the result is NaN if the nearest sampling point is. Otherwise missing
+      neighbours are omitted, and the weights of the others are normalised.
 
     Args:
         table: BRDF, 1/sr, dims (theta_h, theta_d, phi_d, channel), shape (90, 90, 180, channels), such as `read_merl` reads.
 
     Attributes:
         values: the table, 1/sr, shape (90, 90, 180, channels).
-        shift: place of a value in its cell, in cells: 0.5 for "centre", 0 for "edge".
+        shift: position of a value in its cell, in cells: 0.5 for "centre", 0 for "edge".
 
     Raises:
         ArgumentError: the table has other dimensions or another shape.
@@ -102,7 +103,7 @@ class Tabulated(Material):
 
         total = weights = missing = jnp.zeros(())
         for up in product((0, 1), repeat=3):
-            # out-of-range neighbours weigh 0; any entry will do
+            # out-of-range neighbours have weight 0, with an arbitrary entry
             at = jnp.minimum(i_h + up[0], n_h - 1), jnp.minimum(i_d + up[1], n_d - 1), jnp.mod(i_p + up[2], n_p)
             value = self.values[at]
             share = jnp.ones(())
@@ -123,19 +124,19 @@ class Tabulated(Material):
 
 
 def _whole_where_close(place: jax.Array) -> jax.Array:
-    """Return places, whole where they are but for rounding.
+    """Round positions that are integers up to rounding errors.
 
-    A compiler may compute a place twice, rounded otherwise: once for its cell and once for its share of it.
+    A compiler may compute a position twice with different rounding: for its cell and for its share of it.
     """
     whole = jnp.round(place)
     return jnp.where(jnp.abs(place - whole) < 1e-9, whole, place)
 
 
 class Blend(NamedTuple):
-    """Interpolate between tabulated directions of light.
+    """Interpolation between tabulated directions of light.
 
     Attributes:
-        slices: indices of the directions that stand for each point's, shape (points, slices).
+        slices: indices of the tabulated directions for each point, shape (points, slices).
         weight: their weights, same shape.
     """
 
@@ -143,13 +144,15 @@ class Blend(NamedTuple):
     weight: jax.Array
 
     def of(self, grids: jax.Array, *at: jax.Array) -> jax.Array:
-        """Return the sum of weight * grids[slices, ..., *at], shape (points,) and the grid's axes that are left."""
+        """Return the sum of weight * grids[slices, ..., *at], shape (points,) and the remaining axes of the grid."""
         values = grids[(self.slices, *(a[:, None] for a in at))]
         return jnp.sum(self.weight.reshape(*self.weight.shape, *(1,) * (values.ndim - 2)) * values, axis=1)
 
 
 def blend(axes: tuple[jax.Array, jax.Array], azimuth: jax.Array, theta: jax.Array) -> Blend:
-    """Interpolate linearly on the grid (azimuths P, angles T) of light directions, P T slices; clamped at its ends."""
+    """Build the linear interpolation on the grid (azimuths P, angles T) of light directions, P T slices; clamped at its
+    ends.
+    """
     (i_p, w_p), (i_t, w_t) = (_between(axis, value) for axis, value in zip(axes, (azimuth, theta), strict=True))
     index = i_p[:, :, None] * axes[1].size + i_t[:, None, :]
     return Blend(index.reshape(theta.size, -1), (w_p[:, :, None] * w_t[:, None, :]).reshape(theta.size, -1))
@@ -182,7 +185,7 @@ def _cell(place: jax.Array, nodes: int) -> tuple[jax.Array, jax.Array]:
 
 
 class Warp(eqx.Module):
-    """Map the unit square so that densities on it become flat.
+    """Map of the unit square that makes densities on it uniform.
 
     Attributes:
         density: of each slice, normalised so that trapezoid sums over whole grid steps are 1; (slices, rows, columns).
@@ -206,7 +209,7 @@ class Warp(eqx.Module):
     def flatten(self, chosen: Blend, x: jax.Array, y: jax.Array) -> tuple[jax.Array, jax.Array]:
         """Map (x, y), shape (points,) each, to the flattened square.
 
-        A point without any density around it goes to its cell's start.
+        A point without density around it is mapped to the start of its cell.
         """
         i_x, t_x = _cell(x, self.density.shape[2])
         i_y, t_y = _cell(y, self.density.shape[1])
@@ -222,7 +225,7 @@ class Warp(eqx.Module):
     def inverse(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Map the grid x (nx,) by y (ny,) of the flattened square back, for every slice.
 
-        Every row must hold something above 0.
+        Every row must have a positive value.
 
         Returns:
             x and y on the density's square and the density there, shape (slices, ny, nx) each.
@@ -248,20 +251,20 @@ class Warp(eqx.Module):
 
 
 def _running(values: np.ndarray) -> np.ndarray:
-    """Return trapezoid sums along the last axis, from 0."""
+    """Compute cumulative trapezoidal sums along the last axis, from 0."""
     steps = (values[..., 1:] + values[..., :-1]) / 2
     return np.concatenate([np.zeros_like(values[..., :1]), np.cumsum(steps, axis=-1)], axis=-1)
 
 
 def _within(first: np.ndarray, last: np.ndarray, area: np.ndarray) -> np.ndarray:
-    """Return the t in [0, 1] up to which a density, linear from `first` to `last`, integrates to `area`."""
+    """Compute the t in [0, 1] up to which a density, linear from `first` to `last`, integrates to `area`."""
     root = np.sqrt(np.maximum(first**2 + 2 * area * (last - first), 0))
     total = first + root
     return np.clip(2 * area / np.where(total > 0, total, 1.0), 0, 1)
 
 
 class Adaptive(Material):
-    """Interpolate a BRDF in RGL's adaptive parameterisation, as Mitsuba's `measured` does.
+    """BRDF in RGL's adaptive parameterisation, interpolated as by Mitsuba's `measured`.
 
     Channels are R, G, B, or the file's wavelengths. Results are differentiable almost everywhere.
 
@@ -276,8 +279,8 @@ class Adaptive(Material):
         warp: map that flattens the density of visible normals.
         values: tabulated BRDF on the flattened square, (P T, N, N, channels).
         jacobian: True if `values` lack the factor ndf / (4 sigma).
-        mirrored: number of times that the light's azimuths fit into a whole turn, 1, 2 or 4; the rest follows by symmetry.
-            0 for an isotropic material.
+        mirrored: ratio of a whole turn to the range of the azimuths of the light, 1, 2 or 4; the remainder follows by
+            symmetry. 0 for an isotropic material.
 
     Raises:
         ArgumentError: `fields` is not such a Dataset, or its azimuths span neither a whole turn nor a half or a quarter.
@@ -318,7 +321,7 @@ class Adaptive(Material):
         self.mirrored = 0 if self.azimuths.size <= 2 else round(2 * np.pi / span)
         if self.mirrored not in (0, 1, 2, 4):
             raise ArgumentError(
-                f"field phi_i must span a whole turn, a half or a quarter: the rest follows by symmetry; got {span:.4g} rad"
+                f"field phi_i must span a whole turn, a half or a quarter: the others follow by symmetry; got {span:.4g} rad"
             )
 
     @eqx.filter_jit
@@ -341,13 +344,14 @@ class Adaptive(Material):
         return jnp.where(above[..., None], outgoing, 0.0)
 
     def _directions(self, shading: Shading) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
-        """Return angles and azimuths of light and half vector, within the tabulated range."""
+        """Compute angles and azimuths of light and half vector, within the tabulated range."""
         slope = plane_length(shading.slope_along, shading.slope_across)
         none = slope == 0
         safe = jnp.where(none, 1.0, slope)
         c, s = jnp.where(none, 1.0, shading.slope_along / safe), jnp.where(none, 0.0, shading.slope_across / safe)
         theta_m = jnp.arctan(slope)
-        # the light, first with the half vector in the x-z plane (angles.azimuth_difference), then turned to its azimuth
+        # the light, first with the half vector in the x-z plane (angles.azimuth_difference), then rotated to its
+        # azimuth
         x = jnp.cos(theta_m) * jnp.sin(shading.theta_d) * jnp.cos(shading.phi_d) + jnp.sin(theta_m) * jnp.cos(
             shading.theta_d
         )

@@ -17,7 +17,7 @@ from matcam.material.reflectance import Reflectance, as_reflectance, per_channel
 
 
 class Microfacet(Material):
-    """Model a rough surface: a lobe of facets on a Lambertian part.
+    """Rough surface: a lobe of microfacets on a Lambertian part.
 
     BRDF = F D G / (4 cos_i cos_o) + diffuse / pi.
 
@@ -27,7 +27,7 @@ class Microfacet(Material):
             single one or one per channel.
         diffuse: albedo of the Lambertian part, no unit, [0, 1], a single one or one per channel. Default: 0.
         masking: G, by name: "smith" (height-correlated), "smith-separable", "van-ginneken"; None: no masking, G = 1.
-            Default: "smith". Renderers differ; choose theirs to compare with them.
+            Default: "smith". Renderers differ; use theirs for comparisons.
 
     Raises:
         ArgumentError: a parameter is of the wrong kind, out of range or not one per channel.
@@ -93,7 +93,7 @@ class Microfacet(Material):
         It is F G / (4 cos_i cos_o).
 
         Args:
-            shading: light and view as the surface sees them; its arrays broadcast.
+            shading: directions of light and view; its arrays broadcast.
 
         Returns:
             Shape as of `reflected`; 0 below the horizon.

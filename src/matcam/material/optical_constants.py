@@ -1,4 +1,4 @@
-"""Optical constants of metals, from published tables (CC0, refractiveindex.info) that ship with the package."""
+"""Optical constants of metals, from published tables (CC0, refractiveindex.info) included in the package."""
 
 from __future__ import annotations
 
@@ -36,9 +36,9 @@ class _Table(NamedTuple):
 
 
 def metals(name: str | None = None) -> dict[str, tuple[str, ...]]:
-    """List the metals that the package knows, with their tables.
+    """List the tabulated metals with their tables.
 
-    Where sources disagree, so do results: chromium's reflectance at 550 nm is 0.555, 0.650 or 0.681.
+    Results depend on the source: chromium's reflectance at 550 nm is 0.555, 0.650 or 0.681.
 
     Args:
         name: of one metal, such as "Cr" or "brass". None: all of them.
@@ -104,7 +104,7 @@ def metal(name: str, wavelength: ArrayLike, source: str | None = None) -> MetalI
     outside = ~((wavelength >= low) & (wavelength <= high))
     if outside.any():
         raise ArgumentError(
-            f"{name} ({source}) is tabulated from {low * 1e9:.0f} to {high * 1e9:.0f} nm, asked for at "
+            f"{name} ({source}) is tabulated from {low * 1e9:.0f} to {high * 1e9:.0f} nm, but is required at "
             f"{wavelength[outside].flat[0] * 1e9:g} nm (wavelengths are in m: 550 nm is 550e-9)"
         )
     return MetalIndex(

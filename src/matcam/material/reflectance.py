@@ -1,4 +1,4 @@
-"""Reflectance of a single facet: the share of light that a smooth interface sends back at each angle."""
+"""Reflectance of a smooth interface (microfacet) at each angle of incidence."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from matcam.core.grid import CHANNEL_WAVELENGTHS
 from matcam.core.jax import is_concrete, jax, jnp
 from matcam.material.optical_constants import metal
 
-_LARGEST_INDEX = 1e6  # of any material at any wavelength; fourth powers of it are still exact enough
+_LARGEST_INDEX = 1e6  # of any material at any wavelength; fourth powers of it are still accurate
 
 
 def fresnel_conductor(theta: ArrayLike, n: ArrayLike, k: ArrayLike) -> jax.Array:
@@ -63,7 +63,7 @@ def _modulus2(z: jax.Array) -> jax.Array:
 
 
 class Reflectance(eqx.Module):
-    """Give the reflectance of a facet; its parameters are single ones or one per channel."""
+    """Reflectance of a microfacet, with single parameters or one per channel."""
 
     def __repr__(self) -> str:
         return constructor_call(self)
@@ -81,7 +81,7 @@ class Reflectance(eqx.Module):
 
 
 class Conductor(Reflectance):
-    """Reflect like a metal of complex refractive index n + i k.
+    """Metal with a complex refractive index n + i k.
 
     Args:
         n: real part of the index, no unit, positive; shape () or (channels,).
@@ -139,7 +139,7 @@ class Conductor(Reflectance):
 
 
 class Dielectric(Reflectance):
-    """Reflect like a transparent medium, seen from outside.
+    """Transparent medium, seen from outside.
 
     Args:
         eta: refractive index over that of the outside, no unit, above 1; shape () or (channels,). Glass has 1.5.
@@ -166,7 +166,7 @@ class Dielectric(Reflectance):
 
 
 class Schlick(Reflectance):
-    """Approximate a Fresnel term by Schlick's polynomial.
+    """Schlick's approximation of a Fresnel term.
 
     f0 + (1 - f0) (1 - cos theta)^5.
 
@@ -195,7 +195,7 @@ class Schlick(Reflectance):
 
 
 class Constant(Reflectance):
-    """Reflect the same share of light at every angle.
+    """Reflectance that is constant over all angles.
 
     Args:
         value: reflectance, no unit, [0, 1]; shape () or (channels,).
@@ -214,19 +214,19 @@ class Constant(Reflectance):
         self.value = per_channel("reflectance", checks.within("reflectance", value, 0, 1))
 
     def at(self, theta: jax.Array) -> jax.Array:
-        """Return the value, whatever theta is."""
+        """Return the value, independent of theta."""
         return self.value + 0 * _beside_channels(theta, self.value)
 
 
 class Sampled(Reflectance):
-    """Interpolate a Fresnel term that is known at some angles.
+    """Fresnel term that is tabulated at some angles.
 
     It is linear between them and constant beyond.
 
     Args:
         theta: angles of incidence, rad, [0, pi/2], ascending, shape (angles,).
         values: reflectance there, no unit, >= 0; shape (angles,) or (angles, channels). A free estimate may exceed 1,
-            because it carries the scale of its data.
+            because it has the scale of its data.
 
     Raises:
         ArgumentError: shapes do not match, an entry is out of range, or theta does not ascend.
@@ -260,7 +260,7 @@ class Sampled(Reflectance):
 
 
 def as_reflectance(value: Reflectance | ArrayLike) -> Reflectance:
-    """Return a `Reflectance` as it is, and anything else as `Constant`."""
+    """Return a `Reflectance` unchanged, and anything else as `Constant`."""
     return value if isinstance(value, Reflectance) else Constant(value)
 
 

@@ -1,18 +1,18 @@
-"""Faster ends of iterations that approach their solution by a constant factor: Anderson's mixing of the last steps."""
+"""Acceleration of linearly converging iterations: Anderson mixing of the last steps."""
 
 from __future__ import annotations
 
 import numpy as np
 
 _DEPTH = 5
-_FLOOR = 1e-10  # of the mean eigenvalue: steps that are alike
+_FLOOR = 1e-10  # share of the mean eigenvalue below which steps are linearly dependent
 
 
 class AndersonMixing:
-    """Mix an iteration's last steps so that what they have in common is gone ahead of.
+    """Anderson mixing of the last steps of an iteration.
 
-    Gauss and Newton leave out the second derivatives of a model; where residuals are large, each of their steps is then too
-    long or too short by a factor. The differences of steps show it.
+    Gauss-Newton iterations neglect the second derivatives of a model. For large residuals each step is then too long or
+    too short by a factor, which the differences of steps reveal.
 
     Source:
         Anderson, J. ACM 12 (1965); Walker and Ni, SIAM J. Numer. Anal. 49 (2011), type II.
@@ -33,8 +33,8 @@ class AndersonMixing:
         """Return the step to take.
 
         Args:
-            place: where the iteration is, (n,).
-            step: that it would take from there, (n,).
+            place: current position of the iteration, (n,).
+            step: its next step, (n,).
             metric: of steps, (n, n).
         """
         self._places, self._steps = [*self._places[-_DEPTH:], place], [*self._steps[-_DEPTH:], step]
@@ -47,5 +47,5 @@ class AndersonMixing:
         return step - (places + steps) @ share
 
     def forget(self) -> None:
-        """Begin anew, from steps of another kind."""
+        """Discard earlier steps, before steps of another kind."""
         self._places, self._steps = [], []

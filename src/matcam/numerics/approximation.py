@@ -1,7 +1,7 @@
-"""Functions known at some points: their integrals, and their values between the points.
+"""Integration and interpolation of functions that are known at some points.
 
-Integrals: Gauss-Legendre on intervals, on panels, and on panels that are graded towards a narrow peak. Values: Lagrange's
-polynomials through a few points, and cubic B-splines that bend a function smoothly.
+Integrals: Gauss-Legendre on intervals, on panels, and on panels that are graded towards a narrow peak. Values:
+Lagrange's polynomials through a few points, and cubic B-splines.
 """
 
 from __future__ import annotations
@@ -19,26 +19,26 @@ AnyValues = TypeVar("AnyValues", bound=Any)
 
 
 def nodes_between(low: AnyValues, high: AnyValues, order: int) -> tuple[AnyValues, AnyValues]:
-    """Return Gauss-Legendre (nodes, weights) on [low, high], on a trailing axis; arrays of NumPy give arrays of NumPy."""
+    """Compute Gauss-Legendre (nodes, weights) on [low, high], on a trailing axis; arrays of NumPy give arrays of NumPy."""
     unit, weight = np.polynomial.legendre.leggauss(order)
     half = (high - low)[..., None] / 2
     return (high + low)[..., None] / 2 + half * unit, half * weight
 
 
 def nodes_in_panels(cuts: AnyValues, order: int) -> tuple[AnyValues, AnyValues]:
-    """Return (nodes, weights) of every panel between neighbouring cuts (last axis), one panel after the other."""
+    """Compute (nodes, weights) of every panel between neighbouring cuts (last axis), one panel after the other."""
     nodes, weights = nodes_between(cuts[..., :-1], cuts[..., 1:], order)
     return nodes.reshape(*nodes.shape[:-2], -1), weights.reshape(*nodes.shape[:-2], -1)
 
 
 def ascending(cuts: list[jax.Array], rows: int) -> jax.Array:
-    """Return cuts in ascending order, on a trailing axis of as many.
+    """Sort cuts in ascending order, on a trailing axis.
 
-    They are exchanged in pairs: XLA sorts a few numbers of each of many places a hundred times as long.
+    They are exchanged in pairs, because the sort of XLA takes a hundred times as long for few numbers at many positions.
 
     Args:
         cuts: arrays of one shape; each of the first `rows` is at most the next.
-        rows: how many are in order already.
+        rows: number of arrays that are in order.
     """
     for last in range(max(rows, 1), len(cuts)):
         for place in range(last, 0, -1):
@@ -48,11 +48,11 @@ def ascending(cuts: list[jax.Array], rows: int) -> jax.Array:
 
 
 def graded_nodes(borders: jax.Array, scale: jax.Array, graded: int, order: int) -> tuple[jax.Array, jax.Array]:
-    """Return (nodes, weights) for a function that peaks at the first of `borders` on the scale `scale`.
+    """Compute (nodes, weights) for a function that peaks at the first of `borders` on the scale `scale`.
 
-    The range runs from the first to the last border, which run one way on the last axis. The panels between borders are cut
-    further by `graded` cuts, which grow by one factor from scale / 2. Borders that fall have negative weights. Nodes and
-    weights stand on a trailing axis.
+    The range runs from the first to the last border, which are monotone along the last axis. The panels between borders
+    are divided by `graded` cuts, which grow geometrically from scale / 2. Decreasing borders give negative weights.
+    Nodes and weights are on a trailing axis.
     """
     start, length = borders[..., :1], borders[..., -1:] - borders[..., :1]
     first = constant(scale)[..., None] / 2
@@ -64,23 +64,23 @@ def graded_nodes(borders: jax.Array, scale: jax.Array, graded: int, order: int) 
 
 
 def between_entries(table: jax.Array, place: jax.Array) -> jax.Array:
-    """Return values at places among a table's entries, counted from 0, by Lagrange's cubic through the four about each."""
+    """Interpolate at positions among the entries of a table, counted from 0, by Lagrange's cubic through four neighbours."""
     first, shares = four_about(place, table.size)
     return sum((xp.take(table, first + k, mode="clip") * share for k, share in enumerate(shares)), xp.zeros(()))
 
 
 def four_about(place: jax.Array, entries: int) -> tuple[jax.Array, list[jax.Array]]:
-    """Return the first of the four entries about each place, and the shares of the four in the value there."""
+    """Return the first of the four entries about each position, and the shares of the four in the value there."""
     left = constant(xp.clip(xp.floor(place), 1, entries - 3))
     return left.astype(int) - 1, lagrange_basis(np.arange(-1.0, 3.0), place - left)
 
 
 POINTS = 8
-"""Points per axis from which `interpolated` makes a value; half of them must lie on either side."""
+"""Number of points per axis in `interpolated`; half of them must lie on either side."""
 
 
 def lagrange_basis(points: np.ndarray, at: Any) -> list[Any]:
-    """Return Lagrange's polynomials through `points` (n,) at the places `at`: n arrays of its shape and kind.
+    """Return Lagrange's polynomials through `points` (n,) at the positions `at`: n arrays of its shape and kind.
 
     The polynomial through values v_k is `sum_k v_k basis_k`. Derivatives are finite at the points, too.
     """
@@ -95,10 +95,10 @@ def lagrange_basis(points: np.ndarray, at: Any) -> list[Any]:
 
 
 def interpolated(grids: jax.Array, which: jax.Array, row: jax.Array, column: jax.Array) -> jax.Array:
-    """Return values at fractional (row, column) of the grids numbered `which`.
+    """Interpolate at fractional (row, column) of the grids numbered `which`.
 
-    Where the points around a place are nowhere negative, neither is the value: where a function falls by orders of magnitude
-    between points, the polynomial would ripple about 0. There the least of the points takes its place.
+    If the points around a position are non-negative, so is the value: where a function falls by orders of magnitude
+    between points, the polynomial would oscillate about 0, and is replaced by the smallest of the points.
 
     grids: (n, rows, columns, channels), the others (targets,). Shape (targets, channels).
     """
@@ -119,24 +119,26 @@ def on_steps(position: jax.Array) -> tuple[jax.Array, jax.Array]:
 
 
 def cubic_basis(place: jax.Array, count: int) -> jax.Array:
-    """Return `count` cubic B-splines at `place` in [0, count - 1], on a leading axis.
+    """Evaluate `count` cubic B-splines at `place` in [0, count - 1], on a leading axis.
 
     They are local, smooth to the second derivative, and add up to 1. They are mirrored at 0 and constant at the end.
     """
-    # one operation for all: a program that spells each out takes three times as long to compile and to load
+    # one operation for all: a program with separate ones takes three times as long to compile and to load
     knots = np.arange(-1.0, count + 1).reshape(-1, *[1] * place.ndim)
     return _mirrored(_cubic(place - knots))
 
 
 def _mirrored(splines: jax.Array) -> jax.Array:
-    """Return what splines from one before the first knot to one behind the last make, mirrored at 0 and constant at the end."""
+    """Apply the boundary conditions to splines from one before the first knot to one after the last: mirrored at 0,
+    constant at the end.
+    """
     return xp.concatenate(
         [splines[1:2], splines[2:3] + splines[:1], splines[3:-2], splines[-2:-1] + splines[-1:]], axis=0
     )
 
 
 def cubic_spline(coefficients: jax.Array, place: jax.Array) -> jax.Array:
-    """Return sum_k coefficient_k B_k of the splines of `cubic_basis`, of which four count at each place."""
+    """Evaluate sum_k coefficient_k B_k of the splines of `cubic_basis`, of which four are non-zero at each position."""
     ends = coefficients[-1:]
     beyond = xp.concatenate([coefficients[1:2], coefficients, ends, ends])
     left = constant(xp.clip(xp.floor(place), 0, coefficients.size - 2))
@@ -147,29 +149,29 @@ def cubic_spline(coefficients: jax.Array, place: jax.Array) -> jax.Array:
 
 
 def cubic_sums(place: jax.Array, weights: jax.Array, count: int, axes: int = 1) -> jax.Array:
-    """Return sum weights B_k(place) over the last `axes` axes, for each spline of `cubic_basis`, on a leading axis."""
+    """Compute sum weights B_k(place) over the last `axes` axes, for each spline of `cubic_basis`, on a leading axis."""
     over = tuple(range(-axes, 0))
-    # one sum after the other: all splines at all places would be written to memory and read again
+    # one sum after the other, because all splines at all positions would not fit into the cache
     from matcam.core.jax import jax
 
     return _mirrored(jax.lax.map(lambda knot: xp.sum(_cubic(place - knot) * weights, over), np.arange(-1.0, count + 1)))
 
 
 def combined(coefficients: jax.Array, basis: jax.Array) -> jax.Array:
-    """Return sum_k coefficient_k basis_k."""
+    """Compute sum_k coefficient_k basis_k."""
     return xp.tensordot(coefficients, basis, 1)
 
 
 def smoothness(count: int) -> np.ndarray:
-    """Return the rows (rows, count) whose products with coefficients a smooth spline keeps small.
+    """Return the rows (rows, count) whose products with the coefficients of a smooth spline are small.
 
-    These are second differences, a third of the first ones, and a little of their mean, which something else takes away.
+    They are second differences, a third of the first ones, and a small share of the mean, which another parameter absorbs.
     """
     unit = np.eye(count)
     return np.concatenate([np.diff(unit, 2, axis=0), np.diff(unit, axis=0) / 3, np.full((1, count), 0.1 / count)])
 
 
 def _cubic(x: jax.Array) -> jax.Array:
-    """Return the cardinal cubic B-spline."""
+    """Evaluate the cardinal cubic B-spline."""
     x = xp.abs(x)
     return xp.maximum(2 - x, 0.0) ** 3 / 6 - 4 * xp.maximum(1 - x, 0.0) ** 3 / 6

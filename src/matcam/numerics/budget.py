@@ -1,8 +1,8 @@
-"""Uncertainty budget as the *Guide to the expression of uncertainty in measurement* asks (JCGM 100:2008, 5 and G.4).
+"""Uncertainty budget according to the *Guide to the expression of uncertainty in measurement* (JCGM 100:2008, 5 and G.4).
 
-u_c^2 = sum_ij c_i c_j u_i u_j r_ij        c_i sensitivity, u_i standard uncertainty, r_ij correlation of the sources
-1 / nu = sum_i (c_i u_i)^4 / (nu_i u_c^4)  effective degrees of freedom (Welch and Satterthwaite), of independent sources
-U = k u_c                                  k = 2, or Student's t at 95.45 % where the degrees of freedom are few
+u_c^2 = sum_ij c_i c_j u_i u_j r_ij        c_i sensitivity, u_i standard uncertainty, r_ij correlation of the sources 1
+/ nu = sum_i (c_i u_i)^4 / (nu_i u_c^4)  effective degrees of freedom (Welch and Satterthwaite), of independent sources
+U = k u_c                                  k = 2, or Student's t at 95.45 % for few degrees of freedom
 """
 
 from __future__ import annotations
@@ -21,14 +21,16 @@ _COVERAGE = 0.9545
 """Probability of +-2 standard deviations of a normal distribution."""
 _COLUMNS = ("source", "type", "value", "standard_uncertainty", "sensitivity", "contribution", "degrees_of_freedom")
 _STEP = 1e-3
-"""Share of a standard uncertainty by which a source is moved for a numerical sensitivity; its square is the relative error."""
+"""Share of a standard uncertainty by which a source is changed for a numerical sensitivity; its square is the relative
+error.
+"""
 
 
 class UncertaintySource(NamedTuple):
     """One source of uncertainty.
 
     Attributes:
-        name: what it is, with its unit.
+        name: name of the source, with its unit.
         value: estimate, in its unit.
         uncertainty: standard uncertainty, in the same unit.
         sensitivity: change of the result over that of the source.
@@ -63,7 +65,7 @@ class UncertaintyBudget:
         correlation: of the sources, (n, n). Default: None, independent.
 
     Raises:
-        ArgumentError: there is no source, an uncertainty is negative, or this is no correlation.
+        ArgumentError: there is no source, an uncertainty is negative, or this is not a correlation.
 
     Example:
         >>> one = matcam.UncertaintySource("a", 1.0, 0.3, 1.0, "A", 9)
@@ -111,7 +113,7 @@ class UncertaintyBudget:
 
         Args:
             name: of the result, with its unit.
-            function: result by the sources' values, in their order.
+            function: result as a function of the values of the sources, in order.
             sources: their sensitivities are replaced by numerical ones.
             correlation: of the sources, (n, n). Default: None, independent.
         """
@@ -206,12 +208,12 @@ def write_budgets(path: str | Path, budgets: Sequence[UncertaintyBudget], *, for
     """Write the budgets of some results.
 
     Args:
-        path: file to write; its ending decides: .json or .csv.
-        budgets: one a result; without any, the file has none.
+        path: file to write, .json or .csv.
+        budgets: one per result; without any, the file is empty.
         force: replace an existing file. Default: False.
 
     Raises:
-        ArgumentError: the name ends otherwise.
+        ArgumentError: the suffix is another.
         OutputError: the file cannot be written, or exists and `force` is False.
 
     Example:
@@ -232,17 +234,17 @@ def write_budgets(path: str | Path, budgets: Sequence[UncertaintyBudget], *, for
 
 
 def check_budget(path: str | Path, *, force: bool, inputs: Sequence[str | Path] = ()) -> None:
-    """Refuse a file that `write_budgets` could not write, before any work.
+    """Check before any work that `write_budgets` can write a file.
 
-    inputs: files that are read, which must not be replaced.
-    ArgumentError where the name ends neither in .json nor in .csv; OutputError where the file cannot be written.
+    inputs: files that are read, which must not be replaced. ArgumentError if the name does not end in .json or .csv;
+    OutputError if the file cannot be written.
     """
     _check_name(path)
     check_output(path, force=force, inputs=inputs)
 
 
 def _check_name(path: str | Path) -> None:
-    """Refuse a budget's file whose ending is neither .json nor .csv (ArgumentError)."""
+    """Raise ArgumentError for a file of budgets whose suffix is neither .json nor .csv."""
     if Path(path).suffix.lower() not in (".json", ".csv"):
         raise ArgumentError(f"{path}: a budget's name must end in .json or .csv")
 

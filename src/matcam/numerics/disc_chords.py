@@ -1,8 +1,8 @@
-"""A disc of even light as chords: where they lie, how long they are, and what share of the light each has.
+"""Uniform disc as chords: positions, lengths, and shares of the light.
 
-Their distance from the disc's centre is sin t, with Gauss's nodes in t: that is smooth for chords that are long beside the blur
-and for short ones. Few chords of a small disc are Gauss's for the disc itself (Chebyshev's second kind), which keep all light
-and its variance.
+Their distance from the centre of the disc is sin t, with Gauss-Legendre nodes in t, which is smooth for chords that are
+longer or shorter than the blur. The few chords of a small disc are Gauss nodes for the disc itself (Chebyshev's second
+kind), which preserve the light and its variance.
 """
 
 from __future__ import annotations
@@ -16,12 +16,14 @@ COUNTS = (4, 6, 9, 13, 18, 26, 36, 48, 64)
 _SMALL = 1.2
 """Radius of the disc over the blur's standard deviation up to which it is small."""
 _LEAST, _ACROSS, _ALONG = 2.0, 2.4, 1.0
-"""Chords, and how many more for each standard deviation of the blur in half the disc's width across them, and along."""
+"""Number of chords: minimum, and additional ones per standard deviation of the blur in half the width of the disc
+across and along them.
+"""
 CHORD_RULE = (COUNTS, _SMALL, _LEAST, _ACROSS, _ALONG)
 
 
 class Chords(NamedTuple):
-    """Hold the chords of the unit disc: arrays of one shape.
+    """Chords of the unit disc: arrays of one shape.
 
     Attributes:
         at: distances from its centre.
@@ -35,7 +37,7 @@ class Chords(NamedTuple):
 
 
 def chords_of(count: int) -> Chords:
-    """Return one of `COUNTS` chords."""
+    """Build one of `COUNTS` numbers of chords."""
     if count == COUNTS[0]:
         at, weight = 2 * np.arange(1, count + 1) / (count + 1) - 1, np.full(count, 2 / (count + 1))
     else:
@@ -45,14 +47,14 @@ def chords_of(count: int) -> Chords:
 
 
 def half_of(chords: Chords) -> Chords:
-    """Return the chords on one side of the centre; each stands for two, one of them mirrored."""
+    """Return the chords on one side of the centre; each represents two, one of them mirrored."""
     side = chords.at > -1e-12
     at, half, share = (a[side] for a in chords)
     return Chords(at, half, np.where(at < 1e-12, share / 2, share))
 
 
 def chord_rule(across: np.ndarray, along: np.ndarray) -> np.ndarray:
-    """Return which of `COUNTS` discs need. across, along: half their widths over the blur's standard deviation."""
+    """Choose the index into `COUNTS` for discs. across, along: half their widths over the standard deviation of the blur."""
     large = np.maximum(COUNTS[1], _LEAST + _ACROSS * across + _ALONG * along)
     needed = np.where(np.maximum(across, along) <= _SMALL, 0.0, large)
     return np.minimum(np.searchsorted(COUNTS, needed), len(COUNTS) - 1)

@@ -1,7 +1,8 @@
-"""A small disc of even light as a sum of few Gaussians, some of them negative.
+"""Small uniform disc as a sum of few Gaussians, some of them negative.
 
-Through a Gaussian blur a small disc looks like its moments. The sum has the disc's light, its variance and its fourth moment;
-the other freedoms make the blurred disc right to 2e-4 of its own value, from the middle down to 1e-5 of it.
+After a Gaussian blur, low moments determine the image of a small disc. The sum has the light, the variance and the
+fourth moment of the disc. The other parameters minimise the error of the blurred disc: 2e-4 of its value, down to 1e-5
+of the central value.
 """
 
 from __future__ import annotations
@@ -9,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 LARGEST = 1.5
-"""Radius of the disc over the blur's standard deviation up to which the sum is that good."""
+"""Radius of the disc over the standard deviation of the blur up to which the sum has this accuracy."""
 
 DISC_GAUSSIANS = np.array(
     [

@@ -1,8 +1,9 @@
 """Uncertainty budgets of the results of fits, read from the covariance of the fit (JCGM 100:2008, 5).
 
-A least-squares fit with priors is linear at its solution: p = C (J' W y + L m), where C is the covariance of the parameters, W
-the weights of the readings y, and m the stated values of information L. The readings and the stated values are independent
-sources, and their variances C J' W J C and C L C add up to C. So a budget is a reading of the covariance that a fit has.
+A least-squares fit with priors is linear at its solution: p = C (J' W y + L m), where C is the covariance of the
+parameters, W the weights of the readings y, and m the stated values of information L. The readings and the stated
+values are independent sources, and their variances C J' W J C and C L C add up to C. A budget therefore follows from
+the covariance of a fit.
 """
 
 from __future__ import annotations
@@ -19,17 +20,17 @@ from matcam.numerics.budget import UncertaintyBudget, UncertaintySource
 from matcam.numerics.linalg import scaled_inverse
 
 _EFFECT = 1e-6
-"""Share of the combined uncertainty up to which a source has no effect: 1e-12 of the variance is rounding."""
+"""Share of the combined uncertainty below which a source is neglected: 1e-12 of the variance is rounding."""
 _UNCORRELATED = 1e-9
-"""Share of the information about two parameters up to which what is known of them is independent: rounding."""
+"""Share of the information about two parameters below which their priors are independent, which is rounding."""
 
 
 class StatedParameter(NamedTuple):
-    """Value that a source beside the data states of one parameter of a fit.
+    """Stated value of one parameter of a fit.
 
     Attributes:
         place: index of the parameter.
-        name: what it is, with its unit.
+        name: name of the parameter, with its unit.
         value: stated value, in its unit.
         slope: derivative of the value by the fit's coordinate, in its unit.
     """
@@ -82,11 +83,11 @@ class Statement(NamedTuple):
 
 
 class Readings(NamedTuple):
-    """The readings of a fit, which are one source of its uncertainty.
+    """Readings of a fit, which are one source of its uncertainty.
 
     Attributes:
-        name: what they are.
-        kind: "A" where their noise is estimated from them, "B" where it is given.
+        name: name of the source.
+        kind: "A" if their noise is estimated from them, "B" if it is given.
         degrees: degrees of freedom, no unit. Default: infinite.
     """
 
@@ -140,10 +141,10 @@ def statement_parts(
     variance: np.ndarray,
     readings: Readings,
 ) -> tuple[VariancePart, ...]:
-    """Split the variances of a fit's results into what is stated beside the data, and the readings.
+    """Split the variances of the results of a fit into those of prior knowledge and of the readings.
 
     Args:
-        statements: what is known beside the data.
+        statements: prior knowledge.
         slopes: (..., n), derivatives of the results by the fit's coordinates.
         covariance: (n, n), of the coordinates.
         variance: (...), of the results.
@@ -185,8 +186,8 @@ def posterior_budget(
         value: estimate.
         slope: (n,), derivatives of the result by the fit's coordinates.
         covariance: (n, n), of the coordinates.
-        statements: what is known of them beside the data.
-        readings: the source that has the variance that no statement has.
+        statements: prior knowledge of them.
+        readings: the source with the remaining variance.
         more: sources beside the fit. Default: none.
     """
     sources, blocks, stated = [], [np.eye(1)], 0.0
@@ -205,13 +206,13 @@ def posterior_budget(
 def stated_parameters(
     name: str, information: np.ndarray, stated: Sequence[StatedParameter], *, least: float = 0.0
 ) -> list[Statement]:
-    """State what is known of some parameters: each correlated group of them is one statement.
+    """Describe the prior knowledge of some parameters: each correlated group of them is one statement.
 
     Args:
         name: of the sources together.
         information: (n, n), of the fit's coordinates.
         stated: the parameters. Parameters without prior knowledge are left out.
-        least: information up to which nothing is known. Default: 0.
+        least: information below which a parameter is unknown. Default: 0.
     """
     known = [one for one in stated if information[one.place, one.place] > least]
     if not known:

@@ -8,11 +8,11 @@ from __future__ import annotations
 import numpy as np
 
 _OUTLIER = 8.0
-"""Robust standard deviations beyond which a difference is no noise but a cosmic ray or a hot pixel; normal values: 1e-15."""
+"""Robust standard deviations beyond which a difference is a cosmic ray or a hot pixel; probability of normal values: 1e-15."""
 _ROBUST = 1.4826
 """Standard deviation of normal values over their median absolute value."""
 _SMALLEST_SPREAD = 0.5
-"""Robust standard deviation that is assumed at least, codes: most pixels of a quiet frame read one code."""
+"""Smallest robust standard deviation, codes: most pixels of a quiet frame have one code."""
 _SIGNIFICANT = 5.0
 """Standard deviations by which a departure from a straight line differs from 0."""
 
@@ -34,8 +34,8 @@ def clipped_variance(values: np.ndarray) -> float:
 def pair_variance(first: np.ndarray, second: np.ndarray) -> float:
     """Compute the temporal variance of a pixel from two equal exposures (EMVA 1288, 8.2.1).
 
-    The difference of the frames' means does not count: it is a change of the lamp. Differences of more than eight robust
-    standard deviations are left out, in which this departs from the standard.
+    The difference of the means of the frames is removed, because it is a change of the lamp. Unlike in the standard,
+    differences of more than eight robust standard deviations are left out.
 
     Args:
         first: frame, (height, width), DN.
@@ -52,8 +52,8 @@ def pair_variance_error(frames: int, pixels: int) -> float:
     """Relative standard deviation of the mean `pair_variance` of consecutive frames.
 
     Args:
-        frames: how many frames there are, at least 2.
-        pixels: how many pixels a frame has.
+        frames: number of frames, at least 2.
+        pixels: number of pixels of a frame.
 
     Source:
         von Neumann (1941), Annals of Mathematical Statistics 12, 367: the mean square successive difference.
@@ -67,22 +67,22 @@ def fixed_pattern_variance(measured: float, temporal: float, frames: int) -> flo
     Args:
         measured: variance of the mean of the frames over its pixels, DN^2.
         temporal: variance of one pixel from frame to frame, DN^2.
-        frames: how many frames the mean has.
+        frames: number of frames of the mean.
 
     Returns:
-        Variance, DN^2; below 0 by chance where the pixels do not differ.
+        Variance, DN^2; negative by chance if the pixels do not differ.
     """
     return measured - temporal / frames
 
 
 def fixed_pattern_variance_error(pattern: float, temporal: float, frames: int, pixels: int) -> float:
-    """Standard deviation of `fixed_pattern_variance`, DN^2: what temporal noise leaves open of these very pixels.
+    """Standard deviation of `fixed_pattern_variance`, DN^2: the part from temporal noise for these pixels.
 
     Args:
         pattern: variance of the pixels' own levels, DN^2.
         temporal: variance of one pixel from frame to frame, DN^2.
-        frames: how many frames the mean has, at least 2.
-        pixels: how many pixels a frame has.
+        frames: number of frames of the mean, at least 2.
+        pixels: number of pixels of a frame.
     """
     chance = temporal / frames
     own = (4 * max(pattern, 0.0) * chance + 2 * chance**2) / pixels
@@ -104,7 +104,7 @@ def line_of_least_relative_error(x: np.ndarray, y: np.ndarray) -> tuple[float, f
 
 
 def not_linear(departure: np.ndarray, std: np.ndarray, least: float) -> np.ndarray:
-    """Find departures from a straight line that are larger than allowed, and larger than chance.
+    """Find departures from a straight line that are larger than allowed, and significant.
 
     Args:
         departure: relative to the line, no unit.

@@ -1,4 +1,4 @@
-"""The Fourier transform of an even disc."""
+"""Fourier transform of a uniform disc."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _SMALL = 1e-4
 
 
 def jinc(v: jax.Array, largest: float) -> jax.Array:
-    """Return 2 J1(v) / v, 1 at v = 0.
+    """Compute 2 J1(v) / v, 1 at v = 0.
 
     For arrays of JAX, which has no J1, it is the mean over the disc's chords of 2 cos^2 t cos(v sin t), exact once the nodes
     outnumber v.
@@ -33,6 +33,6 @@ def jinc(v: jax.Array, largest: float) -> jax.Array:
 
 @partial(compiled_by_jax, static=(0,))
 def _over_chords(nodes: int, v: jax.Array) -> jax.Array:
-    t = (np.arange(nodes) + 0.5) * (np.pi / 2 / nodes)  # the trapezoid rule needs the quarter turn only
+    t = (np.arange(nodes) + 0.5) * (np.pi / 2 / nodes)  # the trapezoidal rule requires only a quarter turn
     chord = 2 * np.cos(t) ** 2 / nodes
     return first_axis_map(lambda value: xp.cos(value[:, None] * np.sin(t)) @ chord, (v.ravel(),), 256).reshape(v.shape)

@@ -1,4 +1,4 @@
-"""Lengths of vectors that have a derivative where they are zero."""
+"""Lengths of vectors, with a derivative at zero."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ if TYPE_CHECKING:
 
 
 def plane_length(x: jax.Array, y: jax.Array) -> jax.Array:
-    """Return sqrt(x^2 + y^2), whose derivative at zero is zero.
+    """Compute sqrt(x^2 + y^2), with derivative zero at zero.
 
-    `xp.hypot` has none there since JAX 0.12, and what is smooth in the square of a length would lose its own.
+    `xp.hypot` has none there since JAX 0.12, so smooth functions of the squared length would lose their derivatives.
     """
     square = x * x + y * y
     nowhere = square == 0

@@ -1,4 +1,4 @@
-"""The inverse of information matrices whose parameters have different units.
+"""Inversion of information matrices whose parameters have different units.
 
 An information matrix (the inverse of a covariance) is symmetric and positive semidefinite. Its entries may differ by a factor
 of 1e20, because its parameters have different units; so it is scaled to a unit diagonal before it is inverted. One floor
@@ -14,8 +14,9 @@ import numpy as np
 from matcam.core.arrays import linalg, scipy_linalg, xp
 
 FLOOR = 1e-12
-"""Least eigenvalue of a matrix scaled to a unit diagonal. Rounding in sums of 1e6 products stays below it. A direction at the
-floor has a standard deviation of 1e6 times that of its parameters alone: nothing that the data determine."""
+"""Smallest eigenvalue of a matrix with a unit diagonal. Rounding in sums of 1e6 products stays below it. A direction at
+the floor has a standard deviation of 1e6 times that of its parameters alone: the data do not determine it.
+"""
 
 AnyMatrix = TypeVar("AnyMatrix", bound=Any)
 
@@ -23,13 +24,13 @@ AnyMatrix = TypeVar("AnyMatrix", bound=Any)
 def scaled_inverse(information: AnyMatrix, undetermined: float = 0.0) -> AnyMatrix:
     """Return the inverse of a symmetric, positive semidefinite matrix, by way of a unit diagonal.
 
-    NumPy arrays are inverted by their eigenvalues, none of which counts as less than `FLOOR`: sums that rounding has made
-    indefinite are no harm. JAX arrays are lifted by `FLOOR` and inverted by Cholesky's decomposition, which compiles to less.
-    The two differ by `FLOOR` over the smallest eigenvalue.
+    NumPy arrays are inverted by their eigenvalues, with `FLOOR` as the smallest, so that sums which are indefinite by
+    rounding are harmless. JAX arrays are lifted by `FLOOR` and inverted by Cholesky's decomposition, which compiles to
+    less. The two differ by `FLOOR` over the smallest eigenvalue.
 
     Args:
         information: matrix, or a stack of them (NumPy only), shape (..., n, n); the inverse squares of the parameters' units.
-        undetermined: variance of a parameter whose diagonal entry is 0. Default: 0.0, which leaves it where it is.
+        undetermined: variance of a parameter whose diagonal entry is 0. Default: 0.0, the parameter is fixed.
 
     Returns:
         The covariance, same shape and kind.
@@ -46,7 +47,7 @@ def scaled_inverse(information: AnyMatrix, undetermined: float = 0.0) -> AnyMatr
 
 
 def lifted_inverse(information: AnyMatrix, undetermined: float = 0.0) -> AnyMatrix:
-    """Return the inverse as `scaled_inverse` returns it for arrays of JAX, for one matrix of either kind."""
+    """Invert one matrix of either kind as `scaled_inverse` does for arrays of JAX."""
     diagonal = xp.diagonal(information)
     scale = xp.where(diagonal > 0, 1 / xp.sqrt(xp.where(diagonal > 0, diagonal, 1.0)), 0.0)
     lifted = information * scale[:, None] * scale + xp.diag(xp.where(scale > 0, FLOOR, 1.0))
@@ -56,12 +57,12 @@ def lifted_inverse(information: AnyMatrix, undetermined: float = 0.0) -> AnyMatr
 
 
 def least_eigenvalue(information: np.ndarray) -> float:
-    """Return the least eigenvalue of a matrix scaled to a unit diagonal; below `FLOOR`, a direction is not determined."""
+    """Compute the smallest eigenvalue of a matrix with a unit diagonal; below `FLOOR`, a direction is not determined."""
     return float(np.linalg.eigvalsh(_to_unit_diagonal(information)[0])[0])
 
 
 def _to_unit_diagonal(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the scaled matrix and the factor of each row, 0 where the diagonal is not positive."""
+    """Scale a matrix to a unit diagonal; return it with the factor of each row, 0 where the diagonal is not positive."""
     diagonal = np.diagonal(matrix, axis1=-2, axis2=-1)
     scale = np.where(diagonal > 0, 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0)), 0.0)
     return matrix * scale[..., :, None] * scale[..., None, :], scale

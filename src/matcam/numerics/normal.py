@@ -1,4 +1,4 @@
-"""The normal distribution's density."""
+"""Density of the normal distribution."""
 
 from __future__ import annotations
 
@@ -15,5 +15,5 @@ if TYPE_CHECKING:
 
 
 def normal_density(x: ArrayLike, std: ArrayLike = 1.0) -> jax.Array:
-    """Return exp(-x^2 / (2 std^2)) / (sqrt(2 pi) std)."""
+    """Evaluate exp(-x^2 / (2 std^2)) / (sqrt(2 pi) std)."""
     return xp.exp(-xp.square(xp.divide(x, std)) / 2) / (np.sqrt(2 * np.pi) * std)

@@ -1,6 +1,7 @@
 """Sines, cosines and arcsines of many numbers as polynomials.
 
-XLA has those of doubles from a library, one by one: 15 to 30 ns each, a third of an integral. As a polynomial they cost 1 ns.
+XLA calls a scalar library function for doubles, which takes 15 to 30 ns, a third of the time of an integral. A
+polynomial takes 1 ns.
 """
 
 from __future__ import annotations
@@ -28,12 +29,12 @@ _ARCSINE = (
 
 
 def sine(angle: jax.Array) -> jax.Array:
-    """Return the sine within [-pi/2, pi/2] to the last digit but one."""
+    """Compute the sine within [-pi/2, pi/2] to the last digit but one."""
     return _odd(_SINE, angle, angle * angle)
 
 
 def arcsine(x: jax.Array) -> jax.Array:
-    """Return the arcsine within [-1, 1] to the last digit but one; beyond 1/2 from that of sqrt((1 - |x|) / 2)."""
+    """Compute the arcsine within [-1, 1] to the last digit but one; beyond 1/2 from that of sqrt((1 - |x|) / 2)."""
     size = xp.abs(x)
     steep = size > 0.5
     square = xp.where(steep, (1 - size) / 2, size * size)
@@ -42,7 +43,7 @@ def arcsine(x: jax.Array) -> jax.Array:
 
 
 def _odd(coefficients: tuple[float, ...], x: jax.Array, square: jax.Array) -> jax.Array:
-    """Return x times a polynomial in its square."""
+    """Compute x times a polynomial in its square."""
     total = xp.full_like(square, coefficients[-1])
     for coefficient in coefficients[-2::-1]:
         total = total * square + coefficient

@@ -1,4 +1,4 @@
-"""From photographs to the material: what `matcam.reconstruct` returns, and the joint fit of all pictures behind it."""
+"""Reconstruction of a material from photographs: the result of `matcam.reconstruct`, and the joint fit of all images."""
 
 import lazy_loader
 

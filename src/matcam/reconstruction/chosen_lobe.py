@@ -1,6 +1,7 @@
-"""The lobe that explains the pictures best: of two families, bent only where that explains what is left.
+"""Choice of the lobe that explains the images best: one of two families, with a spline modification if it reduces the
+residual.
 
-A prior that the pictures contradict is widened until it no longer does, and said: what was stated was wrong, or the model is.
+A prior that the images contradict is widened until it agrees, with a remark: the stated value or the model is wrong.
 """
 
 from __future__ import annotations
@@ -26,31 +27,34 @@ from matcam.reconstruction.sphere_scene import SphereScene, part_of
 _BEND = 1.0
 _FEWEST = 3
 _NOISE_ALONE, _AS_NOISE = 0.003, 1.15
-"""Unexplained share of the light, and mean squared residual, up to either of which the noise alone explains the pictures."""
+"""Unexplained share of the light, and mean squared residual, below either of which noise alone explains the images."""
 _CLEARLY, _AT_ONCE = 0.9, 0.5
-"""Of the unexplained share: below which a bent lobe must come in the end, and before anything else is blamed."""
+"""Ratios of the unexplained share that a spline-modified lobe must reach at the end, and before a stated value is blamed."""
 _DIFFUSE_PIXELS = 0.2
-"""Share of the pixels that show more diffuse light than lobe, from which the shape of the diffuse part is looked at."""
-_SEEN = 3.0  # standard deviations of a pixel's noise from which it shows light
-_TURNS = 3  # sources that may be wrong
+"""Share of the pixels with more diffuse light than lobe, above which the shape of the diffuse part is considered."""
+_SEEN = 3.0  # standard deviations of the noise of a pixel above which it shows light
+_TURNS = 3  # number of sources that may be wrong
 _ODD = 4.0
-"""Chi squared of a picture over the median of all from which it is reported. Scattered lamps and lenses double it at most."""
+"""Chi squared of an image over the median of all above which it is reported. Scattered lamps and lenses double it at most."""
 _MANY, _SOME = 32, 16
-"""Pictures beyond which the lobe is chosen by an even choice of them, and how many these are; all are fitted in the end."""
+"""Number of images above which the lobe is chosen from an even selection, and the size of that selection.
+
+All are fitted at the end.
+"""
 _HOPELESS = 1.5
-"""A lobe that leaves so much more unexplained than the best is not tried again under other priors."""
+"""Ratio of unexplained shares above which a lobe is not tried again under other priors."""
 _GUESSED = 0.25
-"""Relative standard deviation from which a lens is a guess."""
+"""Relative standard deviation above which a lens is a guess."""
 
 
 class ChosenFit(NamedTuple):
-    """Hold the best fit, what else was tried, and what is remarkable.
+    """Best fit, the alternatives that were tried, and remarks.
 
     Attributes:
         fit: the best.
         tried: unexplained share by the name of each lobe.
         remarks: of priors that were widened and of the lobe.
-        widened: by what the standard deviation of a source was multiplied.
+        widened: factor of the standard deviation of each widened source.
     """
 
     fit: SphereFit
@@ -60,7 +64,7 @@ class ChosenFit(NamedTuple):
 
 
 class FitOfPictures(Protocol):
-    """Fit one family of lobes to all pictures of a sample: `fit_sphere`, or what stands in for it."""
+    """Fit of one family of lobes to all images of a sample: `fit_sphere`, or a function with its interface."""
 
     def __call__(
         self, pictures: Sequence[MergedPicture], scene: SphereScene, family: str = "ggx", **more: object
@@ -79,17 +83,17 @@ def chosen_fit(
     progress: Callable[[str], None] | None = None,
     fit_pictures: FitOfPictures = fit_sphere,  # type: ignore[assignment]
 ) -> ChosenFit:
-    """Fit lobes of the candidate families and return the likeliest.
+    """Fit lobes of the candidate families and return the most probable.
 
     Args:
         pictures: merged pictures.
         scene: what is known beforehand.
-        lamps: directions to the lamps as the highlights say, (pictures, 3).
-        family: family of the lobe; "auto": the likelier of the candidates, bent where that explains more. Default: "auto".
+        lamps: directions to the lamps from the highlights, (pictures, 3).
+        family: family of the lobe; "auto": the most probable candidate, spline-modified if that explains more. Default: "auto".
         masking: the lobe's G. Default: "smith".
         diffuse: whether there is a Lambertian part. Default: True.
         progress: is called with a line about each step. Default: None.
-        fit_pictures: fits one family; of another sample than a sphere, its own. Default: `fit_sphere`.
+        fit_pictures: function that fits one family; for samples other than a sphere, their own. Default: `fit_sphere`.
     """
     say = progress or (lambda _: None)
     first = CANDIDATES[0] if family == AUTO else family
@@ -133,8 +137,8 @@ def chosen_fit(
     tried = {best.kind.family: best.solution.unexplained}
 
     def with_shape(best: SphereFit) -> SphereFit:
-        """Return the fit whose diffuse part is not Lambert's, where that leaves less unexplained."""
-        # a fit that finds no rest with few parameters finds none with many
+        """Fit a non-Lambertian diffuse part, and return that fit if it leaves less unexplained."""
+        # a shape that few parameters do not improve is not improved by many
         if not diffuse or best.stuck or _explained(best) or _diffuse_pixels(best) < _DIFFUSE_PIXELS:
             return best
         other = fitted(best.kind.family, scene, start=best, shaped=True)
@@ -143,13 +147,13 @@ def chosen_fit(
         return other if less and _likelier(other, best) else best
 
     def rivalled(best: SphereFit) -> SphereFit:
-        """Return the likeliest of a fit that noise alone does not explain and those of the other candidates."""
+        """Fit the other candidates if noise alone does not explain a fit, and return the most probable."""
         for name in CANDIDATES:
             if family != AUTO or name == best.kind.family or _explained(best):
                 continue
             if tried.get(name, 0.0) > _HOPELESS * best.solution.unexplained:
                 continue
-            # at the end of a family its width says nothing of another's
+            # at the bound of a family its width is no start for another
             about = {} if _at_bound(best) else {"widths": np.exp(best.solution.p[0]) * np.array([0.4, 0.7, 1.1, 1.8])}
             other = fitted(name, scene, rounds=1, **about)
             tried[name] = other.solution.unexplained
@@ -162,20 +166,20 @@ def chosen_fit(
     bends: list[SphereFit] = []
 
     def bent(best: SphereFit, share: float) -> SphereFit:
-        """Return the fit bent smoothly, where that leaves less than a share of what is unexplained."""
+        """Fit a spline modification, and return that fit if it leaves less than a share of the unexplained light."""
         name = f"{best.kind.family}, bent"
         if family != AUTO or best.kind.bends or _explained(best) or tried.get(name, 0.0) > best.solution.unexplained:
             return best
         if best.stuck:
             return best
-        if not bends or bends[0] is not best:  # else it is the same fit, met again
+        if not bends or bends[0] is not best:  # otherwise it is the same fit again
             bends[:] = [best, fitted(best.kind.family, scene, start=best, bend=_BEND)]
         other = bends[1]
         tried[name] = other.solution.unexplained
         return other if tried[name] < share * best.solution.unexplained and _likelier(other, best) else best
 
     if few is None:
-        # before anything is blamed: a wrong lobe makes pictures unexplained, and what is stated look wrong
+        # before a source is blamed: a wrong lobe makes images unexplained, and stated values look wrong
         best = with_shape(best)
         shaped = best.layout.shape > 0
         best = bent(rivalled(best), _AT_ONCE)
@@ -198,7 +202,7 @@ def chosen_fit(
         )
 
     def final(best: SphereFit) -> SphereFit:
-        """Return the fit as it is reported, with the light of pictures open that stand far off the others."""
+        """Complete the fit, with a free light for images that deviate strongly."""
         odd = _odd_pictures(best)
         if odd:
             gains = np.array(np.broadcast_to(scene.gain_std, len(pictures)), dtype=float)
@@ -224,9 +228,9 @@ def chosen_fit(
         before, best = best, fitted(first, scene, start=best, bend=_BEND if best.kind.bends else 0.0)
         hopeless = bool(best.stuck) and best.solution.unexplained > _CLEARLY * before.solution.unexplained
         if hopeless:
-            break  # what is stated is not to blame either
+            break  # a stated value is not the cause either
     if widened and len(pictures) < len(whole[0]):
-        # what was stated was wrong: with that mended, the pictures left out may be explained, too
+        # with a wrong source widened, the images left out may be explained, too
         kept = pictures, scene, lamps
         pictures, scene, lamps = whole
         for source, factor in widened.items():
@@ -239,7 +243,7 @@ def chosen_fit(
     tried[f"{first}, bent" if best.kind.bends else first] = best.solution.unexplained
     if not best.kind.bends and not hopeless:
         if len(pictures) < len(whole[0]) or widened:
-            # under other priors, or without what no lobe explained, another one may be likelier
+            # under other priors, or without unexplained images, another lobe may be more probable
             best = rivalled(best)
         best = bent(best, _CLEARLY)
     if best.stuck:
@@ -252,14 +256,14 @@ def chosen_fit(
         text = "Lambert's law does not explain the diffuse part: its shape was fitted"
         remarks.append(Remark("diffuse-not-lambertian", text))
     if best.kind.bends:
-        text = f"no lobe of a single family explains the pictures: {best.kind.family} was bent smoothly"
+        text = f"no lobe of a single family explains the pictures: {best.kind.family} was modified smoothly"
         remarks.append(Remark("lobe-bent", text))
     first = best.kind.family
     return ChosenFit(final(best), tried, tuple(remarks), widened)
 
 
 def _odd_pictures(fit: SphereFit) -> dict[int, float]:
-    """Return the pictures whose chi squared is far above the others', with the unexplained share of their light."""
+    """Return the images with an exceptional chi squared, and the unexplained share of their light."""
     solution = fit.solution
     usual = max(float(np.median(solution.chi2)), 1.0)
     odd = np.flatnonzero(solution.chi2 > _ODD * usual).tolist()
@@ -268,7 +272,7 @@ def _odd_pictures(fit: SphereFit) -> dict[int, float]:
 
 def _odd_remark(fit: SphereFit, k: int, share: float) -> Remark:
     chi2 = fit.solution.chi2
-    text = f"{fit.names[k]}: its chi squared is {chi2[k]:.1f}, the median of all is {np.median(chi2):.1f}: it holds "
+    text = f"{fit.names[k]}: its chi squared is {chi2[k]:.1f}, the median of all is {np.median(chi2):.1f}: it contains "
     text += (
         f"light that the model lacks (a second lamp, a reflection, dust); its F is taken as {share:.1%} less certain"
     )
@@ -284,9 +288,9 @@ def _described(name: str, more: Mapping[str, object], widened: Mapping[str, floa
 
 
 def _with_its_lens_open(fit: SphereFit) -> SphereFit:
-    """Return the fit with what is stated of a guessed lens as the error of the lens, where no lobe explains the pictures.
+    """Add the prior uncertainty of a guessed lens to its error if no lobe explains the images.
 
-    The wrong lobe's shape would tell them apart: on a real ball three families each knew the lens to 2 % and differed by 15 %.
+    The shape of a wrong lobe would otherwise determine the lens with a much too small error.
     """
     solution, scene = fit.solution, fit.scene
     if scene.lens_std < _GUESSED or solution.unexplained < BY_SHAPE:
@@ -303,12 +307,12 @@ def _with_its_lens_open(fit: SphereFit) -> SphereFit:
 
 
 def _explained(fit: SphereFit) -> bool:
-    """Say whether photon and read noise explain the pictures: then no other lobe is looked for."""
+    """Check whether photon and read noise explain the images, so that no other lobe is required."""
     return fit.solution.unexplained < _NOISE_ALONE or float(np.median(fit.solution.chi2)) < _AS_NOISE
 
 
 def _diffuse_pixels(fit: SphereFit) -> float:
-    """Return the share of the pixels in which more than half of the light is the diffuse part's."""
+    """Compute the share of the pixels in which more than half of the light is diffuse."""
     problem, p = fit.solution.problem, fit.solution.p
     more = []
     for k, pixels in enumerate(problem.pixels):
@@ -320,7 +324,7 @@ def _diffuse_pixels(fit: SphereFit) -> float:
 
 
 def _likelier(one: SphereFit, other: SphereFit) -> bool:
-    """Say whether a fit explains its pixels better than another, both judged by the smaller unexplained share."""
+    """Check whether a fit explains its pixels better than another, both judged by the smaller unexplained share."""
     judge = Likelihood(UnexplainedLight(max(min(one.solution.unexplained, other.solution.unexplained), 1e-3)))
     surprise = []
     for fit in (one, other):
@@ -335,9 +339,9 @@ def _likelier(one: SphereFit, other: SphereFit) -> bool:
 
 
 def _preferred(one: SphereFit, other: SphereFit) -> bool:
-    """Say whether a fit is taken for another: the likelier, but no lobe at the end of its family that explains little more.
+    """Check whether a fit replaces another: it is more probable, and not a lobe at a bound that explains little more.
 
-    What is there is no lobe of that family: a spike with long tails takes the place of a haze, and its width says nothing.
+    At a bound the family does not fit: a spike with long tails imitates a haze, and its width is meaningless.
     """
     if _at_bound(one) == _at_bound(other):
         return _likelier(one, other)
@@ -347,6 +351,6 @@ def _preferred(one: SphereFit, other: SphereFit) -> bool:
 
 
 def _at_bound(fit: SphereFit) -> bool:
-    """Say whether a parameter of the lobe is at the end of what its family has."""
+    """Check whether a parameter of the lobe is at a bound of its family."""
     own, problem, p = len(fit.kind.family_names), fit.solution.problem, fit.solution.p
     return bool(np.any((p <= problem.low)[:own] | (p >= problem.high)[:own]))

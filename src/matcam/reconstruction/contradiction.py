@@ -1,4 +1,4 @@
-"""What is stated and contradicts the pictures: each source is freed in turn, and the one that explains most is blamed."""
+"""Stated values that contradict the images: each source is freed in turn, and the one that explains most is blamed."""
 
 from __future__ import annotations
 
@@ -15,28 +15,28 @@ from matcam.reconstruction.sphere_fit import SphereFit
 from matcam.reconstruction.sphere_scene import Known, SphereScene, prior_of
 
 _FAR = 10.0
-"""Standard deviations beyond which a distance is not printed: it is a first-order estimate."""
+"""Standard deviations beyond which a distance is not printed, because it is a first-order estimate."""
 _CONTRADICTED = 2.5
-"""Root mean square of a source's residuals, in its own standard deviations, from which it is taken as wrong."""
+"""Root mean square of the residuals of a source, in its standard deviations, above which it is wrong."""
 _EACH = 4.0
-"""By how much a source must explain more for each value that it states: many values explain much by chance."""
+"""Decrease of chi squared that a source must explain per stated value, because many values explain much by chance."""
 _MUCH = 20.0
-"""Fall of chi squared by freeing a source from which it is contradicted, though no prior alone is pushed far."""
-_FREE = 1e3  # by this a standard deviation is multiplied to see what its source explains
+"""Decrease of chi squared by freeing a source above which it is contradicted, even if no single prior is far off."""
+_FREE = 1e3  # factor of a standard deviation that frees its source
 _LENGTH = 0.1
-"""Relative standard deviation of a length that is freed, at least: a length stated as exact may be 2 % wrong."""
+"""Smallest relative standard deviation of a freed length: a length stated as exact may be 2 % wrong."""
 _IN_EACH = ("lamp", "gain", "shift")
-"""Sources that state something of each picture."""
+"""Sources with a value for each image."""
 _WIDENED = {
     "lens": "the lens differs from its profile",
     "distortion": "the lens's distortion is not as its profile states",
-    "outline": "the highlights want another outline than the limb shows",
-    "shift": "the sphere moves between the pictures by more than its limb says",
-    "lamp": "the lamps are not where the table says",
+    "outline": "the highlights indicate another outline than the limb",
+    "shift": "the sphere moves between the pictures by more than its limb indicates",
+    "lamp": "the lamps are not at the directions of the table",
     "camera distance": "the camera's distance is not as stated",
     "lamp distance": "the lamp's distance is not as stated",
     "sample radius": "the sample's radius in mm is not as stated",
-    "rig": "the rig is not as the earlier reconstruction found it",
+    "rig": "the rig differs from that of the earlier reconstruction",
     "gain": "the light of the pictures varies more than stated",
 }
 
@@ -45,10 +45,10 @@ class _Blame(NamedTuple):
     """Fall of chi squared when a source is freed, and its distance from the stated value in standard deviations.
 
     Attributes:
-        explains: to first order, less what that many values explain by chance.
+        explains: to first order, less the expected decrease by chance.
         source: its name.
-        pull: by how many standard deviations.
-        step: how the parameters then move, (size,).
+        pull: distance in standard deviations.
+        step: change of the parameters, (size,).
         freed: the problem without that source.
     """
 
@@ -61,7 +61,7 @@ class _Blame(NamedTuple):
     def holds(self, fit: SphereFit) -> bool:
         """Check the predicted fall of chi squared along the step.
 
-        Freed of what is stated in each picture, little is left that determines it, and the first order goes astray.
+        If the values of each image are free, little determines them, and the first order is inaccurate.
         """
         if self.source not in _IN_EACH:
             return True
@@ -72,10 +72,10 @@ class _Blame(NamedTuple):
 
 
 def contradiction(fit: SphereFit, scene: SphereScene) -> tuple[str, float, Remark] | None:
-    """Return the source that contradicts the pictures, by what its standard deviation is to be multiplied, and a remark.
+    """Find the source that contradicts the images, the factor of its standard deviation, and a remark.
 
-    A wrong prior that is stiff pushes others away. So each is freed in turn, and the one that explains most by that is to
-    blame. None: no prior is pushed away, and freeing none explains much.
+    A wrong but narrow prior displaces other parameters. Therefore each is freed in turn, and the one that explains most
+    is blamed. None: no prior is displaced, and freeing none explains much.
     """
     problem = fit.solution.problem
     away = problem.prior_rows @ fit.solution.p - problem.prior_values
@@ -89,7 +89,7 @@ def contradiction(fit: SphereFit, scene: SphereScene) -> tuple[str, float, Remar
     if blamed.source == "sample radius" and scene.sample_radius is not None:
         stated = scene.sample_radius.value
         wanted = stated * np.exp(float((fit.solution.p + blamed.step)[problem.layout.sample_radius]))
-        text += f" (the pictures want {wanted:.4g} mm, {stated:.4g} mm is stated)"
+        text += f" (the pictures indicate {wanted:.4g} mm, {stated:.4g} mm is stated)"
     remark = Remark(
         f"{blamed.source.replace(' ', '-')}-contradicted",
         f"{text}: {times_off(pull)} the given standard deviation, which was enlarged; the distance is extrapolated from the "
@@ -99,12 +99,12 @@ def contradiction(fit: SphereFit, scene: SphereScene) -> tuple[str, float, Remar
 
 
 def times_off(pull: float) -> str:
-    """Format a distance in standard deviations. It is a first-order estimate, whose digits mean nothing far away."""
+    """Format a distance in standard deviations. Large values are first-order estimates without significant digits."""
     return f"off by more than {_FAR:.0f} times" if pull > _FAR else f"off by about {pull:.0f} times"
 
 
 def _blamed(fit: SphereFit, scene: SphereScene) -> list[_Blame]:
-    """Return what freeing each source would explain, to first order, less `_EACH` for each value that it states."""
+    """Compute the decrease of chi squared by freeing each source, to first order, less `_EACH` per stated value."""
     solution, problem = fit.solution, fit.solution.problem
     away = problem.prior_rows @ solution.p - problem.prior_values
     pictures = problem.layout.pictures
@@ -125,7 +125,7 @@ def _blamed(fit: SphereFit, scene: SphereScene) -> list[_Blame]:
         count = values.get(name, int(rows.sum()))
         explains = float(away[rows] @ away[rows] - off @ off + push @ step) - _EACH * count
         pull = float(np.sqrt(np.sum((away[rows] + old @ step) ** 2) / count))
-        # no source explains more than there is to explain: where the first order says so, it does not hold
+        # no source explains more than the total: a larger first-order estimate is invalid
         if explains < solution.cost and np.isfinite(pull):
             others = ~rows
             freed = replace(
@@ -139,7 +139,7 @@ def _blamed(fit: SphereFit, scene: SphereScene) -> list[_Blame]:
 
 
 def _rows_of(name: str, sources: Sequence[str]) -> np.ndarray:
-    """Return which rows of a prior state a source; the sphere's shifts stand in those of the outline."""
+    """Select the rows of a prior that belong to a source; shifts of the sphere are part of the outline."""
     return np.array([one == ("outline" if name == "shift" else name) for one in sources])
 
 
@@ -148,7 +148,7 @@ def _rms(values: np.ndarray) -> float:
 
 
 def _freeing(scene: SphereScene, source: str) -> float:
-    """Return by what the standard deviation of a source is multiplied to free it."""
+    """Return the factor of the standard deviation of a source that frees it."""
     lengths = {
         "camera distance": scene.camera_nearness,
         "lamp distance": scene.lamp_nearness,
@@ -159,10 +159,10 @@ def _freeing(scene: SphereScene, source: str) -> float:
 
 
 def with_wider(scene: SphereScene, source: str, factor: float) -> SphereScene:
-    """Multiply the standard deviation of what one source states.
+    """Multiply the standard deviation of the values of one source.
 
     Args:
-        scene: what is stated.
+        scene: stated values.
         source: its name, as in a prior's sources.
         factor: no unit.
     """

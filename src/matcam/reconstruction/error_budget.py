@@ -1,6 +1,6 @@
-"""Where the uncertainty of a joint fit comes from, and which parameters its pictures cannot tell apart.
+"""Sources of the uncertainty of a joint fit, and parameters that its images do not distinguish.
 
-Two budgets answer different questions. `error_budget` states what would be gained if a source were exact. `reading_budget` is
+There are two budgets. `error_budget` gives the reduction of the variance if a source were exact. `reading_budget` is
 that of the GUM: variances of independent sources, whose sum is the variance of the result.
 """
 
@@ -22,26 +22,28 @@ from matcam.reconstruction.sphere_fit import SphereFit
 from matcam.reconstruction.sphere_scene import Known
 
 NOISE = "noise"
-"""What is left where everything that was stated is exact: photons, read noise, and what the model does not explain."""
+"""Remaining uncertainty if all stated values are exact: photons, read noise, and residuals of the model."""
 REFERENCE = "reference"
-"""The unit of the pictures' values by a white patch: its reflectance, its place, its noise."""
-_EXACT = 1e6  # a source that is taken as exact has its information multiplied by this
+"""Unit of the values of the images by a white patch: its reflectance, its position, its noise."""
+_EXACT = 1e6  # factor of the information of a source that makes it exact
 _APART = 0.95
-"""Correlation from which two parameters are not told apart by the pictures."""
+"""Correlation above which the images do not distinguish two parameters."""
 _WEAK = 3.0
-"""A parameter is not determined where the pictures alone know it this many times worse than they do with all that is stated."""
+"""Ratio of standard deviations, from the images alone and with all stated values, above which a parameter is not determined."""
 _KEPT = 0.01
-"""Share of what is stated of a parameter that is left to see what the pictures know: were it free, all would follow it."""
+"""Share of the prior information on a parameter that is kept to test what the images determine: if it were free, all
+would follow it.
+"""
 _NORMAL = np.radians([10, 15, 20, 25, 30, 35, 40, 45])
-"""theta_d over whose mean F is normalised, rad, where pictures reach them."""
+"""theta_d over whose mean F is normalised, rad, within the range of the images."""
 
 
 class Inseparable(NamedTuple):
-    """Name parameters that the pictures alone do not tell apart.
+    """Parameters that the images alone do not distinguish.
 
     Attributes:
         names: two parameters.
-        correlation: between them, where nothing is stated of the first.
+        correlation: between them, without a prior on the first.
     """
 
     names: tuple[str, str]
@@ -53,7 +55,7 @@ class Inseparable(NamedTuple):
 
 
 class Ratio(NamedTuple):
-    """Hold F at an angle over its mean from 10 to 45 degrees, with its standard deviation."""
+    """F at an angle over its mean from 10 to 45 degrees, with its standard deviation."""
 
     theta_d: float
     value: float
@@ -61,7 +63,7 @@ class Ratio(NamedTuple):
 
 
 class _Shared(NamedTuple):
-    """Hold the parameters that all pictures share, as users read them: a bent lobe has no coefficients, but a half width.
+    """Parameters that all pictures share, as users see them: a spline-modified lobe has a half width instead of coefficients.
 
     Attributes:
         names: in the order of `slopes`.
@@ -72,7 +74,7 @@ class _Shared(NamedTuple):
     slopes: np.ndarray
 
     def covariance(self, whole: np.ndarray) -> np.ndarray:
-        """Return the covariance of what is read. whole: of the fit's coordinates."""
+        """Compute the covariance of the shared parameters. whole: of the coordinates of the fit."""
         size = self.slopes.shape[1]
         return self.slopes @ whole[:size, :size] @ self.slopes.T
 
@@ -84,14 +86,14 @@ def _shared(fit: SphereFit) -> _Shared:
     lobe = lobe_readings(fit.kind, fit.solution.p[:own]) if fit.kind.bends else None
     names, rows = (fit.kind.names, np.eye(own)) if lobe is None else (lobe.names, lobe.slopes.copy())
     if lobe is not None:
-        rows[0] /= lobe.values[0]  # its logarithm, as of a family's roughness
+        rows[0] /= lobe.values[0]  # the logarithm, as for the roughness of a family
     slopes = np.zeros((len(names) + len(others), own + len(others)))
     slopes[: len(names), :own], slopes[len(names) :, own:] = rows, np.eye(len(others))
     return _Shared((*names, *others), slopes)
 
 
 def reflectance_ratio(fit: SphereFit, curve: ReflectanceCurve, covariance: np.ndarray, theta_d: float) -> Ratio:
-    """Return F(theta_d) over the mean of F from 10 to 45 degrees, as far as the pictures reach.
+    """Compute F(theta_d) over the mean of F from 10 to 45 degrees, within the range of the images.
 
     Args:
         fit: the fit.
@@ -105,7 +107,7 @@ def reflectance_ratio(fit: SphereFit, curve: ReflectanceCurve, covariance: np.nd
 
 
 def _ratio(fit: SphereFit, curve: ReflectanceCurve, theta_d: float) -> tuple[float, np.ndarray]:
-    """Return F at an angle over its mean from 10 to 45 degrees, and its derivatives by the coefficients of the curve."""
+    """Compute F at an angle over its mean from 10 to 45 degrees, and its derivatives by the coefficients of the curve."""
     at = np.append(_normal_angles(fit), theta_d)
     value, slopes = curve.at(at), curve.slopes(at)
     mean = value[:-1].mean()
@@ -114,7 +116,7 @@ def _ratio(fit: SphereFit, curve: ReflectanceCurve, theta_d: float) -> tuple[flo
 
 
 def mean_level_std(fit: SphereFit, curve: ReflectanceCurve, covariance: np.ndarray) -> float:
-    """Return the relative standard deviation of F's mean from 10 to 45 degrees, without that of the unit.
+    """Compute the relative standard deviation of the mean of F from 10 to 45 degrees, without that of the unit.
 
     Args:
         fit: the fit.
@@ -133,7 +135,9 @@ def _normal_angles(fit: SphereFit) -> np.ndarray:
 
 
 def channel_covariance(fit: SphereFit, channel: int, covariance: np.ndarray | None = None) -> np.ndarray:
-    """Return the covariance of one channel's strengths, (pictures, pictures). covariance: of all parameters, if another."""
+    """Return the covariance of the strengths of one channel, (pictures, pictures). covariance: of all parameters, if
+    another.
+    """
     whole = fit.strengths_covariance(covariance)
     pick = np.arange(fit.layout.pictures) * fit.layout.channels + channel
     return whole[np.ix_(pick, pick)]
@@ -142,21 +146,22 @@ def channel_covariance(fit: SphereFit, channel: int, covariance: np.ndarray | No
 def error_budget(
     fit: SphereFit, curve: ReflectanceCurve, channel: int, theta_d: float, unit_std: float = float("nan")
 ) -> dict[str, dict[str, float]]:
-    """Return how much each source adds to the standard deviation of the results.
+    """Compute the contribution of each source to the standard deviation of the results.
 
-    A source's part is the root of the variance that would go if what it states were exact.
+    It is the root of the decrease of the variance if the source were exact.
 
     Args:
         fit: the fit.
         curve: F of one channel.
         channel: its index.
-        theta_d: angle at which F is judged, rad.
+        theta_d: angle of F, rad.
         unit_std: relative standard deviation of the pictures' unit, by a reference. Default: NaN, F is relative.
 
     Returns:
-        Source -> result -> standard deviation. Results: "ratio" (F at theta_d over its mean from 10 to 45 degrees, relative),
-        "level" (that mean, relative; only where F is absolute), "roughness" (of the logarithm of the lobe's first parameter,
-        or of a bent lobe's half width), "radius_px", "lens" (relative). "total" has all sources; "reference" is the unit's.
+        Source -> result -> standard deviation. Results: "ratio" (F at theta_d over its mean from 10 to 45 degrees,
+        relative), "level" (that mean, relative; only where F is absolute), "roughness" (of the logarithm of the lobe's
+        first parameter, or of the half width of a spline-modified lobe), "radius_px", "lens" (relative). "total" has
+        all sources; "reference" is the unit's.
     """
     absolute = bool(np.isfinite(unit_std))
     solution, shared = fit.solution, _shared(fit)
@@ -192,10 +197,10 @@ def error_budget(
 
 
 def inseparable(fit: SphereFit) -> tuple[Inseparable, ...]:
-    """Return the shared parameters that the pictures alone do not tell from the lens, the distances or the outline.
+    """Find shared parameters that the images alone do not distinguish from the lens, the distances or the outline.
 
-    For each of these, what is stated of it is taken away: where its correlation with another then exceeds 0.95 and its own
-    error grows more than threefold, the pictures do not determine it. The closest one is named.
+    The prior of each of these is removed in turn. If its correlation with another parameter then exceeds 0.95 and its
+    standard deviation grows more than threefold, the images do not determine it. The most correlated one is named.
     """
     solution, shared = fit.solution, _shared(fit)
     names = shared.names
@@ -212,20 +217,20 @@ def inseparable(fit: SphereFit) -> tuple[Inseparable, ...]:
             continue
         std = np.sqrt(np.maximum(np.diag(after), 1e-300))
         correlation = after[place] / (std[place] * std)
-        # what moves with one that is not determined itself is not another's fault
+        # a correlation with an undetermined parameter is not counted
         said = {one for pair in found for one in pair.names}
         apart = [
             Inseparable((name, names[other]), float(np.clip(value, -1, 1)))
             for other, value in enumerate(correlation.tolist())
             if other != place and abs(value) > _APART and before[other] > 0 and names[other] not in said
         ]
-        # what is as good as free drags everything else along
+        # a nearly free parameter is correlated with all others
         found += sorted(apart, key=lambda one: -abs(one.correlation))[:1]
     return tuple(found)
 
 
 class FitReading(NamedTuple):
-    """Value that is read off a joint fit.
+    """Value that is derived from a joint fit.
 
     Attributes:
         value: the value, in its unit.
@@ -238,7 +243,7 @@ class FitReading(NamedTuple):
     more: tuple[UncertaintySource, ...] = ()
 
     def std(self, covariance: np.ndarray) -> float:
-        """Return the standard deviation of the value. covariance: of the parameters of the fit."""
+        """Compute the standard deviation of the value. covariance: of the parameters of the fit."""
         own = sum(source.contribution**2 for source in self.more)
         return float(np.sqrt(max(float(self.slope @ covariance @ self.slope) + own, 0.0)))
 
@@ -246,7 +251,7 @@ class FitReading(NamedTuple):
 def parameter_readings(
     fit: SphereFit, curves: Sequence[ReflectanceCurve], units: Sequence[Known]
 ) -> dict[str, FitReading]:
-    """Read lobe, lens, n and k, and diffuse parts off a fit, by the names that users see.
+    """Derive lobe, lens, n and k, and diffuse parts from a fit, by the names that users see.
 
     curves: F of each channel. units: of each channel, value of the pictures per radiance under unit irradiance.
     """
@@ -269,7 +274,7 @@ def parameter_readings(
 def reflectance_readings(
     fit: SphereFit, curves: Sequence[ReflectanceCurve], units: Sequence[Known], theta_d: float
 ) -> dict[str, FitReading]:
-    """Read F of each channel at an angle over its mean from 10 to 45 degrees, and that mean where F is absolute.
+    """Derive F of each channel at an angle over its mean from 10 to 45 degrees, and that mean if F is absolute.
 
     curves, units: as of `parameter_readings`. theta_d: rad.
     """
@@ -294,7 +299,7 @@ def reflectance_readings(
 
 
 def length_readings(fit: SphereFit) -> dict[str, FitReading]:
-    """Read the outline's radius, px, and the distances of camera and lamp, radii of the sample, off a fit.
+    """Derive the radius of the outline, px, and the distances of camera and lamp, radii of the sample, from a fit.
 
     A distance beyond what the pictures determine is left out.
     """
@@ -310,7 +315,7 @@ def length_readings(fit: SphereFit) -> dict[str, FitReading]:
 
 
 def reading_budget(fit: SphereFit, name: str, reading: FitReading) -> UncertaintyBudget:
-    """Build the uncertainty budget of a value that is read off a fit (GUM). name: of the value, with its unit."""
+    """Build the uncertainty budget of a value that is derived from a fit (GUM). name: of the value, with its unit."""
     solution = fit.solution
     unstated = float(reading.slope @ (solution.covariance - solution.fitted) @ reading.slope)
     more = list(reading.more)
@@ -328,7 +333,7 @@ def reading_budget(fit: SphereFit, name: str, reading: FitReading) -> Uncertaint
 
 
 def _statements(fit: SphereFit) -> list[Statement]:
-    """Return what is stated of the parameters beside the pictures; a source of one parameter by its own name and unit."""
+    """Collect the prior knowledge of the parameters; a source of one parameter has its own name and unit."""
     problem, layout, scene = fit.solution.problem, fit.layout, fit.scene
     sigma = float(scene.camera.parameters().get("optics.sigma_px", np.nan))
     radius = np.nan if scene.sample_radius is None else scene.sample_radius.value
@@ -346,7 +351,7 @@ def _statements(fit: SphereFit) -> list[Statement]:
 
 
 def _lobe_readings(fit: SphereFit) -> dict[str, FitReading]:
-    """Read the parameters of the lobe; of a bent lobe what it has instead of a family's, else half widths, rad, too."""
+    """Derive the parameters of the lobe, or those of a spline-modified lobe; otherwise half widths, rad, too."""
     kind, size = fit.kind, fit.layout.size
     q = fit.solution.p[: kind.size]
 
@@ -365,7 +370,7 @@ def _lobe_readings(fit: SphereFit) -> dict[str, FitReading]:
         found[name] = reading(value, np.array([slope]), index)
     if not kind.stretched:
         return found | {HALF_WIDTH: reading(*half_maximum(kind, q))}
-    # along an axis of the slopes the lobe is the isotropic one of that axis's roughness
+    # along an axis of the slopes the lobe is the isotropic one with the roughness of that axis
     plain = LobeKind(kind.family, kind.masking)
     for axis, index in (("x", 0), ("y", 1)):
         found[f"hwhm_{axis}_rad"] = reading(*half_maximum(plain, q[index : index + 1]), index)
@@ -373,7 +378,7 @@ def _lobe_readings(fit: SphereFit) -> dict[str, FitReading]:
 
 
 def _of_curve(fit: SphereFit, curve: ReflectanceCurve, channel: int, value: float, row: np.ndarray) -> FitReading:
-    """Return a value that is read off the curve of a channel. row: its derivatives by the coefficients."""
+    """Build a value that is derived from the curve of a channel. row: its derivatives by the coefficients."""
     pick = np.arange(fit.layout.pictures) * fit.layout.channels + channel
     slope = row @ curve.gain @ fit.strengths_rows()[pick]
     by_scale, by_misfit = (float(np.sqrt(max(row @ part @ row, 0.0))) for part in (curve.by_scale, curve.by_misfit))

@@ -1,4 +1,4 @@
-"""From a capture to the material, by the kind of its sample."""
+"""Reconstruction from a capture, by the kind of its sample."""
 
 from __future__ import annotations
 
@@ -38,32 +38,32 @@ def reconstruct(
 ) -> Reconstruction | FlatReconstruction:
     """Reconstruct a material from photographs of a sample under a moved lamp.
 
-    The sample is a sphere, a cylinder or a flat one. Frames are merged by what they say of exposures, noise and clipping.
-    Outline and highlights give the geometry a start. Then lobe, reflectance, diffuse part, lens, outline, lamps and distances
-    are fitted to the pixels of all pictures at once, within what the capture states of each. Every error of the result
-    contains all of them, and what the fit does not explain.
-    Of a flat sample maps are estimated, frequency by frequency of its texture.
+    The sample is a sphere, a cylinder or a flat one. Frames are merged, with exposures, noise and clipping estimated
+    from them. Outline and highlights give a first estimate of the geometry. Then lobe, reflectance, diffuse part, lens,
+    outline, lamps and distances are fitted to the pixels of all images jointly, with the stated values of the capture
+    as priors. Standard deviations include all of them, and the unexplained residual. For a flat sample, maps are
+    estimated at each frequency of its texture.
 
     Args:
         capture: as from `files.capture.read_capture`, or its folder.
-        ndf: family of the lobe: "ggx", "epd", "sgd", "beckmann" or "gaussian". Default: "auto", the likelier of "ggx" and
-            "epd", bent where that explains more; of a cylinder with strips of several turns, GGX with two roughnesses.
+        ndf: family of the lobe: "ggx", "epd", "sgd", "beckmann" or "gaussian". Default: "auto", the more probable of
+            "ggx" and "epd", spline-modified if that explains more; for a cylinder with strips of several turns, GGX
+            with two roughnesses.
         masking: the lobe's G: "smith", "smith-separable", "van-ginneken" or None. Default: "smith".
         diffuse: whether the material may have a Lambertian part. Default: True.
-        rig_from: an earlier reconstruction by the same rig, or its JSON file. Its lens, distances, lamps and distortion, with
-            their covariance, stand for what the capture states of them. Default: None.
+        rig_from: an earlier reconstruction by the same rig, or its JSON file. Its lens, distances, lamps and
+            distortion, with their covariance, replace the stated values of the capture. Default: None.
         progress: is called with a step's name, and how many of how many parts of it are done. Default: None.
         workers: lamp positions whose frames are read at a time, in threads. Default: 1.
-        keep: folder in which what was read of the frames is kept until the end, so that a run that is cut off goes on.
-            Default: None, nothing is kept.
+        keep: folder for intermediate results, from which an interrupted run resumes. Default: None, no intermediate results.
 
     Returns:
-        Table, parameters, geometry, error budget and remarks; of a flat sample maps and what of them is lost.
+        Table, parameters, geometry, error budget and remarks; for a flat sample, maps and their resolution.
 
     Raises:
         ArgumentError: an argument is wrong, does not suit the sample, or `rig_from` is of another rig.
         FileFormatError: the capture's files are wrong.
-        FitError: there is no sphere or cylinder, too few highlights, or nothing to fit.
+        FitError: there is no sphere or cylinder, or too few highlights or values.
 
     Source:
         docs/model.md 10.
@@ -109,7 +109,7 @@ def reconstruct(
 def _of_sphere(
     found: CapturedScene, ndf: str, masking: Masking, diffuse: bool, progress: Callable[[str], None]
 ) -> Reconstruction:
-    """Reconstruct from a sphere, with the pinhole's table of the pictures that the fit explains."""
+    """Reconstruct from a sphere, with a pinhole table of the images that the fit explains."""
     result = reconstructed(
         found.pictures,
         found.scene,
@@ -130,7 +130,7 @@ def _of_sphere(
 def _of_cylinder(
     found: CapturedCylinder, ndf: str, masking: Masking, diffuse: bool, progress: Callable[[str], None]
 ) -> Reconstruction:
-    """Reconstruct from a cylinder: with two roughnesses where strips of different turns can tell them apart."""
+    """Reconstruct from a cylinder, with two roughnesses if strips of different turns can distinguish them."""
     scene = found.scene
     turned = len({round(float(np.degrees(strip.turn)) % 180, 3) for strip in found.strips}) > 1
     stretched = ndf == AUTO and turned

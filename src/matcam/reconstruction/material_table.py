@@ -1,4 +1,4 @@
-"""The reconstructed material as a table, with the standard deviation of every entry and what is supported."""
+"""Table of the reconstructed material, with the standard deviation and support of every entry."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from matcam.reconstruction.sphere_fit import SphereFit
 from matcam.reconstruction.sphere_scene import Known
 
 _BEYOND = np.radians(2.0)
-"""theta_d beyond the pictures' own range up to which an entry may be supported."""
+"""Angle theta_d beyond the range of the images up to which an entry may be supported, rad."""
 ATTRIBUTES = {
     "brdf": {"units": "1/sr", "long_name": "BRDF reconstructed from photographs"},
     "brdf_std": {"units": "1/sr", "long_name": "standard deviation of brdf: all sources of the error budget"},
@@ -29,19 +29,19 @@ ATTRIBUTES = {
 
 
 def material_table(fit: SphereFit, curves: Sequence[ReflectanceCurve], units: Sequence[Known]) -> xr.Dataset:
-    """Return the table of a joint fit.
+    """Tabulate a joint fit.
 
     Args:
         fit: lobe, strengths and diffuse parts.
         curves: F of each channel, in the fit's own unit.
-        units: of each channel, value per radiance under unit irradiance: what a strength is divided by to be F, with relative
-            standard deviation; NaN: F is relative.
+        units: of each channel, value per radiance under unit irradiance: divisor of strengths that gives F, with
+            relative standard deviation; NaN: F is relative.
 
     Returns:
         Dataset with `brdf` and `brdf_std` (1/sr), `supported`, over the MERL grid. A grey capture has three equal channels.
     """
     grid = merl_grid("centre")
-    half = len(grid.phi_d) // 2  # isotropic and reciprocal: phi_d and pi - phi_d are the same
+    half = len(grid.phi_d) // 2  # isotropic and reciprocal: phi_d and pi - phi_d are equivalent
     unit = unit_entries(fit, grid.theta_h[:, None, None], grid.theta_d[:, None], grid.phi_d[:half])
     values, stds = [], []
     for channel, curve in enumerate(curves):
@@ -69,13 +69,13 @@ def _mirrored(half: np.ndarray) -> np.ndarray:
 
 
 def covered(fit: SphereFit, theta_d: np.ndarray) -> np.ndarray:
-    """Tell which angles lie within those of the pictures, or next to them."""
+    """Check which angles lie within the range of the images, or next to it."""
     seen = fit.solution.theta_d
     return np.asarray((theta_d > seen.min() - _BEYOND) & (theta_d < seen.max() + _BEYOND))
 
 
 class UnitEntries(NamedTuple):
-    """Hold what entries of a table are of strengths and albedos of 1; axes of the entries last, theta_d the last but one.
+    """Table entries for strengths and albedos of 1; entries on the last axes, theta_d on the last but one.
 
     Attributes:
         lobe: with F = 1, 1/sr, NaN below the horizon.
@@ -98,7 +98,7 @@ def channel_entries(
     entries: UnitEntries,
     theta_d: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return one channel's entries and their standard deviations, 1/sr, shape of the unit entries.
+    """Compute the entries of one channel and their standard deviations, 1/sr, in the shape of the unit entries.
 
     Args:
         fit: strengths, diffuse parts and their covariance.
@@ -130,7 +130,7 @@ def channel_entries(
 
 
 def unit_entries(fit: SphereFit, *angles: np.ndarray) -> UnitEntries:
-    """Return a fit's lobe with F = 1 and its diffuse part of albedo 1, with their derivatives.
+    """Compute the lobe of a fit with F = 1 and its diffuse part of albedo 1, with their derivatives.
 
     Args:
         fit: lobe and shape of the diffuse part.

@@ -1,7 +1,7 @@
-"""Which pixels of a picture are fitted: all about the highlight, and some everywhere else.
+"""Selection of the pixels of an image for a fit: all about the highlight, and some everywhere else.
 
-The window about the highlight holds what the lens and a narrow lobe do. Beyond it the picture is smooth, and pixels at every
-half angle say what tails and diffuse part are. They are drawn evenly in the logarithm of the half angle, with a fixed seed.
+The window about the highlight shows the lens and a narrow lobe. Beyond it the image is smooth, and pixels at all half
+angles determine tails and diffuse part. They are drawn uniformly in the logarithm of the half angle, with a fixed seed.
 """
 
 from __future__ import annotations
@@ -15,28 +15,28 @@ from matcam.camera.lens_field import LensField
 from matcam.reconstruction.picture_rule import WINDOW, window_about
 
 SCATTERED = 768
-"""Pixels of a picture beside its window."""
+"""Number of pixels of an image beside its window."""
 _STRATA = 24
-_LIMB = 3.0  # px from the outline within which a pixel's own rule does not follow the border
-_OUTSIDE = 1.5  # px beyond the outline up to which the window's pixels are read: what lies behind is not the sphere
+_LIMB = 3.0  # px from the outline within which the rule of a single pixel does not resolve the border
+_OUTSIDE = 1.5  # px beyond the outline up to which pixels of the window are read: the background is not modelled
 _BESIDE = 9.0  # px from the highlight within which the limb is read, too
-_LIT = 0.1  # least cosine to the lamp: near the terminator a pixel's own rule meets a kink
+_LIT = 0.1  # smallest cosine to the lamp: near the terminator the rule of a pixel is inaccurate
 
 
 class ObservedPixels(NamedTuple):
-    """Hold the chosen pixels of one picture: those of the window, row by row of (v, u), then the scattered ones.
+    """Chosen pixels of one picture: those of the window, row by row of (v, u), then the scattered ones.
 
     Attributes:
         window: nodes and pixels about the highlight, as the model takes them.
         column: of the scattered pixels, px without the lens's distortion, (SCATTERED,).
         row: likewise, (SCATTERED,).
-        values: of all pixels, (WINDOW^2 + SCATTERED,); 0 where not used.
+        values: of all pixels, (WINDOW^2 + SCATTERED,); 0 if not used.
         std: of the noise, same shape; 1 where not used.
         clipped: pixels that are at least their value.
         channel: index of each pixel's colour.
-        used: pixels that hold a value and are fitted.
-        seen: columns and rows at which the frame shows the scattered pixels, px, (2, SCATTERED).
-        places: columns and rows at which the frame shows all pixels, px, (2, WINDOW^2 + SCATTERED).
+        used: pixels that have a value and are fitted.
+        seen: columns and rows of the scattered pixels in the frame, px, (2, SCATTERED).
+        places: columns and rows of all pixels in the frame, px, (2, WINDOW^2 + SCATTERED).
     """
 
     window: Any
@@ -52,7 +52,7 @@ class ObservedPixels(NamedTuple):
 
 
 class HighlightPlace(NamedTuple):
-    """Say where a highlight and its sphere are in the frame, without the lens's distortion.
+    """Position of a highlight and its sphere in the frame, without the distortion of the lens.
 
     Attributes:
         column: of the outline's centre, px.
@@ -79,16 +79,16 @@ def chosen_pixels(
     keep: ObservedPixels | None = None,
     field: LensField | None = None,
 ) -> ObservedPixels:
-    """Return the pixels of a picture that are fitted.
+    """Choose the pixels of an image that are fitted.
 
     Args:
         picture: its values and their noise.
-        place: where sphere and highlight are.
+        place: positions of sphere and highlight.
         scale: angle on which the lobe changes at its peak, rad.
         plateau: half the lamp's angular radius, rad.
         seed: of the draw of the scattered pixels.
-        keep: a choice that stays, but for its nodes, where the highlight is still where it was. Default: None.
-        field: the lens's distortion and blur over the field. Default: None, it is alike everywhere.
+        keep: earlier choice, which is kept except for its nodes if the highlight has not moved. Default: None.
+        field: the lens's distortion and blur over the field. Default: None, it is uniform.
     """
     window = window_about(
         (place.column, place.row),
@@ -121,7 +121,7 @@ def chosen_pixels(
         column, row = field.true_place(column, row)
     away = np.hypot(column - place.column, row - place.row)
     used = inside & np.isfinite(values) & (std > 0) & (away < place.radius + _OUTSIDE)
-    # the limb itself, where dirt and stands are, is read beside the highlight only
+    # the limb, with its dirt and stands, is read only beside the highlight
     peak_column, peak_row = (
         place.column + place.radius * place.highlight[0],
         place.row - place.radius * place.highlight[1],
@@ -148,7 +148,7 @@ def _scattered(
     seed: int,
     field: LensField | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Draw pixels beyond the window, evenly over strata of ln theta_h; NaN-free but possibly outside the frame: not used."""
+    """Draw pixels beyond the window, uniformly in strata of ln theta_h. Those outside the frame are marked as unused."""
     height, width = picture.values.shape
     row, column = np.mgrid[0:height, 0:width]
     row, column = row.ravel() + picture.origin[0], column.ravel() + picture.origin[1]
@@ -178,6 +178,6 @@ def _scattered(
     picked = index[np.concatenate(chosen)] if chosen else np.zeros(0, int)
     column_out, row_out = np.full(SCATTERED, -1.0), np.full(SCATTERED, -1.0)
     column_out[: picked.size], row_out[: picked.size] = column[picked], row[picked]
-    # places that hold no pixel are outside the frame, and stay inside the disc for the model's sake
+    # positions without a pixel are outside the frame; they stay inside the disc, where the model is defined
     column_out[picked.size :], row_out[picked.size :] = np.nan, np.nan
     return np.nan_to_num(column_out, nan=-(10.0**6)), np.nan_to_num(row_out, nan=-(10.0**6))

@@ -1,8 +1,8 @@
-"""What the pixels of one picture record of a lobe, and how that changes with every parameter.
+"""Record of a lobe in the pixels of one image, with derivatives by every parameter.
 
-A pixel reads the integral of kernel(place - pixel) L(place) over the picture. About the highlight the nodes stand on
-the sphere, so that the outline moves with its centre and radius. Pixels elsewhere, where the picture is smooth on their own
-scale, take Gauss's rule of the kernel.
+The value of a pixel is the integral of kernel(position - pixel) L(position) over the image. About the highlight the
+nodes are fixed on the sphere, so that they move with its centre and radius. Other pixels, where the image is smooth on
+their scale, use the Gauss rule of the kernel.
 """
 
 from __future__ import annotations
@@ -25,11 +25,13 @@ SCENE = ("lens", "radius", "camera", "lamp")
 """Parameters of all pictures behind those of the lobe: ln of the lens's scale, radius in px, both nearnesses. The terms of the
 diffuse part follow, if any."""
 OWN = ("column", "row", "lamp_a", "lamp_b")
-"""Parameters of one picture: the outline's centre, px, and the lamp's turn from its base direction along two tangents, rad."""
+"""Parameters of one image: centre of the outline, px, and the turn of the lamp from its base direction along two
+tangents, rad.
+"""
 
 
 class LampFrame(NamedTuple):
-    """Hold the base direction of a picture's lamp, and two tangents: unit vectors, (3,) each."""
+    """Base direction of a picture's lamp, and two tangents: unit vectors, (3,) each."""
 
     base: np.ndarray
     first: np.ndarray
@@ -37,7 +39,7 @@ class LampFrame(NamedTuple):
 
 
 class Recorded(NamedTuple):
-    """Hold what pixels record under unit irradiance at the sphere's centre.
+    """Record of pixels under unit irradiance at the centre of the sphere.
 
     Attributes:
         lobe: of a lobe with F = 1, 1/sr.
@@ -51,14 +53,14 @@ class Recorded(NamedTuple):
 
 
 class ShownLight(NamedTuple):
-    """Hold the parameters of one picture that change the radiance; their derivatives are found apart.
+    """Parameters of one picture that change the radiance; their derivatives are computed separately.
 
     Attributes:
-        lobe: coordinates of the lobe: they change no angle.
+        lobe: coordinates of the lobe, which do not affect angles.
         pose: both nearnesses and the lamp's turn: camera, lamp, a, b.
         shape: terms of the diffuse part.
-        table: of the lobe's Lambda where that is an integral: all pictures share it. Default: None.
-        by_lobe: its derivatives by the lobe's coordinates, (coordinates, nodes), where they are asked for. Default: None.
+        table: of Lambda of the lobe if it is an integral; all images share it. Default: None.
+        by_lobe: its derivatives by the lobe's coordinates, (coordinates, nodes), on request. Default: None.
     """
 
     lobe: Any
@@ -69,7 +71,7 @@ class ShownLight(NamedTuple):
 
 
 class ShownSlopes(NamedTuple):
-    """Hold derivatives by the parameters of a `ShownLight`, each with a trailing axis for the parameters."""
+    """Derivatives by the parameters of a `ShownLight`, each with a trailing axis for the parameters."""
 
     lobe: Any
     pose: Any
@@ -77,7 +79,7 @@ class ShownSlopes(NamedTuple):
 
 
 class KernelSlopes(NamedTuple):
-    """Hold one term of the kernel along one axis, 1/px, and its derivatives by the offset and by ln of the lens's scale."""
+    """One term of the kernel along one axis, 1/px, and its derivatives by the offset and by ln of the lens's scale."""
 
     value: jax.Array
     by_offset: jax.Array
@@ -85,7 +87,7 @@ class KernelSlopes(NamedTuple):
 
 
 def lamp_frame(direction: np.ndarray) -> LampFrame:
-    """Return the frame of a lamp in a direction of length 1, (3,)."""
+    """Build the frame of a lamp in a direction of length 1, (3,)."""
     helper = np.eye(3)[np.argmin(np.abs(direction))]
     first = np.cross(direction, helper)
     first /= np.linalg.norm(first)
@@ -93,13 +95,13 @@ def lamp_frame(direction: np.ndarray) -> LampFrame:
 
 
 def turned_lamp(frame: LampFrame, a: Any, b: Any) -> Any:
-    """Return the unit vector of a lamp that is turned by (a, b)."""
+    """Compute the unit vector of a lamp that is turned by (a, b)."""
     vector = frame.base + a * frame.first + b * frame.second
     return vector / jnp.sqrt(jnp.sum(vector**2))
 
 
 class PictureModel(eqx.Module):
-    """Evaluate pictures of one scene, all by four compiled programs.
+    """Model of the images of one scene, with four compiled programs.
 
     Attributes:
         kind: the lobe's family, masking and splines.
@@ -117,24 +119,24 @@ class PictureModel(eqx.Module):
 
     @property
     def size(self) -> int:
-        """Count the parameters of one picture: lobe, scene, diffuse part, own."""
+        """Number of parameters of one image: lobe, scene, diffuse part, own."""
         return self.kind.size + len(SCENE) + self.shape + len(OWN)
 
     def window(
         self, p: np.ndarray, frame: LampFrame, window: Window, *, slopes: bool
     ) -> tuple[Recorded, Recorded | None]:
-        """Return what a window records, (WINDOW, WINDOW) with v first, and the derivatives, with a trailing (size,)."""
+        """Compute the record of a window, (WINDOW, WINDOW) with v first, and the derivatives, with a trailing (size,)."""
         return _compiled("_window_slopes" if slopes else "_window_value")(self, *self._split(p, slopes), frame, window)
 
     def pixels(
         self, p: np.ndarray, frame: LampFrame, column: np.ndarray, row: np.ndarray, *, slopes: bool
     ) -> tuple[Recorded, Recorded | None]:
-        """Return what single pixels record, (pixels,), and the derivatives, with a trailing (size,)."""
+        """Compute the record of single pixels, (pixels,), and the derivatives, with a trailing (size,)."""
         name = "_pixels_slopes" if slopes else "_pixels_value"
         return _compiled(name)(self, *self._split(p, slopes), frame, (column, row))
 
     def _split(self, p: np.ndarray, slopes: bool) -> tuple[ShownLight, np.ndarray]:
-        """Part the parameters that change the radiance from those that change the kernel."""
+        """Separate the parameters that change the radiance from those that change the kernel."""
         n, own = self.kind.size, self.size - len(OWN)
         shape = n + len(SCENE)
         pose = np.concatenate([p[n + 2 : shape], p[own + 2 :]])
@@ -155,7 +157,7 @@ class PictureModel(eqx.Module):
     def _window_slopes(
         self, light: ShownLight, kernel: jax.Array, frame: LampFrame, window: Window
     ) -> tuple[Recorded, Recorded]:
-        """Return value and derivatives, put together by hand: of the kernel three arrays serve all its parameters."""
+        """Compute value and derivatives by explicit formulas: three arrays of the kernel suffice for all its parameters."""
         sum_u, sum_v, theta_d = self._projection(kernel, window, frame)
         radius, turned, (lateral, height) = kernel[1], window.turned > 0, _seen_disc(window)
         area = radius**2 * _area(window)
@@ -194,7 +196,7 @@ class PictureModel(eqx.Module):
         return Recorded(value[0], value[1], theta_d(light, kernel)), derivative
 
     def _emitted(self, light: ShownLight, frame: LampFrame, window: Window) -> jax.Array:
-        """Return the radiance of both parts at the nodes times their weights, (2, v, u)."""
+        """Compute the radiance of both parts at the nodes times their weights, (2, v, u)."""
         u, v = window.u[None, :], window.v[:, None]
         along, across = _along(window), jnp.sin(v) + 0 * u
         cos, sin = jnp.cos(window.tilt), jnp.sin(window.tilt)
@@ -206,10 +208,10 @@ class PictureModel(eqx.Module):
     def _projection(
         self, kernel: jax.Array, window: Window, frame: LampFrame
     ) -> tuple[list[KernelSlopes], list[KernelSlopes], Callable[[ShownLight, jax.Array], jax.Array]]:
-        """Return each term's kernel from nodes to pixels along u and v, and theta_d of the pixels as a function."""
+        """Compute the kernel of each term from nodes to pixels along u and v, and theta_d of the pixels as a function."""
         lens, radius, column, row = kernel
         turned = window.turned > 0
-        # columns run with x, rows against y
+        # columns are parallel to x, rows are antiparallel to y
         centre_u, side_u = jnp.where(turned, row, column), jnp.where(turned, -1.0, 1.0) * radius
         centre_v, side_v = jnp.where(turned, column, row), jnp.where(turned, 1.0, -1.0) * radius
         seen_u, seen_v = window.stretch @ jnp.stack([centre_u, centre_v]) + window.shift
@@ -271,7 +273,7 @@ class PictureModel(eqx.Module):
     def _radiance(
         self, light: ShownLight, frame: LampFrame, p_x: jax.Array, p_y: jax.Array, depth: jax.Array
     ) -> tuple[jax.Array, jax.Array]:
-        """Return the radiance of both parts at places of the disc, the mean over the lamp's own disc."""
+        """Average the radiance of both parts at positions of the disc over the source disc."""
         ndf, (camera, lamp, a, b), terms = self.kind.ndf(light.lobe), light.pose, light.shape
         normal = normal_at(p_x, p_y, depth, camera)
 
@@ -292,12 +294,12 @@ class PictureModel(eqx.Module):
         return jax.lax.scan(add, start, (jnp.asarray(self.places), jnp.asarray(self.weights)))[0]
 
     def _in_order(self, light: ShownSlopes, kernel: jax.Array) -> jax.Array:
-        """Put derivatives into the order of a picture's parameters: lobe, scene, diffuse part, own."""
+        """Order derivatives as the parameters of an image: lobe, scene, diffuse part, own."""
         parts = [light.lobe, kernel[..., :2], light.pose[..., :2], light.shape, kernel[..., 2:], light.pose[..., 2:]]
         return jnp.concatenate(parts, axis=-1)
 
     def _theta_d(self, light: ShownLight, frame: LampFrame, p_x: jax.Array, p_y: jax.Array) -> jax.Array:
-        """Return theta_d where the line of sight through a pixel's centre meets the sphere, or passes closest."""
+        """Compute theta_d where the line of sight through the centre of a pixel meets the sphere, or is closest to it."""
         camera, lamp, a, b = light.pose
         beyond = jnp.sqrt(jnp.maximum(p_x**2 + p_y**2, 1e-12)) / 0.9999
         shrink = 1 / jnp.maximum(beyond, 1.0)
@@ -311,7 +313,9 @@ class PictureModel(eqx.Module):
 
 
 def _by_each(function: Callable[[ShownLight], Any], light: ShownLight) -> ShownSlopes:
-    """Return the derivatives of a function of the light: along each part apart, what the others change is not carried along."""
+    """Differentiate a function of the light along each part separately, so that unaffected intermediate values are not
+    recomputed.
+    """
 
     def of_lobe(lobe: jax.Array, table: jax.Array | None) -> Any:
         return function(light._replace(lobe=lobe, table=table))
@@ -328,12 +332,12 @@ def _by_each(function: Callable[[ShownLight], Any], light: ShownLight) -> ShownS
 
 @lru_cache(maxsize=8)
 def _lambda_table(kind: LobeKind, lobe: bytes, slopes: bool) -> tuple[AnyArray | None, AnyArray | None]:
-    """Return the table of a lobe's Lambda, and its derivatives where asked for; None where Lambda has a closed form.
+    """Compute the table of Lambda of a lobe, and its derivatives on request; None if Lambda has a closed form.
 
     Args:
-        kind: what the lobe is.
+        kind: kind of the lobe.
         lobe: its coordinates, the bytes of (kind.size,).
-        slopes: whether derivatives are asked for.
+        slopes: whether to compute derivatives.
     """
     return _table_of(kind, np.frombuffer(lobe), slopes)
 
@@ -346,7 +350,7 @@ def _table_of(kind: LobeKind, q: AnyArray, slopes: bool) -> tuple[jax.Array | No
 
 @cache
 def _compiled(method: str) -> Callable[..., tuple[Recorded, Recorded | None]]:
-    """Return a method of `PictureModel`, compiled once for all scenes of one shape."""
+    """Compile a method of `PictureModel` once for all scenes of one shape."""
     return jit_plainly(getattr(PictureModel, method), runs="many")
 
 
@@ -355,12 +359,14 @@ def _with_stds(blur: Blur, stds: jax.Array) -> Blur:
 
 
 def _along(window: Window) -> jax.Array:
-    """Return the nodes' place along u on the outline's disc, (v, u)."""
+    """Compute the positions of the nodes along u on the disc of the outline, (v, u)."""
     return jnp.cos(window.v)[:, None] * jnp.sin(window.u)[None, :]
 
 
 def _seen_disc(window: Window) -> tuple[jax.Array, jax.Array]:
-    """Return the nodes' place along u, (v, u), and along v, (v,), on the disc as it is seen; rows run against the disc's y."""
+    """Compute the image positions of the nodes along u, (v, u), and along v, (v,); rows are antiparallel to the y of
+    the disc.
+    """
     (uu, uv), (vu, vv) = window.stretch
     cos, sin = jnp.cos(window.tilt), jnp.sin(window.tilt)
     across = jnp.sin(window.v)
@@ -369,6 +375,6 @@ def _seen_disc(window: Window) -> tuple[jax.Array, jax.Array]:
 
 
 def _area(window: Window) -> jax.Array:
-    """Return by how much the lens magnifies an area at the highlight."""
+    """Compute the areal magnification of the lens at the highlight."""
     (uu, uv), (vu, vv) = window.stretch
     return uu * vv - uv * vu

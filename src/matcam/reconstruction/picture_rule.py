@@ -1,8 +1,9 @@
-"""Where a picture of a sphere is integrated: nodes on the outline's disc, close together where its highlight is sharp.
+"""Integration nodes in an image of a sphere, dense about a sharp highlight.
 
-Places on the disc are p = (cos v sin u, sin v). In u and v a lobe is about as wide along the plane of incidence as across it,
-however foreshortened it is in the picture, and the outline is a border, u = pi / 2, at which everything is smooth. So a product
-of nodes in u and v serves a highlight anywhere. Their spacing follows the lobe near its peak, and half a pixel elsewhere.
+Positions on the disc of the outline are p = (cos v sin u, sin v). In u and v the width of a lobe along the plane of
+incidence and across it is similar, independent of foreshortening, and all functions are smooth at the outline, u = pi /
+2. A product of nodes in u and v therefore suits a highlight at any position. Their spacing follows the lobe near its
+peak, and is half a pixel elsewhere.
 """
 
 from __future__ import annotations
@@ -14,25 +15,25 @@ import numpy as np
 from matcam.camera.lens_field import LensField
 
 NODES = 112
-"""Nodes along each axis of a window."""
+"""Number of nodes along each axis of a window."""
 WINDOW = 33
-"""Pixels along each axis of a window."""
+"""Number of pixels along each axis of a window."""
 _ORDER = 8
 _PEAK_STEP = 0.25  # of asinh(angle / the lobe's scale)
-_PIXEL_STEP = 0.5  # px: a pixel's own MTF is 0 at one over it
+_PIXEL_STEP = 0.5  # px: at the inverse of this distance the MTF of a pixel is 0
 _LIMB_STEP = 0.04  # rad, where the disc ends
 _LIMB = 0.35  # rad from the outline
 _MARGIN = 4.5  # px about the pixels of a window
 _DISC_POINTS = 36
-_NO_DISC = 0.1  # of the lobe's width: a lamp whose disc is smaller is a point
+_NO_DISC = 0.1  # share of the width of the lobe: a lamp with a smaller disc is a point
 
 
 class Window(NamedTuple):
-    """Hold the nodes of one highlight's window, and the pixels about it.
+    """Nodes of one highlight's window, and the pixels about it.
 
-    The first axis of the product, u, runs along `pixel_u`: columns, or rows where `turned`. A lens that distorts shows a place
-    at stretch @ place + shift, both along (u, v). The nodes' disc is turned by `tilt`, so that all nodes of one v are seen in
-    one line of pixels.
+    The first axis of the product, u, runs along `pixel_u`: columns, or rows where `turned`. A lens with distortion maps
+    a position to stretch @ position + shift, both along (u, v). The disc of the nodes is turned by `tilt`, so that the
+    images of all nodes of one v lie in one line of pixels.
 
     Attributes:
         u: nodes, rad, (NODES,).
@@ -41,7 +42,7 @@ class Window(NamedTuple):
         pixel_u: column of each pixel, or its row where turned, px, (WINDOW,).
         pixel_v: row, or column where turned, px, (WINDOW,).
         turned: 1.0 if u runs along the rows' axis, else 0.0.
-        stretch: derivatives of where a place is seen, (2, 2).
+        stretch: derivatives of the image position, (2, 2).
         shift: px, (2,).
         tilt: rad.
         widened: width of the lens at the highlight over that of its profile, no unit.
@@ -69,7 +70,7 @@ def window_about(
     keep: Window | None = None,
     field: LensField | None = None,
 ) -> Window:
-    """Return the window about a highlight.
+    """Build the window about a highlight.
 
     Args:
         centre: column and row of the outline's centre, px.
@@ -77,8 +78,8 @@ def window_about(
         place: p_x and p_y of the highlight on the outline's disc.
         scale: angle on which the lobe changes at its peak, rad.
         plateau: angle about the peak within which it may lie, rad: half a lamp's radius. Default: 0.
-        keep: a window whose pixels stay where the highlight has moved by no more than a pixel. Default: None.
-        field: the lens's distortion and blur over the field. Default: None, it is alike everywhere.
+        keep: earlier window, whose pixels are kept if the highlight has moved by at most a pixel. Default: None.
+        field: the lens's distortion and blur over the field. Default: None, it is uniform.
 
     Returns:
         The nodes and pixels.
@@ -105,7 +106,7 @@ def window_about(
     peak_v = np.arcsin(np.clip(across, -1, 1))
     peak_u = np.arcsin(np.clip(along / max(np.cos(peak_v), 1e-6), -1, 1))
     low_v, high_v = (np.arcsin(np.clip(across + side * reach, -1, 1)) for side in (-1, 1))
-    # rows of the window are chords of different length: the longest reach of any decides
+    # rows of the window are chords of different length: the longest decides
     chord = np.cos([low_v, peak_v, high_v])
     chord = np.maximum(chord, 1e-3)
     low_u = np.arcsin(np.clip((along - reach) / chord, -1, 1)).min()
@@ -120,10 +121,10 @@ def window_about(
 
 
 def through_lens(window: Window, field: LensField, highlight: tuple[float, float]) -> Window:
-    """Return a window as a lens shows it that is an affine map about a highlight.
+    """Apply a lens, as an affine map about a highlight, to a window.
 
     Args:
-        window: its nodes and pixels stay.
+        window: its nodes and pixels are kept.
         field: distortion and blur.
         highlight: its column and row, px, without distortion.
     """
@@ -140,7 +141,7 @@ def through_lens(window: Window, field: LensField, highlight: tuple[float, float
 
 
 def _tilt(field: LensField, highlight: tuple[float, float], turned: bool) -> float:
-    """Return the turn of the nodes' disc at which nodes of one v are seen in one line of pixels, rad."""
+    """Compute the turn of the disc of the nodes that aligns nodes of one v with one line of pixels, rad."""
     stretch = field.stretch(*highlight)
     if turned:
         stretch = stretch[::-1, ::-1]
@@ -150,7 +151,7 @@ def _tilt(field: LensField, highlight: tuple[float, float], turned: bool) -> flo
 def graded_nodes(
     low: float, high: float, peak: float, scale: float, plateau: float, radius: float, nodes: int = NODES
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return nodes and weights in [low, high], in panels of Gauss's rule that hold an equal share of a density."""
+    """Compute nodes and weights in [low, high], in Gauss-Legendre panels with equal shares of a density."""
 
     def share(t: np.ndarray) -> np.ndarray:
         aside = t - peak
@@ -159,7 +160,7 @@ def graded_nodes(
         limb = np.clip(np.abs(t) - (np.pi / 2 - _LIMB), 0, None) * np.sign(t) / _LIMB_STEP
         return beyond + within + limb + radius * np.sin(t) / _PIXEL_STEP
 
-    # the share's inverse, from a table that is dense where the share is steep
+    # inverse of the cumulative share, from a table that is dense where it is steep
     near = scale * np.sinh(np.linspace(0, np.arcsinh(np.pi / scale), 400))
     offsets = np.concatenate([-near[:0:-1], near])
     table = np.concatenate(
@@ -175,7 +176,8 @@ def graded_nodes(
 
 
 def lamp_disc(points: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return places on the unit disc and their weights: the centre, or rings of a rule that is exact to degree 5 or more.
+    """Return positions on the unit disc and their weights: the centre, or rings of a rule that is exact to degree 5 or
+    more.
 
     Args:
         points: 1, or at least 7: rings of 6, 12, ... places.
@@ -188,14 +190,14 @@ def lamp_disc(points: int) -> tuple[np.ndarray, np.ndarray]:
     for ring in range(rings):
         count = 6 * (ring + 1)
         angle = 2 * np.pi * (np.arange(count) + 0.5 * (ring % 2)) / count
-        radius = np.sqrt((1 + x[ring]) / 2)  # Gauss's rule in the square of the radius: equal areas
+        radius = np.sqrt((1 + x[ring]) / 2)  # Gauss rule in the square of the radius, for equal areas
         places.append(radius * np.column_stack([np.cos(angle), np.sin(angle)]))
         weights.append(np.full(count, w[ring] / 2 / count))
     return np.concatenate(places), np.concatenate(weights)
 
 
 class LampPlaces(NamedTuple):
-    """Hold the places on a lamp's disc that stand for it.
+    """Positions on a source disc that represent it.
 
     Attributes:
         turns: of the lamp towards each place, rad, (points, 2).
@@ -209,7 +211,7 @@ class LampPlaces(NamedTuple):
 
 
 def lamp_places(lamp_radius: float, width: float) -> LampPlaces:
-    """Return the places on a lamp's disc: its centre alone, where the disc is small beside the lobe.
+    """Choose the positions on a source disc: its centre alone if the disc is much smaller than the lobe.
 
     Args:
         lamp_radius: angular radius of the lamp, rad.

@@ -1,4 +1,4 @@
-"""What classical binning makes of the same pictures, with the geometry that the joint fit found."""
+"""Classical binning of the images, with the geometry of the joint fit."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def pinhole_reading(pictures: Iterable[MergedPicture], fit: SphereFit, units: np
         units: of each channel, value per radiance under unit irradiance at the sphere's centre.
 
     Returns:
-        A table on the MERL grid, 1/sr, NaN where no pixel fell.
+        A table on the MERL grid, 1/sr, NaN without pixels.
     """
     p, layout = fit.solution.p, fit.layout
     _, radius, camera, lamp = p[layout.scene]
@@ -32,7 +32,7 @@ def pinhole_reading(pictures: Iterable[MergedPicture], fit: SphereFit, units: np
         column, row = p[layout.own(k)][:2]
         circle = float(column), float(row), float(radius)
         if fit.scene.camera.field is not None:
-            # the outline that a perfect camera would be said to show
+            # apparent outline for a perfect camera
             circle = fit.scene.camera.field.seen_circle(*circle)
         ball = MirrorBall(circle[1], circle[0], circle[2], float(distance))
         table.add(picture, ball, direction, float(far), irradiance=units * float(np.exp(p[layout.gain(k)])))

@@ -1,4 +1,4 @@
-"""The material behind photographs, with its error budget: what `reconstruct` returns."""
+"""Result of `reconstruct`: the material from photographs, with its error budget."""
 
 from __future__ import annotations
 
@@ -43,29 +43,29 @@ from matcam.reconstruction.sphere_scene import Known, SphereScene
 from matcam.reconstruction.stated.captured_scene import INCOMPLETE, CapturedScene
 
 _JUDGED = np.radians(75.0)
-"""theta_d at which the error budget is stated, where pictures reach it."""
+"""theta_d at which the error budget is given, within the range of the images."""
 _POOR = 0.03
-"""Unexplained share of the light from which the verdict warns."""
+"""Unexplained share of the light above which the verdict warns."""
 
 
 @dataclass(frozen=True, repr=False)
 class Reconstruction(Summarised):
-    """Hold the material that photographs show, and how well they determine it.
+    """Material from photographs, with its accuracy.
 
     Attributes:
         table: Dataset with `brdf` and `brdf_std` (1/sr), `supported`: over the MERL grid; of an anisotropic material over
             theta_h, phi_h, theta_d and phi_d.
-        pinhole: what binning the same pictures as a perfect camera gives, 1/sr; None: not made.
+        pinhole: table from binning the same images as a perfect camera, 1/sr; None: not computed.
         fit: the joint fit.
         curves: F of each channel over theta_d.
-        units: of each channel, value of the pictures per radiance under unit irradiance, and its relative standard deviation;
-            the latter is NaN where there was no reference: F is then relative.
+        units: of each channel, value of the pictures per radiance under unit irradiance, and its relative standard
+            deviation; the latter is NaN without a reference: F is then relative.
         budget: source -> result -> standard deviation.
-        not_determined: parameters that the pictures alone do not tell apart.
+        not_determined: parameters that the images alone do not distinguish.
         tried: unexplained share of the light by lobe.
         remarks: what a reader should know.
-        captured: what the capture's frames said before the fit; None: the pictures were merged elsewhere. Default: None.
-        sample: "sphere" or "cylinder": what was photographed. Default: "sphere".
+        captured: data of the capture before the fit. Default: None, the images were merged elsewhere.
+        sample: kind of the sample, "sphere" or "cylinder". Default: "sphere".
 
     Source:
         docs/model.md 10.
@@ -94,7 +94,7 @@ class Reconstruction(Summarised):
     def parameters(self) -> dict[str, tuple[float, float]]:
         """Value and standard deviation of each parameter, by name.
 
-        Lobe, lens, n and k, diffuse part. A bent lobe has a half width, a tail exponent and a haze share alone.
+        Lobe, lens, n and k, diffuse part. A spline-modified lobe has only a half width, a tail exponent and a haze share.
         """
         covariance = self.fit.solution.covariance
         found = parameter_readings(self.fit, self.curves, self.units)
@@ -103,8 +103,9 @@ class Reconstruction(Summarised):
     def uncertainty_budget(self, name: str) -> UncertaintyBudget:
         """Return the uncertainty budget of a result (GUM).
 
-        Its combined uncertainty is the standard deviation of the result. Sources are the pixels and what is stated of lens,
-        lamps, distances, outline, gains and reference. They add up; `budget` states what would be gained by each.
+        Its combined uncertainty is the standard deviation of the result. Sources are the pixels and the stated values
+        of lens, lamps, distances, outline, gains and reference. Their variances add up; `budget` gives the gain if one
+        were exact.
 
         Args:
             name: name of the result: one of `parameters`, of the lengths in radii or px, or of F, as `uncertainty_budgets`
@@ -204,7 +205,7 @@ class Reconstruction(Summarised):
         return found
 
     def ratio(self, theta_d: float, channel: int = 0) -> Ratio:
-        """Return F at an angle over its mean from 10 to 45°.
+        """Compute F at an angle over its mean from 10 to 45°.
 
         Args:
             theta_d: angle, rad.
@@ -220,7 +221,7 @@ class Reconstruction(Summarised):
 
     @property
     def verdict(self) -> str:
-        """Say what came out, in plain words."""
+        """Summarise the result in plain sentences."""
         widths = [np.degrees(pair) for name, pair in self.parameters.items() if name.startswith("hwhm")]
         half_width = " and ".join(f"{value:.4g} +- {std:.1g}°" for value, std in widths)
         low, high = np.degrees(self.measured_range)
@@ -228,7 +229,7 @@ class Reconstruction(Summarised):
         lobe = f"{self.fit.kind.family} lobe{bent} of half width {half_width}"
         words = [
             f"{len(self.fit.names)} pictures show a {lobe}, from theta_d {low:.0f}° to {high:.0f}°; "
-            f"{self.supported_share:.0%} of the entries that hold a value are supported (known to 5 %)."
+            f"{self.supported_share:.0%} of the entries with a value are supported (known to 5 %)."
         ]
         if self.fit.stuck:
             words.append(
@@ -244,7 +245,7 @@ class Reconstruction(Summarised):
         ]
         if pairs:
             words.append(
-                f"The pictures alone do not tell {', nor '.join(pairs)}: the result rests on what was stated of it."
+                f"The pictures alone do not tell {', nor '.join(pairs)}: the result rests on their stated values."
             )
         if not self.absolute:
             words.append("There was no reference of known reflectance: F is relative, scaled to 1 at most.")
@@ -259,19 +260,19 @@ class Reconstruction(Summarised):
 
     @property
     def absolute(self) -> bool:
-        """Say whether F is absolute, by a reference of known reflectance."""
+        """Check whether F is absolute, by a reference of known reflectance."""
         return all(np.isfinite(one.std) for one in self.units)
 
     @property
     def complete(self) -> bool:
-        """Say whether every frame of the capture could be used."""
+        """Check whether every frame of the capture could be used."""
         return not any(remark.code in INCOMPLETE for remark in self.remarks)
 
     @property
     def supported_share(self) -> float:
-        """Return the share of supported entries (no unit).
+        """Compute the share of supported entries (no unit).
 
-        It is that of the entries that hold a value.
+        Entries without a value do not count.
         """
         return float(self.table["supported"].values[np.isfinite(self.table["brdf"].values)].mean())
 
@@ -285,7 +286,7 @@ class Reconstruction(Summarised):
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the result without its tables as plain numbers: the JSON file.
+        """Return the result without tables as numbers and texts, for JSON.
 
         Returns:
             The document described in docs/reconstruct.md.
@@ -344,21 +345,21 @@ def reconstructed(
     progress: Callable[[str], None] | None = None,
     fit_pictures: FitOfPictures = fit_sphere,  # type: ignore[assignment]
 ) -> Reconstruction:
-    """Reconstruct a material from merged pictures whose geometry is roughly known.
+    """Reconstruct a material from merged images with approximate geometry.
 
     Args:
         pictures: merged pictures, one per lamp position.
-        scene: what is known of camera, outline, lamps and distances.
-        lamps: directions to the lamps as the highlights say, (pictures, 3).
-        units: of each channel, value per radiance under unit irradiance, with its relative standard deviation. Default: None,
-            not known.
+        scene: prior knowledge of camera, outline, lamps and distances.
+        lamps: directions to the lamps from the highlights, (pictures, 3).
+        units: of each channel, value per radiance under unit irradiance, with its relative standard deviation. Default:
+            None, unknown.
         family: family of the lobe. Default: "auto".
         masking: the lobe's G. Default: "smith".
         diffuse: whether there is a Lambertian part. Default: True.
         remarks: of the steps before. Default: ().
-        pinhole: makes the table of a pinhole from the fitted geometry and the unit. Default: None.
+        pinhole: function that computes the pinhole table from the fitted geometry and the unit. Default: None.
         progress: is called with a line about each step. Default: None.
-        fit_pictures: fits one family; of another sample than a sphere, its own. Default: `fit_sphere`.
+        fit_pictures: function that fits one family; for samples other than a sphere, their own. Default: `fit_sphere`.
     """
     chosen = chosen_fit(
         pictures,
@@ -382,7 +383,7 @@ def reconstructed(
         for c in range(fit.layout.channels)
     )
     if units is None:
-        # a scale that keeps F within 1 everywhere: F is relative, and said to be
+        # a scale that keeps F below 1 everywhere: F is relative, and a remark states it
         low, high = theta.min(), theta.max()
         top = max(float(curve.at(np.linspace(low, high, 60)).max()) for curve in curves)
         units = (Known(max(top, 1e-300), np.nan),) * fit.layout.channels
@@ -401,7 +402,7 @@ def reconstructed(
         every.append(
             Remark(
                 "unexplained",
-                f"{fit.solution.unexplained:.1%} of the light is not explained by lobe, lens and geometry; errors contain it",
+                f"{fit.solution.unexplained:.1%} of the light is not explained by lobe, lens and geometry; errors include it",
             )
         )
     return Reconstruction(

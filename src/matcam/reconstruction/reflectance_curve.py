@@ -1,6 +1,6 @@
-"""F over theta_d from the strengths of all pictures: that of n and k where they explain them, else a smooth one.
+"""F over theta_d from the strengths of all images: that of n and k if they explain the strengths, otherwise a smooth curve.
 
-The strengths are what the pictures say, each with an error of its own and errors that they share. A curve says F between them.
+The strengths have independent and common errors. The curve interpolates F between them.
 """
 
 from __future__ import annotations
@@ -20,23 +20,23 @@ from matcam.reconstruction.sphere_scene import Known
 
 _WORST = 2.5
 """Mean squared residual, in standard deviations, up to which a curve of n and k explains strengths."""
-_ANYTHING = 3.0  # standard deviation of ln of a scale that nothing states
+_ANYTHING = 3.0  # standard deviation of ln of an unknown scale
 Whitener = Callable[[np.ndarray], np.ndarray]
 _LOG_BOUNDS = ((-5.0, 4.0), (-9.0, 4.0))
 
 
 @dataclass(frozen=True)
 class ReflectanceCurve:
-    """Hold F of one channel as a function of theta_d.
+    """F of one channel as a function of theta_d.
 
     Attributes:
         model: "conductor", or "smooth" where n and k do not explain the strengths.
         coefficients: of the curve.
         gain: derivatives of the coefficients by the strengths, (coefficients, pictures).
-        by_scale: covariance of the coefficients by what is known of the scale.
-        by_misfit: covariance of the coefficients by what the curve leaves unexplained.
+        by_scale: covariance of the coefficients from the prior of the scale.
+        by_misfit: covariance of the coefficients from the unexplained residual.
         misfit: mean squared residual, in standard deviations.
-        scale: strength that stands for F = 1, in the curve's own terms.
+        scale: strength of F = 1, in the unit of the curve.
     """
 
     model: str
@@ -48,15 +48,15 @@ class ReflectanceCurve:
 
     @property
     def own(self) -> np.ndarray:
-        """Covariance of the coefficients beside that of the strengths."""
+        """Covariance of the coefficients in addition to that of the strengths."""
         return self.by_scale + self.by_misfit
 
     def at(self, theta: np.ndarray) -> np.ndarray:
-        """Return F at angles, rad."""
+        """Evaluate F at angles, rad."""
         return _curve(self.model, self.coefficients, theta)
 
     def slopes(self, theta: np.ndarray) -> np.ndarray:
-        """Return the derivatives of F by the coefficients, (angles, coefficients)."""
+        """Evaluate the derivatives of F by the coefficients, (angles, coefficients)."""
         return _slopes(self.model, self.coefficients, theta)
 
     def parameters(self) -> dict[str, tuple[float, np.ndarray]]:
@@ -81,12 +81,12 @@ def reflectance_curve(
         theta: angles of the strengths, rad, (pictures,).
         strengths: F as measured, (pictures,).
         covariance: of the strengths, (pictures, pictures).
-        unit: strength that stands for F = 1, with its relative standard deviation; None: it is not known.
+        unit: strength of F = 1, with its relative standard deviation; None: unknown.
 
     Returns:
         The curve.
     """
-    floor = (1e-3 * np.abs(strengths).max(initial=1e-12)) ** 2  # F is not known to less than the model of a picture is
+    floor = (1e-3 * np.abs(strengths).max(initial=1e-12)) ** 2  # the accuracy of the model of an image limits that of F
     root = cholesky(covariance + floor * np.eye(len(theta)), lower=True)
 
     def white(rows: np.ndarray) -> np.ndarray:

@@ -1,7 +1,7 @@
-"""From merged pictures and what is known of the scene to the best joint fit: priors, a start, and rounds of refinement.
+"""Joint fit of merged images of a scene: priors, a start, and rounds of refinement.
 
-The lobe is looked for on a lattice of widths, with each picture's strengths solved for; then everything is fitted, and the
-windows are laid anew about the highlights that were found, until nothing moves.
+The lobe is searched on a lattice of widths, with the strengths of each image solved for. Then everything is fitted, and
+the windows are placed again about the fitted highlights, until convergence.
 """
 
 from __future__ import annotations
@@ -38,16 +38,18 @@ _POWERS = {"epd": (0.5, 0.8, 1.2), "sgd": (0.3, 0.8)}
 _ROUNDS = 4
 _ROUGHLY, _NEARLY, _ENOUGH = 3.0, 1.0, 0.1  # of the cost
 _SYSTEMATIC = 0.01
-"""Unexplained share from which residuals are alike in neighbouring pixels: a cost of 1 is then no standard deviation."""
+"""Unexplained share above which residuals are correlated between neighbouring pixels, so that a cost of 1 is not one
+standard deviation.
+"""
 _HOPELESS = 20.0
-"""Mean squared residual, of a picture and over that of the others, from which it is not explained at all."""
-_FEW = 6  # pictures in which the lobe is looked for
+"""Mean squared residual, of an image and over that of the others, above which it is not explained at all."""
+_FEW = 6  # number of images in which the lobe is searched
 _BETWEEN, _ABOUT = np.array([0.75, 1.33]), np.array([0.4, 0.7, 1.1, 1.8])
-"""Widths, in the best of the first family, among which it is looked for again, and a rival family."""
+"""Relative widths of the second search, in the best of the first family, and in a rival family."""
 
 
 class LayProblem(Protocol):
-    """Lay out what is fitted, for a kind of sample: which pixels, through which model, with which prior."""
+    """Setup of the problem for a kind of sample: pixels, model, prior."""
 
     def __call__(
         self,
@@ -64,20 +66,20 @@ class LayProblem(Protocol):
         disc: bool = True,
         keep: Sequence[ObservedPixels] | None = None,
     ) -> JointProblem:
-        """Return the problem at the parameters p: the prior of `scene`, with the lamps of `known` as base."""
+        """Build the problem at the parameters p: the prior of `scene`, with the lamps of `known` as base."""
 
 
 @dataclass(frozen=True)
 class SphereFit:
-    """Hold the joint fit of the pictures of a sphere, or of another sample whose parameters are the same.
+    """Joint fit of the pictures of a sphere, or of another sample whose parameters are the same.
 
     Attributes:
-        scene: what was known.
+        scene: prior knowledge.
         kind: the lobe's family, masking and splines.
         solution: parameters and covariance.
         channels: names of the colours.
         names: names of the pictures.
-        stuck: unexplained share after each round, where the rounds were ended because it rose. Default: (), it did not.
+        stuck: unexplained share after each round, if the rounds were ended because it rose. Default: ().
     """
 
     scene: SphereScene
@@ -94,7 +96,7 @@ class SphereFit:
 
     @property
     def lamps(self) -> np.ndarray:
-        """Directions to the lamps that were found, (pictures, 3)."""
+        """Fitted directions to the lamps, (pictures, 3)."""
         problem, p = self.solution.problem, self.solution.p
         return np.array(
             [np.asarray(turned_lamp(f, *p[problem.layout.own(k)][2:])) for k, f in enumerate(problem.frames)]
@@ -107,7 +109,7 @@ class SphereFit:
 
     @property
     def unexplained_pictures(self) -> tuple[int, ...]:
-        """Places of the pictures that the fit does not explain at all, beside others that it does."""
+        """Indices of the images that the fit does not explain at all, beside others that it does."""
         chi2 = self.solution.chi2
         return tuple(np.flatnonzero((chi2 > _HOPELESS) & (chi2 > _HOPELESS * np.median(chi2))).tolist())
 
@@ -117,9 +119,9 @@ class SphereFit:
         return np.sqrt(np.maximum(np.diag(self.strengths_covariance()), 0)).reshape(self.strengths.shape)
 
     def strengths_covariance(self, covariance: np.ndarray | None = None) -> np.ndarray:
-        """Return the covariance of the strengths, of shape (pictures x channels,) twice.
+        """Compute the covariance of the strengths, of shape (pictures x channels,) twice.
 
-        The angle at which each is read is uncertain, too: what it adds is F's slope times the angle's own error, with all
+        The angle of each is uncertain, too: its contribution is the slope of F times the error of the angle, with all
         correlations.
 
         Args:
@@ -129,7 +131,7 @@ class SphereFit:
         return rows @ (self.solution.covariance if covariance is None else covariance) @ rows.T
 
     def strengths_rows(self) -> np.ndarray:
-        """Return the derivatives of the strengths, read at the stated angles, by all parameters, (strengths, size)."""
+        """Compute the derivatives of the strengths at the stated angles by all parameters, (strengths, size)."""
         layout, solution = self.layout, self.solution
         rows = np.zeros((layout.pictures * layout.channels, layout.size))
         for k in range(layout.pictures):
@@ -163,21 +165,21 @@ def fit_sphere(
 
     Args:
         pictures: merged pictures, one per lamp position.
-        scene: what is known beforehand.
+        scene: prior knowledge of the scene.
         family: family of the lobe. Default: "ggx".
         masking: the lobe's G. Default: "smith".
         diffuse: whether there is a Lambertian part. Default: True.
-        bend: how far ln D may leave its family (no unit). Default: 0, not at all.
-        lamps: directions to the lamps as the highlights say, (pictures, 3), from which the search begins. Default: those of the
-            scene.
-        start: a fit of these pictures, or of some of them, by any lobe, from which the search goes on. Default: None.
-        widths: widths (the lobe's first parameter) among which it is looked for, where there is no start.
+        bend: allowed departure of ln D from its family (no unit). Default: 0, not at all.
+        lamps: directions to the lamps from the highlights, (pictures, 3), as the start of the search. Default: those of
+            the scene.
+        start: a fit of these images, or of some of them, with any lobe, as the start.  Default: None.
+        widths: lattice of widths (first parameter of the lobe) for a search without a start.
         rounds: most rounds of refinement. Default: 4.
         progress: is called with a line about each round. Default: None.
-        lay: lays out the problem of another sample than a sphere. Default: None, a sphere.
+        lay: function that sets up the problem of another sample than a sphere. Default: None, a sphere.
         stretched: whether the lobe has two roughnesses, "ggx" only. Default: False.
         shaped: whether the diffuse part may depart from Lambert's law, on a sphere. Default: False.
-        rivals: families that take the place of `family` where their lattice explains more. Default: ().
+        rivals: families that replace `family` if their lattice explains more. Default: ().
     """
     if len(pictures) < 2:
         raise ArgumentError(f"a joint fit needs at least 2 pictures, got {len(pictures)}")
@@ -189,7 +191,7 @@ def fit_sphere(
     known = scene if lamps is None else replace(scene, lamps=np.asarray(lamps, dtype=float))
     if start is None:
         cost, lobe = _searched(pictures, known, kind, widths, lay)
-        if rivals:  # they are compared at widths that suit each
+        if rivals:  # they are compared at their best widths
             between = _searched(pictures, known, kind, np.exp(lobe[0]) * _BETWEEN, lay)
             cost, lobe = min((cost, lobe), between, key=lambda one: one[0])
         for rival in rivals:
@@ -226,14 +228,14 @@ def fit_sphere(
         tally.begin()
         last = None if solution is None else solution.problem.pixels
         problem = lay(pictures, scene, known, layout, kind, p, slope, diffuse=diffuse, bend=bend, keep=last)
-        p = p.copy()  # the round before may be returned
+        p = p.copy()  # the previous round may be returned
         for k in range(layout.pictures):
             p[layout.own(k).start + 2 : layout.own(k).stop] = 0.0
         if turn == 0:
             p = _with_strengths(problem, p, left.share)
             p[layout.diffuse] *= diffuse
         before = p.copy()
-        # the windows of the first round are laid anew
+        # the windows of the first round are placed again
         rough = rounds > 1 if turn == 0 else left.share > _SYSTEMATIC
         p = solve(problem, p, left, _ROUGHLY if rough else _ENOUGH)
         share = unexplained_share(problem, p)
@@ -259,9 +261,10 @@ def fit_sphere(
 
 
 def counted_alike(fit: SphereFit) -> SphereFit:
-    """Return the fit that is best where pixels which share a residual count as one.
+    """Refine a fit with correlated pixels counted as one.
 
-    A search must not begin there: what is far from the best leaves residuals that are all alike, and would not get nearer.
+    A search must not start with these weights: far from the optimum all residuals are correlated, and the search would
+    not converge.
     """
     problem, p = fit.solution.problem, fit.solution.p
     left = unexplained_by(problem, p)
@@ -285,7 +288,7 @@ def _searched(
     widths: np.ndarray,
     lay: LayProblem,
 ) -> tuple[float, np.ndarray]:
-    """Return the lobe of a lattice that explains a few pictures best, their strengths solved for, and before it its cost."""
+    """Search a lattice for the lobe that explains few images best, with strengths solved for; return its cost and the lobe."""
     few = np.unique(np.linspace(0, len(pictures) - 1, min(_FEW, len(pictures))).round().astype(int))
     some = [pictures[k] for k in few]
     part = part_of(scene, few.tolist())
@@ -309,7 +312,7 @@ def _searched(
 
 
 def _lattice(kind: LobeKind, widths: np.ndarray) -> list[tuple[float, ...]]:
-    """Return the lobes among which one is looked for: of those with two roughnesses every second width."""
+    """Build the lattice of lobes; with two roughnesses, every second width."""
     if kind.stretched:
         return [(along, across) for along in widths[::2] for across in widths[::2]]
     if kind.family in WITH_POWER:
@@ -318,7 +321,7 @@ def _lattice(kind: LobeKind, widths: np.ndarray) -> list[tuple[float, ...]]:
 
 
 def _with_strengths(problem: JointProblem, p: np.ndarray, unexplained: float) -> np.ndarray:
-    """Return the parameters with strengths and diffuse parts by linear least squares, picture by picture."""
+    """Solve for strengths and diffuse parts by linear least squares, image by image."""
     layout, p = problem.layout, p.copy()
     diffuse = np.zeros((layout.pictures, layout.channels))
     for k in range(layout.pictures):
@@ -355,7 +358,7 @@ def sphere_problem(
     disc: bool = True,
     keep: Sequence[ObservedPixels] | None = None,
 ) -> JointProblem:
-    """Lay the windows about the highlights at p, with the lamps of `known` as base, and state the prior of `scene`."""
+    """Place the windows about the highlights at p, with the lamps of `known` as base, and build the prior of `scene`."""
     width = float(np.exp(p[0]))
     _, radius, camera, lamp = p[layout.scene]
     lit = lamp_places(scene.lamp_radius if disc else 0.0, width)
@@ -395,7 +398,7 @@ def sphere_problem(
 
 
 def _lamps_again(fit: SphereFit, pictures: Sequence[MergedPicture]) -> np.ndarray:
-    """Return the lamps that were found; where a picture is not explained at all, the one that its brightest pixel mirrors."""
+    """Return the fitted lamps; for an image that is not explained at all, the lamp that its brightest pixel mirrors."""
     lamps = fit.lamps
     _, radius, camera, lamp = fit.solution.p[fit.layout.scene]
     for k in fit.unexplained_pictures:
@@ -415,14 +418,14 @@ def _lamps_again(fit: SphereFit, pictures: Sequence[MergedPicture]) -> np.ndarra
 
 
 def _slopes(fit: SphereFit) -> np.ndarray:
-    """Return d ln F / d theta_d in each picture and channel, from a smooth curve through the strengths."""
+    """Estimate d ln F / d theta_d in each image and channel, from a smooth curve through the strengths."""
     theta, strengths = fit.solution.theta_d, fit.strengths
     slope = np.zeros_like(strengths)
     if len(theta) < 5:
         return slope
     covariance = fit.strengths_covariance()
     std = np.sqrt(np.maximum(np.diag(covariance), 1e-30)).reshape(strengths.shape)
-    # 1, Schlick's (1 - cos)^5 and its companion in between follow metals and dielectrics to a per cent
+    # 1, Schlick's (1 - cos)^5 and a similar function approximate metals and dielectrics to a per cent
     c = 1 - np.cos(theta)
     basis = np.column_stack([np.ones_like(c), c, c**5, c**9])
     by_theta = np.column_stack([np.zeros_like(c), np.sin(theta), 5 * c**4 * np.sin(theta), 9 * c**8 * np.sin(theta)])

@@ -1,8 +1,8 @@
-"""What a picture of a sphere shows along each line of sight: normal, light and view, and a lobe's radiance (docs/model.md 10).
+"""Lines of sight in an image of a sphere: normal, light and view, and radiance of a lobe (docs/model.md 10).
 
-Everything is a function of the place p = (p_x, p_y) on the unit disc of the sphere's outline: x right, y up. The sphere has
-radius 1, the camera stands at 1 / camera_nearness on the z axis, and the lamp at 1 / lamp_nearness in direction `lamp`. Both
-nearnesses may be 0.
+All quantities are functions of the position p = (p_x, p_y) on the unit disc of the outline: x right, y up. The sphere
+has radius 1, the camera is at 1 / camera_nearness on the z axis, and the lamp at 1 / lamp_nearness in direction `lamp`.
+Both nearnesses may be 0.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from matcam.material.masking import Masking, g2
 from matcam.material.material import theta_h_of
 from matcam.material.ndf.distribution import NDF, SlopeDistribution
 
-_LEAST = 1e-9  # cosine to the line of sight: on the outline itself there is no surface to see
+_LEAST = 1e-9  # cosine to the line of sight: there is no surface on the outline itself
 
 
 def normal_at(p_x: jax.Array, p_y: jax.Array, depth: jax.Array, camera_nearness: jax.Array) -> Vector:
-    """Return the normal that a line of sight meets.
+    """Compute the normal at the point where a line of sight meets the sphere.
 
     The line through p has the lateral slope m = |p| / sqrt(1 - w^2), w = 1 / D, and meets the sphere where
     z = (m^2 w + depth) / (1 + m^2 w^2).
@@ -28,7 +28,7 @@ def normal_at(p_x: jax.Array, p_y: jax.Array, depth: jax.Array, camera_nearness:
     Args:
         p_x: place on the outline's disc, to the right, no unit.
         p_y: place on the outline's disc, upwards.
-        depth: sqrt(1 - p_x^2 - p_y^2), given apart because it loses its digits at the outline.
+        depth: sqrt(1 - p_x^2 - p_y^2), a separate argument because it loses digits at the outline.
         camera_nearness: w, one over the camera's distance in radii, [0, 1).
     """
     w = camera_nearness
@@ -41,7 +41,8 @@ def normal_at(p_x: jax.Array, p_y: jax.Array, depth: jax.Array, camera_nearness:
 def light_and_view(
     normal: Vector, lamp: Vector, camera_nearness: jax.Array, lamp_nearness: jax.Array
 ) -> tuple[Vector, Vector, jax.Array]:
-    """Return the directions of light and view at points of the sphere, and (lamp distance / its distance from there)^2.
+    """Compute the directions of light and view at points of the sphere, and (lamp distance / its distance from
+    there)^2.
 
     Args:
         normal: the points, which are their own normals.
@@ -58,10 +59,10 @@ def light_and_view(
 def sphere_shading(
     normal: Vector, lamp: Vector, camera_nearness: jax.Array, lamp_nearness: jax.Array
 ) -> tuple[Shading, jax.Array]:
-    """Return the shading of points of the sphere, and the lamp's light there over that at the centre, without the cosine."""
+    """Compute the shading of points of the sphere, and the irradiance there over that at the centre, without the cosine."""
     light, view, closeness = light_and_view(normal, lamp, camera_nearness, lamp_nearness)
     x, _, z = normal
-    across = jnp.sqrt(x**2 + z**2)  # the points seen have z > 0, or lie where a row begins: never both 0
+    across = jnp.sqrt(x**2 + z**2)  # visible points have z > 0, or lie at the start of a row, so never both are 0
     tangent = z / across, jnp.zeros(()), -x / across
     return shading(normal, tangent, light, view), closeness
 
@@ -74,11 +75,11 @@ def radiance(
     closeness: jax.Array,
     table: jax.Array | None = None,
 ) -> tuple[jax.Array, jax.Array]:
-    """Return the radiance of a lobe with F = 1, and of a diffuse surface of albedo 1, under unit irradiance at the centre.
+    """Compute the radiance of a lobe with F = 1, and of a diffuse surface of albedo 1, under unit irradiance at the centre.
 
     It is `Microfacet.reflected` over cos_o, with Smith's Lambda from a small table where it is an integral.
 
-    table: that table, where it is at hand. Default: None.
+    table: that table, if it is available. Default: None.
     """
     seen = (at.cos_o > _LEAST) & (at.cos_i > _LEAST)
     cos_i, cos_o = jnp.where(seen, at.cos_i, 1.0), jnp.where(seen, at.cos_o, 1.0)
@@ -99,7 +100,7 @@ def radiance(
 
 
 def _towards(source: Vector, point: Vector, nearness: jax.Array) -> tuple[Vector, jax.Array]:
-    """Return the direction from points to a source, and (its distance from the centre / from there)^2."""
+    """Compute the direction from points to a source, and (its distance from the centre / from there)^2."""
     x, y, z = (s - nearness * p for s, p in zip(source, point, strict=True))
     square = x**2 + y**2 + z**2
     length = jnp.sqrt(square)

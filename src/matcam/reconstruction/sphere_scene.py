@@ -1,4 +1,4 @@
-"""What is known of a capture before its highlights are fitted, the prior that it makes, and the problem that is then solved."""
+"""Prior knowledge of a capture, the prior of the fit that follows from it, and the problem that is solved."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ from matcam.reconstruction.rig.earlier_rig import KnownRig
 from matcam.reconstruction.rig.field_change import FIELD, FieldChange, outline_slopes
 
 _UNSTATED_DISTORTION = 5e-4
-"""Of the radius, at the sphere's limb: standard deviation where nothing is stated of a distortion."""
+"""Standard deviation of an unstated distortion at the limb of the sphere, as a share of the radius."""
 
 
 _LARGEST_CHANGE = 1.0
-"""Of ln of the sample's radius: a larger mistake is one of the unit, and the highlights' start would be lost."""
+"""Largest change of ln of the radius of the sample: larger errors are mistakes of the unit, for which the start is useless."""
 _DEPARTURE = 0.5
-"""Of a diffuse part that is not Lambert's: standard deviation of each term's coefficient, no unit."""
+"""Standard deviation of the coefficients of a non-Lambertian diffuse part, no unit."""
 
 
 class Known(NamedTuple):
-    """Hold a value with its standard deviation."""
+    """Value with its standard deviation."""
 
     value: float
     std: float
@@ -39,7 +39,7 @@ class Known(NamedTuple):
 
 @dataclass(frozen=True)
 class SphereScene:
-    """State what is known of a capture before its highlights are fitted.
+    """Prior knowledge of a capture before its highlights are fitted.
 
     Attributes:
         camera: the camera; the width of its lens is scaled in the fit.
@@ -54,15 +54,15 @@ class SphereScene:
         lamp_std: standard deviation of each along each tangent, rad, () or (pictures,).
         lamp_radius: the lamp's angular radius, seen from the sphere's centre, rad.
         gain_std: standard deviation of ln of each picture's gain, () or (pictures,).
-        gain: light of each picture relative to their mean, as a reference says, (pictures,). Default: None, 1 each.
-        gain_correlation: of the errors of ln gain between pictures, (pictures, pictures): where a reference stands is one error
-            of all. Default: None, each is its own.
-        rig: what an earlier reconstruction found; it stands for what is stated of lens, distances, lamps and distortion.
-            Default: None.
-        unstated_field: a distortion about which nobody has stated anything: it is not fitted, its spread widens the errors.
-            Default: None, what the camera's profile does not state is exact.
-        sample_radius: stated radius of the sample with its standard deviation, mm. Both nearnesses are this radius over a
-            distance in mm, and err with it. Default: None, not stated.
+        gain: light of each image relative to their mean, from a reference, (pictures,). Default: None, 1 each.
+        gain_correlation: of the errors of ln gain between images, (pictures, pictures): the position of a reference is
+            a common error. Default: None, independent errors.
+        rig: rig of an earlier reconstruction, which replaces the stated lens, distances, lamps and distortion. Default:
+            None.
+        unstated_field: spread of an unstated distortion, which is not fitted, but widens the errors. Default: None, no
+            distortion beyond the profile.
+        sample_radius: stated radius of the sample with its standard deviation, mm. Both nearnesses are this radius over
+            a distance in mm, and share its error. Default: None, unknown.
     """
 
     camera: Camera
@@ -85,12 +85,12 @@ class SphereScene:
 
     @property
     def field(self) -> LensField | None:
-        """Distortion and blur over the field: of the profile, else what is unstated."""
+        """Distortion and blur over the field: of the profile, otherwise the unstated one."""
         return self.camera.field or self.unstated_field
 
 
 def part_of(scene: SphereScene, pictures: Sequence[int]) -> SphereScene:
-    """Return what is known of some of the pictures, by their places."""
+    """Select the knowledge of some of the images, by index."""
     count, keep = len(scene.lamps), list(pictures)
     return replace(
         scene,
@@ -105,14 +105,14 @@ def part_of(scene: SphereScene, pictures: Sequence[int]) -> SphereScene:
 
 
 def unstated_distortion(ball: MirrorBall) -> LensField:
-    """Return the distortion about a sphere that is to be reckoned with where nobody has stated one."""
+    """Return the spread of distortion that is assumed about a sphere if none is stated."""
     return LensField((ball.column, ball.row), ball.radius, Coefficient(0.0, _UNSTATED_DISTORTION))
 
 
 def prior_of(
     layout: JointLayout, scene: SphereScene, frames: Sequence[LampFrame], bend: float, own: int
 ) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
-    """Return rows, values and sources of what is known: combinations of the parameters that are a value +- 1."""
+    """Build rows, values and sources of the prior: combinations of the parameters that are a value +- 1."""
     rows: list[np.ndarray] = []
     values: list[float] = []
     sources: list[str] = []
@@ -142,12 +142,12 @@ def prior_of(
         if known.std > 0 and not in_rig[1 + at]:
             row = np.zeros(layout.size)
             row[layout.lobe + SCENE.index(name)] = 1 / known.std
-            # a larger sample is nearer in its own radii
+            # a larger sample has smaller distances in its own radii
             row[layout.sample_radius] = -known.value / known.std if scene.sample_radius else 0.0
             add(f"{name} distance", row, known.value / known.std)
     if scene.sample_radius is not None and any(row[layout.sample_radius] for row in rows):
         unit("sample radius", layout.sample_radius, scene.sample_radius.std / scene.sample_radius.value, 0.0)
-    # outline: column, row and radius are shared, each picture's centre has a shift of its own
+    # outline: column, row and radius are common, and each image has its own shift of the centre
     k = layout.pictures
     common = np.asarray(scene.outline_covariance, dtype=float)
     covariance = np.zeros((2 * k + 1, 2 * k + 1))
@@ -178,7 +178,7 @@ def prior_of(
     gain_stds = np.maximum(np.broadcast_to(np.asarray(scene.gain_std, dtype=float), k), 1e-5)
     gains = np.zeros(k) if scene.gain is None else np.log(scene.gain)
     for i, frame in enumerate(frames):
-        # where the stated direction lies in this frame, whose base is the direction found last
+        # coordinates of the stated direction in this frame, whose base is the last fitted direction
         stated = scene.lamps[i] / np.linalg.norm(scene.lamps[i])
         along = float(stated @ frame.base)
         for axis, tangent in enumerate((frame.first, frame.second)):
@@ -216,20 +216,20 @@ def joint_problem(
     changes: Sequence[FieldChange] = (),
     unstated: Sequence[FieldChange] = (),
 ) -> JointProblem:
-    """Return the problem of chosen pixels and their model: with bounds, priors, and what is not fitted.
+    """Build the problem of chosen pixels and their model, with bounds, priors and constant parameters.
 
     Args:
         layout: order of the parameters.
         kind: what the lobe's parameters mean.
-        scene: what is known beforehand.
-        model: what the pixels record.
+        scene: prior knowledge of the scene.
+        model: model of the pixels.
         pixels: of each picture.
         frames: base direction of each picture's lamp.
         slope: d ln F / d theta_d of each picture and channel, 1/rad.
         diffuse: whether there is a Lambertian part.
-        bend: how far ln D may leave its family.
-        changes: what a change of the lens's field does to each picture. Default: none, the field is not fitted.
-        unstated: what an unstated distortion does to each picture. Default: none.
+        bend: allowed departure of ln D from its family.
+        changes: effect of a change of the lens's field on each image. Default: none, the field is not fitted.
+        unstated: effect of an unstated distortion on each image. Default: none.
     """
     low, high = _bounds(layout, kind, scene)
     fixed = low == high
@@ -242,9 +242,9 @@ def joint_problem(
     for index in range(len(FIELD)):
         fixed[layout.field.start + index] = known_field is None or (known_field.k1, known_field.growth)[index].std == 0
     rows, values, sources = prior_of(layout, scene, frames, bend, len(kind.family_names))
-    for place in (layout.lobe, layout.sample_radius):  # an exact lens, a radius that no distance counts in
+    for place in (layout.lobe, layout.sample_radius):  # an exact lens, or a radius without distances relative to it
         fixed[place] |= not rows[:, place].any()
-    for k, one in enumerate(pixels):  # a colour that a picture has no pixel of
+    for k, one in enumerate(pixels):  # a colour without pixels in an image
         for c in range(layout.channels):
             if not (one.used & (one.channel == c)).any():
                 fixed[layout.strengths(k).start + c] = True
@@ -264,7 +264,7 @@ def _bounds(layout: JointLayout, kind: LobeKind, scene: SphereScene) -> tuple[np
 
 
 def lens_std(camera: Camera) -> float:
-    """Return the relative standard deviation of a lens's width, as its profile states it or as it is assumed; 0: exact."""
+    """Return the relative standard deviation of the width of a lens, from its profile or as assumed; 0: exact."""
     known = known_lens(camera)
     if known.uncertainty is None:
         return 0.0

@@ -1,4 +1,4 @@
-"""Curved samples: the sphere shows every normal in one picture, the cylinder those of one plane, each along a line."""
+"""Curved samples: a sphere shows every normal in one image, a cylinder those of one plane, each along a line."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ if TYPE_CHECKING:
 
 
 class Sphere(Curved):
-    """Describe a sphere, which shows every normal in one picture.
+    """Sphere, which shows all normals in one image.
 
     u and v are longitude and latitude of its normal about the y axis.
 
     Args:
         radius: of its limb in the picture, px, positive.
-        distance: of the camera from its centre, in radii of the sphere, above 1. Default: infinite, an orthographic camera.
-            Give it where the camera is closer than some hundred radii: a near camera sees less than half the sphere.
+        distance: of the camera from its centre, in radii of the sphere, above 1. Default: infinite, an orthographic
+            camera. Specify it for cameras within some hundred radii: a near camera sees less than half the sphere.
 
     Raises:
         ArgumentError: a parameter is out of range, or not a single number.
@@ -60,17 +60,17 @@ class Sphere(Curved):
         self.distant = is_infinite(distance)
 
     def surface(self, u: jax.Array, v: jax.Array) -> Element:
-        """Return the piece of surface at longitude u and latitude v.
+        """Return the surface element at longitude u and latitude v.
 
         x = radius sqrt(d^2 - 1) n_x / (d - n_z), and y likewise (docs/model.md 3).
         """
         cos_v, sin_u = xp.cos(v), sine(u)
-        cos_u = xp.sqrt((1 - sin_u) * (1 + sin_u))  # what is visible has |u| < pi / 2; a cosine costs far more
+        cos_u = xp.sqrt((1 - sin_u) * (1 + sin_u))  # visible points have |u| < pi / 2; a cosine takes much longer
         element = self.facing((cos_v * sin_u, xp.sin(v), cos_v * cos_u))
         return element._replace(tangent=(cos_u, xp.zeros(()), -sin_u), area=element.area * cos_v)
 
     def facing(self, normal: Vector) -> Element:
-        """Return the piece of surface that faces a direction.
+        """Return the surface element that faces a direction.
 
         Its area is per solid angle of the normal, px^2/sr.
 
@@ -120,10 +120,10 @@ class Sphere(Curved):
     def place(
         self, theta_h: AnyArray, theta_d: AnyArray, phi_d: AnyArray, lamp_nearness: ArrayLike | None = None
     ) -> Place:
-        """Return the position and the lamp that show half and difference angles.
+        """Compute the position and the lamp for half and difference angles.
 
-        The half vector lies at azimuth psi = pi - phi_d on the normal's sphere, as seen from it (docs/model.md 3); before a
-        near camera, about the line of sight that sees them.
+        The half vector lies at azimuth psi = pi - phi_d on the normal's sphere, as seen from it (docs/model.md 3); for
+        a near camera, about the line of sight.
         """
         theta_h, theta_d, phi_d = (xp.asarray(a, dtype=xp.float64) for a in (theta_h, theta_d, phi_d))
         # light, view and normal about the half vector, which is the z axis; light at +x
@@ -141,10 +141,10 @@ class Sphere(Curved):
         q = self.nearness
         length = xp.sqrt(xp.maximum(1 - q**2 * (1 - cos_o**2), 0.0)) - q * cos_o
         axis = q * normal + length * view
-        if lamp_nearness is not None:  # from the sample's centre to the lamp: the light's way on from this normal
+        if lamp_nearness is not None:  # from the centre of the sample to the lamp, along the light from this normal
             w, cos_i = xp.asarray(lamp_nearness), xp.sum(normal * light, axis=0)
             light = w * normal + (xp.sqrt(xp.maximum(1 - w**2 * (1 - cos_i**2), 0.0)) - w * cos_i) * light
-        # x axis: the lamp's direction across the optical axis; if lamp and camera coincide, that of the frame
+        # x axis: direction of the lamp across the optical axis; if lamp and camera coincide, that of the frame
         frame = xp.stack([view[2], 0 * view[2], -view[0]])
         x_axis = light - xp.sum(light * axis, axis=0) * axis
         size = xp.sqrt(xp.sum(x_axis**2, axis=0))
@@ -164,7 +164,7 @@ class Sphere(Curved):
         )
 
     def height(self, element: Element) -> jax.Array:
-        """Return the normal's y."""
+        """Return the y component of the normal."""
         return element.normal[1]
 
     def section(self, v: jax.Array) -> jax.Array:
@@ -174,7 +174,7 @@ class Sphere(Curved):
     def window(self, low: jax.Array, high: jax.Array, u: jax.Array) -> tuple[jax.Array, jax.Array]:
         """Return the latitudes between two rows at longitude u, rad.
 
-        A near camera's scale varies, for which a twentieth is added.
+        A margin of 5 % allows for the varying scale of a near camera.
         """
         middle, half = (low + high) / 2, (high - low) / 2 * xp.where(self.nearness > 0, 1.05, 1.0)
         end = xp.arccos(self.nearness)
@@ -188,8 +188,8 @@ class Sphere(Curved):
     def lit_rows(self, lamp_angle: jax.Array, lamp_nearness: ArrayLike) -> jax.Array:
         """Return the largest lit and visible latitude, rad.
 
-        There one of two circles ends, limb or terminator; or they meet: with both angles' cosines as q / cos v and w / cos v,
-        those of angles that add up to the lamp's.
+        There limb or terminator end, or they meet: the angles with cosines q / cos v and w / cos v then add up to the
+        angle of the lamp.
         """
         q, w, cosine, sine = self.nearness, xp.asarray(lamp_nearness), xp.cos(lamp_angle), xp.sin(lamp_angle)
         sine = xp.where(sine > 0, sine, 1.0)
@@ -199,7 +199,7 @@ class Sphere(Curved):
         return xp.arccos(xp.where(meets, xp.maximum(xp.sqrt(xp.where(meets, meet2, 1.0)), ends), ends))
 
     def rows(self, x: jax.Array, y: jax.Array, reach: ArrayLike) -> tuple[jax.Array, jax.Array]:
-        """Return the latitudes close to a place in the picture, rad.
+        """Return the latitudes close to an image position, rad.
 
         They end where the limb leaves these columns.
         """
@@ -216,10 +216,10 @@ class Sphere(Curved):
 
 
 class Cylinder(Curved):
-    """Describe a cylinder seen across its axis, which is the y axis.
+    """Cylinder seen across its axis, which is the y axis.
 
-    It reaches beyond the picture. v is the place along the axis, in radii. An anisotropic material's first direction runs
-    around it.
+    It extends beyond the image. v is the position along the axis, in radii. An anisotropic material's first direction
+    runs around it.
 
     Args:
         radius: half the width of its picture, px, positive.
@@ -260,20 +260,19 @@ class Cylinder(Curved):
         return element._replace(x=x, y=y, area=1 / xp.where(visible, cos_o, 1.0)), visible
 
     def coordinates(self, element: Element) -> tuple[jax.Array, jax.Array]:
-        """Return the normal's angle, rad, and the place along the axis, radii."""
+        """Return the angle of the normal, rad, and the position along the axis, radii."""
         return xp.arctan2(element.normal[0], element.normal[2]), self.height(element)
 
     def height(self, element: Element) -> jax.Array:
-        """Return the place along the axis, in radii."""
+        """Return the position along the axis, in radii."""
         return element.y / self.stretch * (1 - self.nearness * element.normal[2])
 
     def place(
         self, theta_h: AnyArray, theta_d: AnyArray, phi_d: AnyArray, lamp_nearness: ArrayLike | None = None
     ) -> Place:
-        """Return the position and the lamp that show half and difference angles.
+        """Compute the position and the lamp for half and difference angles.
 
-        Only normals in the plane of camera and lamp are seen at v = 0: phi_d must be 0 or pi, and the position is NaN
-        elsewhere.
+        Only normals in the plane of camera and lamp are visible at v = 0: phi_d must be 0 or pi; otherwise the position is NaN.
         """
         theta_h, theta_d, phi_d = (xp.asarray(a, dtype=xp.float64) for a in (theta_h, theta_d, phi_d))
         side = -xp.cos(phi_d)
@@ -286,13 +285,13 @@ class Cylinder(Curved):
         return Place(x=x, y=xp.zeros_like(x), lamp_angle=u + seen)
 
     def section(self, v: jax.Array) -> jax.Array:
-        """Return 1: the section is the same all along."""
+        """Return 1, because the section is constant."""
         return xp.ones_like(v)
 
     def window(self, low: jax.Array, high: jax.Array, u: jax.Array) -> tuple[jax.Array, jax.Array]:
         """Return the interval along the axis between two rows, in radii.
 
-        A near camera's scale varies, for which a twentieth is added.
+        A margin of 5 % allows for the varying scale of a near camera.
         """
         scale = self.stretch / (1 - self.nearness * xp.cos(u))
         middle, half = (low + high) / 2, (high - low) / 2 * xp.where(self.nearness > 0, 1.05, 1.0)
@@ -303,7 +302,7 @@ class Cylinder(Curved):
         return xp.full_like(lamp_angle, xp.inf)
 
     def rows(self, x: jax.Array, y: jax.Array, reach: ArrayLike) -> tuple[jax.Array, jax.Array]:
-        """Return the interval along the axis close to a place."""
+        """Return the interval along the axis close to an image position."""
         return self.window(y - reach, y + reach, self.across(x, xp.zeros_like(x)))
 
     def _element(self, n_x: jax.Array, n_z: jax.Array, v: jax.Array) -> tuple[Element, jax.Array]:
@@ -321,8 +320,8 @@ class Cylinder(Curved):
         ), (n_z - self.nearness) / length
 
     def _turn_across(self, half_vector: jax.Array) -> jax.Array:
-        # the normal does not turn along the axis, but the half vector of a near camera does; a distant one's neither:
-        # moving along it turns nothing, and 1 / 0 is the infinity that px_per_rad promises
+        # the normal is constant along the axis, but the half vector of a near camera is not; for a distant one both are
+        # constant, and 1 / 0 is the infinity that px_per_rad returns
         return half_vector
 
     def __repr__(self) -> str:
@@ -330,6 +329,6 @@ class Cylinder(Curved):
 
 
 def _constructor_call(shape: Curved) -> str:
-    """Return the constructor call that makes the shape."""
+    """Return the constructor call of the shape."""
     far = "" if shape.distant else f", distance={shape.distance!s}"
     return f"{type(shape).__name__}(radius={shape.radius!s}{far})"

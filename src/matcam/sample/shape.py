@@ -1,8 +1,9 @@
-"""Shapes that are photographed: where a surface normal lies in the picture (docs/model.md 3).
+"""Shapes of samples: image positions of surface normals (docs/model.md 3).
 
-x runs in the picture in the plane of camera and lamp, y across it; both in px from the optical axis, on which the sample's
-centre lies. The lamp is in the plane of x and the axis, towards +x; a lamp at another azimuth turns these axes against
-the sensor's. Distances are in radii of the sample. A lamp's nearness is 1 / its distance; None stands for a distant lamp.
+The x axis of the image lies in the plane of camera and lamp, y across it; both in px from the optical axis, which
+contains the centre of the sample. The lamp is in the plane of x and the axis, towards +x; a lamp at another azimuth
+turns these axes relative to the sensor. Distances are in radii of the sample. A lamp's nearness is 1 / its distance;
+None means a distant lamp.
 
 A flat sample shows one normal; a curved one (`Sphere`, `Cylinder`) shows many in one picture.
 """
@@ -27,16 +28,16 @@ if TYPE_CHECKING:
 
 
 class Element(NamedTuple):
-    """Hold pieces of surface in the picture; arrays that broadcast.
+    """Surface elements in the image; arrays that broadcast.
 
     Attributes:
         normal: of the surface.
         tangent: first tangent, in the plane of x and the axis.
         view: direction to the camera.
-        x: place in the picture, px.
-        y: place in the picture, px.
-        area: area in the picture over the cosine of the view. That cosine cancels in what a surface sends to the camera, so
-            that nothing is singular at the limb. px^2 per du dv where the piece is given by (u, v), per px^2 where by (x, y).
+        x: position in the image, px.
+        y: position in the image, px.
+        area: area in the picture over the cosine of the view. That cosine cancels in the light towards the camera, so
+            that it is regular at the limb. px^2 per du dv for an element at (u, v), per px^2 for one at (x, y).
     """
 
     normal: Vector
@@ -48,12 +49,12 @@ class Element(NamedTuple):
 
 
 class Place(NamedTuple):
-    """Tell where a picture shows a pair of half and difference angles.
+    """Image position of a pair of half and difference angles, with its lamp.
 
     Attributes:
         x: position, px.
         y: position, px.
-        lamp_angle: angle between lamp and optical axis at which it does, rad.
+        lamp_angle: angle between lamp and optical axis, rad.
     """
 
     x: jax.Array
@@ -62,11 +63,11 @@ class Place(NamedTuple):
 
 
 class Sample(Module):
-    """Describe a shape that is photographed."""
+    """Shape of a sample."""
 
     @property
     def kind(self) -> str:
-        """Return the shape's name in files: "sphere", "cylinder" or "flat"."""
+        """Return the name of the shape in files: "sphere", "cylinder" or "flat"."""
         return type(self).__name__.lower()
 
     def in_words(self) -> str:
@@ -75,21 +76,21 @@ class Sample(Module):
 
     @abstractmethod
     def px_per_rad(self, theta_o: jax.Array, lamp_nearness: ArrayLike | None = None) -> tuple[jax.Array, jax.Array]:
-        """Return the picture's shift per turn of the normal away from the half vector, px/rad.
+        """Return the shift of the image per turn of the normal, px/rad.
 
         Args:
-            theta_o: angle between normal and view at which the highlight is seen, rad.
+            theta_o: angle between normal and view at the highlight, rad.
             lamp_nearness: inverse of the lamp's distance, 1/radii. Default: None, a distant lamp.
 
         Returns:
-            Shift towards the limb and across; infinite in a direction in which the normal does not turn.
+            Shift towards the limb and across; infinite in a direction with a constant normal.
         """
 
 
 class Flat(Sample):
-    """Describe a flat sample, tilted away from the camera.
+    """Flat sample, tilted away from the camera.
 
-    Its normal is the same everywhere: the camera cannot blur its reflectance, only its texture.
+    Its normal is constant, so a camera blurs only its texture, not its reflectance.
 
     Source:
         Holzschuch & Pacanowski (2017), section 3; docs/model.md 3.
@@ -100,11 +101,11 @@ class Flat(Sample):
     """
 
     def px_per_rad(self, theta_o: jax.Array, lamp_nearness: ArrayLike | None = None) -> tuple[jax.Array, jax.Array]:
-        """Return infinity in both directions: the normal does not turn."""
+        """Return infinity in both directions, because the normal is constant."""
         return xp.full_like(theta_o, xp.inf), xp.full_like(theta_o, xp.inf)
 
     def frequency_on_sensor(self, frequency: ArrayLike, theta_o: ArrayLike) -> jax.Array:
-        """Return the frequency at which a texture arrives on the sensor, cycles/px.
+        """Return the frequency of a texture on the sensor, cycles/px.
 
         The texture varies along the tilt, which foreshortens it (paper (4)).
 
@@ -124,16 +125,15 @@ class Flat(Sample):
 
 
 class Curved(Sample):
-    """Describe a sample whose one picture shows many normals.
+    """Sample that shows many normals in one image.
 
     The surface has two coordinates: u, the angle of its normal from the optical axis in the plane of camera and lamp,
-    and v, out of that plane. What is visible and lit is, at every v, one interval of u: its ends are sharp, and what lies
-    between them is smooth.
+    and v, out of that plane. At every v the visible and lit part is one interval of u, smooth between sharp ends.
 
     Attributes:
         radius: of the limb in the picture, px.
         distance: from the sample's centre to the camera, in radii of the sample; infinite: orthographic.
-        distant: True if the distance is infinite. Then every piece of surface is seen from one direction.
+        distant: True if the distance is infinite. The view direction is then constant.
     """
 
     if TYPE_CHECKING:
@@ -148,7 +148,7 @@ class Curved(Sample):
 
     @abstractmethod
     def surface(self, u: jax.Array, v: jax.Array) -> Element:
-        """Return the piece of surface at (u, v), which broadcast.
+        """Return the surface element at (u, v), which broadcast.
 
         Args:
             u: angle of the normal in the plane of camera and lamp, rad.
@@ -157,28 +157,28 @@ class Curved(Sample):
 
     @abstractmethod
     def at(self, x: jax.Array, y: jax.Array) -> tuple[Element, jax.Array]:
-        """Return the surface that a picture shows, and where it shows any.
+        """Return the surface elements at image positions, and a mask of hits.
 
         Args:
-            x: place in the picture, px; broadcasts with y.
-            y: place in the picture, px.
+            x: position in the image, px; broadcasts with y.
+            y: position in the image, px.
         """
 
     @abstractmethod
     def coordinates(self, element: Element) -> tuple[jax.Array, jax.Array]:
-        """Return (u, v) of a piece of surface.
+        """Return (u, v) of a surface element.
 
         Args:
-            element: the piece.
+            element: the surface element.
         """
 
     @abstractmethod
     def place(
         self, theta_h: AnyArray, theta_d: AnyArray, phi_d: AnyArray, lamp_nearness: ArrayLike | None = None
     ) -> Place:
-        """Return the position and the lamp that show half and difference angles.
+        """Compute the position and the lamp for half and difference angles.
 
-        They mean nothing below the horizon.
+        They are meaningless below the horizon.
 
         Args:
             theta_h: angle between half vector and normal, rad; the angles broadcast.
@@ -207,7 +207,7 @@ class Curved(Sample):
 
     @abstractmethod
     def lit_rows(self, lamp_angle: jax.Array, lamp_nearness: ArrayLike) -> jax.Array:
-        """Return the largest |v| at which anything is both visible and lit by a near lamp.
+        """Return the largest |v| that is visible and lit by a near lamp.
 
         Args:
             lamp_angle: angle between lamp and optical axis, rad.
@@ -216,20 +216,20 @@ class Curved(Sample):
 
     @abstractmethod
     def rows(self, x: jax.Array, y: jax.Array, reach: ArrayLike) -> tuple[jax.Array, jax.Array]:
-        """Return the interval of v close to a place in the picture.
+        """Return the interval of v close to an image position.
 
         Args:
-            x: place in the picture, px.
-            y: place in the picture, px.
+            x: position in the image, px.
+            y: position in the image, px.
             reach: distance in both directions, px.
         """
 
     @abstractmethod
     def height(self, element: Element) -> jax.Array:
-        """Return the distance of pieces of surface from the plane of x and the axis, in radii.
+        """Return the distance of surface elements from the plane of x and the axis, radii.
 
         Args:
-            element: the pieces.
+            element: the surface elements.
         """
 
     @property
@@ -246,7 +246,7 @@ class Curved(Sample):
         return self.radius * xp.sqrt(1 - self.nearness**2)
 
     def visible(self, v: jax.Array) -> jax.Array:
-        """Return the largest visible |u|, rad; 0 where none is visible.
+        """Return the largest visible |u|, rad; 0 if there is none.
 
         Args:
             v: second coordinate of the surface.
@@ -254,7 +254,7 @@ class Curved(Sample):
         return xp.full_like(v, xp.pi / 2) if self.distant else self._seen_from(v, self.nearness)
 
     def _seen_from(self, v: jax.Array, nearness: jax.Array) -> jax.Array:
-        """Return the largest angle in u from a point in the plane of x and the axis that sees the surface at v."""
+        """Return the largest angle in u at v that is visible from a point in the plane of x and the axis."""
         section = self.section(v)
         cosine = nearness / xp.where(section > 0, section, 1.0)
         return xp.where(cosine < 1, xp.arccos(xp.where(cosine < 1, cosine, 0.0)), 0.0)
@@ -264,7 +264,7 @@ class Curved(Sample):
     ) -> tuple[jax.Array, jax.Array]:
         """Return the interval of u that is visible and lit, rad.
 
-        It is empty (low = high) where there is none.
+        It is empty (low = high) if there is none.
 
         Args:
             v: second coordinate of the surface.
@@ -278,12 +278,12 @@ class Curved(Sample):
         return xp.minimum(low, high), high
 
     def across(self, x: jax.Array, v: jax.Array) -> jax.Array:
-        """Return the visible u at a column of the picture, rad.
+        """Return the visible u at a column of the image, rad.
 
-        Where none does, it is the nearest visible one.
+        Without one, it is the nearest visible u.
 
         Args:
-            x: place in the picture, px.
+            x: position in the image, px.
             v: second coordinate of the surface.
         """
         section, q = self.section(v), self.nearness
@@ -296,9 +296,9 @@ class Curved(Sample):
         return xp.clip(u, -end, end)
 
     def highlight(self, lamp_angle: jax.Array, lamp_nearness: ArrayLike | None = None) -> jax.Array:
-        """Return the highlight's u at v = 0, rad.
+        """Return u of the highlight at v = 0, rad.
 
-        There the normal is the half vector. It is half of lamp_angle if camera and lamp are far.
+        The normal is the half vector there. In a distant rig u is half of lamp_angle.
 
         Args:
             lamp_angle: angle between lamp and optical axis, rad.
@@ -313,7 +313,7 @@ class Curved(Sample):
         """Return the angle between lamp and optical axis, rad.
 
         Args:
-            theta_d: half the angle between lamp and camera as the highlight sees it, rad.
+            theta_d: half the angle between lamp and camera, seen from the highlight, rad.
             lamp_nearness: inverse of the lamp's distance, 1/radii. Default: None, a distant lamp.
         """
         angle = 2 * theta_d - xp.arcsin(self.nearness * xp.sin(theta_d))
@@ -322,7 +322,7 @@ class Curved(Sample):
     def theta_d(self, lamp_angle: jax.Array, lamp_nearness: ArrayLike | None = None) -> jax.Array:
         """Return half the angle between lamp and camera, rad.
 
-        It is the angle as the highlight sees it: the inverse of `lamp_angle`.
+        It is the angle seen from the highlight: the inverse of `lamp_angle`.
 
         Args:
             lamp_angle: angle between lamp and optical axis, rad.
@@ -332,10 +332,10 @@ class Curved(Sample):
         return aside if lamp_nearness is None else aside + _parallax(aside, lamp_nearness)[0]
 
     def px_per_rad(self, theta_o: jax.Array, lamp_nearness: ArrayLike | None = None) -> tuple[jax.Array, jax.Array]:
-        """Return the picture's shift per turn of the normal, px/rad.
+        """Return the shift of the image per turn of the normal, px/rad.
 
-        With camera and lamp distant it is (radius cos theta_o, radius), because x = radius sin theta_o (paper (5)). Before
-        a near one the half vector turns too, by half of what the line to it does.
+        With camera and lamp distant it is (radius cos theta_o, radius), because x = radius sin theta_o (paper (5)). In
+        a near rig the half vector turns, too, by half the turn of the line to camera or lamp.
         """
         q = self.nearness
         turn_along, turn_across = self._half_vector_turn(theta_o, lamp_nearness)
@@ -351,7 +351,7 @@ class Curved(Sample):
 
     @staticmethod
     def _half_vector_turn(theta_d: jax.Array, lamp_nearness: ArrayLike | None) -> tuple[jax.Array, jax.Array]:
-        """Return how far a near lamp turns the half vector per turn of the normal, against it, along and across."""
+        """Return the turn of the half vector by a near lamp per turn of the normal, against it, along and across."""
         if lamp_nearness is None:
             return xp.zeros(()), xp.zeros(())
         w = xp.asarray(lamp_nearness)
@@ -361,7 +361,7 @@ class Curved(Sample):
 
     @abstractmethod
     def _turn_across(self, half_vector: jax.Array) -> jax.Array:
-        """Return the angle between normal and half vector per radius along y, given the half vector's share."""
+        """Return the angle between normal and half vector per radius along y, given the share of the half vector."""
 
     def line_of_sight(self, normal: Vector, y: jax.Array) -> tuple[Vector, jax.Array, jax.Array]:
         """Return direction to the camera, its length, and the points' depth.
@@ -382,7 +382,7 @@ class Curved(Sample):
 
 
 def highlight_between(lamp_angle: jax.Array, camera: ArrayLike, lamp: ArrayLike) -> jax.Array:
-    """Return the angle from the optical axis at which the normal is the half vector of a near camera and lamp, rad.
+    """Compute the angle from the optical axis at which the normal is the half vector of a near camera and lamp, rad.
 
     Args:
         lamp_angle: angle between lamp and optical axis, rad.
@@ -396,7 +396,7 @@ def highlight_between(lamp_angle: jax.Array, camera: ArrayLike, lamp: ArrayLike)
         return 2 * u + view - light - lamp_angle, 2 + view_slope + light_slope
 
     def newton(state: tuple[jax.Array, jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array, jax.Array]:
-        u, low, high = state  # a root lies between these: a step that leaves them is replaced by a bisection
+        u, low, high = state  # the root lies between these: a step outside is replaced by a bisection
         value, slope = miss(u)
         low, high = xp.where(value < 0, u, low), xp.where(value < 0, high, u)
         step = u - value / slope
@@ -409,10 +409,10 @@ def highlight_between(lamp_angle: jax.Array, camera: ArrayLike, lamp: ArrayLike)
 
 
 def _parallax(aside: jax.Array, nearness: ArrayLike) -> tuple[jax.Array, jax.Array]:
-    """Return by how much a near point is seen further aside from the surface than from the centre, and its slope.
+    """Compute the parallax of a near point between surface and centre, and its slope.
 
     Args:
-        aside: angle of the point from the normal, as the sample's centre sees it, rad.
+        aside: angle of the point from the normal, seen from the centre of the sample, rad.
         nearness: inverse of the point's distance from the centre, 1/radii.
     """
     q = xp.asarray(nearness)
@@ -423,7 +423,7 @@ def _parallax(aside: jax.Array, nearness: ArrayLike) -> tuple[jax.Array, jax.Arr
 def angle_on_circle(slope: jax.Array, tilt: jax.Array) -> jax.Array:
     """Return the u nearest to 0 with sin u + tilt cos u = slope; +-pi/2 if there is none.
 
-    There a line of sight meets a circle.
+    It is the intersection of a line of sight with a circle.
     """
     lean = xp.arctan(tilt)
     sine = slope * xp.cos(lean)
@@ -440,7 +440,7 @@ def depth_of(slope: jax.Array, q: jax.Array) -> tuple[jax.Array, jax.Array]:
 
 
 def checked_distance(distance: ArrayLike) -> jax.Array:
-    """Return a distance from the sample's centre in its radii if it is above 1; infinity is allowed."""
+    """Check a distance from the centre of the sample in its radii, above 1; infinity is allowed."""
     what = "radii of the sample (the camera is outside it)"
     return checks.scalar("distance", checks.within("distance", distance, 1, np.inf, what, open_low=True))
 

@@ -1,1 +1,1 @@
-"""The checks of a capture that take seconds: outline, highlights, lamp table, clipping, flat samples."""
+"""Quick checks of a capture: outline, highlights, lamp table, clipping, flat samples."""

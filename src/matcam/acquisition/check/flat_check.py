@@ -10,9 +10,9 @@ from matcam.core.remark import Remark, some_of
 from matcam.files.capture import Capture
 
 _FEWEST = 3
-"""Pictures that the maps of a flat sample need."""
+"""Number of images that the maps of a flat sample require."""
 _SPREAD = 10.0
-"""Range of half angles, degrees, below which one roughness explains the pictures as well as another."""
+"""Range of half angles, degrees, below which the roughness is not determined."""
 NOT_CHECKED = Remark(
     "not-checked",
     "a flat sample shows neither outline nor highlight: lamp directions and tilts are not compared with the pictures",
@@ -20,7 +20,7 @@ NOT_CHECKED = Remark(
 
 
 def flat_remarks(capture: Capture) -> list[Remark]:
-    """Check what a flat sample needs: grey pictures, directions and tilts, several half angles.
+    """Check the requirements of a flat sample: grey images, directions and tilts, several half angles.
 
     Args:
         capture: of a flat sample.

@@ -1,4 +1,4 @@
-"""Highlight of every lamp position in the shortest frame that shows it, and the clipped pixels of every shortest frame."""
+"""Highlight of every lamp position in the shortest usable frame, and the clipped pixels of every shortest frame."""
 
 from __future__ import annotations
 
@@ -21,9 +21,13 @@ from matcam.files.capture import Capture
 from matcam.files.capture_frames import CaptureFrame
 
 _SPOT_STD, _LEAST_STD = 0.3, 0.5
-"""Standard deviation of a centroid, in radii of the bright spot, and its least value, px. A rough lobe is drawn to the limb."""
+"""Standard deviation of a centroid, in radii of the bright spot, and its smallest value, px. The centroid of a rough
+lobe shifts towards the limb.
+"""
 _LINE_STD = 0.15
-"""Standard deviation of the centroid of a cylinder's bright line, in its half width: it is the mean of many rows."""
+"""Standard deviation of the centroid of the bright line of a cylinder, as a share of its half width; it is the mean of
+many rows.
+"""
 _BLUR = 0.6  # px, standard deviation of lens and pixel together, as in `find_highlight`
 
 
@@ -60,13 +64,13 @@ def quick_highlights(
     outline: QuickOutline | None,
     camera: float = math.inf,
 ) -> QuickHighlights:
-    """Read the shortest frame of every lamp position: find its highlight and count its clipped pixels.
+    """Read the shortest frame of every lamp position, find its highlight and count its clipped pixels.
 
-    Where a frame is too dark for a highlight, the next exposure is read. On a flat sample only clipping is looked for.
+    Where a frame is too dark for a highlight, the next exposure is read. On a flat sample only clipping is checked.
 
     Args:
-        capture: where the frames lie.
-        radiometry: meaning of the codes, measured on a few lamp positions; None: not known.
+        capture: the capture.
+        radiometry: meaning of the codes, measured on a few lamp positions; None: unknown.
         outline: of the sample; None: a highlight is the centroid of the bright spot.
         camera: distance of the camera, radii. Default: infinite.
     """
@@ -112,7 +116,7 @@ def quick_highlights(
 
 
 def _codes(capture: Capture, reader: MosaicReader, frame: CaptureFrame) -> np.ndarray:
-    """Return the codes of a frame; those of a reference in it are replaced by the median."""
+    """Read the codes of a frame; those of a reference in it are replaced by the median."""
     codes = reader.read(frame, capture.region)
     if capture.reference_region is not None:
         top, left = (0, 0) if capture.region is None else (capture.region[1], capture.region[0])
@@ -124,14 +128,14 @@ def _codes(capture: Capture, reader: MosaicReader, frame: CaptureFrame) -> np.nd
 
 
 def _clip_threshold(reader: MosaicReader, radiometry: Radiometry | None) -> float:
-    """Return the code from which a pixel is clipped: that of the file format, or a lower one that the frames show, DN."""
+    """Return the code above which a pixel is clipped: that of the file format, or a lower one from the frames, DN."""
     if radiometry is None or not radiometry.clip.pixels:
         return reader.saturation
     return min(reader.saturation, radiometry.clip.threshold)
 
 
 def _top_codes(codes: np.ndarray, frame: CaptureFrame, reader: MosaicReader, radiometry: Radiometry) -> TopCodes:
-    """Measure the brightest pixels of a frame, for a clip level that no bracket of the four lamp positions shows."""
+    """Measure the brightest pixels of a frame, for a clip level that none of the four brackets shows."""
     dark = radiometry.darkness.get(frame.exposure)
     hot = np.zeros(codes.shape, bool)
     if dark is not None and isinstance(dark.hot, np.ndarray) and dark.hot.shape == hot.shape:
@@ -141,7 +145,7 @@ def _top_codes(codes: np.ndarray, frame: CaptureFrame, reader: MosaicReader, rad
 
 
 def _piled(tops: list[TopCodes], radiometry: Radiometry | None) -> dict[int, int]:
-    """Return the number of pixels that pile up at the largest code, by the index of the frame."""
+    """Count the pixels that pile up at the largest code, by the index of the frame."""
     if radiometry is None or not tops:
         return {}
     value, std = radiometry.gain
@@ -157,7 +161,7 @@ def _place(
     outline: QuickOutline | None,
     camera: float,
 ) -> Seen | None:
-    """Return the highlight of one frame; None: nothing bright stands out."""
+    """Find the highlight of one frame; None: no bright spot."""
     origin = (0, 0) if capture.region is None else (capture.region[1], capture.region[0])
     if capture.settings["sample"]["kind"] == "cylinder":
         return _bright_line(codes, origin[1], outline)
@@ -186,14 +190,14 @@ def _place(
 
 
 def black_level(radiometry: Radiometry | None) -> float:
-    """Return the mean code without light, DN; 0: not known."""
+    """Return the mean code without light, DN; 0: unknown."""
     if radiometry is None or not radiometry.darkness:
         return 0.0
     return float(np.mean([np.mean(one.level) for one in radiometry.darkness.values()]))
 
 
 def _bright_spot(codes: np.ndarray, origin: tuple[int, int]) -> Seen | None:
-    """Return the centroid of what is brighter than half of the brightest, near the brightest cell."""
+    """Compute the centroid of pixels above half of the maximum, near the brightest cell."""
     height, width = (n // 2 * 2 for n in codes.shape)
     cells = codes[:height, :width].astype(np.float64).reshape(height // 2, 2, width // 2, 2).mean((1, 3))
     level = float(np.median(cells))
@@ -214,7 +218,7 @@ def _bright_spot(codes: np.ndarray, origin: tuple[int, int]) -> Seen | None:
 
 
 def _bright_line(codes: np.ndarray, first: int, outline: QuickOutline | None) -> Seen | None:
-    """Return the column of the brightest line along a cylinder, from the mean over the rows."""
+    """Find the column of the brightest line along a cylinder, from the mean over the rows."""
     width = codes.shape[1] // 2 * 2
     profile = codes[: codes.shape[0] // 2 * 2, :width].astype(np.float64).mean(axis=0).reshape(-1, 2).mean(axis=1)
     columns = np.arange(profile.size) * 2 + 0.5 + first

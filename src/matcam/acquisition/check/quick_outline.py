@@ -1,4 +1,4 @@
-"""Outline of a sphere or cylinder, stated, of a mask, or of frames to a few tenths of a pixel; and whether the sample moved."""
+"""Outline of a sphere or cylinder, as stated, from a mask, or from frames to a few tenths of a pixel, and check for motion."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from matcam.files.capture import Capture
 from matcam.files.capture_frames import CaptureFrame
 
 _MOVED = 1.0
-"""Shift between two outline frames, px, from which the sample is reported to have moved. A disc is measured to about 0.3 px."""
+"""Shift between two outline frames, px, above which a motion of the sample is reported. A disc is measured to about 0.3 px."""
 _DISC_STD = 0.4
-"""Standard deviation of the disc's centre and radius by moments, px: measured on drawn frames, rounded up."""
+"""Standard deviation of centre and radius of the disc by moments, px: measured on simulated frames, rounded up."""
 _STATED_STD = 0.5
 """Standard deviation of a stated axis or radius of a cylinder that has none, px."""
 
@@ -45,13 +45,13 @@ class QuickOutline(NamedTuple):
 def quick_outline(capture: Capture, black: float, sigma: float) -> tuple[QuickOutline | None, list[Remark]]:
     """Find the outline of a sphere or cylinder from the sources of a reconstruction, and measure every outline frame.
 
-    Of a sphere a stated circle is taken before a mask, and a mask before outline frames; of a cylinder outline frames before
-    the stated outline.
+    For a sphere the order of preference is a stated circle, a mask, outline frames; for a cylinder outline frames, the
+    stated outline.
 
     Args:
         capture: of a sphere or a cylinder.
         black: code without light, DN.
-        sigma: standard deviation of the lens's blur, px; of effect where the bright field is clipped.
+        sigma: standard deviation of the lens's blur, px; used if the bright field is clipped.
 
     Returns:
         The outline, that of the first frame that shows one where it is from frames, or None; and the remarks: no outline, a
@@ -87,7 +87,7 @@ def quick_outline(capture: Capture, black: float, sigma: float) -> tuple[QuickOu
 def _measured(
     capture: Capture, reader: MosaicReader, frame: CaptureFrame, black: float, sigma: float
 ) -> tuple[QuickOutline | None, list[Remark]]:
-    """Return the outline in one frame, None where it shows none, and what is wrong with the frame."""
+    """Measure the outline in one frame, None without one, and describe what is wrong with the frame."""
     path = capture.folder / frame.file
     try:
         codes = reader.read(frame, capture.region)
@@ -123,7 +123,7 @@ def _measured(
 
 
 def _given(capture: Capture, sigma: float) -> tuple[QuickOutline | None, list[Remark]]:
-    """Return the outline of a sphere by a stated circle or a mask; None: neither is there or can be used."""
+    """Return the outline of a sphere from a stated circle or a mask; None: neither exists or is usable."""
     try:
         if capture.circle is not None:
             (column, row), radius = capture.circle
@@ -138,7 +138,7 @@ def _given(capture: Capture, sigma: float) -> tuple[QuickOutline | None, list[Re
 
 
 def _stated(capture: Capture) -> QuickOutline | None:
-    """Return the outline of a cylinder as capture.toml states it; None: it does not."""
+    """Return the outline of a cylinder as stated in capture.toml; None: not stated."""
     radius, axis = capture.stated("outline_radius_px"), capture.stated("axis_column_px")
     if radius is None or axis is None:
         return None
@@ -157,14 +157,14 @@ def _missing_cylinder() -> Remark:
 
 
 def dark_disc(codes: np.ndarray) -> tuple[float, float, float]:
-    """Compute column, row and radius, px, of a dark disc before a bright field, to a few tenths of a pixel.
+    """Estimate column, row and radius, px, of a dark disc in front of a bright field, to a few tenths of a pixel.
 
     The area and the first moments of the missing light give them. NaN: there is no disc, or the frame cuts it.
 
     Args:
         codes: frame, (height, width).
     """
-    # 2 x 2 px together: a mosaic's colours
+    # bins of 2 x 2 px: all colours of a mosaic
     height, width = (n // 2 * 2 for n in codes.shape)
     cells = codes[:height, :width].reshape(height // 2, 2, width // 2, 2).mean((1, 3), dtype=np.float64)
     dark, bright = np.quantile(cells, [0.01, 0.99])

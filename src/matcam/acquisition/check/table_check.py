@@ -1,8 +1,8 @@
 """Comparison of the lamp table with the highlights: a turned table, a wrong radius, single wrong lamps.
 
-The unknowns are a turn of the table's axes against the camera's and the sample's outline in the frame. Where an outline was
-measured, its centre and radius are known and the turn is free. Without it a shifted sphere explains a turn about an axis in
-the picture plane, so only a turn about the optical axis is fitted.
+The unknowns are a turn of the axes of the table relative to the camera, and the outline of the sample in the frame.
+Where an outline was measured, its centre and radius are known and the turn is free. Without it a shifted sphere
+explains a turn about an axis in the picture plane, so only a turn about the optical axis is fitted.
 """
 
 from __future__ import annotations
@@ -24,28 +24,34 @@ from matcam.core.remark import Remark
 from matcam.files.capture import Capture, Stated
 
 _FEWEST = 4
-"""Highlights with a stated direction that a comparison needs: three angles are unknown, and one lamp may be wrong."""
+"""Number of highlights with a stated direction that a comparison requires: three angles are unknown, and one lamp may
+be wrong.
+"""
 _OFF = 4.0
-"""Distance of a single highlight from its expected position, px, that is not reported. Centroids err by 1 to 2 px."""
+"""Distance of a single highlight from its expected position, px, below which it is not reported.
+
+Centroids have errors of 1 to 2 px.
+"""
 _SIGNIFICANT = 4.0
-"""Standard deviations from which a turn or a radius is reported: one in 16,000 good captures by chance."""
+"""Standard deviations above which a turn or a radius is reported: one false alarm in 16,000 captures."""
 _LEAST_TURN = math.radians(0.5)
-"""Turn below which nothing is reported: the tables of careful set-ups are turned by some tenths of a degree, and
-`reconstruct` fits that."""
+"""Turn below which there is no report: the tables of careful set-ups are turned by some tenths of a degree, and
+`reconstruct` fits that.
+"""
 _LEAST_GROWTH = 0.01
-"""Relative difference of radii below which nothing is reported: `reconstruct` fits it."""
+"""Relative difference of radii below which there is no report, because `reconstruct` fits it."""
 _NEARNESS = (0.02, 0.02)
-"""One over a distance that is not stated, in radii, with its standard deviation, as in `reconstruct`."""
+"""Inverse of an unstated distance, in radii, with its standard deviation, as in `reconstruct`."""
 
 
 class TableCheck(NamedTuple):
     """Result of the comparison.
 
     Attributes:
-        centre: column, row and radius of the sample that highlights, table and outline agree on, px; NaN: not known.
+        centre: column, row and radius of the sample from highlights, table and outline, px; NaN: unknown.
         turn: rotation vector from the table to the highlights, about x (right), y (up) and z (to the camera), rad (3,).
         turn_std: its standard deviations, rad (3,); NaN where it was not fitted.
-        remarks: what contradicts.
+        remarks: contradictions.
     """
 
     centre: tuple[float, float, float]
@@ -65,7 +71,7 @@ class _Fit(NamedTuple):
 
 
 class _Rig(NamedTuple):
-    """Distances in radii, and by how much relative they leave the spread of the highlights unknown."""
+    """Distances in radii, and their relative effect on the spread of the highlights as standard deviation."""
 
     camera: float
     lamp: float
@@ -84,7 +90,7 @@ def check_table(capture: Capture, seen: dict[str, Seen], outline: QuickOutline |
     """Compare the lamp table of a sphere or a cylinder with its highlights.
 
     Args:
-        capture: states the directions.
+        capture: the capture with the directions.
         seen: highlight of each lamp position.
         outline: of the sample in the frame; None: not measured.
     """
@@ -125,7 +131,9 @@ def _of_sphere(
     spread = float(np.ptp(directions[:, 1]))
     apart, other = float(np.median(right.off)), float(np.median(flipped.off))
     if spread > 0.2 and other < 0.2 * apart and apart > 2:
-        text = "the highlights run against the stated lamp directions: azimuths count from +x (right) towards +y (up)"
+        text = (
+            "the highlights move opposite to the stated lamp directions: azimuths count from +x (right) towards +y (up)"
+        )
         return TableCheck(_sphere(right), np.zeros(3), np.full(3, math.nan), (Remark("table-flipped", text),))
     if outline is not None:
         ball = MirrorBall(outline.row, outline.column, outline.radius, rig.camera)
@@ -169,7 +177,9 @@ def _of_cylinder(
 
 
 def _errors(capture: Capture, seen: list[Seen], radius: float) -> np.ndarray:
-    """Return the standard deviation of each highlight against its stated direction, px: a lamp's angle moves it by half."""
+    """Compute the standard deviation of each highlight about its stated direction, px: an angle of the lamp moves it by
+    half.
+    """
     return np.hypot([one.std for one in seen], abs(radius) * capture.direction_std / 2)
 
 
@@ -210,7 +220,7 @@ def _sphere(fit: _Fit) -> tuple[float, float, float]:
 
 
 def _turn_remarks(fit: _Fit, std: np.ndarray, whose: str) -> list[Remark]:
-    """Report a turn of the table's axes against the camera's, with its size and standard deviation."""
+    """Report a turn of the axes of the table relative to the camera, with its size and standard deviation."""
     free = std[:3] > 0
     turn, covariance = fit.p[:3], fit.covariance[:3, :3]
     size = float(np.linalg.norm(turn))
@@ -222,11 +232,9 @@ def _turn_remarks(fit: _Fit, std: np.ndarray, whose: str) -> list[Remark]:
         return []
     degrees, axes = np.degrees(turn), ("x (right)", "y (up)", "z (to the camera)")
     parts = ", ".join(f"{value:+.1f} about {axis}" for value, axis, one in zip(degrees, axes, free, strict=True) if one)
-    text = f"the highlights want the lamp table turned by {np.degrees(size):.1f} +- {np.degrees(spread):.1f} degrees"
+    text = f"the highlights indicate a turn of the lamp table by {np.degrees(size):.1f} +- {np.degrees(spread):.1f} degrees"
     where = f" against the {whose} outline" if free[1] else ""
-    return [
-        Remark("table-turned", f"{text}{where} ({parts}): check the axes from which angles and azimuths are counted")
-    ]
+    return [Remark("table-turned", f"{text}{where} ({parts}): check the axes of angles and azimuths")]
 
 
 def _radius_remarks(fit: _Fit, outline: QuickOutline, std: float) -> list[Remark]:
@@ -235,9 +243,7 @@ def _radius_remarks(fit: _Fit, outline: QuickOutline, std: float) -> list[Remark
     known = math.sqrt(max(std**2 - float(fit.covariance[5, 5]), 1e-12))
     if abs(change) < max(_SIGNIFICANT * known, _LEAST_GROWTH * outline.radius):
         return []
-    text = (
-        f"the highlights want a radius of {fit.p[5]:.1f} +- {math.sqrt(fit.covariance[5, 5]):.1f} px, the outline has "
-    )
+    text = f"the highlights indicate a radius of {fit.p[5]:.1f} +- {math.sqrt(fit.covariance[5, 5]):.1f} px, the outline has "
     text += f"{outline.radius:.1f} px: check sample.radius_mm, the distances and the angles of frames.csv"
     return [Remark("radius-mismatch", text)]
 

@@ -1,4 +1,4 @@
-"""Assumption about a lens that no camera profile describes."""
+"""Assumption about a lens without a camera profile."""
 
 from __future__ import annotations
 
@@ -6,14 +6,15 @@ from matcam.camera.camera import Camera
 from matcam.files.capture import Stated
 
 GUESSED_LENS = Stated(0.5, 0.35)
-"""px; standard deviation of the blur that is assumed of a lens without a profile, and its error: two of them span lenses of up
-to 1.2 px."""
+"""Assumed standard deviation of the blur of a lens without a profile, and its error, px: two errors include lenses of
+up to 1.2 px.
+"""
 BY_SHAPE = 0.01
-"""Unexplained share of the light from which the blurs of lens and lobe, which differ in shape only, are not separated by it."""
+"""Unexplained share of the light above which the blurs of lens and lobe, which differ in shape only, are not separated."""
 
 
 def unmeasured_lens() -> str:
-    """Return in words what a reconstruction does about a lens without a profile."""
+    """Describe the treatment of a lens without a profile in a reconstruction."""
     return (
         f"the lens is taken as {GUESSED_LENS.value:g} +- {GUESSED_LENS.std:g} px and fitted; where no lobe explains the "
         f"pictures to {BY_SHAPE:.0%}, it keeps this error, and the roughness gets it"
@@ -21,6 +22,8 @@ def unmeasured_lens() -> str:
 
 
 def lens_sigma(camera: Camera | None) -> float:
-    """Return the standard deviation of a camera's lens, px; without a profile, or of one that is no Gaussian, the guess."""
+    """Return the standard deviation of the lens of a camera, px, or the guess for a lens that is not Gaussian or has no
+    profile.
+    """
     known = {} if camera is None else camera.parameters()
     return float(known.get("optics.sigma_px", GUESSED_LENS.value))

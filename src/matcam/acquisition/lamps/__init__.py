@@ -1,1 +1,1 @@
-"""What highlights say of lamps that somebody wrote down."""
+"""Comparison of highlights with a table of lamps."""

@@ -1,4 +1,4 @@
-"""Hold highlights against lamps that somebody wrote down: the radius that they want, an arc they lie on, usual mistakes.
+"""Comparison of highlights with a table of lamps: radius, arc, common mistakes.
 
 Axes: x right, y up, z to the camera. Directions go from the sphere's centre to the lamp.
 """
@@ -18,25 +18,25 @@ from matcam.core.errors import ArgumentError, FitError
 from matcam.core.remark import Remark
 
 _LIKELY = 0.5
-"""A mistake explains a table if the angles left are at most this share of those before."""
+"""A mistake explains a table if the remaining angles are at most this share of the original ones."""
 _WRONG = np.radians(1.5)
-"""Angles up to this need no mistake to explain them."""
+"""Angles up to which no mistake is assumed, rad."""
 
 
 class RadiusByHighlights(NamedTuple):
-    """Tell which radius the highlights of known lamps want, against that of the outline.
+    """Radius from the highlights of known lamps, compared with that of the outline.
 
     Attributes:
-        row: of the sphere's centre that they want, px.
+        row: of the centre of the sphere by the highlights, px.
         column: likewise.
-        radius: that they want if lamps and camera are distant, px.
+        radius: by the highlights if lamps and camera are distant, px.
         std: standard deviations of row, column and radius, px (3,).
-        rms: distance of the highlights from where they should be, px.
+        rms: rms distance of the highlights from their expected positions, px.
         mismatch: radius over that of the outline, less 1.
         mismatch_std: its standard deviation, with that of the outline.
         inverse_distances: 1 / camera distance + 1 / lamp distance that would explain it, 1/radii.
         inverse_distances_std: its standard deviation, 1/radii.
-        turn: of the table's axes against the camera's that would explain the centre, rad (3,), about x, y, z.
+        turn: of the axes of the table relative to the camera that would explain the centre, rad (3,), about x, y, z.
         remarks: what a reader should know.
     """
 
@@ -56,11 +56,11 @@ class RadiusByHighlights(NamedTuple):
 def radius_by_highlights(
     rows: np.ndarray, columns: np.ndarray, lamps: np.ndarray, ball: MirrorBall, ball_std: np.ndarray | None = None
 ) -> RadiusByHighlights:
-    """Compare the radius that the highlights of known lamps want with that of the outline.
+    """Compare the radius from the highlights of known lamps with that of the outline.
 
-    Under a near lamp, before a near camera, highlights stand further apart than under distant ones: by
-    (1 / camera distance + 1 / lamp distance) / 2 of their distance from the centre. Highlights alone cannot tell that from a
-    larger sphere, or from directions that are too narrow; the outline can.
+    In a near rig highlights are further apart than in a distant one, by (1 / camera distance + 1 / lamp distance) / 2
+    of their distance from the centre. Highlights alone do not distinguish this from a larger sphere, or from directions
+    that are too narrow; the outline does.
 
     Args:
         rows: of the highlights' mirror points, px (n,).
@@ -70,14 +70,14 @@ def radius_by_highlights(
         ball_std: standard deviations of its row, column and radius, px (3,). Default: 0.
 
     Returns:
-        The radius that they want, and what could explain it.
+        The radius, and possible causes of a difference.
 
     Raises:
         FitError: fewer than four highlights.
     """
     rows, columns, lamps = np.asarray(rows, float), np.asarray(columns, float), unit(np.asarray(lamps, float))
     if len(rows) < 4:
-        raise FitError(f"{len(rows)} highlights do not tell a radius; at least 4 are needed")
+        raise FitError(f"{len(rows)} highlights do not determine a radius; at least 4 are needed")
 
     def off(p: np.ndarray) -> np.ndarray:
         row, column = MirrorBall(*p).mirror_place(lamps)
@@ -91,7 +91,7 @@ def radius_by_highlights(
     ratio = float(found.x[2] / ball.radius)
     ratio_std = float(ratio * np.hypot(std[2] / found.x[2], by_outline[2] / ball.radius))
     inverse, inverse_std = 2 * (ratio - 1), 2 * ratio_std
-    # the table's axes may be turned against the camera's: what is left once the distances are allowed for
+    # the axes of the table may be turned relative to the camera: residual after the distances
     near = MirrorBall(ball.row, ball.column, ball.radius * ratio)
     turn = _turn(near.lamp_seen_at(near.normals(rows, columns)), lamps)
     remarks = []
@@ -104,7 +104,7 @@ def radius_by_highlights(
         remarks.append(
             Remark(
                 "radius-mismatch",
-                f"the highlights want a radius of {found.x[2]:.2f} px, the outline has {ball.radius:.2f} px: {cause}",
+                f"the highlights indicate a radius of {found.x[2]:.2f} px, the outline has {ball.radius:.2f} px: {cause}",
             )
         )
     size = float(np.linalg.norm(turn))
@@ -131,13 +131,13 @@ def radius_by_highlights(
 
 
 def _turn(lamps: np.ndarray, table: np.ndarray) -> np.ndarray:
-    """Return the rotation vector that takes lamps to their table, rad (3,)."""
+    """Compute the rotation vector from lamps to their table, rad (3,)."""
     good = np.isfinite(lamps).all(1)
     return Rotation.align_vectors(table[good], lamps[good])[0].as_rotvec()
 
 
 class LampArc(NamedTuple):
-    """Describe lamps on an arc: directions at one angle from an axis.
+    """Lamps on an arc: directions at one angle from an axis.
 
     Attributes:
         axis: unit vector about which the arm turns (3,).
@@ -162,10 +162,10 @@ def fit_arc(lamps: np.ndarray, *, std: float = np.radians(0.2), opening_std: flo
     Args:
         lamps: directions (n, 3).
         std: standard deviation of a direction, rad. Default: 0.2 degrees.
-        opening_std: by how much the arc may miss a great circle, rad. Default: 3 degrees.
+        opening_std: prior standard deviation of the distance from a great circle, rad. Default: 3 degrees.
 
     Returns:
-        The arc, with every lamp moved on to it.
+        The arc, with every lamp projected onto it.
 
     Raises:
         FitError: fewer than three lamps, or lamps that are not on an arc.
@@ -178,7 +178,7 @@ def fit_arc(lamps: np.ndarray, *, std: float = np.radians(0.2), opening_std: flo
     """
     lamps = unit(np.asarray(lamps, float))
     if len(lamps) < 3:
-        raise FitError(f"{len(lamps)} lamps do not tell an arc; at least 3 are needed")
+        raise FitError(f"{len(lamps)} lamps do not determine an arc; at least 3 are needed")
     start = np.linalg.svd(lamps)[2][2]
     if np.dot(np.cross(lamps[0], lamps[-1]), start) < 0:
         start = -start
@@ -207,13 +207,13 @@ def fit_arc(lamps: np.ndarray, *, std: float = np.radians(0.2), opening_std: flo
 
 
 class TableVerdict(NamedTuple):
-    """Tell whether a lamp table fits the highlights, and which mistake explains it if not.
+    """Agreement of a lamp table with the highlights, and the mistake that explains a disagreement.
 
     Attributes:
         mistake: "none", "unexplained", or the name of the mistake.
         rms: angles between the highlights' lamps and the table as given, rad.
-        rms_explained: the same once the mistake is undone, rad.
-        remarks: in words, where something is wrong.
+        rms_explained: the same after correction of the mistake, rad.
+        remarks: description of a disagreement.
     """
 
     mistake: str
@@ -238,12 +238,12 @@ _WORDS = {
 
 
 def explain_lamp_table(lamps: np.ndarray, table: np.ndarray) -> TableVerdict:
-    """Say which usual mistake explains a lamp table that contradicts the highlights.
+    """Find the common mistake that explains a lamp table that contradicts the highlights.
 
-    Each mistake is made on the lamps that the highlights show; the one whose result the table matches is named.
+    Each mistake is applied to the lamps from the highlights; the one whose result matches the table is named.
 
     Args:
-        lamps: directions by the highlights (n, 3); NaN where there was none.
+        lamps: directions by the highlights (n, 3); NaN without one.
         table: directions as given (n, 3).
 
     Returns:
@@ -268,17 +268,17 @@ def explain_lamp_table(lamps: np.ndarray, table: np.ndarray) -> TableVerdict:
     rms = _rms(lamps, table)
     if rms < _WRONG:
         return TableVerdict("none", rms, rms, ())
-    # the angles that are left, in units of what the mistake makes of an error of the lamps
+    # remaining angles, in units of the error of the lamps after the mistake
     left: dict[str, float] = {}
     for name, made, stretch in _mistakes(lamps):
-        # where a mistake stretches errors, the lamps next to the axis say nothing: their azimuths are chance
+        # for a mistake that stretches errors, azimuths of lamps near the axis are meaningless
         apart = float(np.median(lamp_angles_apart(made, table))) if stretch > 2 else _rms(made, table)
         left[name] = min(apart / stretch, left.get(name, np.inf))
     best = min(left, key=lambda name: left[name])
     if left[best] < _LIKELY * rms and left[best] < 2 * _WRONG:
         text = f"the lamp table is {np.degrees(rms):.1f} degrees rms off the highlights: {_WORDS[best]}"
         return TableVerdict(best, rms, left[best], (Remark(f"table-{best}", text),))
-    text = f"the lamp table is {np.degrees(rms):.1f} degrees rms off the highlights, and no usual mistake explains it"
+    text = f"the lamp table is {np.degrees(rms):.1f} degrees rms off the highlights, and no common mistake explains it"
     return TableVerdict("unexplained", rms, rms, (Remark("table-contradicts", text),))
 
 
@@ -287,7 +287,7 @@ def _rms(lamps: np.ndarray, table: np.ndarray) -> float:
 
 
 def _mistakes(lamps: np.ndarray) -> Iterator[tuple[str, np.ndarray, float]]:
-    """Yield each mistake, what a table would hold under it, and by how much it stretches angles."""
+    """Yield each mistake, the table that it would produce, and its factor of angles."""
     z = np.array([0.0, 0.0, 1.0])
     yield "y-flipped", lamps * [1, -1, 1], 1.0
     yield "x-flipped", lamps * [-1, 1, 1], 1.0
@@ -300,7 +300,7 @@ def _mistakes(lamps: np.ndarray) -> Iterator[tuple[str, np.ndarray, float]]:
     yield "order-reversed", lamps[::-1], 1.0
     angle, azimuth = np.arctan2(np.hypot(lamps[:, 0], lamps[:, 1]), lamps[:, 2]), np.arctan2(lamps[:, 1], lamps[:, 0])
     turn = 180 / np.pi
-    for way_round in (azimuth, np.mod(azimuth, 2 * np.pi)):  # written from -180 to 180, or from 0 to 360
+    for way_round in (azimuth, np.mod(azimuth, 2 * np.pi)):  # azimuths from -180 to 180, or from 0 to 360
         yield "degrees-as-radians", _polar(angle * turn, way_round * turn), turn / 4
         yield "radians-as-degrees", _polar(angle / turn, way_round / turn), 1 / turn
 

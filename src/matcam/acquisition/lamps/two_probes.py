@@ -1,4 +1,4 @@
-"""Compare the lamps that two mirror balls show: a lamp at a finite distance stands in two directions."""
+"""Comparison of the lamps in two mirror balls: a lamp at a finite distance has two directions."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ _EXPLAINED = np.radians(0.3)
 
 
 class ProbeComparison(NamedTuple):
-    """Tell whether the lamps' distance explains that two probes disagree.
+    """Comparison of two probes, with the distance of the lamps as explanation.
 
     Attributes:
         apart: angle between both probes' directions of each lamp, rad (n,).
         rms: of these, rad.
         displacement: of the second probe from the first over the lamps' distance, no unit (3,): x right, y up, z to the
             camera.
-        left: rms angle that one distance for all lamps leaves, rad.
-        left_by_turn: rms angle that a turn of one probe's axes leaves instead, rad.
+        left: rms of the angles that remain with one distance for all lamps, rad.
+        left_by_turn: rms of the angles that remain with a turn of the axes of one probe instead, rad.
         remarks: the verdict in words.
     """
 
@@ -37,15 +37,15 @@ class ProbeComparison(NamedTuple):
 def compare_probes(first: np.ndarray, second: np.ndarray) -> ProbeComparison:
     """Compare the directions of the same lamps by two mirror balls.
 
-    Moved by d, a probe sees a lamp at a distance Q in the direction l turned by -(d - (d l) l) / Q. All lamps at one distance
-    leave three unknowns, d / Q; so does a turn of one probe's axes against the other's, the usual other cause.
+    Moved by d, a probe sees a lamp at a distance Q in the direction l turned by -(d - (d l) l) / Q. One distance for
+    all lamps has three unknowns, d / Q; so does a turn of the axes of one probe, the other common cause.
 
     Args:
         first: directions by one probe (n, 3).
         second: by the other (n, 3).
 
     Returns:
-        What the distance explains, and what it leaves.
+        The angles before and after each explanation.
 
     Raises:
         ArgumentError: the shapes differ, or there are fewer than four lamps.
@@ -80,6 +80,6 @@ def compare_probes(first: np.ndarray, second: np.ndarray) -> ProbeComparison:
 
 
 def _explained(slopes: np.ndarray, moved: np.ndarray) -> tuple[np.ndarray, float]:
-    """Return the three unknowns, and the rms length that they leave of the moves (n, 3)."""
+    """Solve for the three unknowns, and return the rms residual of the displacements (n, 3)."""
     found, *_ = np.linalg.lstsq(slopes.reshape(-1, 3), moved.ravel(), rcond=None)
     return found, float(np.sqrt(np.mean(np.sum((moved - slopes @ found) ** 2, axis=1))))

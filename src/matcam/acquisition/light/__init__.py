@@ -1,1 +1,1 @@
-"""What light a frame was taken in: a white patch beside the sphere, and how evenly the pixels see."""
+"""Light of frames: a white patch beside the sphere, and the uniformity of the pixels."""

@@ -1,4 +1,4 @@
-"""Read the exposures of a lamp position, once for what codes mean; several lamp positions at a time."""
+"""Reading of the exposures of lamp positions, several at a time, to determine the meaning of codes."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ U = TypeVar("U")
 
 
 class ReadBracket(NamedTuple):
-    """Hold what is kept of a lamp position's frames.
+    """Result of reading the frames of a lamp position.
 
     Attributes:
         used: frames that can be used, in the order of the exposures.
-        lacking: exposures that have none.
-        sample: chosen pixels; None: no frame can be used.
+        lacking: exposures without a usable frame.
+        sample: chosen pixels; None: no usable frame.
         largest: code of all its frames, DN.
         smallest: likewise.
         remarks: what a reader should know, frames named.
@@ -45,16 +45,16 @@ class ReadBracket(NamedTuple):
 
 @dataclass
 class BracketReading:
-    """Read brackets of one capture.
+    """Reader of the brackets of one capture.
 
     Attributes:
-        capture: where the frames lie.
-        reader: how they are read.
-        region: part of the frames that is used; None: all of it.
+        capture: the capture.
+        reader: the reader of frames.
+        region: part of the frames that is used; None: the whole frame.
         names: of the exposures.
         darkness: of each exposure.
         noise: standard deviation of one pixel's read noise, DN.
-        kept: where what was read is kept; None: nowhere.
+        kept: cache of results; None: no cache.
     """
 
     capture: Capture
@@ -67,7 +67,7 @@ class BracketReading:
     _shape: tuple[int, ...] | None = None
 
     def __post_init__(self) -> None:
-        """Tell what all brackets depend on."""
+        """Compute a fingerprint of the settings of all brackets."""
         about = (
             self.region,
             self.capture.reference_region,
@@ -79,7 +79,7 @@ class BracketReading:
         self._about = "" if self.kept is None else fingerprint(*about, *levels)
 
     def read(self, numbered: tuple[int, str]) -> ReadBracket:
-        """Return what is kept of a lamp position, given its number and name."""
+        """Read a lamp position, given its number and name."""
         if self.kept is None:
             return self._read(numbered)
         frames = self.capture.of("frames", lamp=numbered[1])
@@ -90,7 +90,7 @@ class BracketReading:
         def made() -> dict[str, np.ndarray]:
             found = self._read(numbered)
             if any(remark.code == "bad-frame" for remark in found.remarks):
-                failed.append(found)  # a slow disk or little memory may be better the next time
+                failed.append(found)  # a slow disk or little memory may be temporary
                 return {}
             return _packed(found, self._shape)
 
@@ -120,7 +120,7 @@ class BracketReading:
         return 1 if self.reader.cfa is None else 2
 
     def _bracket(self, lamp: str, remarks: list[Remark]) -> list[tuple[CaptureFrame, np.ndarray]]:
-        """Return the frames of one lamp position that can be used, with their codes, in the order of `names`."""
+        """Read the usable frames of one lamp position, with their codes, in the order of `names`."""
         found: dict[str, tuple[CaptureFrame, np.ndarray]] = {}
         for frame in self.capture.of("frames", lamp=lamp):
             path = self.capture.folder / frame.file
@@ -139,7 +139,7 @@ class BracketReading:
                 remarks.append(Remark("other-size", f"{text}; it was left out"))
                 continue
             if not np.isfinite(codes).all():
-                remarks.append(Remark("bad-frame", f"{path}: holds values that are not finite; it was left out"))
+                remarks.append(Remark("bad-frame", f"{path}: contains values that are not finite; it was left out"))
                 continue
             found[frame.exposure] = frame, codes
         return [found[name] for name in self.names if name in found]

@@ -1,9 +1,9 @@
-"""How evenly the pixels see: vignetting and pixel response non-uniformity, from frames of an evenly lit field.
+"""Vignetting and pixel response non-uniformity, from frames of a uniform field.
 
-The mean of the flat frames, without dark, is of each colour a smooth field (vignetting, shadows of dust) times what each pixel
-departs from it. The departure is shrunk by the flat frames' own noise: two frames of 15,000 electrons know a pixel to 0.6 %,
-and a sensor's pixels differ by 1 % (James and Stein, as in darkness.py). What remains uncertain of it widens the merged values'
-errors.
+For each colour the mean of the flat frames, without dark, is a smooth field (vignetting, shadows of dust) times the
+deviation of each pixel. The deviation is shrunk according to the noise of the flat frames (James and Stein, as in
+darkness.py): two frames of 15,000 electrons determine a pixel to 0.6 %, and the pixels of a sensor differ by 1 %. The
+remaining uncertainty widens the errors of the merged values.
 """
 
 from __future__ import annotations
@@ -23,28 +23,28 @@ from matcam.files.capture_frames import CaptureFrame
 from matcam.files.picture_header import read_exif
 
 _MOST = 16
-"""Flat frames that are used."""
+"""Largest number of flat frames that are used."""
 _DARK = 100.0
-"""Read noises above dark that a flat frame has at least."""
+"""Smallest signal of a flat frame, in read noises above dark."""
 _CLIPPED = 1e-3
-"""Share of clipped pixels from which a flat frame is left out."""
+"""Share of clipped pixels above which a flat frame is left out."""
 _SMOOTH = 33
-"""Width of the square over which the smooth field is averaged, twice, px."""
+"""Width of the square of the moving average that is applied twice for the smooth field, px."""
 _LEAST = 0.1
-"""Response below which a pixel is not corrected but left out."""
+"""Response below which a pixel is left out instead of corrected."""
 _ROBUST = 1.4826
 
 
 @dataclass(frozen=True)
 class FlatField:
-    """Hold the response of the pixels, about 1 in the middle of the frames.
+    """Response of the pixels, about 1 in the middle of the frames.
 
     Attributes:
         response: of each pixel over the usual one of its colour, float32 (height, width); NaN: too small to be corrected.
         std: its relative standard deviation, one for all pixels of a colour, (channels,).
-        reference: mean response over the reference region, by channel; 1 where there is none, (channels,).
+        reference: mean response over the reference region, by channel; 1 without one, (channels,).
         prnu: relative scatter of the pixels about the smooth field, no unit.
-        frames: how many frames it is from.
+        frames: number of frames.
     """
 
     response: np.ndarray
@@ -64,19 +64,19 @@ def measure_flat(
     gain: float,
     noise: float,
 ) -> tuple[FlatField | None, list[Remark]]:
-    """Return how evenly the pixels see, and what was noticed.
+    """Measure the uniformity of the pixels, and collect remarks.
 
     Args:
-        reader: how frames are read.
-        capture: where they lie.
-        region: part of the frames that is used; None: all of it.
+        reader: the reader of frames.
+        capture: the capture.
+        region: part of the frames that is used; None: the whole frame.
         darkness: of the exposures of the sample.
-        clip: code from which a pixel is clipped, DN.
+        clip: code above which a pixel is clipped, DN.
         gain: DN per electron.
         noise: read noise, DN.
 
     Returns:
-        The flat field; None where no flat frame can be used.
+        The flat field; None without a usable flat frame.
     """
     total: np.ndarray | None = None
     patch: np.ndarray | None = None
@@ -123,7 +123,7 @@ def measure_flat(
 
 
 def smooth_field(total: np.ndarray, of: np.ndarray) -> tuple[np.ndarray, float]:
-    """Return the smooth part of a flat frame at one colour's pixels, and its level in the middle of the frame.
+    """Fit the smooth part of a flat frame at the pixels of one colour, and its level in the middle of the frame.
 
     Args:
         total: flat frame without dark, (height, width).
@@ -142,7 +142,7 @@ def smooth_field(total: np.ndarray, of: np.ndarray) -> tuple[np.ndarray, float]:
     coefficients = np.zeros((5, 5))
     coefficients[tuple(np.transpose(pairs))] = found
     trend = np.maximum(powers[0] @ coefficients @ powers[1].T, 1e-9)
-    # what is left of it locally: dust, and what a polynomial does not follow
+    # local residual: dust, and structure beyond a polynomial
     local, weight = np.where(of, total / trend, 0.0), of.astype(float)
     for _ in range(2):
         local, weight = (uniform_filter(one, _SMOOTH, mode="constant") for one in (local, weight))
@@ -166,7 +166,7 @@ def _dark(
 def _beside(
     reader: MosaicReader, capture: Capture, frame: CaptureFrame, darkness: dict[str, Darkness]
 ) -> np.ndarray | None:
-    """Return the mean light of a flat frame where the reference stands in the others, by channel."""
+    """Average the light of a flat frame at the position of the reference, by channel."""
     region = capture.reference_place
     if region is None:
         return None
@@ -186,7 +186,7 @@ def _wrong(
     noise: float,
     shape: Sequence[int] | None,
 ) -> str:
-    """Return what is wrong with a flat frame; empty: nothing."""
+    """Describe what is wrong with a flat frame; empty: usable."""
     sizes = [read_exif(capture.folder / one.file).size for one in (frame, capture.of("frames")[0])]
     if shape not in (None, codes.shape) or (None not in sizes and sizes[0] != sizes[1]):
         return "a flat frame of another size than the frames of the sample"

@@ -1,8 +1,8 @@
-"""Keep what was read of a capture's frames on disk, so that a run that was cut off goes on where it was.
+"""Cache on disk of results from the frames of a capture, so that an interrupted run resumes.
 
-A file belongs to what it was made of: the frames (name, size, time of change, first and last 64 KiB of each), the settings,
-and the package's version. It is believed only whole (core/sealed.py). A run that ends well removes its files; what is older
-than two weeks is removed by the next.
+The key of a file contains the frames (name, size, time of change, first and last 64 KiB of each), the settings, and the
+version of the package. Only complete files are used (core/sealed.py). A successful run removes its files, and the next
+run removes files older than two weeks.
 """
 
 from __future__ import annotations
@@ -18,17 +18,17 @@ import numpy as np
 from matcam.core.sealed import remove_sealed, sealed_files
 from matcam.core.workspace import Workspace, kept_file
 
-_PIECE = 1 << 16  # bytes of either end of a frame
+_PIECE = 1 << 16  # bytes at either end of a frame
 _OLD = 14 * 86400.0  # s
-_MOST = 100_000  # files: age decides what goes
+_MOST = 100_000  # unlimited number of files; age decides on removal
 
 
 @dataclass
 class KeptWork:
-    """Keep arrays of one run.
+    """Cache of arrays of one run.
 
     Attributes:
-        folder: where files lie; it is made when something is kept.
+        folder: folder of the files; it is created with the first file.
 
     Example:
         >>> import tempfile
@@ -43,17 +43,17 @@ class KeptWork:
     _files: set[Path] = field(default_factory=set)
 
     def store(self, description: str, make: Callable[[], dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
-        """Return the arrays that `make` returned for this description before, from disk, or call it.
+        """Return the arrays for a description from disk, or compute and store them.
 
         Args:
-            description: text that holds all that the arrays depend on.
+            description: text that contains all dependencies of the arrays.
             make: function that computes the arrays.
         """
         self._files.add(kept_file(self.folder, description))
         return Workspace(self.folder, files=_MOST).store(description, make)
 
     def clear(self) -> None:
-        """Remove what this run kept, and what others left long ago."""
+        """Remove the files of this run, and old files of others."""
         since = time.time() - _OLD
         old = [
             one.name for one in sealed_files(self.folder) if one.status.st_mtime < since and one.name.endswith(".npz")
@@ -62,7 +62,7 @@ class KeptWork:
 
 
 def identity(paths: Iterable[Path]) -> str:
-    """Return what tells these files from others, and from themselves once they have changed."""
+    """Compute a fingerprint of the files."""
     lines = []
     for path in paths:
         try:
@@ -71,7 +71,7 @@ def identity(paths: Iterable[Path]) -> str:
                 digest = hashlib.sha256(file.read(_PIECE))
                 file.seek(max(about.st_size - _PIECE, 0))
                 digest.update(file.read(_PIECE))
-        except OSError as error:  # whoever reads it will say what is wrong
+        except OSError as error:  # reading the file will report the error
             lines.append(f"{path.name} {error.strerror}")
             continue
         lines.append(f"{path.name} {about.st_size} {about.st_mtime_ns} {digest.hexdigest()}")
@@ -79,7 +79,7 @@ def identity(paths: Iterable[Path]) -> str:
 
 
 def fingerprint(*values: object) -> str:
-    """Return a hash of arrays and of plain values."""
+    """Compute a hash of arrays and of plain values."""
     digest = hashlib.sha256()
     for value in values:
         if isinstance(value, np.ndarray):

@@ -42,7 +42,7 @@ _HALF_FLOAT = 2.0**-11
 
 
 class TopCodes(NamedTuple):
-    """Brightest pixels of one frame, and the noise that their codes should have.
+    """Brightest pixels of one frame, and their expected noise.
 
     Attributes:
         level: largest code, DN.
@@ -50,7 +50,7 @@ class TopCodes(NamedTuple):
         near: number of pixels within the spread of a pile-up below it.
         median: median code of these, DN.
         height: `level` above dark, DN.
-        gain: photon noise variance over light, DN per electron: a lower bound; NaN: the frame does not determine it.
+        gain: photon noise variance over light, DN per electron: a lower bound; NaN: not determined.
         unit: difference of neighbouring codes, DN.
         least: code that 1 % of the frame's pixels do not exceed, DN.
     """
@@ -66,7 +66,7 @@ class TopCodes(NamedTuple):
 
 
 class PileUp(NamedTuple):
-    """Clip level that pile-ups of several frames have in common.
+    """Common clip level of pile-ups in several frames.
 
     Attributes:
         clip: the level.
@@ -118,7 +118,7 @@ def find_pile_up(tops: Sequence[TopCodes], noise: float, gain: float) -> PileUp 
     Args:
         tops: of all frames.
         noise: read noise, DN.
-        gain: DN per electron, for frames that do not determine it; NaN: not known.
+        gain: DN per electron, for frames that do not determine it; NaN: unknown.
     """
     gains = [top.gain for top in tops if math.isfinite(top.gain)]
     common = float(np.median(gains)) if gains else gain
@@ -160,13 +160,13 @@ def _log_share(top: TopCodes, width: float, noise: float, gain: float) -> float:
 def _least_gain(light: np.ndarray, below: float, step: int, noise: float) -> float:
     """Return a lower bound of photon noise variance over light, DN; NaN where too few pixels are lit.
 
-    Second differences in both directions have 36 times a pixel's variance and vanish for light that is quadratic in place. What
-    structure leaves in them only adds: the smallest value among bins of brightness is a lower bound in frames that have smooth
-    parts, and 0 in frames without noise.
+    Second differences in both directions have 36 times a pixel's variance and vanish for light that is quadratic in
+    place. Structure only increases them, so the smallest value among bins of brightness is a lower bound in frames with
+    smooth parts, and 0 in frames without noise.
 
     Args:
         light: part of a frame without dark, DN.
-        below: brightness from which pixels are left out, DN.
+        below: brightness above which pixels are left out, DN.
         step: distance of the nearest pixel of the same colour, px.
         noise: read noise, DN.
     """

@@ -1,8 +1,8 @@
-"""The reference as frames show it: in those of the sample, or in pictures of its own (reference/).
+"""Reference in the frames of the sample, or in its own images (reference/).
 
-A picture of its own is taken before or after the sample's, so that the lamp's light may have changed between the two. By how
-much is stated, or read off the repeated pictures of one lamp position, or off how the light changes from one lamp position to
-the next: they lie further apart in time.
+A separate image is taken before or after that of the sample, and the light of the lamp may change in between. The
+change is stated, or estimated from repeated images of one lamp position, or from the changes of light between lamp
+positions, which are further apart in time.
 """
 
 from __future__ import annotations
@@ -24,21 +24,21 @@ from matcam.files.capture import Capture, Region, Stated
 from matcam.files.capture_frames import CaptureFrame
 
 _UNEVEN = 1.5
-"""Ratio of two quarters of the region from which it is said to reach beyond the reference."""
+"""Ratio of two quarters of the region above which the region is not inside the reference."""
 _FEWEST = 3
-"""Degrees of freedom from which a scatter is estimated."""
+"""Smallest number of degrees of freedom for an estimate of scatter."""
 _STEADY = 0.001
-"""Relative change of light that no weight of a step is below."""
+"""Smallest relative change of light in the weight of a step."""
 
 
 class SeenReference(NamedTuple):
-    """Hold the reference in the frames of one lamp position.
+    """Reference in the frames of one lamp position.
 
     Attributes:
         lamp: name of the lamp position.
         exposures: index of each frame's exposure among all, (k,); repeated where frames are.
-        light: mean over the reference in each frame and channel without dark, (k, channels), DN; NaN: none, or clipped.
-        pixels: how many pixels of each channel it is the mean of, (channels,).
+        light: mean over the reference in each frame and channel without dark, (k, channels), DN; NaN: absent, or clipped.
+        pixels: number of pixels of each channel in that mean, (channels,).
     """
 
     lamp: str
@@ -48,7 +48,7 @@ class SeenReference(NamedTuple):
 
 
 def in_sample_frames(samples: Sequence[BracketSample]) -> list[SeenReference]:
-    """Return the reference as the sample's frames show it.
+    """Return the reference in the frames of the sample.
 
     Args:
         samples: of all lamp positions.
@@ -64,15 +64,15 @@ def in_own_frames(
     darkness: Mapping[str, Darkness],
     threshold: float,
 ) -> tuple[list[SeenReference], list[Remark]]:
-    """Return the reference as its own pictures show it, and what cannot be used of them.
+    """Measure the reference in its own images, and list unusable ones.
 
     Args:
-        reader: how frames are read.
-        capture: where they lie.
-        lamps: names of the lamp positions that are wanted.
+        reader: the reader of frames.
+        capture: the capture.
+        lamps: names of the required lamp positions.
         exposures: names of the sample's exposures, the shortest first.
         darkness: of each exposure.
-        threshold: code from which a pixel is clipped, DN.
+        threshold: code above which a pixel is clipped, DN.
     """
     region, remarks = capture.reference_place, list[Remark]()
     if region is None:
@@ -82,7 +82,7 @@ def in_own_frames(
     found: dict[str, list[tuple[int, np.ndarray]]] = {lamp: [] for lamp in lamps}
     pixels = np.zeros(len(reader.channels), int)
     diffuse = capture.settings["reference"]["kind"] == "diffuse"
-    # a white patch says nothing of a lamp at grazing
+    # at grazing incidence a white patch does not determine the light of a lamp
     grazing = {lamp: diffuse and math.cos(capture.lamps[lamp].angle) <= GRAZING for lamp in lamps}
     for frame in capture.of("reference"):
         if frame.lamp and frame.lamp in capture.lamps and frame.lamp not in found:
@@ -103,7 +103,7 @@ def in_own_frames(
         of = reader.channel_map((codes.shape[0], codes.shape[1]), (region[1], region[0])).ravel()
         pixels = np.bincount(of, minlength=len(pixels))
         if not pixels.all() or not np.isfinite(codes).all():
-            wrong.setdefault("the region holds no pixel of some colour, or no number", []).append(frame.file)
+            wrong.setdefault("the region has no pixel of some colour, or no valid value", []).append(frame.file)
         elif codes.max() >= threshold:
             wrong.setdefault("the reference is clipped", []).append(frame.file)
         else:
@@ -119,7 +119,7 @@ def in_own_frames(
     lacking = [lamp for lamp, seen in found.items() if not seen and not grazing[lamp]]
     if lacking:
         text = f"lamp{'s' * (len(lacking) > 1)} {some_of(lacking)}: no usable picture in reference/"
-        remarks.append(Remark("reference-missing", f"{text}; what lamp.gain_std states of the light stands"))
+        remarks.append(Remark("reference-missing", f"{text}; the value of lamp.gain_std is used"))
     return [
         SeenReference(lamp, np.array([k for k, _ in seen]), np.array([light for _, light in seen]), pixels)
         if seen
@@ -131,22 +131,22 @@ def in_own_frames(
 def scatter_between(
     seen: Sequence[SeenReference], exposures: np.ndarray, gain: float, noise: float, output: Mapping[str, Stated]
 ) -> float:
-    """Return the standard deviation of the change of light between two pictures of one lamp position, relative.
+    """Estimate the relative standard deviation of the change of light between two images of one lamp position.
 
     Args:
         seen: the reference of each lamp position, in the order in which they were taken.
         exposures: light of each exposure, relative.
         gain: DN per electron.
         noise: read noise, DN.
-        output: light of each lamp position by the reference, with what is uncertain of it but for such changes.
+        output: light of each lamp position by the reference, with its uncertainty without such changes.
 
     Returns:
-        The standard deviation; NaN where too few pictures tell it.
+        The standard deviation; NaN with too few images.
 
     Source:
-        Twice the variance of repeats, each lamp position and exposure with a mean of its own; else the mean square of the steps
-        from one lamp position to the next (von Neumann 1941), which is no less where the light drifts. Both are widened
-        as Student's distribution is.
+        Twice the variance of repeats, each lamp position and exposure with its own mean; otherwise the mean square of
+        the steps between successive lamp positions (von Neumann 1941), which includes drift. Both are widened as
+        Student's distribution.
     """
     rows, values, variances = [], [], []
     lamps = [one for one in seen if len(one.exposures) > 1]
@@ -180,7 +180,7 @@ def _unseen(lamp: str, channels: int) -> SeenReference:
 
 
 def _uneven(capture: Capture, frame: CaptureFrame, light: np.ndarray, region: Region) -> list[Remark]:
-    """Return whether the light over the region changes by more than a near lamp's on one patch."""
+    """Check whether the light varies over the region by more than that of a near lamp on one patch."""
     half = light.shape[0] // 2, light.shape[1] // 2
     parts = [light[: half[0]], light[half[0] :], light[:, : half[1]], light[:, half[1] :]]
     levels = [float(part.mean()) for part in parts if part.size]

@@ -1,4 +1,4 @@
-"""What the reference in the frames recorded: its merged value in every lamp position, and the lamps' light by it."""
+"""Merged value of the reference in every lamp position, and the light of the lamps from it."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ def reference_light(
     noise: float,
     response: np.ndarray,
 ) -> dict[str, tuple[Stated, ...]]:
-    """Return the merged value of the reference in every lamp position, by channel, with its noise.
+    """Merge the value of the reference in every lamp position, by channel, with its noise.
 
     Args:
         seen: the reference in the frames of each lamp position.
-        exposures: light of each exposure relative to the one whose unit merged values have.
+        exposures: light of each exposure relative to the one that defines the unit of merged values.
         gain: DN per electron; not finite: merged values are DN.
         noise: read noise, DN.
-        response: of the pixels there over the usual, by channel, as flat frames say, (channels,).
+        response: of the pixels there over the mean, by channel, from flat frames, (channels,).
     """
     scale = gain.value if math.isfinite(gain.value) else 1.0
     found = {}
@@ -54,12 +54,13 @@ def lamp_output(
     noise: float,
     between: float = 0.0,
 ) -> dict[str, Stated]:
-    """Return the lamps' light by the reference, relative to its mean; the lamp of a diffuse one is taken as distant.
+    """Compute the light of the lamps from the reference, relative to its mean; the lamp of a diffuse one counts as
+    distant.
 
     Args:
-        capture: what is stated of reference and lamps.
+        capture: stated properties of reference and lamps.
         seen: the reference in the frames of each lamp position.
-        exposures: light of each exposure relative to the one whose unit merged values have.
+        exposures: light of each exposure relative to the one that defines the unit of merged values.
         gain: DN per electron; not finite: merged values are DN.
         noise: read noise, DN.
         between: standard deviation of the change of light between a picture of the reference and one of the sample, relative.

@@ -1,12 +1,12 @@
-"""The unit of merged values, and each picture's light, from a white patch that faces the camera.
+"""Unit of merged values, and the light of each image, from a white patch that faces the camera.
 
-It stands beside the sphere, or in pictures of its own.
+It is beside the sphere, or in separate images.
 
-A patch of reflectance R at p, with normal n, sends the radiance R/pi E g under a lamp that makes the irradiance E at the
-sphere's centre: g = n.w / |w|^3, w = l - p/Q, l the lamp's direction and Q its distance (docs/model.md 10). So its recorded
-value is U G R/pi g: U the value per radiance under unit irradiance, G the picture's light over the usual. All ln G are 0 within
-what is stated of the lamp. Where the patch stands and how it is tilted is one error of all pictures; the lamps' directions are
-each their own.
+A patch of reflectance R at p, with normal n, sends the radiance R/pi E g under a lamp with the irradiance E at the
+centre of the sphere: g = n.w / |w|^3, w = l - p/Q, l the lamp's direction and Q its distance (docs/model.md 10). So its
+recorded value is U G R/pi g: U the value per radiance under unit irradiance, G the light of the image over the mean.
+All ln G are 0 within the stated stability of the lamp. Position and tilt of the patch are common errors of all images;
+the directions of the lamps have independent ones.
 """
 
 from __future__ import annotations
@@ -23,16 +23,16 @@ GRAZING = 0.2
 """Cosine of the light on the patch below which it is not used."""
 _STEP = 1e-5
 _UNKNOWN_DEPTH = Stated(0.0, 0.5)
-"""Radii; where a capture does not state how far the patch stands before the sphere's centre."""
+"""Distance of the patch in front of the centre of the sphere, radii, if the capture does not give it."""
 
 
 class ReferencePatch(NamedTuple):
-    """Describe a white patch beside the sphere.
+    """White patch beside the sphere.
 
     Attributes:
         region: first column, first row, width, height in the whole frame, px.
-        reflectance: no unit; None: not known.
-        depth: how far it stands before the sphere's centre, towards the camera, radii. Default: 0 +- 0.5.
+        reflectance: no unit; None: unknown.
+        depth: distance in front of the centre of the sphere, towards the camera, radii. Default: 0 +- 0.5.
         tilt_std: standard deviation of its normal from the camera's axis, along each of two axes, rad. Default: 1 degree.
     """
 
@@ -42,7 +42,7 @@ class ReferencePatch(NamedTuple):
     tilt_std: float = float(np.radians(1.0))
 
     def place(self, ball: MirrorBall, depth: float) -> np.ndarray:
-        """Return where it stands (3,), from the sphere's centre in radii: x right, y up, z to the camera."""
+        """Return its position (3,), from the centre of the sphere in radii: x right, y up, z to the camera."""
         column, row, width, height = self.region
         across = np.array([column + (width - 1) / 2 - ball.column, ball.row - row - (height - 1) / 2]) / ball.radius
         q = 1 / ball.distance
@@ -50,14 +50,14 @@ class ReferencePatch(NamedTuple):
 
 
 class PatchLight(NamedTuple):
-    """Hold what a white patch says of the pictures' light.
+    """Light of images from a white patch.
 
     Attributes:
-        gain: light of each picture over the usual, (pictures,).
+        gain: light of each image over the mean, (pictures,).
         covariance: of ln gain, (pictures, pictures).
-        units: of each channel, merged value per radiance under unit irradiance at the sphere's centre, with relative standard
-            deviation; None: the patch's reflectance is not stated.
-        used: in which pictures it could be used, (pictures,).
+        units: of each channel, merged value per radiance under unit irradiance at the sphere's centre, with relative
+            standard deviation; None: the reflectance of the patch is unknown.
+        used: whether it is usable in each image, (pictures,).
     """
 
     gain: np.ndarray
@@ -69,7 +69,8 @@ class PatchLight(NamedTuple):
 def patch_geometry(
     lamps: np.ndarray, nearness: float, place: np.ndarray, tilt: tuple[float, float] = (0.0, 0.0)
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the irradiance on a patch over that at the sphere's centre across the light, and the cosine on the patch.
+    """Compute the irradiance on a patch over that at the centre of the sphere across the light, and the cosine on the
+    patch.
 
     Args:
         lamps: unit vectors from the sphere's centre, (n, 3).
@@ -100,22 +101,22 @@ def patch_light(
     exposure_std: float = 0.0,
     between: float = 0.0,
 ) -> PatchLight | None:
-    """Return the pictures' light and the unit of their values from the patch in them.
+    """Estimate the light of the images and the unit of their values from the patch in them.
 
     Args:
         patch: the patch.
-        light: its merged value in each picture and channel with standard deviation; NaN: not usable there.
+        light: its merged value in each picture and channel with standard deviation; NaN: not usable.
         lamps: directions to the lamps, (pictures, 3).
-        ball: the sphere, which the patch's place is counted from.
+        ball: the sphere, the origin of the position of the patch.
         lamp_nearness: one over the lamp's distance, radii.
         lamp_std: standard deviation of each lamp's direction along each of two tangents, rad, (pictures,).
-        gain_std: scatter of a picture's light by what is stated of the lamp, relative.
+        gain_std: stated relative scatter of the light of an image.
         exposure_std: relative standard deviation that exposure ratios add to the unit. Default: 0.
         between: standard deviation of the change of light between a picture of the patch and one of the sphere, relative.
             Default: 0, one frame shows both.
 
     Returns:
-        Gains, their covariance, and units; None where the patch can be used in no picture.
+        Gains, their covariance, and units; None if the patch is not usable in any image.
     """
     value = np.array([[one.value for one in channels] for channels in light])
     std = np.array([[one.std for one in channels] for channels in light])

@@ -1,1 +1,1 @@
-"""The limb of a sphere in a picture: its circle, its edges, and what it mirrors of a bright field."""
+"""Limb of a sphere in an image: its circle, its edges, and the reflection of a bright field."""

@@ -1,22 +1,22 @@
-"""What a sphere mirrors of the bright field behind it: its dark disc looks smaller than it is."""
+"""Reflection of the bright field behind a sphere, which makes its dark disc look smaller."""
 
 import numpy as np
 
 _GRAZING = (4.0, 2.5)
 """Fresnel reflectance at a grazing angle g is exp(-c g): c of metals and glasses, and its spread."""
 _REACH_UNKNOWN = np.radians(3.0)
-"""A backlight of unstated size: its reflection is not subtracted, and this one's counts as error."""
+"""Extent of a backlight of unknown size, rad: its reflection is not subtracted, but counts as error."""
 
 
 def grazing_reflection(radius: float, reach: tuple[float, float] | None) -> tuple[float, float]:
-    """Return by how much the mirrored backlight shrinks a dark disc, and the standard deviation, px.
+    """Compute the shrinkage of a dark disc by the mirrored backlight, and its standard deviation, px.
 
     A ray that grazes the limb at a distance t inside it is turned by 2 sqrt(2 t / radius). The sphere mirrors a field that
     reaches E beyond the limb down to t = radius (1 - cos(E / 2)), there weighted with the Fresnel reflectance.
 
     Args:
         radius: of the limb, px.
-        reach: E and its standard deviation, rad; None: not known.
+        reach: E and its standard deviation, rad; None: unknown.
 
     Example:
         >>> shrunk, std = grazing_reflection(400.0, (np.radians(5), np.radians(1)))

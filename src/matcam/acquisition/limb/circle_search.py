@@ -1,4 +1,4 @@
-"""Find the circle of a sphere's limb in a picture, with no start given: pairs of edges whose normals meet in one centre."""
+"""Search for the circle of the limb of a sphere without a start: pairs of edges whose normals meet in one centre."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 from scipy import ndimage
 
 _LARGEST = 320
-"""Longest side of the picture that is searched, px; a larger one is binned."""
+"""Longest side of the searched image, px; larger images are binned."""
 _EDGES = 2500
 _PAIRS = 40000
 _TRIED = 600
@@ -18,13 +18,13 @@ _STRAIGHT = 0.9  # cosine between an edge's normal and the circle's
 
 
 class FoundCircle(NamedTuple):
-    """Hold a circle that edges lie on.
+    """Circle that edges lie on.
 
     Attributes:
         row: of its centre, px.
         column: of its centre, px.
         radius: px.
-        coverage: share of its circumference at which there is an edge.
+        coverage: share of its circumference with an edge.
     """
 
     row: float
@@ -34,18 +34,18 @@ class FoundCircle(NamedTuple):
 
     @property
     def score(self) -> float:
-        """Length of the circumference at which there is an edge, px."""
+        """Length of the circumference with an edge, px."""
         return self.coverage * 2 * np.pi * self.radius
 
 
 def find_circles(values: np.ndarray, std: np.ndarray, *, bright_inside: bool, mosaic: bool) -> list[FoundCircle]:
-    """Return the circles of a picture that do not lie in one another, the longest first; at most two.
+    """Find the circles of an image that do not contain each other, the longest first; at most two.
 
     Args:
-        values: linear radiance (height, width); NaN where there is none.
+        values: linear radiance (height, width); NaN for missing values.
         std: its standard deviation.
         bright_inside: True for a lit sphere, False for a dark one before a bright field.
-        mosaic: whether neighbouring pixels are of different colours.
+        mosaic: whether neighbouring pixels have different colours.
 
     Returns:
         Circles in px of the picture, of at least 0.15 of their circumference.
@@ -76,7 +76,7 @@ def find_circles(values: np.ndarray, std: np.ndarray, *, bright_inside: bool, mo
 
 
 def _binned(values: np.ndarray, std: np.ndarray, bin_: int) -> tuple[np.ndarray, float]:
-    """Return the picture in steps of its noise, compressed so that a highlight is not all there is."""
+    """Bin the image in steps of its noise, compressed so that a highlight does not dominate."""
     height, width = (n // bin_ * bin_ for n in values.shape)
     blocks = values[:height, :width].reshape(height // bin_, bin_, width // bin_, bin_)
     good = np.isfinite(blocks)
@@ -90,7 +90,7 @@ def _binned(values: np.ndarray, std: np.ndarray, bin_: int) -> tuple[np.ndarray,
 
 
 def _edges(picture: np.ndarray, noise: float, bright_inside: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Return places (n, 2) of a picture's edges and their unit normals towards the sphere (n, 2), in (row, column)."""
+    """Find positions (n, 2) of edges of an image and their unit normals towards the sphere (n, 2), in (row, column)."""
     rows = ndimage.gaussian_filter(picture, 1.0, order=(1, 0))
     columns = ndimage.gaussian_filter(picture, 1.0, order=(0, 1))
     size = np.hypot(rows, columns)
@@ -120,7 +120,7 @@ def _edges(picture: np.ndarray, noise: float, bright_inside: bool) -> tuple[np.n
 
 
 def _best(place: np.ndarray, inwards: np.ndarray, rng: np.random.Generator, largest: float) -> FoundCircle | None:
-    """Return the circle with edges at the greatest length of its circumference."""
+    """Find the circle with the greatest length of edges along its circumference."""
     i, j = rng.integers(0, len(place), (2, _PAIRS))
     apart, turned = place[j] - place[i], inwards[i] - inwards[j]
     size = (turned**2).sum(1)
@@ -155,7 +155,7 @@ def _best(place: np.ndarray, inwards: np.ndarray, rng: np.random.Generator, larg
 def _coverage(
     place: np.ndarray, inwards: np.ndarray, row: float, column: float, radius: float
 ) -> tuple[float, np.ndarray]:
-    """Return the share of a circle's circumference at which there is an edge, and those edges."""
+    """Compute the share of the circumference of a circle with an edge, and those edges."""
     y, x = row - place[:, 0], column - place[:, 1]
     distance = np.hypot(y, x)
     near = (np.abs(distance - radius) < _NEAR) & (y * inwards[:, 0] + x * inwards[:, 1] > _STRAIGHT * distance)

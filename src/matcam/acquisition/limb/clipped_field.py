@@ -1,4 +1,4 @@
-"""A clipped bright field: how it is recognised, and what it hides of the sample before it."""
+"""Clipped bright field: its detection, and the part of the sample that it hides."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ import numpy as np
 from matcam.core.remark import Remark
 
 _EVEN = 0.05
-"""Share of the pixels at the largest code from which a field may be clipped; noise puts a few pixels of a frame there."""
+"""Share of the pixels at the largest code above which a field may be clipped; noise puts a few pixels of a frame there."""
 _PIXEL = 0.29
 """px; standard deviation of a pixel: 1 / sqrt(12)."""
 
 
 def field_is_clipped(codes: np.ndarray, saturation: float) -> bool:
-    """Detect a field whose pixels read the largest code of a file, or of a frame whose dark pixels show noise.
+    """Detect a field whose pixels have the largest code of a file, or of a frame whose dark pixels show noise.
 
-    A frame without noise anywhere is a render, whose even field reads one code unclipped.
+    A frame without noise anywhere is a render, whose uniform field has one code without clipping.
 
     Args:
         codes: frame of the sample before a bright field, (height, width).
@@ -32,11 +32,11 @@ def field_is_clipped(codes: np.ndarray, saturation: float) -> bool:
 
 
 def hidden_by_clipping(path: Path, sigma: float) -> tuple[float, Remark]:
-    """Return by how much a clipped bright field makes the sample look smaller, px, and as much for its standard deviation.
+    """Compute the apparent shrinkage of the sample by a clipped bright field, px, which is also its standard deviation.
 
-    The blurred edge of a field B is a step of half height at the edge. Clipped at C it is read where the light is C / 2: s z
-    inside the edge, where s is the standard deviation of lens and pixel and z the normal quantile of 1 - C / (2 B), 0 to 1.6
-    for fields of 1 to 10 times C.
+    The blurred edge of a field B is a step of half height at the edge. Clipped at C it appears where the light is C /
+    2: s z inside the edge, where s is the standard deviation of lens and pixel and z the normal quantile of 1 - C / (2
+    B), 0 to 1.6 for fields of 1 to 10 times C.
 
     Args:
         path: of the frame or the frames, for the remark.

@@ -1,4 +1,4 @@
-"""A sphere's outline that needs no outline frames: a circle stated in capture.toml, or a mask."""
+"""Outline of a sphere without outline frames: a circle in capture.toml, or a mask."""
 
 from __future__ import annotations
 
@@ -12,22 +12,23 @@ from matcam.core.errors import FitError
 from matcam.files.photographs import open_photograph
 
 _STATED_STD = 0.5
-"""px; of a circle that is stated without a standard deviation: it is mostly read off a screen."""
+"""Standard deviation of a circle that is stated without one, px: it is usually read from a screen."""
 _FEWEST = 100
-"""Pixels of the smallest sphere in a mask."""
+"""Smallest number of pixels of a sphere in a mask."""
 _ROUND = 0.02
-"""Relative difference of the radii by area and by second moments from which a mask is no disc: 1 % for an ellipse whose axes
-differ by 28 %, 6 % for a square."""
+"""Relative difference of the radii by area and by second moments above which a mask is not a disc: 1 % for an ellipse
+whose axes differ by 28 %, 6 % for a square.
+"""
 
 
 def stated_circle(centre: tuple[float, float], radius: float, std: float, sighting: Sighting, sigma: float) -> Outline:
-    """Return a stated circle as an outline.
+    """Convert a stated circle to an outline.
 
     Args:
         centre: column and row, px.
         radius: px.
-        std: standard deviation of radius, column and row, px; 0: not stated.
-        sighting: how the camera stands.
+        std: standard deviation of radius, column and row, px; 0: unknown.
+        sighting: geometry of the camera.
         sigma: standard deviation of the lens's blur, px.
     """
     return _outline(centre[1], centre[0], radius, np.full(3, std or _STATED_STD), sighting, sigma)
@@ -36,19 +37,19 @@ def stated_circle(centre: tuple[float, float], radius: float, std: float, sighti
 def mask_outline(
     path: Path, std: float, sighting: Sighting, sigma: float, shape: tuple[int, int] | None = None
 ) -> Outline:
-    """Return the outline of the disc in a mask, by its area and first moments.
+    """Measure the outline of the disc in a mask, by its area and first moments.
 
     Args:
-        path: picture of two values; the one at the border is around the sphere.
-        std: standard deviation of the radius, px. Where the mask's edge was drawn shifts the radius and leaves the centre: the
-            latter is taken as known to half of it.
-        sighting: how the camera stands.
+        path: image of two values; the one at the border is outside the sphere.
+        std: standard deviation of the radius, px. An offset of the edge of the mask changes the radius and not the
+            centre, whose standard deviation is half of it.
+        sighting: geometry of the camera.
         sigma: standard deviation of the lens's blur, px.
         shape: width and height of the frames, px. Default: None, not checked.
 
     Raises:
         FileFormatError: the picture cannot be read.
-        FitError: it shows no disc, or is not of the frames' size.
+        FitError: it shows no disc, or its size is not that of the frames.
     """
     values = np.asarray(open_photograph(path).values, dtype=float)
     values = values.max(axis=2) if values.ndim == 3 else values
@@ -67,7 +68,7 @@ def mask_outline(
         )
     rows, columns = np.nonzero(sphere)
     row, column, radius = float(rows.mean()), float(columns.mean()), float(np.sqrt(area / np.pi))
-    by_moments = float(np.sqrt(2 * (rows.var() + columns.var())))  # a disc's variance along a line is radius^2 / 4
+    by_moments = float(np.sqrt(2 * (rows.var() + columns.var())))  # the variance of a disc along a line is radius^2 / 4
     if abs(by_moments / radius - 1) > _ROUND:
         raise FitError(
             f"{path}: shows no disc: radius {radius:.1f} px by its area, {by_moments:.1f} px by its second moments: "

@@ -1,9 +1,10 @@
 """Edges of a sphere's limb in a picture, one for each sector of azimuth, each found through the lens.
 
-Just inside the limb the sphere is foreshortened: with t the distance from the limb, px, and r the limb's radius, the cosine of
-the viewing angle is sqrt(2 t / r) to first order. Everything that a lit sphere shows there is therefore a series in powers of
-sqrt(t): a + b sqrt(t) + c t + ... inside, the background outside. A dark sphere before a bright field is a step. Both are
-blurred by the lens's and pixel's LSF, and fitted to the pixels of a sector with the position of the edge.
+Just inside the limb the sphere is foreshortened: with t the distance from the limb, px, and r the limb's radius, the
+cosine of the viewing angle is sqrt(2 t / r) to first order. The light of a lit sphere there is therefore a series in
+powers of sqrt(t): a + b sqrt(t) + c t + ... inside, the background outside. A dark sphere in front of a bright field is
+a step. Both are blurred by the lens's and pixel's LSF, and fitted to the pixels of a sector with the position of the
+edge.
 """
 
 from __future__ import annotations
@@ -19,19 +20,21 @@ _STEP = 0.05  # px, of the table of blurred powers
 _GAUSS = np.polynomial.legendre.leggauss(80)
 _INDEX = 1.5  # of a clear coat
 _TURNS = 5
-_STILL = 1e-3  # px: a position that moves less has been found
+_STILL = 1e-3  # px: convergence of a position
 _SINGULAR = 1e-9
 _STEEPEST = 10.0
-"""Largest coefficient of light in powers of the viewing angle's cosine, over the light in the band: a glass sphere has 6."""
-_FAR = 0.5  # px: no position moves further in one turn
+"""Largest coefficient of light in powers of the cosine of the viewing angle, over the light in the band: a glass sphere
+has 6.
+"""
+_FAR = 0.5  # px: largest change of a position in one iteration
 
 
 class LimbSectors(NamedTuple):
-    """Hold the edges of a limb, one for each sector.
+    """Edges of a limb, one for each sector.
 
     Attributes:
         azimuth: of each sector's middle, from +column towards +row, rad (n,).
-        offset: distance of the edge outside of the curve that was assumed, px (n,). NaN: none was found.
+        offset: distance of the edge outside the assumed curve, px (n,). NaN: no edge.
         std: standard deviation of `offset` by noise, px (n,).
         misfit: chi squared over degrees of freedom (n,).
         contrast: light 2 px inside the limb over its standard deviation (n,).
@@ -49,7 +52,7 @@ class LimbSectors(NamedTuple):
 
 
 class BlurredPowers:
-    """Tabulate powers of the distance inside an edge, blurred by a Gaussian lens and a square pixel.
+    """Powers of the distance inside an edge, blurred by a Gaussian lens and a square pixel, as a table.
 
     Args:
         sigma: standard deviation of the lens, px.
@@ -80,7 +83,7 @@ class BlurredPowers:
         end = 8 * np.sqrt(self.variance)
         root2 = np.sqrt(2) * max(sigma, 1e-3)
         nodes, weights = _GAUSS
-        # u = s^2, the distance inside the edge, takes away the root's infinite slope
+        # u = s^2, the distance inside the edge, removes the infinite slope of the root
         t = self.places[:, None]
         top, bottom = (np.sqrt(np.maximum(t + side, 0.0)) for side in (end, -end))
         s = bottom + (top - bottom) * (nodes + 1) / 2
@@ -93,7 +96,7 @@ class BlurredPowers:
         self.slopes = np.gradient(self.columns, _STEP, axis=1)
 
     def __call__(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the blurred powers at distances inside the edge, (count, n), and their derivatives.
+        """Interpolate the blurred powers at distances inside the edge, (count, n), and their derivatives.
 
         Args:
             t: distance inside the edge, px (n,).
@@ -108,12 +111,12 @@ class BlurredPowers:
 
 @lru_cache(maxsize=16)
 def blurred_powers(sigma: float, exponents: tuple[float, ...], coated: float | None) -> BlurredPowers:
-    """Return `BlurredPowers` of these; the last ones are kept, because a search comes back to them."""
+    """Return `BlurredPowers` from a cache, because a search repeats them."""
     return BlurredPowers(sigma, exponents, coated=coated)
 
 
 def _transmitted(cosine: np.ndarray) -> np.ndarray:
-    """Return the share of unpolarised light that enters glass of index 1.5, by the cosine of its angle."""
+    """Compute the transmittance of unpolarised light into glass of index 1.5, by the cosine of its angle."""
     refracted = np.sqrt(1 - (1 - cosine**2) / _INDEX**2)
     across = (cosine - _INDEX * refracted) / (cosine + _INDEX * refracted)
     along = (_INDEX * cosine - refracted) / (_INDEX * cosine + refracted)
@@ -121,7 +124,7 @@ def _transmitted(cosine: np.ndarray) -> np.ndarray:
 
 
 class BandPixels(NamedTuple):
-    """Hold the pixels near a limb.
+    """Pixels near a limb.
 
     Attributes:
         inside: distance inside the assumed curve, px (n,).
@@ -141,7 +144,7 @@ class BandPixels(NamedTuple):
 
 
 def _channel_levels(pixels: BandPixels, channels: np.ndarray) -> np.ndarray:
-    """Return for each pixel how strongly its colour sees the step at the limb, against the first colour's."""
+    """Compute the relative height of the step at the limb for the colour of each pixel, over that of the first colour."""
     gain = np.ones(len(pixels.values))
     first = None
     for one in channels:
@@ -155,15 +158,15 @@ def _channel_levels(pixels: BandPixels, channels: np.ndarray) -> np.ndarray:
 
 
 def sector_edges(pixels: BandPixels, powers: BlurredPowers, count: int) -> LimbSectors:
-    """Fit the edge of every sector: Gauss-Newton for its position, with the coefficients of light solved for in each turn.
+    """Fit the edge of every sector: Gauss-Newton for its position, with the coefficients of light solved for in each iteration.
 
     Args:
-        pixels: those near the limb.
-        powers: what light may do inside the limb: two powers for a step before a bright field, more for a lit sphere.
+        pixels: pixels near the limb.
+        powers: powers of the light inside the limb: two for a step in front of a bright field, more for a lit sphere.
         count: number of sectors.
 
     Returns:
-        One edge for each sector; NaN where there is none.
+        One edge for each sector; NaN without one.
     """
     width = 2 * np.pi / count
     middle = (np.arange(count) + 0.5) * width
@@ -175,7 +178,7 @@ def sector_edges(pixels: BandPixels, powers: BlurredPowers, count: int) -> LimbS
     columns = powers_at + len(powers.columns) + 1
     number = np.bincount(sector, minlength=count)
     freedom = number - columns - 1
-    # every sector's pixels in a row of their own; where it has fewer, the weight is 0
+    # the pixels of every sector in one row; padding has weight 0
     order = np.argsort(sector, kind="stable")
     rank = np.arange(len(order)) - np.repeat(np.cumsum(number) - number, number)
 
@@ -188,8 +191,7 @@ def sector_edges(pixels: BandPixels, powers: BlurredPowers, count: int) -> LimbS
     along, colour = rows((turned - middle[sector]) / width), rows(pixels.channel.astype(float))
     masks = [(colour == one) * weight for one in channels]
     target = values * weight
-    # no coefficient of light is far beyond the light itself, in powers of the viewing angle's cosine: without this, a limb at
-    # which light begins without a step may lie anywhere
+    # bounded coefficients of light: otherwise a limb without a step of light may be at any position
     bright = np.where(weight > 0, np.abs(values), 0.0)
     level = np.maximum(np.percentile(bright, 90, axis=1), 1e-300)
     prior = np.zeros((count, columns, columns))
@@ -202,7 +204,7 @@ def sector_edges(pixels: BandPixels, powers: BlurredPowers, count: int) -> LimbS
         t = inside + shift[:, None] - powers.variance / (2 * pixels.radius)
         blurred, slopes = powers(t.ravel())
         blurred, slopes = blurred.reshape(-1, *t.shape), slopes.reshape(-1, *t.shape)
-        # each colour has a background of its own; the light of the sphere is one, up to the colours' gains
+        # each colour has its own background; the light of the sphere is common, up to the gains of the colours
         light = [np.minimum(t, 0.0) / 10, *blurred, blurred[0] * along]
         matrix = np.stack([*masks, *(column * weight for column in light)], axis=2)
         matrix = np.concatenate([matrix, prior], axis=1)
@@ -214,7 +216,7 @@ def sector_edges(pixels: BandPixels, powers: BlurredPowers, count: int) -> LimbS
         r[~good] = np.eye(r.shape[1])
         solution = np.linalg.solve(r, np.einsum("spc,sp->sc", q, target)[..., None])[..., 0] / scale
         residual = target - np.einsum("spc,sc->sp", matrix, solution)
-        # derivative of the model by the edge's position, with the coefficients of light free
+        # derivative of the model by the position of the edge, with the coefficients of light free
         moved = [(t < 0) / 10, *slopes, slopes[0] * along]
         slope = weight * sum(
             c[:, None] * column for c, column in zip(solution[:, len(channels) :].T, moved, strict=True)
@@ -228,7 +230,7 @@ def sector_edges(pixels: BandPixels, powers: BlurredPowers, count: int) -> LimbS
             break
         shift += np.clip(move, -_FAR, _FAR)
     chi2 = ((residual - slope * move[:, None]) ** 2).sum(1)
-    # light two pixels inside the limb, over what is outside
+    # light two pixels inside the limb, over that outside
     within = slice(powers_at, columns - 1)
     inverse = np.linalg.inv(r) / scale[:, :, None]
     at = 2.0 ** np.array(powers.exponents)

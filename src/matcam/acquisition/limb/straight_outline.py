@@ -1,6 +1,6 @@
-"""The outline of a cylinder before a bright field: two straight edges, through the lens.
+"""Outline of a cylinder in front of a bright field: two straight edges, through the lens.
 
-Both edges are measured in blocks of rows. From block to block they tell whether the cylinder leans.
+Both edges are measured in blocks of rows, which shows whether the cylinder leans.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ from matcam.core.remark import Remark
 _BLOCKS = 6
 _ABOUT = 9  # px on either side of an edge
 _LEAST_STD = 0.01  # px
-_LEANS = 0.3  # px by which the axis may move over the rows that are used
-_CONTRAST = 3.0  # of the bright field over the dark sample
+_LEANS = 0.3  # px by which the axis may move over the used rows
+_CONTRAST = 3.0  # ratio of the bright field to the dark sample
 
 
 class StraightOutline(NamedTuple):
-    """Hold the outline of an upright cylinder.
+    """Outline of an upright cylinder.
 
     Attributes:
         column: of its axis at the middle row, px.
@@ -48,13 +48,13 @@ def straight_outline(
     origin: tuple[int, int] = (0, 0),
     reach: tuple[float, float] | None = None,
 ) -> StraightOutline:
-    """Find the two edges of an upright cylinder before a bright field.
+    """Find the two edges of an upright cylinder in front of a bright field.
 
     Args:
         codes: linear picture, dark subtracted, (height, width).
         channel: index of each pixel's colour, same shape.
         origin: row and column of the first pixel in the frame. Default: (0, 0).
-        reach: by how much the field reaches beyond the outline, and its standard deviation, rad. Default: None, not known.
+        reach: extent of the field beyond the outline, and its standard deviation, rad. Default: None, unknown.
 
     Returns:
         Axis and radius in the frame.
@@ -104,7 +104,7 @@ def straight_outline(
 
 
 def _levelled(codes: np.ndarray, channel: np.ndarray) -> np.ndarray:
-    """Return the codes over each colour's bright level."""
+    """Divide the codes by the bright level of each colour."""
     levels = np.zeros(codes.shape)
     for one in range(int(channel.max()) + 1):
         of = channel == one
@@ -114,7 +114,7 @@ def _levelled(codes: np.ndarray, channel: np.ndarray) -> np.ndarray:
 
 
 def _edge(levels: np.ndarray, start: float, side: int) -> float:
-    """Return the place of an edge in a block of rows, px; side: -1, dark to its right, or 1."""
+    """Measure the position of an edge in a block of rows, px; side: -1, dark to its right, or 1."""
     first = int(np.floor(start)) - _ABOUT
     columns = np.arange(max(first, 0), min(first + 2 * _ABOUT + 2, levels.shape[1]))
     profile = levels[:, columns].mean(axis=0)

@@ -1,4 +1,4 @@
-"""The view that looks at a material: slices, a sphere under a lamp, its Fresnel term, and another material beside it."""
+"""View of materials: slices, a sphere under a lamp, the Fresnel term, and comparison with another material."""
 
 from __future__ import annotations
 
@@ -47,12 +47,12 @@ _KEPT = 8  # tables in memory
 
 
 class ExploreView:
-    """Show what was opened.
+    """View of the opened materials.
 
     Args:
         document: the page's document.
-        downloads: where files to save are offered.
-        complain: shows one line.
+        downloads: registry of files to save.
+        complain: function that shows one line.
         files: what the user opened on the command line.
     """
 
@@ -62,7 +62,7 @@ class ExploreView:
         self._entries: list[Openable] = []
         self._read: dict[int, OpenedTable] = {}
         self._shown: dict[str, Any] = {}
-        self._before = ["", _NONE]  # what was chosen when tables were last shown
+        self._before = ["", _NONE]  # selection when tables were last shown
         self._controls = {one.name: NumberControl(one, self.refresh, lambda: None) for one in SETTINGS}
         self._chosen = [
             Select(title=title, value="", options=[], width=WIDTH - 16, margin=(2, 8, 2, 8), name=name)
@@ -86,7 +86,7 @@ class ExploreView:
         self.layout = row(self._knobs(), self._plots(), sizing_mode="stretch_width", spacing=8, name="explore")
 
     def start(self) -> None:
-        """List what was opened, and show the first of it."""
+        """List the opened materials, and show the first one."""
         self._slow.ask(self._listed, self._offer)
 
     def close(self) -> None:
@@ -100,7 +100,7 @@ class ExploreView:
         self._complain(line)
 
     def refresh(self) -> None:
-        """Show what the controls say of the tables that have been read."""
+        """Update the plots from the controls, for tables that have been read."""
         tables = [self._read.get(self._index(select)) for select in self._chosen]
         if tables[0] is not None:
             angles = {name: control.value for name, control in self._controls.items()}
@@ -200,7 +200,7 @@ class ExploreView:
         return column(head, self._table, self._photographs.layout, sizing_mode="stretch_width")
 
     def _turn(self) -> None:
-        """Show the table, or the photographs behind it."""
+        """Show the table, or its photographs."""
         pictures = self._looked_at.visible and self._looked_at.active == 1
         self._table.visible, self._photographs.layout.visible = not pictures, pictures
         table = self._read.get(self._index(self._chosen[0]))
@@ -243,7 +243,7 @@ class ExploreView:
             self._chosen[0].value = str(first)
 
     def _dropped(self, path: Path) -> None:
-        """List a file once its first material has been read. One that cannot be read changes nothing but the message."""
+        """List a file once its first material has been read; an unreadable one only gives a message."""
 
         def read() -> tuple[list[Openable], OpenedTable | None]:
             entries = entries_of(path)
@@ -264,7 +264,7 @@ class ExploreView:
         return int(select.value) if select.value.isdigit() else -1
 
     def _look(self) -> None:
-        """Read what was chosen, if it has not been, and show it."""
+        """Read the selected materials if necessary, and show them."""
         wanted = [index for index in (self._index(select) for select in self._chosen) if index >= 0]
         missing = [index for index in wanted if index not in self._read]
         if not missing:
@@ -293,7 +293,7 @@ class ExploreView:
                 self._go_back(index)
             else:
                 self._read[index] = table
-                if table.pictures and index == self._index(self._chosen[0]):  # elsewhere a pinhole has nothing to show
+                if table.pictures and index == self._index(self._chosen[0]):  # elsewhere a pinhole table is empty
                     middle = table.pictures[len(table.pictures) // 2]
                     self._controls["theta_d"].set(float(f"{np.degrees(middle.theta_d):.3g}"))
         shown = {self._index(select) for select in self._chosen}
@@ -302,7 +302,7 @@ class ExploreView:
         self.refresh()
 
     def _go_back(self, index: int) -> None:
-        """Choose what was shown before, where a material was chosen that cannot be read."""
+        """Restore the previous selection if a material cannot be read."""
         for select, before in zip(self._chosen, self._before, strict=True):
             if self._index(select) == index and before != select.value:
                 select.value = before
@@ -325,7 +325,7 @@ class ExploreView:
             sphere.show(light, name, found["exposure"])
 
     def _indices(self, name: str) -> tuple[float, float]:
-        """Return a metal's tabulated n and k in the chosen channel, no unit."""
+        """Return tabulated n and k of a metal in the chosen channel, no unit."""
         from matcam.core.grid import CHANNEL_WAVELENGTHS
         from matcam.material.optical_constants import metal
 
@@ -349,7 +349,7 @@ class ExploreView:
             if kind == "pbrt":
                 return self._downloads.offer(f"{name}.pbrt", as_pbrt(table))
             if data is None or shown["light"][0] is None:
-                raise ArgumentError(f"{table.name}: holds a Fresnel term alone: only its CSV can be saved")
+                raise ArgumentError(f"{table.name}: contains only a Fresnel term: only its CSV can be saved")
             if kind == "exr":
                 return self._downloads.offer(f"{name}-sphere.exr", as_exr(shown["light"][0]))
             return self._downloads.offer(f"{name}.bsdf", as_bsdf(data))
@@ -362,7 +362,7 @@ class ExploreView:
 
 
 class _SpherePlot:
-    """A sphere on the screen."""
+    """Plot of a sphere on the screen."""
 
     def __init__(self, title: str):
         self._title = title
@@ -373,7 +373,7 @@ class _SpherePlot:
         self._drawn = self.plot.image_rgba("image", x=-1, y=-1, dw=2, dh=2, source=self._source, visible=False)
 
     def show(self, light: np.ndarray | None, name: str, exposure: float) -> None:
-        """Show a radiance; None: nothing."""
+        """Show a radiance; None: an empty plot."""
         if light is not None:
             self._source.data = {"image": [on_screen(light, exposure)]}
         on_black(self.plot, self._drawn, shown=light is not None)
@@ -381,14 +381,14 @@ class _SpherePlot:
 
 
 def _chosen_table(table: OpenedTable, which: int) -> Any:
-    """Return the table to show as a sphere: recorded (0) or corrected (1), where there is one."""
+    """Return the table of the sphere, recorded (0) or corrected (1), if it exists."""
     return table.best if which or table.recorded is None else table.recorded
 
 
 def _shown(
     tables: list[Any], angles: dict[str, float], channel: int, which: int, metal: tuple[str, tuple[float, float] | None]
 ) -> dict[str, Any]:
-    """Return all that is to be shown."""
+    """Return the displayed data."""
     from matcam.inverse.peak_curve import conductor_curve, metal_curve
 
     table, beside = tables

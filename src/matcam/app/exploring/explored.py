@@ -1,4 +1,4 @@
-"""What the explore view shows of a table, and the files that it exports."""
+"""Data of the explore view for a table, and its exported files."""
 
 from __future__ import annotations
 
@@ -17,22 +17,22 @@ SIDE = 200
 
 
 def slice_of(table: OpenedTable, theta_d: float, channel: int) -> dict[str, np.ndarray]:
-    """Return the curves of a slice over theta_h, across the plane of light and view (phi_d = 90 degrees).
+    """Compute the curves of a slice over theta_h, across the plane of light and view (phi_d = 90 degrees).
 
     Args:
-        table: what is shown.
+        table: the table.
         theta_d: rad.
         channel: index.
 
     Returns:
-        `theta_h` in degrees; `recorded`, `corrected`, `low`, `high` (corrected less and plus its std), 1/sr; `supported`, the
-        corrected values that are, and `unsupported`, those that are not. NaN where there is nothing.
+        `theta_h` in degrees; `recorded`, `corrected`, `low`, `high` (corrected less and plus its std), 1/sr;
+        `supported` and `unsupported` corrected values. NaN for missing values.
     """
     from matcam.core.grid import merl_grid, sampling_of
 
     best = table.best
     if best is None:
-        raise ArgumentError(f"{table.name}: holds a Fresnel term alone: its slices cannot be shown")
+        raise ArgumentError(f"{table.name}: contains only a Fresnel term: it has no slices")
     at = (*merl_grid(sampling_of(best)).index(theta_d=theta_d, phi_d=np.pi / 2), channel)
     count = best.sizes["theta_h"]
 
@@ -61,7 +61,7 @@ def slice_of(table: OpenedTable, theta_d: float, channel: int) -> dict[str, np.n
 
 
 def range_of(curves: dict[str, np.ndarray]) -> tuple[float, float]:
-    """Return the range of BRDF values, 1/sr, that shows a slice: at most seven decades below its peak."""
+    """Choose the range of BRDF values, 1/sr, for a slice: at most seven decades below its peak."""
     values = np.concatenate([curves["recorded"], curves["corrected"]])
     known = values[np.isfinite(values)]
     if not known.size:
@@ -71,14 +71,14 @@ def range_of(curves: dict[str, np.ndarray]) -> tuple[float, float]:
 
 
 def sphere_of(data: xr.DataArray, lamp: float, azimuth: float, size: int = SIDE) -> np.ndarray:
-    """Return the radiance of a sphere of this table, (size, size, channel), 1/sr; angles in rad."""
+    """Compute the radiance of a sphere with this table, (size, size, channel), 1/sr; angles in rad."""
     from matcam.figures.spheres import table_sphere
 
     return table_sphere(data.values, size, lamp=lamp, azimuth=azimuth)
 
 
 def on_screen(light: np.ndarray, exposure: float) -> np.ndarray:
-    """Return a radiance as a screen shows it, packed RGBA (size, size), bottom row first.
+    """Convert a radiance for display, packed RGBA (size, size), bottom row first.
 
     Args:
         light: radiance, 1/sr, (size, size, channel).
@@ -95,7 +95,7 @@ def on_screen(light: np.ndarray, exposure: float) -> np.ndarray:
 
 
 def fresnel_of(table: OpenedTable, channel: int) -> dict[str, np.ndarray]:
-    """Return the curves of the Fresnel term over theta_d, each of mean 1 over 10 to 45 degrees.
+    """Compute the curves of the Fresnel term over theta_d, each of mean 1 over 10 to 45 degrees.
 
     Returns:
         `theta_d` in degrees, `recorded`, `corrected`, `low` and `high` (of a Fresnel term of `matcam fresnel`, its std).
@@ -123,7 +123,7 @@ def fresnel_of(table: OpenedTable, channel: int) -> dict[str, np.ndarray]:
 
 
 def as_csv(columns: dict[str, np.ndarray], first: str) -> bytes:
-    """Return columns as CSV, as `matcam` writes it; `first` is the coordinate."""
+    """Format columns as CSV in the form of `matcam`; `first` is the coordinate."""
     from matcam.core.io import write_columns
 
     data = xr.Dataset(
@@ -133,14 +133,14 @@ def as_csv(columns: dict[str, np.ndarray], first: str) -> bytes:
 
 
 def as_exr(light: np.ndarray) -> bytes:
-    """Return a radiance as OpenEXR."""
+    """Encode a radiance as OpenEXR."""
     from matcam.files.float_pictures import write_exr
 
     return _written(lambda path: write_exr(path, light), ".exr")
 
 
 def as_bsdf(data: xr.DataArray) -> bytes:
-    """Return a table in RGL's format, which Mitsuba 3 opens (plugin `measured`)."""
+    """Encode a table in RGL's format, which Mitsuba 3 supports (plugin `measured`)."""
     from matcam.exchange.conversion import convert
     from matcam.files.merl import write_merl
 
@@ -151,10 +151,10 @@ def as_bsdf(data: xr.DataArray) -> bytes:
 
 
 def as_pbrt(table: OpenedTable) -> bytes:
-    """Return the material that a run fitted to this table as text for pbrt-v4.
+    """Format the fitted material of this table as text for pbrt-v4.
 
     Raises:
-        ArgumentError: there is no fit, or pbrt's conductor is no such material.
+        ArgumentError: there is no fit, or pbrt's conductor does not support the material.
     """
     from matcam.exchange.renderers import pbrt_material
     from matcam.material.microfacet import Microfacet

@@ -1,7 +1,7 @@
-"""What `matcam reconstruct` wrote of its pictures, and the photographs of a capture that the user opened, too.
+"""Images of a reconstruction, from its file and from an opened capture.
 
-The result's own file holds outline, highlights and windows. The photographs are read from the capture's folder only if the user
-opened that folder: no file leads to another.
+The file of the result contains outline, highlights and windows. The photographs are read from the folder of the capture
+only if the user opened that folder.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ _PLACES = (
     "picture_theta_d",
 )  # fmt: skip
 _ABOUT = 1.12
-"""Half the side of what is shown about the outline, in its radii."""
+"""Half the side of the displayed area about the outline, in its radii."""
 _MOST = 10_000  # pictures
 
 
 @dataclass(frozen=True)
 class FittedPicture:
-    """One picture of a reconstruction.
+    """Image of a reconstruction.
 
     Attributes:
         name: of its lamp position.
@@ -39,7 +39,7 @@ class FittedPicture:
         outline: column, row and radius of the fitted outline, px.
         highlight: column and row of the brightest fitted pixel, px.
         corner: first column and row of the window, px.
-        windows: recorded, fitted, and the residual in standard deviations, (rows, columns) each; NaN where not used.
+        windows: recorded, fitted, and the residual in standard deviations, (rows, columns) each; NaN if not used.
     """
 
     name: str
@@ -51,14 +51,14 @@ class FittedPicture:
 
 
 def fitted_pictures(name: str, data: xr.Dataset) -> list[FittedPicture]:
-    """Return the pictures that a reconstruction's file holds; none where it is something else.
+    """Return the images in the file of a reconstruction; none for other files.
 
     Args:
         name: of the file, for messages.
-        data: what it holds.
+        data: its content.
 
     Raises:
-        FileFormatError: its pictures contradict each other.
+        FileFormatError: its images are inconsistent.
     """
     if WINDOWS[0] not in data:
         return []
@@ -89,12 +89,12 @@ def fitted_pictures(name: str, data: xr.Dataset) -> list[FittedPicture]:
 
 
 def is_capture(path: Path) -> bool:
-    """Tell whether a folder is a capture."""
+    """Check whether a folder is a capture."""
     return is_file(path / SETTINGS) and is_file(path / LIST)
 
 
 def opened_captures(paths: Sequence[Path]) -> tuple[list[Capture], list[str]]:
-    """Return the captures among the folders that the user opened, and why others cannot be read; no picture is decoded."""
+    """Read the captures among the opened folders, without decoding images, and explain unreadable ones."""
     found, failures = [], []
     for path in paths:
         if is_capture(path):
@@ -107,14 +107,14 @@ def opened_captures(paths: Sequence[Path]) -> tuple[list[Capture], list[str]]:
 
 @dataclass(frozen=True)
 class Shot:
-    """One photograph of a lamp position: its file's name, and its capture and frame."""
+    """Photograph of a lamp position: name of its file, capture and frame."""
 
     label: str
     capture: Capture
     frame: Any
 
     def about(self, outline: tuple[float, float, float]) -> tuple[np.ndarray, tuple[float, float, float, float]]:
-        """Return what is about an outline, as `drawn_values` thins it, and its left, top, width and height, px.
+        """Read the surroundings of an outline, subsampled by `drawn_values`, with left, top, width and height, px.
 
         Raises:
             FileFormatError: the photograph is missing, damaged, or too small for the outline.
@@ -127,7 +127,7 @@ class Shot:
         top, bottom = (int(np.clip(edge, 0, height)) // 2 * 2 for edge in (row - reach, row + reach + 2))
         if right - left < 2 or bottom - top < 2:
             raise FileFormatError(
-                f"{self.label}: {width} x {height} px: does not hold the fitted outline: is it of this capture?"
+                f"{self.label}: {width} x {height} px: does not contain the fitted outline: is it of this capture?"
             )
         shown, step = drawn_values(values[top:bottom, left:right], linear=True)
         high, wide = shown.shape
@@ -135,11 +135,11 @@ class Shot:
 
 
 def shots_of(picture: FittedPicture, captures: Sequence[Capture]) -> list[Shot]:
-    """Return the photographs of a picture's lamp position in the opened captures, the longest exposure first.
+    """Return the photographs of the lamp position of an image in the opened captures, the longest exposure first.
 
     Raises:
         ArgumentError: no capture is open.
-        FileFormatError: none has this lamp position's photographs.
+        FileFormatError: none contains this lamp position.
     """
     if not captures:
         raise ArgumentError(

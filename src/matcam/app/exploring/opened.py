@@ -1,6 +1,6 @@
-"""What the user opened: tables, results, and the materials of a run, each read when it is first looked at.
+"""Opened tables, results, and materials of a run, each read on first display.
 
-Only paths that the user named are read, and what lies in a run's folder beside its records. No file leads to another.
+Only paths from the user are read, and files in the folder of a run beside its records. Files do not refer to others.
 """
 
 from __future__ import annotations
@@ -26,15 +26,15 @@ _LARGEST_RECORD = 4 << 20
 
 @dataclass(frozen=True)
 class OpenedTable:
-    """A material as a table, as recorded and as corrected.
+    """Material as a table, as recorded and as corrected.
 
     Attributes:
-        name: to show.
-        recorded: table (theta_h, theta_d, phi_d, channel), 1/sr; None: there is none.
-        corrected: the same as corrected; None: there is none.
+        name: label.
+        recorded: table (theta_h, theta_d, phi_d, channel), 1/sr; None: unknown. corrected: the same as corrected; None:
+            there is none.
         std: standard deviation of corrected, 1/sr; None: there is none.
-        supported: which entries of corrected the data support; None: it is not said.
-        record: what a run found of it; {}: it is of no run.
+        supported: mask of supported entries of corrected; None: unknown.
+        record: record of a run; {}: not from a run.
         curve: a Fresnel term from `matcam fresnel` over theta_d; None: there is none.
         pictures: of a reconstruction, with outlines, highlights and windows.
     """
@@ -50,17 +50,17 @@ class OpenedTable:
 
     @property
     def best(self) -> xr.DataArray | None:
-        """Return the corrected table, or the recorded one where there is no other."""
+        """Return the corrected table, or otherwise the recorded one."""
         return self.recorded if self.corrected is None else self.corrected
 
 
 @dataclass(frozen=True)
 class Openable:
-    """A material that can be looked at.
+    """Material that can be displayed.
 
     Attributes:
-        label: to show in a list.
-        read: reads it.
+        label: name in a list.
+        read: function that reads it.
     """
 
     label: str
@@ -68,10 +68,10 @@ class Openable:
 
 
 def entries_of(path: Path) -> list[Openable]:
-    """Return the materials of a file, of a run's folder or of its Zarr, or beside a capture; nothing but records is read.
+    """List the materials of a file, of the folder or the Zarr of a run, or beside a capture; only records are read.
 
     Raises:
-        FileFormatError: a folder holds no records of a run.
+        FileFormatError: a folder has no records of a run.
     """
     if not is_folder(path):
         table = path.with_suffix(".nc")
@@ -88,21 +88,21 @@ def entries_of(path: Path) -> list[Openable]:
             check_within(record, path)
             check_within(table, path)
             found.append(_of_run(table, record))
-    if not found and not is_capture(path):  # whose photographs belong to a result that is open beside it
+    if not found and not is_capture(path):  # its photographs belong to a result that is also open
         if is_folder(path / "run.zarr"):
             return _rows(path / "run.zarr")
         raise FileFormatError(
-            f"{path}: holds no record of a run (NAME.json with NAME.nc): open a file, or a run's folder"
+            f"{path}: has no record of a run (NAME.json with NAME.nc): open a file, or a run's folder"
         )
     return found
 
 
 def read_opened(path: Path, record: dict[str, Any] | None = None) -> OpenedTable:
-    """Read a file that holds a material.
+    """Read a file with a material.
 
     Raises:
-        ArgumentError: it holds something else.
-        FileFormatError: it is damaged, or of no format that is read.
+        ArgumentError: it has other content.
+        FileFormatError: it is damaged, or its format is not supported.
     """
     from matcam.exchange.contents import material_of, read_contents
     from matcam.forward.measurement import true_table
@@ -118,7 +118,9 @@ def read_opened(path: Path, record: dict[str, Any] | None = None) -> OpenedTable
         return _of_correction(name, result, record or {})
     if result is not None and {"raw", "corrected", "theta_d"} <= set(result.variables):
         return OpenedTable(name, curve=result)
-    raise ArgumentError(f"{name}: holds {contents.kind}: tables, corrections, RGL files and Fresnel terms can be shown")
+    raise ArgumentError(
+        f"{name}: contains {contents.kind}: tables, corrections, RGL files and Fresnel terms can be shown"
+    )
 
 
 def _of_correction(name: str, data: xr.Dataset, record: dict[str, Any]) -> OpenedTable:
@@ -130,7 +132,7 @@ def _of_correction(name: str, data: xr.Dataset, record: dict[str, Any]) -> Opene
         parts = {key: data[key] for key in ("brdf_std", "supported") if key in data}
         if any(part.shape != corrected.shape for part in parts.values()):
             raise ArgumentError("brdf_std and supported must have the shape of brdf")
-        if "pinhole" in data:  # a reconstruction: what a camera without blur would have been taken to have recorded
+        if "pinhole" in data:  # a reconstruction: the apparent record of a camera without blur
             pinhole = checked_table(data["pinhole"].assign_attrs(corrected.attrs))
             return OpenedTable(
                 name, pinhole, corrected, parts.get("brdf_std"), parts.get("supported"), record,
@@ -139,7 +141,7 @@ def _of_correction(name: str, data: xr.Dataset, record: dict[str, Any]) -> Opene
         if not parts:
             return OpenedTable(name, recorded=corrected, record=record)
         recorded = recorded_table(data) if set(TABLE_ATTRIBUTES) <= set(data.data_vars) else None
-    except (ArgumentError, ValueError) as error:  # shapes that contradict each other
+    except (ArgumentError, ValueError) as error:  # inconsistent shapes
         raise FileFormatError(f"{name}: damaged: {error}") from None
     return OpenedTable(name, recorded, corrected, parts.get("brdf_std"), parts.get("supported"), record)
 
@@ -163,7 +165,7 @@ _LARGEST = 1e300
 
 
 def _label(name: str, record: dict[str, Any]) -> str:
-    """Return a material's name, and in a few words what its run found."""
+    """Return the name of a material with a short summary of its result in a run."""
     fit = record.get("fit")
     params = fit.get("params") if isinstance(fit, dict) else record.get("parameters")  # of a run; of a reconstruction
     numbers = (
@@ -172,7 +174,7 @@ def _label(name: str, record: dict[str, Any]) -> str:
         else {}
     )
     widths = {key: numbers[key] for key in _WIDTHS if isinstance(numbers.get(key), int | float)}
-    # a whole number may be larger than any float
+    # an integer may be larger than any float
     width = next((f"{key} {value:.3g}" for key, value in widths.items() if abs(value) < _LARGEST), "")
     share = record.get("supported_share")
     supported = f"{share:.0%} of its values supported" if isinstance(share, float) and np.isfinite(share) else ""
@@ -189,6 +191,6 @@ def _rows(store: Path) -> list[Openable]:
 
 
 def parameters(table: OpenedTable) -> str:
-    """Return a material's fit as JSON; "" where there is none."""
+    """Return the fit of a material as JSON; "" without one."""
     fit = table.record.get("fit")
     return json.dumps(fit, indent=2) if isinstance(fit, dict) else ""

@@ -1,4 +1,4 @@
-"""The pictures of a reconstruction: fitted outline and highlight over the photograph; its window as recorded and as fitted."""
+"""Images of a reconstruction: fitted outline and highlight over the photograph, and recorded and fitted window."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ from matcam.files.capture import Capture
 
 _SIDE = 400  # px of the screen
 _WINDOW_SIDE = 150
-_DECADES = 1e-3  # of a window's peak: the least radiance that is told from black
+_DECADES = 1e-3  # share of the peak of a window: the smallest radiance that differs from black
 _RESIDUAL = 5.0  # standard deviations
 _TITLES = ("recorded", "fitted", "recorded - fitted [std]")
 
 
 class PhotographsPanel:
-    """Show the pictures of a reconstruction, one at a time.
+    """Display of the images of a reconstruction, one at a time.
 
     Args:
-        work: does what takes time.
-        complain: shows one line.
+        work: queue for slow jobs.
+        complain: function that shows one line.
     """
 
     def __init__(self, work: Newest, complain: Any):
@@ -49,11 +49,11 @@ class PhotographsPanel:
         )  # fmt: skip
 
     def open(self, captures: Sequence[Capture]) -> None:
-        """Take the captures whose photographs may be read."""
+        """Set the captures whose photographs may be read."""
         self._captures = captures
 
     def show(self, pictures: Sequence[FittedPicture]) -> None:
-        """Show the pictures of another reconstruction."""
+        """Show the images of another reconstruction."""
         if pictures is self._pictures:
             return
         self._pictures = pictures
@@ -119,7 +119,7 @@ class PhotographsPanel:
         return self._pictures[int(chosen)] if chosen.isdigit() and int(chosen) < len(self._pictures) else None
 
     def _choose(self) -> None:
-        """Show a picture's window, and offer its photographs."""
+        """Show the window of an image, and list its photographs."""
         one = self._current
         if one is None:
             return
@@ -158,7 +158,7 @@ class PhotographsPanel:
             self._shot.value = "0"
 
     def _look(self) -> None:
-        """Show the photograph that was chosen."""
+        """Show the selected photograph."""
         one, chosen = self._current, self._shot.value
         if one is None or not chosen.isdigit() or int(chosen) >= len(self._shots):
             return

@@ -1,11 +1,13 @@
-"""A Dask cluster: workers that it starts here, or a scheduler that runs somewhere. Needs the extra `matcam[scale]`.
+"""Executor on a Dask cluster: local workers, or a scheduler at an address. Requires the extra `matcam[scale]`.
 
-A task whose worker is lost is given to another one; if three workers are lost over the same file, that file has failed.
-Dask's messages are pickles: whoever reaches a scheduler or a worker runs code as the user who started it. What is started here
-listens on this machine alone; an address tls://... takes its certificates from Dask's configuration (docs/batch.md).
+A task of a lost worker is given to another one; if three workers are lost with the same file, that file has failed.
 
-Workers must see the run's folder and the inputs under the same names, and have the same versions of what computes; both
-are asked before any work.
+Messages of Dask are pickles: access to a scheduler or a worker permits running code as the user who started it. Local
+workers listen on this machine alone; an address tls://... uses the certificates of Dask's configuration
+(docs/batch.md).
+
+Workers must see the folder of the run and the inputs under the same names, and have the same versions of numerical
+packages; both are checked before any work.
 """
 
 from __future__ import annotations
@@ -33,22 +35,22 @@ from matcam.core.readers.names import is_file
 from matcam.core.workspace import Workspace
 
 _COMPARED = ("matcam", "jax", "jaxlib", "numpy", "scipy", "xarray", "distributed")
-"""Packages whose versions change results, or how jobs travel."""
+"""Packages whose versions affect results, or the serialisation of jobs."""
 _PATIENCE = 10.0  # seconds for a scheduler to answer
-_AHEAD = 3  # tasks given out for each worker: enough that none waits for the next, and few to hold in memory
+_AHEAD = 3  # number of submitted tasks per worker: enough that none is idle, and few to store
 _OPEN = "MATCAM_OPEN_NETWORK"
 _LOCAL = re.compile(r"local:([1-9][0-9]{0,3})")
 
 
 class ClusterError(MatcamError):
-    """Report that a cluster cannot be reached, or must not be used as it is."""
+    """Cluster that cannot be reached, or must not be used."""
 
 
 @dataclass(frozen=True)
 class ClusterExecutor(Executor):
-    """Do jobs on a Dask cluster.
+    """Executor on a Dask cluster.
 
-    ArgumentError for what is neither local:N nor an address, and if Dask is not installed.
+    ArgumentError if the address is neither local:N nor an address, or if Dask is not installed.
 
     Attributes:
         address: "local:N" for N workers on this machine, or a scheduler's address.
@@ -65,7 +67,7 @@ class ClusterExecutor(Executor):
 
     @property
     def is_open(self) -> bool:
-        """Tell whether jobs would travel unencrypted to another machine."""
+        """Check whether jobs would be sent unencrypted to another machine."""
         if _LOCAL.fullmatch(self.address):
             return False
         protocol, _, place = self.address.partition("://")
@@ -73,10 +75,10 @@ class ClusterExecutor(Executor):
         return protocol != "tls" and host != "localhost" and not _is_loopback(host)
 
     def outcomes(self, jobs: Sequence[Job]) -> Generator[Outcome]:
-        """Do jobs and yield their outcomes as they come.
+        """Run jobs and yield their outcomes as they are finished.
 
-        ClusterError if the cluster cannot be reached, or must not be used: the scheduler is silent, there is no worker, a
-        version or the files that it sees are not the same.
+        ClusterError if the cluster cannot be reached, or must not be used: the scheduler does not answer, there is no
+        worker, or versions or files differ.
         """
         from distributed import as_completed
 
@@ -84,7 +86,7 @@ class ClusterExecutor(Executor):
             return
         if self.is_open and os.environ.get(_OPEN) != "trusted":
             raise ClusterError(
-                f"scheduler {self.address} is not encrypted, and what is sent to another machine is code that it runs: use "
+                f"scheduler {self.address} is not encrypted, and messages to another machine can run code there: use "
                 f"tls:// with certificates (docs/batch.md), or, in a network that you trust, set {_OPEN}=trusted"
             )
         with ExitStack() as stack:
@@ -112,7 +114,7 @@ class ClusterExecutor(Executor):
                 future.release()
 
     def _client(self, stack: ExitStack) -> Any:
-        """Connect to the cluster, which ends with the stack if it was started here."""
+        """Connect to the cluster, which ends with the stack if it is local."""
         from distributed import Client, LocalCluster
 
         local = _LOCAL.fullmatch(self.address)
@@ -124,7 +126,7 @@ class ClusterExecutor(Executor):
                     threads_per_worker=1,
                     processes=True,
                     dashboard_address=None,
-                    # it has a web server all the same, which would stand open to all on port 8787
+                    # its web server cannot be disabled, and would be open to all on port 8787
                     scheduler_kwargs={"dashboard": False, "dashboard_address": "127.0.0.1:0"},
                     env=one_core_environment(),
                     silence_logs="ERROR",
@@ -133,7 +135,7 @@ class ClusterExecutor(Executor):
             )
         try:
             return stack.enter_context(Client(scheduler, timeout=_PATIENCE))
-        except TypeError:  # what Dask raises where it is to use TLS and has no certificate
+        except TypeError:  # error of Dask for TLS without a certificate
             raise ClusterError(
                 f"scheduler {self.address} cannot be reached without certificates: name them in Dask's configuration "
                 "(distributed.comm.tls, docs/batch.md)"
@@ -148,12 +150,12 @@ class ClusterExecutor(Executor):
 def _is_loopback(host: str) -> bool:
     try:
         return ipaddress.ip_address(host).is_loopback
-    except ValueError:  # a name
+    except ValueError:  # a host name
         return False
 
 
 def versions() -> dict[str, str]:
-    """Return the versions that must be the same everywhere."""
+    """Return the versions that must agree."""
     found = {"python": platform.python_version().rpartition(".")[0]}
     for name in _COMPARED:
         found[name] = metadata.version(name)
@@ -161,7 +163,7 @@ def versions() -> dict[str, str]:
 
 
 def _task_outcome(future: Any, job: Job) -> Outcome:
-    """Return the outcome of a task that has ended, however it did."""
+    """Return the outcome of a finished or failed task."""
     from distributed import KilledWorker
 
     try:
@@ -170,13 +172,13 @@ def _task_outcome(future: Any, job: Job) -> Outcome:
         return Outcome(job.source, 0.0, f"{job.source}: {error.allowed_failures + 1} workers that held it died")
     except CancelledError:
         return Outcome(job.source, 0.0, f"{job.source}: the scheduler was lost, or took the task back")
-    except Exception as error:  # where a task cannot even be read by a worker
+    except Exception as error:  # a worker may even fail to read a task
         reason = " ".join(f"{type(error).__name__}: {error}".split())
         return Outcome(job.source, 0.0, f"{job.source}: the cluster failed: {reason}")
 
 
 def _check_workers(client: Any, folder: Path) -> int:
-    """Return the number of workers, or refuse them if they cannot do the work."""
+    """Check that the workers can do the work, and return their number."""
     try:
         client.wait_for_workers(1, timeout=_PATIENCE)
     except TimeoutError:
@@ -184,7 +186,7 @@ def _check_workers(client: Any, folder: Path) -> int:
     ours = versions()
     try:
         reports = client.run(_worker_report, str((folder / SETTINGS).absolute()))
-    except Exception as error:  # where a worker cannot even import what it is asked
+    except Exception as error:  # a worker may even fail to import the function
         reason = " ".join(f"{type(error).__name__}: {error}".split())
         raise ClusterError(f"the cluster's workers cannot run matcam: {reason:.120}") from None
     for address, report in reports.items():
@@ -201,25 +203,25 @@ def _check_workers(client: Any, folder: Path) -> int:
     for address, number in threads.items():
         if number != 1:
             raise ClusterError(
-                f"worker {address} has {number} threads: a material takes a process of its own (dask worker --nthreads 1 "
+                f"worker {address} has {number} threads: a material needs its own process (dask worker --nthreads 1 "
                 "--nworkers N)"
             )
     return len(threads)
 
 
 def _worker_report(path: str) -> dict[str, Any]:
-    """Return a worker's versions, and whether it sees a file."""
+    """Return the versions of a worker, and whether it sees a file."""
     return {"versions": versions(), "sees": is_file(Path(path))}
 
 
 def _with_absolute_paths(job: Job) -> Job:
-    """Return the job with paths that hold in whatever folder a worker stands."""
+    """Return the job with absolute paths, which hold in any working folder."""
     row = job.row and job.row._replace(store=job.row.store.absolute())
     return replace(job, source=job.source.absolute(), output=job.output.absolute(), row=row)
 
 
 def _attempt_on_worker(job: Job) -> Outcome:
-    """Do a job on a worker, which may have started after the others were asked."""
+    """Run a job on a worker, which may have started after the others were checked."""
     use_compilation_cache()
     try:
         return attempt(job, Workspace.user())

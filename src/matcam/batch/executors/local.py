@@ -1,8 +1,7 @@
-"""The executor on this machine: processes of one core each.
+"""Executor on this machine: processes of one core each.
 
-Each worker process has a pipe of its own, so that one that is killed in the middle of a message harms no other, and the job
-that it had is known. That is why this is no `pebble.ProcessPool`: its workers share a pipe, and some kills break or block
-the whole pool.
+Each worker process has its own pipe, so that a worker that is killed during a message does not affect others, and its
+job is known. The workers of `pebble.ProcessPool` share a pipe, so that some kills break or block the whole pool.
 """
 
 from __future__ import annotations
@@ -28,18 +27,18 @@ from matcam.core.memory import free_for_the_next
 # not fork: JAX has threads, and a fork would copy their locks without them
 _SPAWN = multiprocessing.get_context("spawn")
 _READY = "ready"
-_STARTS = 4  # workers that may die one after the other before they are ready
-_START_LIMIT = 300.0  # seconds for a worker to import what it needs
+_STARTS = 4  # number of workers that may die in succession before they are ready
+_START_LIMIT = 300.0  # seconds for the imports of a worker
 _PATIENCE = 10.0  # seconds for a worker to remove its temporary files
 
 
 class WorkerError(MatcamError):
-    """Report that workers cannot be started at all."""
+    """Failure to start workers."""
 
 
 @dataclass(frozen=True)
 class ProcessExecutor(Executor):
-    """Do jobs in processes of one core each.
+    """Executor with processes of one core each.
 
     Attributes:
         count: number of processes.
@@ -50,10 +49,10 @@ class ProcessExecutor(Executor):
     time_limit: float | None = None
 
     def outcomes(self, jobs: Sequence[Job]) -> Generator[Outcome]:
-        """Do jobs and yield their outcomes as they come. WorkerError if no worker can be started."""
+        """Run jobs and yield their outcomes as they are finished. WorkerError if no worker can be started."""
         waiting = deque(jobs)
         workers: list[_Worker] = []
-        failed_starts = _STARTS - 1  # the very first start must succeed
+        failed_starts = _STARTS - 1  # the first start must succeed
         try:
             workers += [_Worker() for _ in range(min(self.count, len(waiting)))]
             while workers:
@@ -79,13 +78,13 @@ class ProcessExecutor(Executor):
                     if waiting:
                         workers.append(_Worker())
                     if job is not None:
-                        yield Outcome(job.source, 0.0, f"{job.source}: the worker that held it died ({worker.death()})")
+                        yield Outcome(job.source, 0.0, f"{job.source}: its worker died ({worker.death()})")
         finally:
             for worker in workers:
                 worker.end()
 
     def _next_events(self, workers: list[_Worker]) -> list[_Worker]:
-        """Wait for workers that have sent something or died; kill those whose job exceeds the time limit."""
+        """Wait for messages or deaths of workers; kill those whose job exceeds the time limit."""
         limits = {worker: self._limit_of(worker) for worker in workers}
         ends = [worker.started + limit for worker, limit in limits.items() if limit is not None]
         ready = connection.wait(
@@ -98,12 +97,12 @@ class ProcessExecutor(Executor):
         return [worker for worker in workers if worker.pipe in ready]
 
     def _limit_of(self, worker: _Worker) -> float | None:
-        """Return how long a worker may be silent: one that starts, one with a job; one without waits for nothing."""
+        """Return the time limit for messages of a worker: while it starts, and with a job; none for an idle worker."""
         return _START_LIMIT if not worker.ready else self.time_limit if worker.job is not None else None
 
 
 class _Worker:
-    """Run one process, with the pipe to it and the job that it has."""
+    """Worker process, with its pipe and its current job."""
 
     def __init__(self) -> None:
         self.pipe, theirs = _SPAWN.Pipe()
@@ -117,13 +116,13 @@ class _Worker:
         self._why_killed = ""
 
     def send(self, job: Job | None) -> None:
-        """Give the worker a job; None lets it go home."""
+        """Send a job to the worker; None ends it."""
         self.job, self.started = job, time.monotonic()
-        with contextlib.suppress(OSError):  # it has died: its end of the pipe will tell
+        with contextlib.suppress(OSError):  # it has died, and the end of its pipe reports it
             self.pipe.send(job)
 
     def receive(self) -> Any:
-        """Return what the worker has sent; None if it is gone."""
+        """Receive a message of the worker; None if it is gone."""
         try:
             return self.pipe.recv()
         except (EOFError, OSError):
@@ -131,12 +130,12 @@ class _Worker:
             return None
 
     def kill(self, reason: str) -> None:
-        """Kill the process; its pipe will tell that it is gone."""
+        """Kill the process; its pipe reports the end."""
         self._why_killed = reason
         self.process.kill()
 
     def end(self) -> None:
-        """Let the process remove its temporary files, then make sure that it is gone."""
+        """Let the process remove its temporary files, then ensure that it has ended."""
         self.process.terminate()
         self.process.join(_PATIENCE)
         if self.process.is_alive():
@@ -157,7 +156,7 @@ class _Worker:
 
 @contextlib.contextmanager
 def _environment(variables: dict[str, str]) -> Iterator[None]:
-    """Set environment variables for the processes that are started inside."""
+    """Set environment variables for processes that are started in the block."""
     before = {name: os.environ.get(name) for name in variables}
     os.environ.update(variables)
     try:
@@ -171,9 +170,9 @@ def _environment(variables: dict[str, str]) -> Iterator[None]:
 
 
 def _serve(pipe: connection.Connection) -> None:
-    """Do jobs in a worker until there are no more."""
-    # Ctrl-C reaches the parent too, which then ends its workers. Windows knows both signals, but ends a process
-    # without sending it any: there a worker that is ended leaves its temporary files to the next run's sweep.
+    """Run jobs in a worker until there are no more."""
+    # Ctrl-C reaches the parent, too, which then ends its workers. Windows ends a process without a signal: there an
+    # ended worker leaves its temporary files to the sweep of the next run.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))  # so that temporary files are removed
     threading.Thread(target=_end_with_parent, daemon=True).start()
@@ -183,7 +182,7 @@ def _serve(pipe: connection.Connection) -> None:
 
         use_compilation_cache()
         workspace = Workspace.user()
-        jnp.zeros(())  # a device that is not there should fail now, and not with each job
+        jnp.zeros(())  # a missing device should fail at the start, not in each job
     except Exception as error:
         pipe.send(" ".join(f"{type(error).__name__}: {error}".split()))
         return
@@ -200,7 +199,7 @@ def _serve(pipe: connection.Connection) -> None:
 
 
 def _end_with_parent() -> None:
-    """End this worker when its parent dies: nobody would hear its result, and the next run may do the same file."""
+    """End this worker when its parent dies, because its result would be lost, and the next run may process the same file."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         connection.wait([parent.sentinel])

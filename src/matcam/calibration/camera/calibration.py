@@ -40,7 +40,7 @@ Picture = str | Path | ArrayLike | Photograph | LinearImage
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Calibration(Summarised):
-    """Hold a camera for every colour, and how it was found.
+    """Camera for every colour, and how it was found.
 
     Attributes:
         channels: fits by channel: "R", "G", "B", "Y" or "grey".

@@ -84,7 +84,7 @@ class CameraRequest:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class CameraFit(Summarised):
-    """Hold the camera of one colour, and how well it is known.
+    """Camera of one colour, and how well it is known.
 
     Attributes:
         camera: lens and pixel, with their uncertainty.
@@ -306,7 +306,7 @@ def _without_strangers(
 
 
 class _FittedLens:
-    """Hold a lens with its fitted parameters, and what follows from them.
+    """Lens with its fitted parameters, and what follows from them.
 
     Attributes:
         lens: the family.

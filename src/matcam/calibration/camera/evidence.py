@@ -40,7 +40,7 @@ _LEAST_STD = 1e-4  # of an MTF value: no edge outweighs the others by more
 
 
 class EdgeTable(NamedTuple):
-    """Hold the results of n edges over the field.
+    """Results of n edges over the field.
 
     Attributes:
         x: (n,) px, of the middle.
@@ -98,7 +98,7 @@ class EdgeTable(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class MeanCurve:
-    """Hold the mean MTF of all edges, and a camera's.
+    """Mean MTF of all edges, and a camera's.
 
     Attributes:
         frequency: (81,) cycles/px.
@@ -263,7 +263,7 @@ def _group(samples: MTFSamples) -> str:
 
 
 class Evidence:
-    """Hold all findings on one colour.
+    """All findings on one colour.
 
     Edges come first, as in the joint fit.
     """

@@ -35,7 +35,7 @@ _DOUBT = 1e-3  # probability below which noise alone does not explain the scatte
 
 
 class EdgeMeasurements(NamedTuple):
-    """Hold n edges as they enter the fit.
+    """Set of n edges as they enter the fit.
 
     All arrays have a leading axis of n.
 
@@ -59,7 +59,7 @@ class EdgeMeasurements(NamedTuple):
 
 
 class ValueMeasurements(NamedTuple):
-    """Hold n sets of m MTF values.
+    """Set of n sets of m MTF values.
 
     Shorter sets are filled up with values of no weight.
 
@@ -79,7 +79,7 @@ class ValueMeasurements(NamedTuple):
 
 
 class Measurements(NamedTuple):
-    """Hold all measurements of one colour.
+    """All measurements of one colour.
 
     Attributes:
         edges: None where there are none.
@@ -117,7 +117,7 @@ class Unknowns(NamedTuple):
 
 
 class Shares(NamedTuple):
-    """Hold the share of each of n measurements in the fit.
+    """Share of each of n measurements in the fit.
 
     Attributes:
         information: (n, k, k).
@@ -151,7 +151,7 @@ class Contradiction(NamedTuple):
 
 
 class JointFit(NamedTuple):
-    """Hold the most likely parameters, and judge the measurements' agreement.
+    """Most likely parameters, and judge the measurements' agreement.
 
     The first parameter is the logarithm of the blur's scale: contradictions are looked for in it.
 

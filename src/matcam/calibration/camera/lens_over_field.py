@@ -32,7 +32,7 @@ class DotPlaces(NamedTuple):
 
 
 class BlurPlaces(NamedTuple):
-    """Hold the lens's width at n places of the picture, and its standard deviation, px."""
+    """Lens's width at n places of the picture, and its standard deviation, px."""
 
     x: np.ndarray
     y: np.ndarray

@@ -20,7 +20,7 @@ PROFILES = ("sine", "bars", "lines")
 
 @dataclass(frozen=True)
 class Chart:
-    """Describe a page and everything that is printed on it.
+    """Page and everything that is printed on it.
 
     Attributes:
         page: width and height of the page, mm.
@@ -58,7 +58,7 @@ class Chart:
 
 @dataclass(frozen=True)
 class Square:
-    """Describe a slanted square on paper, whose sides are four edges.
+    """Slanted square on paper, whose sides are four edges.
 
     Attributes:
         corners: mm, one after the other round the square.
@@ -76,7 +76,7 @@ class Square:
 
 @dataclass(frozen=True)
 class Grating:
-    """Describe a rectangle filled with parallel bars or with a sine.
+    """Rectangle filled with parallel bars or with a sine.
 
     Attributes:
         profile: "sine"; "bars": a square wave; "lines": bright lines, `duty` of a period wide.
@@ -139,7 +139,7 @@ class Grating:
 
 @dataclass(frozen=True)
 class Star:
-    """Describe a sinusoidal Siemens star.
+    """Sinusoidal Siemens star.
 
     Between two radii its level is mean + amplitude cos(cycles * azimuth + phase).
 
@@ -174,7 +174,7 @@ class Star:
 
 @dataclass(frozen=True)
 class Dots:
-    """Describe round dots on a square lattice.
+    """Round dots on a square lattice.
 
     Attributes:
         centres: mm.
@@ -196,7 +196,7 @@ class Dots:
 
 @dataclass(frozen=True)
 class Patch:
-    """Describe a rectangle of one level: a step of the tone curve.
+    """Rectangle of one level: a step of the tone curve.
 
     Attributes:
         corners: mm, one after the other round the rectangle.
@@ -214,7 +214,7 @@ class Patch:
 
 @dataclass(frozen=True)
 class Fiducial:
-    """Describe a mark to find the chart by.
+    """Mark to find the chart by.
 
     It is a dark disc inside dark rings.
     Rings and the gaps between them are as wide as the disc's radius.

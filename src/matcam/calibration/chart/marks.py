@@ -21,7 +21,7 @@ _SMALLEST, _LARGEST = 4, 0.01  # px; of the picture: area of a disc
 
 
 class Mark(NamedTuple):
-    """Hold the place of a fiducial, px, its rings, and its disc's radius, px."""
+    """Place of a fiducial, px, its rings, and its disc's radius, px."""
 
     x: float
     y: float

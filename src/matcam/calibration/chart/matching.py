@@ -42,7 +42,7 @@ class Match(NamedTuple):
 
 
 class _Views(NamedTuple):
-    """Hold pinholes' views of the page, and which marks they explain.
+    """Pinholes' views of the page, and which marks they explain.
 
     Attributes:
         matrix: (n, 3, 3) from mm to undistorted px from the picture's middle.

@@ -37,7 +37,7 @@ _TURN = 2 * np.pi * np.arange(256) / 256
 
 @dataclass(frozen=True, eq=False)
 class PrintedLevels:
-    """Hold the levels of patches as they were printed.
+    """Levels of patches as they were printed.
 
     Attributes:
         described: (n,) levels of the chart's description, rising.

@@ -21,7 +21,7 @@ _CORE = 3.0  # px about the steepest place that tell where it is
 
 
 class Sides(NamedTuple):
-    """Hold n sides of squares as they are seen, each at m places.
+    """Set of n sides of squares as they are seen, each at m places.
 
     Attributes:
         square: (n,) index of the element.

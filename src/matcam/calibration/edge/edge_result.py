@@ -49,7 +49,7 @@ _ROUGH = 0.03  # px, from which it is remarked on
 
 @dataclass(frozen=True, eq=False, repr=False)
 class EdgeMTF(Summarised, EdgeValues[float]):
-    """Hold the MTF of lens and pixel across one edge.
+    """MTF of lens and pixel across one edge.
 
     It stands here twice: free of a model, and as a lens model (`parametric`). Standard
     deviations are those that repeated pictures with this noise would show.
@@ -277,7 +277,7 @@ class EdgeMTF(Summarised, EdgeValues[float]):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class EdgeStack(Summarised, EdgeValues[np.ndarray]):
-    """Hold the results of n edges.
+    """Results of n edges.
 
     Numbers of an edge that cannot be measured are NaN. `stack[i]` is the `EdgeMTF` of one edge, which explains every attribute.
 

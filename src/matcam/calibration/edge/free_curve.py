@@ -49,7 +49,7 @@ _FINE = 11  # samples within an interval of `FREQUENCIES`: over 1.6e-3 cycles/px
 
 
 class EdgeSamples(NamedTuple):
-    """Hold the picture as an edge response.
+    """Picture as an edge response.
 
     Values are means over n cells of pixels at nearly one distance from the edge.
 
@@ -91,7 +91,7 @@ class CoreShape(NamedTuple):
 
 
 class Basis(NamedTuple):
-    """Hold the basis: P (n,), B_k (EVEN, n), O_k (ODD, n)."""
+    """Basis: P (n,), B_k (EVEN, n), O_k (ODD, n)."""
 
     pilot: jax.Array
     even: jax.Array
@@ -99,7 +99,7 @@ class Basis(NamedTuple):
 
 
 class FreeCurve(NamedTuple):
-    """Hold a fitted edge response.
+    """Fitted edge response.
 
     Attributes:
         shape: of the basis.
@@ -117,7 +117,7 @@ class FreeCurve(NamedTuple):
 
 
 class SampledCurve(NamedTuple):
-    """Hold a curve and its standard deviation, of one shape."""
+    """Curve and its standard deviation, of one shape."""
 
     value: AnyArray
     std: AnyArray

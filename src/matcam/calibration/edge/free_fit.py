@@ -65,7 +65,7 @@ _CANDIDATES, _REFINEMENTS = 9, 3
 
 
 class LinearFit(NamedTuple):
-    """Hold the solution without glare: n cells, p columns.
+    """Solution without glare: n cells, p columns.
 
     Attributes:
         shape: of the basis.
@@ -124,7 +124,7 @@ class Structure(NamedTuple):
 
 
 class GlareCandidate(NamedTuple):
-    """Hold the best of a row of radii.
+    """Best of a row of radii.
 
     Attributes:
         log_radius: ln px.
@@ -138,7 +138,7 @@ class GlareCandidate(NamedTuple):
 
 
 class _Columns(NamedTuple):
-    """Hold the linear problem about given levels."""
+    """Linear problem about given levels."""
 
     columns: jax.Array
     normal: jax.Array

@@ -27,7 +27,7 @@ _NEAR = 7  # px to both sides of the edge in which columns are split by phase
 
 
 class Rows(NamedTuple):
-    """Hold a region as rows of samples.
+    """Region as rows of samples.
 
     Attributes:
         value: (rows, columns); NaN where there is none.
@@ -43,7 +43,7 @@ class Rows(NamedTuple):
 
 
 class AlignedRows(NamedTuple):
-    """Hold rows whose middle sample is the nearest to the edge.
+    """Rows whose middle sample is the nearest to the edge.
 
     Attributes:
         value: (rows, columns); 0 where there is none.
@@ -74,7 +74,7 @@ class AlignedRows(NamedTuple):
 
 
 class PhasedRows(NamedTuple):
-    """Hold aligned rows with distances to a curve, and phases.
+    """Aligned rows with distances to a curve, and phases.
 
     A row's phase says where between two samples the edge crosses it.
 
@@ -94,7 +94,7 @@ class PhasedRows(NamedTuple):
 
 
 class EdgeCells(NamedTuple):
-    """Hold means over the pixels of n cells.
+    """Means over the pixels of n cells.
 
     Attributes:
         pixels: (n,) how many there are; 0 where a cell is empty (its means are then meaningless).

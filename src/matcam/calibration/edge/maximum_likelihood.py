@@ -48,7 +48,7 @@ Profile = Callable[[EdgeCells, "jax.Array"], tuple["jax.Array", "jax.Array", "ja
 
 
 class Noise(NamedTuple):
-    """Hold the noise of a pixel, in the picture's own units.
+    """Noise of a pixel, in the picture's own units.
 
     Attributes:
         gain: system gain; NaN: to be estimated.
@@ -70,7 +70,7 @@ UNKNOWN_NOISE = Noise(np.float64(np.nan), np.float64(np.nan))
 
 
 class State(NamedTuple):
-    """Hold the parameters of the fit.
+    """Parameters of the fit.
 
     Attributes:
         linear: (LINEAR,) dark, bright, m_k (of x and y in 1/px), a_k, shift in px (added to every distance).

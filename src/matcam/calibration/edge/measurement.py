@@ -41,7 +41,7 @@ _Fits = TypeVar("_Fits", bound=tuple[Any, ...])
 
 
 class LensFit(NamedTuple):
-    """Hold the maximum likelihood fit of a family of lenses.
+    """Maximum likelihood fit of a family of lenses.
 
     Attributes:
         state: the parameters.
@@ -69,7 +69,7 @@ class LensFit(NamedTuple):
 
 
 class EdgeFits(NamedTuple):
-    """Hold both estimates of one edge.
+    """Both estimates of one edge.
 
     Lengths are px from the region's centre, values the picture's units.
 
@@ -152,7 +152,7 @@ class _Stage(NamedTuple):
 
 
 class _Turn(NamedTuple):
-    """Hold one turn of the fits of profile and curve."""
+    """One turn of the fits of profile and curve."""
 
     curve: jax.Array
     cells: EdgeCells

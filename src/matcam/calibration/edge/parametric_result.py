@@ -61,7 +61,7 @@ class EdgeValues(Generic[Number]):
 
 @dataclass(frozen=True, eq=False)
 class _LensNumbers(Generic[Number]):
-    """Hold the parametric estimate of one edge, or of a stack."""
+    """Parametric estimate of one edge, or of a stack."""
 
     model: str
     names: tuple[str, ...]
@@ -81,7 +81,7 @@ class _LensNumbers(Generic[Number]):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ParametricEdge(Summarised, _LensNumbers[float]):
-    """Hold the maximum likelihood fit of a family of lenses.
+    """Maximum likelihood fit of a family of lenses.
 
     Attributes:
         model: name of the family (no unit).
@@ -166,7 +166,7 @@ class ParametricEdge(Summarised, _LensNumbers[float]):
 
 @dataclass(frozen=True, eq=False)
 class ParametricStack(_LensNumbers[np.ndarray]):
-    """Hold the parametric estimates of a stack.
+    """Parametric estimates of a stack.
 
     Attributes:
         model: name of the family (no unit).

@@ -80,7 +80,7 @@ class LensModel(Module):
 
 
 class LensAtEdge(NamedTuple):
-    """Hold a family of lenses as one edge sees it.
+    """Family of lenses as one edge sees it.
 
     Attributes:
         lens: the family.

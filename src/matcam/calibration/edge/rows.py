@@ -67,7 +67,7 @@ class RegionFrame(NamedTuple):
 
 
 class EdgeRegions(NamedTuple):
-    """Hold rows of samples of n regions.
+    """Rows of samples of n regions.
 
     They are turned so that edges are near to vertical, and bright on the right.
 

@@ -50,7 +50,7 @@ def smoothing_doubt(blur: float, *, denoised: bool) -> float:
 
 
 class FlatNoise(NamedTuple):
-    """Hold the noise of flat parts.
+    """Noise of flat parts.
 
     Attributes:
         alike: variance between neighbours over that of pixels 2 px apart; 1 where pixels err independently.

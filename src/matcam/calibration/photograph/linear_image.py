@@ -43,7 +43,7 @@ _ALONE = 1e-6  # of a Gaussian's weight: a pixel with fewer data around it is le
 
 @dataclass(frozen=True, eq=False)
 class LinearImage:
-    """Hold one colour plane of a photograph, linear.
+    """One colour plane of a photograph, linear.
 
     Every estimator takes a `LinearImage`, or an array that it turns into one with `LinearImage.of`. Make one yourself where
     several estimators look at the same picture, or to keep aperture and file with it.

@@ -53,7 +53,7 @@ def noise_gain(score: float, pixels: int) -> float:
 
 
 class BareEdge(NamedTuple):
-    """Hold n means of pixels across an edge.
+    """Set of n means of pixels across an edge.
 
     Attributes:
         distance: (n,) px from the edge.

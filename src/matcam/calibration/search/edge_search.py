@@ -27,7 +27,7 @@ _ENOUGH = 4  # edges that make a finer search unnecessary
 
 
 class EdgePlaces(NamedTuple):
-    """Hold n edges, the longest and strongest first.
+    """Set of n edges, the longest and strongest first.
 
     Lengths are px of the picture, pixel centres on whole numbers, x right, y down.
 

@@ -43,7 +43,7 @@ _FEW = 6  # edges, below which nothing is said of directions
 
 
 class Strips(NamedTuple):
-    """Hold n strips in a turned picture.
+    """Set of n strips in a turned picture.
 
     u runs along its rows, v across them. All are whole px but u, v and tilt.
 

@@ -46,7 +46,7 @@ _SHARE = np.repeat(_WEIGHTS / 2 / _ROUND, _ROUND)
 
 
 class DotLattice(NamedTuple):
-    """Hold the places of n dots, in a picture and printed.
+    """Places of n dots, in a picture and printed.
 
     Attributes:
         x: (n,) px.
@@ -90,7 +90,7 @@ class DotLattice(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class DotFit:
-    """Hold the fits of n dots, and their last derivatives.
+    """Fits of n dots, and their last derivatives.
 
     Attributes:
         lattice: where the dots were thought to be.
@@ -259,7 +259,7 @@ def square_lattice(x: FloatArray, y: FloatArray) -> DotLattice:
 
 
 class _Stamps(NamedTuple):
-    """Hold the pixels round n dots.
+    """Pixels round n dots.
 
     Attributes:
         columns: (n, width) px.

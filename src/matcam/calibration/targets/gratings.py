@@ -35,7 +35,7 @@ _WHITE = 40.0  # largest power of a residual over the median: white noise stays 
 
 @dataclass(frozen=True, eq=False)
 class GratingMTF:
-    """Hold the MTF that a grating shows, and what else was fitted.
+    """MTF that a grating shows, and what else was fitted.
 
     Attributes:
         samples: MTF at the harmonics that say something.
@@ -283,7 +283,7 @@ def _fit_grating(
 
 
 class _MeanWave(NamedTuple):
-    """Hold a grating's mean frequency, cycles/px, and mean place, px."""
+    """Grating's mean frequency, cycles/px, and mean place, px."""
 
     fx: float
     fy: float

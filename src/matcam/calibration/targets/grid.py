@@ -35,7 +35,7 @@ _DIRECTION = np.radians([0.0, 90.0, 0.0, 90.0, 45.0])
 
 @dataclass(frozen=True, eq=False)
 class BlurField:
-    """Hold the variance of a Gaussian lens over the field.
+    """Variance of a Gaussian lens over the field.
 
     It is a polynomial of second order.
 
@@ -101,7 +101,7 @@ class BlurField:
 
 @dataclass(frozen=True, eq=False)
 class DotGrid:
-    """Hold the blur at n dots, over the field, and its MTF.
+    """Blur at n dots, over the field, and its MTF.
 
     Attributes:
         x: (n,) places of the dots in the picture, px.

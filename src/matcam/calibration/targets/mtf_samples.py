@@ -17,7 +17,7 @@ KINDS = ("edge", "grating", "star", "dots")
 
 @dataclass(frozen=True, eq=False)
 class MTFSamples:
-    """Hold a camera's MTF as measured at n frequencies in one place.
+    """Camera's MTF as measured at n frequencies in one place.
 
     The MTF is the effective camera's: optics and pixel, signed.
 

@@ -42,7 +42,7 @@ _CLEAR = 20.0  # standard deviations of the whole wave
 
 @dataclass(frozen=True, eq=False)
 class StarMTF:
-    """Hold the MTF that a star shows, and what else was fitted.
+    """MTF that a star shows, and what else was fitted.
 
     Attributes:
         samples: MTF in four directions, up to 0.75 cycles/px, as far as the star goes.

@@ -42,7 +42,7 @@ class Phase(Protocol):
 
 
 class WavePixels(NamedTuple):
-    """Hold n pixels of a picture.
+    """Set of n pixels of a picture.
 
     Attributes:
         value: (n,) linear light.
@@ -91,7 +91,7 @@ class Modulation:
 
 @dataclass(frozen=True, eq=False)
 class WaveFit:
-    """Hold a wave's modulation and phase as fitted, and their errors.
+    """Wave's modulation and phase as fitted, and their errors.
 
     Attributes:
         coefficients: (orders * k,) of the modulation.

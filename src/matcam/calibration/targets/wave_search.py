@@ -92,7 +92,7 @@ class StarPhase(NamedTuple):
 
 
 class FoundStar(NamedTuple):
-    """Hold a star in a picture.
+    """Star in a picture.
 
     Attributes:
         phase: its cycles and its outer radius, px.
@@ -136,7 +136,7 @@ def find_star(values: FloatArray, cycles: int | None = None) -> FoundStar:
 
 
 class _Ring(NamedTuple):
-    """Hold a ring on which there is a wave.
+    """Ring on which there is a wave.
 
     share: of the ring's power. amplitude: over the ring's mean. phase: (n,) rad at x, y, px.
     """
@@ -246,7 +246,7 @@ class GratingPhase(NamedTuple):
 
 
 class FoundGrating(NamedTuple):
-    """Hold a grating in a picture.
+    """Grating in a picture.
 
     Attributes:
         phase: the polynomial of its phase.

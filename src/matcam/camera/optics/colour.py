@@ -1,4 +1,4 @@
-"""A lens for each colour: what glass does to red, green and blue is not the same."""
+"""Separate lenses for red, green and blue, because glass is dispersive."""
 
 from __future__ import annotations
 
@@ -18,21 +18,21 @@ _FARTHEST = 100.0  # px
 
 
 class ColourOptics(VaryingOptics):
-    """Blur and shift each of three channels by itself.
+    """Separate blur and shift of each of three channels.
 
-    `picture` takes it: channel k of the picture is that of lens k. A material of one channel is seen in three colours.
+    `picture` supports it: channel k of the image is that of lens k. A material of one channel gives three colours.
 
     Args:
         red: lens of the first channel.
         green: lens of the second.
         blue: lens of the third.
-        red_shift: of the first channel's image against the optical axis, (right, up), px: lateral colour, the same all over
-            the picture. Default: none.
+        red_shift: of the image of the first channel relative to the optical axis, (right, up), px: lateral colour,
+            uniform over the image. Default: none.
         green_shift: of the second channel's. Default: none.
         blue_shift: of the third channel's. Default: none.
 
     Raises:
-        ArgumentError: a lens is none, or has colours itself; a shift is no pair within 100 px.
+        ArgumentError: a lens is not Optics, or has colours itself; a shift is not a pair within 100 px.
 
     Source:
         None; lateral colour is Kingslake & Johnson, Lens Design Fundamentals, chapter 5.
@@ -85,7 +85,7 @@ class ColourOptics(VaryingOptics):
     def named_lenses(self) -> dict[str, Optics]:
         """Return the lenses by colour.
 
-        One that changes over the picture is given by the lenses that stand for it.
+        A lens that varies over the image is represented by single lenses.
         """
         named: dict[str, Optics] = {}
         for colour, lens in zip(("red", "green", "blue"), self.lenses, strict=True):
@@ -105,8 +105,8 @@ class ColourOptics(VaryingOptics):
         return max(lens.band() for lens in self.lenses)
 
     def instead(self) -> str:
-        """Return what to ask instead, for a message."""
-        return "ask Camera(optics.red, pixel), .green or .blue"
+        """Describe an alternative, for a message."""
+        return "use Camera(optics.red, pixel), .green or .blue"
 
     def __repr__(self) -> str:
         names = ("red_shift", "green_shift", "blue_shift")

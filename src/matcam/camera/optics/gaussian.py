@@ -1,10 +1,11 @@
-"""Gaussian optics, the paper's lens of one parameter; and any lens as a signed sum of Gaussians.
+"""Gaussian optics, the lens of the paper with one parameter; and any lens as a signed sum of Gaussians.
 
-mtf(f) = sum_j w_j exp(-2 pi^2 sigma_j^2 f^2) gives what follows closed forms. It is exact for Gaussians and for halos round
-them. A lens whose MTF ends at a cutoff is smoother in frequency than any finite sum of Gaussians can be: with
-sum |w_j| <= 50 no choice of widths comes closer to a perfect lens, seen through a full pixel of 4.73 um at 550 nm, than
-1.5e-4 / 6e-4 / 2.4e-3 at f/2.8 / 8 / 16 (tests/camera/test_gaussian_sum.py finds that limit by linear programming). The least
-squares here, 24 terms, reach 8e-4 / 1.9e-3 / 5.2e-3. Where that is not enough, integrate over frequencies (`fourier`).
+With mtf(f) = sum_j w_j exp(-2 pi^2 sigma_j^2 f^2) the kernels have closed forms. It is exact for Gaussians and for
+halos round them. A lens whose MTF ends at a cutoff is smoother in frequency than any finite sum of Gaussians can be:
+with sum |w_j| <= 50 no choice of widths approximates a perfect lens, through a full pixel of 4.73 um at 550 nm, better
+than 1.5e-4 / 6e-4 / 2.4e-3 at f/2.8 / 8 / 16 (tests/camera/test_gaussian_sum.py finds that limit by linear
+programming). The least squares here, 24 terms, reach 8e-4 / 1.9e-3 / 5.2e-3. For higher accuracy, integrate over
+frequencies (`fourier`).
 """
 
 from __future__ import annotations
@@ -47,10 +48,10 @@ _TAIL = 0.01 + 0.99 * np.exp(-((_GRID / 0.2) ** 2))
 
 
 class GaussianOptics(Optics):
-    """Blur by a Gaussian point spread function: the paper's lens.
+    """Gaussian point spread function, the lens of the paper.
 
     Args:
-        sigma: standard deviation of the point spread function, px, positive. The paper guesses 0.5 px for the MERL camera.
+        sigma: standard deviation of the point spread function, px, positive. The paper assumes 0.5 px for the MERL camera.
 
     Raises:
         ArgumentError: sigma is not positive, or not a single number.
@@ -99,14 +100,14 @@ class GaussianOptics(Optics):
 
 
 class GaussianSum(Module):
-    """Hold a lens as a sum of Gaussians.
+    """Lens as a sum of Gaussians.
 
     Attributes:
         weights: signed, of sum 1, shape (n,).
         sigmas: standard deviations, px, shape (n,).
         error: largest difference of its MTF from the lens's, over all frequencies.
-        total_error: the same after a pixel of 100 % fill, in the direction that lets most through, which is all that a
-            picture can show. Errors of fitted components add up.
+        total_error: the same after a pixel of 100 % fill, in the direction with the largest transfer: the visible
+            error. Errors of fitted components add up.
     """
 
     weights: jax.Array
@@ -122,7 +123,7 @@ class GaussianSum(Module):
 def gaussian_sum(optics: Optics, terms: int = 24) -> GaussianSum:
     """Approximate a lens by Gaussians.
 
-    Gaussian components stay as they are; every other one becomes `terms` Gaussians. The result is differentiable in the
+    Gaussian components are kept; every other one becomes `terms` Gaussians. The result is differentiable in the
     parameters of the lens: the weights solve a linear least-squares problem in its sampled MTF, the widths are fixed
     multiples of 1 / band.
 
@@ -131,21 +132,21 @@ def gaussian_sum(optics: Optics, terms: int = 24) -> GaussianSum:
         terms: Gaussians per component, 8 to 64. Default: 24.
 
     Raises:
-        ArgumentError: `terms` is out of range, a measured MTF has not reached 0, or the lens is not isotropic.
+        ArgumentError: `terms` is out of range, a measured MTF does not end at 0, or the lens is not isotropic.
     """
-    checked_isotropic(optics, "a sum of Gaussians, by which predictions, reconstructions and cylinders see a lens,")
+    checked_isotropic(optics, "a sum of Gaussians, which predictions, reconstructions and cylinders use for a lens,")
     return round_gaussians(optics, terms)
 
 
 def round_gaussians(optics: Optics, terms: int = 24) -> GaussianSum:
-    """Approximate by Gaussians the mean of a lens over all directions; of an isotropic one see `gaussian_sum`."""
+    """Approximate the mean of a lens over all directions by Gaussians; for an isotropic one see `gaussian_sum`."""
     if not 8 <= terms <= 64:
         raise ArgumentError(f"terms must lie in [8, 64], got {terms}")
     return _of_all_pieces(optics, lambda band: (_NARROWEST / band, terms, np.ones(_GRID.size)))
 
 
 def finest_width(optics: Optics) -> float:
-    """Return the standard deviation of the narrowest Gaussian that a lens is made of, px."""
+    """Return the standard deviation of the narrowest Gaussian of a lens, px."""
     widths = [
         constant(part.sigma) if isinstance(part, GaussianOptics) else _NARROWEST / part.band()
         for _, part in optics.components()
@@ -154,15 +155,17 @@ def finest_width(optics: Optics) -> float:
 
 
 def few_gaussians(optics: Optics) -> GaussianSum:
-    """Approximate a lens's mean over all directions by few Gaussians, right far from its centre only.
+    """Approximate the mean of a lens over all directions by few Gaussians, which are accurate only far from its centre.
 
-    What they leave must be added (`forward/integral/kernel_rest.py`).
+    Their residual must be added (`forward/integral/kernel_rest.py`).
     """
     return _of_all_pieces(optics, lambda band: (_FEW_NARROWEST / band, _FEW, _TAIL))
 
 
 _Widths = Callable[["jax.Array"], tuple["jax.Array", int, np.ndarray]]
-"""Of a band, cycles/px: the narrowest width, px, the count of Gaussians, and how much each frequency of the grid counts."""
+"""Function of a band, cycles/px, to the narrowest width, px, the number of Gaussians, and the weights of frequencies of
+the grid.
+"""
 
 
 def _of_all_pieces(optics: Optics, widths: _Widths) -> GaussianSum:
@@ -178,12 +181,12 @@ def _of_all_pieces(optics: Optics, widths: _Widths) -> GaussianSum:
 def _of_one_piece(optics: Optics, widths: _Widths) -> GaussianSum:
     if isinstance(optics, GaussianOptics):
         return GaussianSum(xp.ones(1), optics.sigma[None], xp.zeros(()), xp.zeros(()))
-    band = xp.sum(optics.rule_on(np.array([0.0, 1.0])).weight)  # traced where the lens is, as `band()` cannot be
+    band = xp.sum(optics.rule_on(np.array([0.0, 1.0])).weight)  # traced if the lens is traced, unlike `band()`
     narrowest, terms, counts = widths(band)
     reach = xp.log(xp.maximum(_WIDEST / narrowest, _WIDEST))
     sigmas = narrowest * xp.exp(reach * xp.linspace(0, 1, terms))
 
-    # weights = 1 / terms + basis @ v: their sum is 1 whatever v is
+    # weights = 1 / terms + basis @ v: their sum is 1 for any v
     mean = xp.full(terms, 1 / terms)
     basis = xp.asarray(np.linalg.qr(np.eye(terms) - 1 / terms)[0][:, : terms - 1])
     frequency = xp.asarray(_GRID) * band
@@ -201,7 +204,7 @@ def _of_one_piece(optics: Optics, widths: _Widths) -> GaussianSum:
 
 
 def _mean_transfer(optics: Optics, frequency: jax.Array) -> jax.Array:
-    """Return the mean of a transfer function over all directions, which is real."""
+    """Compute the mean of a transfer function over all directions, which is real."""
     if optics.isotropic:
         return optics.mtf(frequency)
     f, angle = frequency[:, None], np.pi * np.arange(_DIRECTIONS) / _DIRECTIONS  # the other half is its conjugate
@@ -213,6 +216,6 @@ def _spectra(f: jax.Array, sigmas: jax.Array) -> jax.Array:
 
 
 def _through_full_pixel(f: jax.Array) -> jax.Array:
-    """Return the transfer function of a square of side 1 px in the direction that lets most through."""
+    """Return the transfer function of a square of side 1 px in the direction with the largest transfer."""
     angle = np.linspace(0, np.pi / 4, 33)
     return xp.max(xp.abs(xp.sinc(f[:, None] * np.cos(angle)) * xp.sinc(f[:, None] * np.sin(angle))), axis=1)

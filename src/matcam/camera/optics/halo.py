@@ -19,14 +19,14 @@ if TYPE_CHECKING:
 
     from matcam.core.jax import jax
 
-_TRACED_OCTAVES = 18  # resolves the spike of a halo of 1000 px under a band of 40 cycles/px
+_TRACED_OCTAVES = 18  # resolves the spike of a halo of 1000 px with a band of 40 cycles/px
 
 
 class HaloOptics(Optics):
-    """Spread part of a lens's light into a wide Gaussian: veiling glare.
+    """Veiling glare: a share of the light in a wide Gaussian.
 
-    PSF = (1 - fraction) core + fraction halo. Highlights are 1e3 to 1e6 times brighter than their surroundings: a fraction
-    of 1e-3 reads as haze.
+    PSF = (1 - fraction) core + fraction halo. Highlights are 1e3 to 1e6 times brighter than their surroundings: a
+    fraction of 1e-3 looks like haze.
 
     The core may itself have a halo, because stray light of several ranges is a sum of Gaussians. The outer halo's share is
     then taken from the inner lens as a whole.
@@ -37,7 +37,7 @@ class HaloOptics(Optics):
         radius: standard deviation of the halo, px, positive.
 
     Raises:
-        ArgumentError: a parameter is out of range, or the core is no lens.
+        ArgumentError: a parameter is out of range, or the core is not a lens.
 
     Source:
         ISO 9358 (veiling glare); docs/model.md 2.
@@ -85,7 +85,7 @@ class HaloOptics(Optics):
         The halo is a spike of standard deviation 1 / (2 pi radius) at frequency 0.
 
         Raises:
-            ArgumentError: the core is not isotropic; ask `otf`.
+            ArgumentError: the core is not isotropic; use `otf`.
         """
         core = checked_isotropic(self.core, "mtf without an angle")
         return (1 - self.fraction) * core.mtf(f) + self.fraction * self.halo.mtf(f)
@@ -96,24 +96,24 @@ class HaloOptics(Optics):
 
     @property
     def isotropic(self) -> bool:
-        """Tell whether the core blurs alike in all directions, colours and places."""
+        """Check whether the core is isotropic, achromatic and uniform."""
         return self.core.isotropic
 
     def band(self) -> float:
-        """Return the core's band, or the halo's where that is wider, cycles/px."""
+        """Return the larger band of core and halo, cycles/px."""
         return max(self.core.band(), self.halo.band())
 
     def rule_on(self, borders: np.ndarray) -> Rule:
-        """Return the core's rule on panels that halve towards 0.
+        """Return the rule of the core on panels that halve towards 0.
 
-        They resolve the halo's spike.
+        They resolve the spike of the halo.
         """
         known = all(map(is_concrete, leaves_of(self)))
         octaves = 2 + max(0, int(np.log2(self.core.band() / self.halo.band()))) if known else _TRACED_OCTAVES
         rule = self.core.rule_on(np.union1d(borders, 2.0 ** -np.arange(octaves + 2)))
         if known and self.halo.band() <= self.core.band():
             return rule
-        # a halo narrower than its core reaches beyond the core's band; weights sum to what a rule covers
+        # a halo narrower than its core extends beyond the band of the core; weights sum to the range of a rule
         start, beyond = xp.sum(rule.weight), self.halo.rule_on(borders)
         end = xp.sum(beyond.weight)
         share = xp.maximum(end - start, 0) / end

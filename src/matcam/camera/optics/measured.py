@@ -1,4 +1,4 @@
-"""Optics known by a measured MTF: a cubic spline through its samples."""
+"""Optics with a measured MTF: a cubic spline through its samples."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ _ZERO = 1e-9
 
 
 class MeasuredOptics(Optics):
-    """Blur as a measured MTF says: isotropic and without shift.
+    """Isotropic blur by a measured MTF, without shift.
 
     The MTF is a cubic spline through the samples.
 
-    Beyond the last sample the MTF is 0 if the curve ends in 0. Otherwise asking there is an error, and so is the PSF, which
-    needs all frequencies: append where the curve reaches 0. The diffraction cutoff pitch / (wavelength f_number) is always
-    such a point.
+    Beyond the last sample the MTF is 0 if the curve ends at 0. Otherwise evaluation there is an error, and so is the
+    PSF, which requires all frequencies: append the frequency where the curve reaches 0. The diffraction cutoff pitch /
+    (wavelength f_number) is always such a point.
 
     Args:
         frequency: of the samples, cycles/px, increasing from 0, shape (n,), n >= 4.
@@ -36,10 +36,10 @@ class MeasuredOptics(Optics):
             a total MTF by the pixel's first.
 
     Raises:
-        ArgumentError: shapes do not match, frequencies do not increase from 0, or the curve is no MTF.
+        ArgumentError: shapes do not match, frequencies do not increase from 0, or the curve is not an MTF.
 
     Source:
-        None but the data; ISO 12233 measures such curves.
+        ISO 12233 measures such curves.
 
     Example:
         >>> lens = matcam.MeasuredOptics([0.0, 0.25, 0.5, 1.0], [1.0, 0.7, 0.3, 0.0])
@@ -83,14 +83,14 @@ class MeasuredOptics(Optics):
         """Interpolate the MTF at f cycles/px; optics only.
 
         Raises:
-            ArgumentError: f lies beyond the last sample, and the curve has not reached 0 there.
+            ArgumentError: f lies beyond the last sample, and the curve does not end at 0.
         """
         at = xp.abs(checks.number("f", f))
         last = self.frequency[-1]
         if is_concrete(at) and not self.ends_at_zero and at.size and float(xp.max(at)) > last:
             raise ArgumentError(
-                f"the measured MTF ends at {last:g} cycles/px with {float(self.values[-1]):g}, and is asked for at "
-                f"{float(xp.max(at)):g}: append samples to where it reaches 0"
+                f"the measured MTF ends at {last:g} cycles/px with {float(self.values[-1]):g}, and is required at "
+                f"{float(xp.max(at)):g}: append samples up to where it reaches 0"
             )
         return xp.where(at > last, 0.0, _spline(xp.asarray(self.frequency), self.values, at))
 
@@ -106,17 +106,20 @@ class MeasuredOptics(Optics):
         """Return the last sample's frequency, cycles/px.
 
         Raises:
-            ArgumentError: the curve has not reached 0 there.
+            ArgumentError: the curve does not end at 0.
         """
         if not self.ends_at_zero:
             raise ArgumentError(
                 f"the measured MTF ends at {self.frequency[-1]:g} cycles/px with {float(self.values[-1]):g}: a point "
-                "spread function needs all frequencies; append samples to where it reaches 0"
+                "spread function needs all frequencies; append samples up to where it reaches 0"
             )
         return self.frequency[-1]
 
     def rule_on(self, borders: np.ndarray) -> Rule:
-        """Return panels that never straddle a sample, where the third derivative jumps."""
+        """Return panels without a sample inside.
+
+        The third derivative is discontinuous at the samples.
+        """
         return split_rule(self.band() * borders, np.asarray(self.frequency))
 
     def components(self) -> tuple[tuple[jax.Array, Optics], ...]:
@@ -152,7 +155,7 @@ def _spline(x: jax.Array, y: jax.Array, at: jax.Array) -> jax.Array:
 
 
 def _tridiagonal_solution(lower: jax.Array, diagonal: jax.Array, upper: jax.Array, right: jax.Array) -> jax.Array:
-    """Solve a tridiagonal system; the first of `lower` and the last of `upper` do not count."""
+    """Solve a tridiagonal system; the first of `lower` and the last of `upper` are not used."""
     if has_jax(lower, diagonal, upper, right):
         from matcam.core.jax import jax, jnp
 

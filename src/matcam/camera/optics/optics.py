@@ -1,8 +1,8 @@
-"""The lens: its point spread function, before any pixel has integrated it (docs/model.md 2).
+"""Lens: its point spread function, before integration over a pixel (docs/model.md 2).
 
-Where a kernel has no closed form, it is the inverse Fourier transform of a transfer function that ends at a known frequency, by
-Gauss-Legendre on panels. Kernels are real, so the positive half of the frequencies is enough; where a lens is isotropic, they
-are even, and cosines are. The error is that of 16 nodes to at most one period: below 1e-12 of the kernel's peak.
+A kernel without a closed form is the inverse Fourier transform of a band-limited transfer function, by Gauss-Legendre
+quadrature on panels. Kernels are real, so the positive half of the frequencies suffices; for isotropic lenses they are
+even, and cosines suffice. The error is that of 16 nodes to at most one period: below 1e-12 of the kernel's peak.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ if TYPE_CHECKING:
     from matcam.core.jax import AnyArray, jax
 
 ORDER = 16
-"""Nodes to a panel."""
+"""Number of nodes per panel."""
 
-_DEFAULT_REACH = 64.0  # px; assumed for traced positions, whose extent is not known
+_DEFAULT_REACH = 64.0  # px; assumed extent of traced positions
 _POINTS_AT_ONCE = 64
 
 
@@ -37,26 +37,26 @@ Transfer = Callable[["jax.Array", "jax.Array"], "jax.Array"]
 
 
 class Wave(NamedTuple):
-    """Hold what the real and the imaginary part of a transfer function at f add to a kernel at x."""
+    """Contributions of the real and the imaginary part of a transfer function at f to a kernel at x."""
 
     even: Callable[[jax.Array, jax.Array], jax.Array]
     odd: Callable[[jax.Array, jax.Array], jax.Array]
 
 
 class Rule(NamedTuple):
-    """Hold nodes f (cycles/px, >= 0) and weights of a quadrature over the band of a transfer function."""
+    """Nodes f (cycles/px, >= 0) and weights of a quadrature over the band of a transfer function."""
 
     frequency: AnyArray
     weight: AnyArray
 
 
 def piecewise_rule(edges: np.ndarray, order: int = ORDER) -> Rule:
-    """Return Gauss-Legendre nodes, `order` of them on each panel between consecutive edges."""
+    """Build Gauss-Legendre nodes, `order` of them on each panel between consecutive edges."""
     return Rule(*nodes_in_panels(edges, order))
 
 
 def split_rule(borders: np.ndarray, knots: np.ndarray) -> Rule:
-    """Return `piecewise_rule` on panels that are split at knots; a piece gets nodes for its share of the panel."""
+    """Build `piecewise_rule` on panels that are split at knots; a piece gets nodes in proportion to its share of the panel."""
     edges = np.union1d(borders, knots)
     left, right, widths = edges[:-1], edges[1:], np.diff(edges)
     panel = np.clip(np.searchsorted(borders, left, side="right") - 1, 0, borders.size - 2)
@@ -92,7 +92,7 @@ def plane_kernel(rule: Rule, transfer: Transfer, x: jax.Array, y: jax.Array, tur
 
     The nodes are polar, with `turns` angles to a quarter turn.
     """
-    # the trapezoid rule on a full period is exact to rounding; over the quarter its two ends count half
+    # the trapezoidal rule on a full period is exact to rounding; over the quarter its two ends count half
     angle = xp.linspace(0, xp.pi / 2, turns + 1)
     ends = np.ones(turns + 1)
     ends[[0, -1]] = 0.5
@@ -120,7 +120,7 @@ def turns_for(reach: float, band: float) -> int:
 
 
 def _step_even(f: jax.Array, x: jax.Array) -> jax.Array:
-    # sin(2 pi f x) / (pi f), written so that f = 0 is no special case
+    # sin(2 pi f x) / (pi f), in a form that is regular at f = 0
     return 2 * x * xp.sinc(2 * f * x)
 
 
@@ -140,14 +140,16 @@ def _over_frequencies(wave: Wave, rule: Rule, transfer: Transfer, x: jax.Array, 
 
 
 def _summed(wave: Wave, frequency: jax.Array, amplitude: jax.Array, x: jax.Array) -> jax.Array:
-    """Return the sum over frequencies at places x (n,); amplitude: of one direction, (frequencies,), or one for each place."""
+    """Compute the sum over frequencies at positions x (n,); amplitude: of one direction, (frequencies,), or one per
+    position.
+    """
     total = xp.sum(wave.even(frequency, x[:, None]) * amplitude.real, axis=-1)
     if not xp.iscomplexobj(amplitude):
         return total
     return total + xp.sum(wave.odd(frequency, x[:, None]) * amplitude.imag, axis=-1)
 
 
-# The sums are functions of arrays alone, so that what was compiled for one lens serves the next.
+# The sums are functions of arrays alone, so that lenses share compiled programs.
 
 
 @partial(compiled_by_jax, static=(0,))
@@ -174,17 +176,17 @@ def _directed_plane_sum(fx: jax.Array, fy: jax.Array, amplitude: jax.Array, x: j
 
 
 def _at_each(function: Callable[..., jax.Array], *positions: jax.Array) -> jax.Array:
-    """Apply a function of places (n,) to positions of any shape."""
+    """Apply a function of positions (n,) to positions of any shape."""
     flat = tuple(p.ravel() for p in positions)
     return first_axis_map(function, flat, _POINTS_AT_ONCE).reshape(positions[0].shape)
 
 
 class Optics(Module):
-    """Describe a lens; the pixel is not in it.
+    """Lens without the pixel.
 
-    Most lenses blur isotropically and without shift: one MTF of one frequency is all of them. Those that do not say so
-    (`isotropic`), and their transfer function `otf` is complex. Places count from the point's image, x to the right and y
-    upwards, as in pictures.
+    Most lenses blur isotropically and without shift, and one MTF of one frequency describes them. For others
+    `isotropic` is false, and the transfer function `otf` is complex. Positions are relative to the image of the point,
+    x to the right and y upwards.
 
     Three kernels are called PSF: the *optical* one (this type), the *pixel response* (`PixelResponse`) and their
     combination, the *effective* one (`Camera`). They are different types so that none can be applied twice.
@@ -236,13 +238,13 @@ class Optics(Module):
 
     @property
     def isotropic(self) -> bool:
-        """Tell whether it blurs alike in all directions, colours and places."""
+        """Check whether the lens is isotropic, achromatic and uniform."""
         return True
 
     def otf(self, fx: ArrayLike, fy: ArrayLike) -> jax.Array:
         """Return the optical transfer function in the plane; optics only.
 
-        It is complex where the lens is not isotropic, and `mtf` of the frequency's length where it is.
+        It is complex for anisotropic lenses, otherwise `mtf` of the length of the frequency.
 
         Args:
             fx: frequency along the rows, cycles/px; broadcasts with fy.
@@ -267,35 +269,35 @@ class Optics(Module):
 
     @abstractmethod
     def components(self) -> tuple[tuple[jax.Array, Optics], ...]:
-        """Return (weight, lens) of the parts that this lens is the sum of.
+        """Return (weight, lens) of the components of this lens.
 
-        A lens of one piece returns itself, with weight 1.
+        A lens of one component returns itself, with weight 1.
         """
 
     def frequency_rule(self, panels: int, grade: int = 1) -> Rule:
         """Return a quadrature over [0, band] on evenly graded panels.
 
         Args:
-            panels: number of panels, at least.
-            grade: power by which they crowd towards 0. Default: 1, all of one width.
+            panels: smallest number of panels.
+            grade: power of their density towards 0. Default: 1, all of one width.
         """
         return self.rule_on(np.linspace(0, 1, panels + 1) ** grade)
 
 
 def checked_isotropic(optics: Optics, what: str) -> Optics:
-    """Return a lens that is one function of one frequency.
+    """Check that a lens is a function of one frequency.
 
     Args:
         optics: the lens.
-        what: what needs that, for the message.
+        what: feature that requires it, for the message.
 
     Raises:
-        ArgumentError: it blurs differently by direction, colour or place.
+        ArgumentError: its blur depends on direction, colour or position.
     """
     if optics.isotropic:
         return optics
     raise ArgumentError(
-        f"{what} needs a lens that blurs alike in all directions, colours and places, not {type(optics).__name__}: "
+        f"{what} needs a lens with the same blur in all directions, colours and positions, not {type(optics).__name__}: "
         "`picture` takes it, and so do tables of a sphere; elsewhere give the nearest such lens, as DefocusOptics or a "
         "mean MTF in MeasuredOptics"
     )

@@ -1,6 +1,6 @@
-"""A lens limited by its pupil: diffraction at a circular aperture, in focus and out of focus.
+"""Lens limited by its pupil: diffraction at a circular aperture, in focus and out of focus.
 
-In focus it is the limit of what any lens can do. Out of focus the pupil carries a quadratic error of phase.
+In focus it is the diffraction limit. Out of focus the pupil has a quadratic phase error.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _FREQUENCIES_AT_ONCE = 1024
 
 
 class DiffractionOptics(Optics):
-    """Blur by diffraction alone: a perfect lens with a circular pupil.
+    """Diffraction-limited lens with a circular pupil.
 
     The MTF ends at pixel_pitch / (wavelength f_number) cycles/px.
 
@@ -105,7 +105,7 @@ class DiffractionOptics(Optics):
     def rule_on(self, borders: np.ndarray) -> Rule:
         """Return panels in t with f = cutoff t (2 - t).
 
-        In t the end of the MTF, (1 - nu)^(3/2), is a polynomial.
+        In t the MTF near the cutoff, (1 - nu)^(3/2), is a polynomial.
         """
         unit = piecewise_rule(1 - np.sqrt(1 - borders))
         t = unit.frequency
@@ -123,12 +123,13 @@ class DiffractionOptics(Optics):
 
 
 class DefocusOptics(Optics):
-    """Blur by diffraction and defocus: a circular pupil without other aberrations.
+    """Lens with diffraction and defocus, without other aberrations.
 
-    A sensor that is dz m from the focus sees a circle of blur_diameter = dz / (f_number pixel_pitch). The wavefront's error
-    at the pupil's edge is then W020 = dz / (8 f_number^2) = blur_diameter pixel_pitch / (8 f_number), m.
+    A sensor dz m from the focus has a circle of confusion of blur_diameter = dz / (f_number pixel_pitch). The
+    wavefront's error at the pupil's edge is then W020 = dz / (8 f_number^2) = blur_diameter pixel_pitch / (8 f_number),
+    m.
 
-    The MTF is signed: where it is negative, bright and dark have changed places (spurious resolution).
+    The MTF is signed: where it is negative, bright and dark are exchanged (spurious resolution).
 
     Args:
         f_number: working f-number, no unit, positive.
@@ -180,14 +181,13 @@ class DefocusOptics(Optics):
         the pupil's autocorrelation: the product of the pupil with itself, shifted by 2 nu, retains of the quadratic phase
         the linear term 8 pi W020 nu u / wavelength = pi c f u.
 
-        It is NaN for traced parameters whose c * cutoff exceeds 256, because the quadrature's size is fixed before they are
-        known.
+        It is NaN for traced parameters whose c * cutoff exceeds 256, because the size of the quadrature is fixed before.
         """
         frequency = xp.abs(checks.number("f", f))
         cutoff = self.focused.cutoff
         known = is_concrete(self.blur_diameter) and is_concrete(cutoff)
         circle = float(self.blur_diameter * cutoff) if known else _TRACED_CIRCLE
-        # in u = cos t the cosine runs through at most 0.23 c cutoff periods: three to a panel
+        # in u = cos t the cosine has at most 0.23 c cutoff periods: three per panel
         rule = piecewise_rule(np.linspace(0, 1, 3 + int(0.08 * circle)))
         values = _overlap(frequency, cutoff, self.blur_diameter, *(xp.asarray(a) for a in rule))
         return values if known else xp.where(self.blur_diameter * cutoff > _TRACED_CIRCLE, xp.nan, values)

@@ -1,4 +1,4 @@
-"""A lens that differs over the field: Seidel's aberrations, each by a Zernike term that grows from the optical axis."""
+"""Lens that varies over the field: Seidel aberrations, each a Zernike term that grows from the optical axis."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ if TYPE_CHECKING:
 
 
 class SeidelOptics(VaryingOptics):
-    """Blur by aberrations that grow with the distance from the optical axis.
+    """Lens with aberrations that grow with the distance from the axis.
 
-    At h units from the axis coma is h times, astigmatism and field curvature are h^2 times what is stated, and both point
-    away from the axis; spherical aberration and defocus are the same all over. `at` is the lens at one place. `picture` takes
-    it: each piece of the surface is spread by the lens at its own place.
+    At h units from the axis coma is h times, astigmatism and field curvature are h^2 times their coefficients, and both
+    point away from the axis; spherical aberration and defocus are uniform. `at` is the lens at one position. `picture`
+    supports it: each surface element is blurred by the lens at its own position.
 
     Args:
         f_number: working f-number, no unit, positive.
@@ -84,7 +84,7 @@ class SeidelOptics(VaryingOptics):
         parts = (("astigmatism", astigmatism), ("coma", coma), ("curvature", curvature))
         values = [checks.scalar(name, checks.number(name, value)) for name, value in parts]
         self.astigmatism, self.coma, self.curvature = values
-        # what holds at the unit is a lens, too: its ranges are checked
+        # the lens at the unit distance is checked, too
         ZernikeOptics(
             f_number, wavelength, pixel_pitch, curvature, (astigmatism, 0.0), (coma, 0.0), spherical=spherical
         )
@@ -95,14 +95,14 @@ class SeidelOptics(VaryingOptics):
         return self.axial.focused
 
     def at(self, x: ArrayLike, y: ArrayLike) -> ZernikeOptics:
-        """Return the lens at a place.
+        """Return the lens at a position.
 
         Args:
-            x: place from the optical axis, to the right, px.
+            x: position from the optical axis, to the right, px.
             y: the same upwards, px.
 
         Raises:
-            ArgumentError: the aberrations are too large there, or a place is not a finite number.
+            ArgumentError: the aberrations are too large there, or a position is not a finite number.
         """
         terms = checks.broadcastable(x=x, y=y)
         found = self.terms_at(*(checks.scalar(name, one) for name, one in zip("xy", terms, strict=True)))
@@ -116,10 +116,10 @@ class SeidelOptics(VaryingOptics):
         return {"centre": self.at(0.0, 0.0)}
 
     def terms_at(self, x: ArrayLike, y: ArrayLike) -> jax.Array:
-        """Return the coefficients of `ZernikeOptics.terms` at places, (..., 8), waves rms.
+        """Return the coefficients of `ZernikeOptics.terms` at positions, (..., 8), waves rms.
 
         Args:
-            x: places from the optical axis, to the right, px; broadcasts with y.
+            x: positions from the optical axis, to the right, px; broadcasts with y.
             y: the same upwards, px.
         """
         right, up = (xp.asarray(a) / self.unit for a in (x, y))
@@ -136,8 +136,8 @@ class SeidelOptics(VaryingOptics):
         return self.axial.band()
 
     def instead(self) -> str:
-        """Return what to ask instead, for a message."""
-        return "ask Camera(optics.at(x, y), pixel)"
+        """Describe an alternative, for a message."""
+        return "use Camera(optics.at(x, y), pixel)"
 
     def __repr__(self) -> str:
         lens = self.axial.focused

@@ -1,4 +1,4 @@
-"""Lenses that are several: another one for each colour, or for each place of the field."""
+"""Lenses that consist of several: one per colour, or one per position of the field."""
 
 from __future__ import annotations
 
@@ -17,24 +17,24 @@ if TYPE_CHECKING:
 
 
 class VaryingOptics(Optics):
-    """Describe a lens that is no single one: what a single one answers is asked of its parts."""
+    """Lens that consists of several, which are evaluated separately."""
 
     @property
     def isotropic(self) -> bool:
-        """Tell that it is not one lens."""
+        """Check whether it is one isotropic lens, which it is not."""
         return False
 
     @abstractmethod
     def instead(self) -> str:
-        """Return what to ask instead, for a message."""
+        """Describe an alternative, for a message."""
 
     @property
     @abstractmethod
     def named_lenses(self) -> dict[str, Optics]:
-        """Return single lenses that stand for it, by what they are called."""
+        """Return representative single lenses by name."""
 
     def psf(self, x: ArrayLike, y: ArrayLike) -> jax.Array:
-        """Refuse: each of its lenses has its own.
+        """Raise ArgumentError, because each component has its own.
 
         Args:
             x: px.
@@ -43,7 +43,7 @@ class VaryingOptics(Optics):
         raise self._refused("psf")
 
     def lsf(self, x: ArrayLike) -> jax.Array:
-        """Refuse: each of its lenses has its own.
+        """Raise ArgumentError, because each component has its own.
 
         Args:
             x: px.
@@ -51,7 +51,7 @@ class VaryingOptics(Optics):
         raise self._refused("lsf")
 
     def mtf(self, f: ArrayLike) -> jax.Array:
-        """Refuse: each of its lenses has its own.
+        """Raise ArgumentError, because each component has its own.
 
         Args:
             f: cycles/px.
@@ -59,7 +59,7 @@ class VaryingOptics(Optics):
         raise self._refused("mtf")
 
     def otf(self, fx: ArrayLike, fy: ArrayLike) -> jax.Array:
-        """Refuse: each of its lenses has its own.
+        """Raise ArgumentError, because each component has its own.
 
         Args:
             fx: cycles/px.
@@ -68,7 +68,7 @@ class VaryingOptics(Optics):
         raise self._refused("otf")
 
     def rule_on(self, borders: np.ndarray) -> Rule:
-        """Refuse: each of its lenses has its own.
+        """Raise ArgumentError, because each component has its own.
 
         Args:
             borders: shares of the band.
@@ -76,7 +76,7 @@ class VaryingOptics(Optics):
         raise self._refused("a quadrature")
 
     def components(self) -> tuple[tuple[jax.Array, Optics], ...]:
-        """Refuse: it is no sum of its lenses."""
+        """Raise ArgumentError, because it is not a sum of its lenses."""
         raise self._refused("a kernel")
 
     def _refused(self, what: str) -> ArgumentError:

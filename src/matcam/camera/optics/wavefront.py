@@ -1,13 +1,14 @@
-"""What a pupil with an error of its wavefront makes of a point: amplitude on the sensor, and transfer function.
+"""Image of a point through a pupil with a wavefront error: amplitude on the sensor, and transfer function.
 
-The error is a sum of Zernike terms, orthonormal on the unit disc (Noll 1976), so that a coefficient is the term's rms. The
-transfer function is the autocorrelation of exp(2 pi i W) over the overlap of two shifted discs (Goodman 6.3.3). Places in the
-overlap are written with two angles, in which integrand and borders are entire functions:
+The error is a sum of Zernike terms, orthonormal on the unit disc (Noll 1976), so that a coefficient is the term's rms.
+The transfer function is the autocorrelation of exp(2 pi i W) over the overlap of two shifted discs (Goodman 6.3.3).
+Positions in the overlap are parameterised by two angles, in which integrand and borders are entire functions:
 
     nu = cos(end),  across the shift  v = sin(end s),  along it  u = (cos(end s) - nu) t,  s, t in [-1, 1].
 
-So Gauss-Legendre converges faster than any power, and as a function of `end` and of the direction the transfer function is
-entire, too: it may be interpolated across frequency 0 and the cutoff, where as a function of frequency it has kinks.
+Gauss-Legendre quadrature therefore converges faster than any power. The transfer function is an entire function of
+`end` and of the direction, too, and may be interpolated across frequency 0 and the cutoff, where it has kinks as a
+function of frequency.
 """
 
 from __future__ import annotations
@@ -24,18 +25,18 @@ if TYPE_CHECKING:
     from matcam.core.jax import AnyArray, jax
 
 _LEAST, _PER_PHASE = 20, 1.3
-"""Gauss-Legendre nodes along an overlap: these, and as many more for each radian of phase."""
+"""Number of Gauss-Legendre nodes along an overlap: a minimum, and additional nodes per radian of phase."""
 _AT_ONCE = 128
 _NODES_AT_ONCE = 1 << 20
 _PHASES = (0, 1, 2, 4, 6, 8, 12, 16)  # rad
 LARGEST_PHASE = _PHASES[-1]
-"""Error of a wavefront, rad, that the quadratures are made for."""
+"""Largest error of a wavefront for which the quadratures are accurate, rad."""
 _BEYOND = POINTS // 2
-"""Steps by which a table reaches beyond its ends."""
+"""Steps by which a table extends beyond its ends."""
 
 
 def wavefront(terms: AnyArray, x: jax.Array, y: jax.Array) -> jax.Array:
-    """Return the wavefront's error at places of the pupil in its radii, waves; terms: (8,), waves rms."""
+    """Evaluate the wavefront error at positions of the pupil in its radii, waves; terms: (8,), waves rms."""
     square = x**2 + y**2
     defocus, astig, astig_45, coma_x, coma_y, trefoil, trefoil_y, spherical = terms
     return (
@@ -48,7 +49,9 @@ def wavefront(terms: AnyArray, x: jax.Array, y: jax.Array) -> jax.Array:
 
 
 def phase_of(terms: np.ndarray) -> int:
-    """Return a bound of the wavefront's error, rad, what the quadratures are sized by: one of few, each a compilation."""
+    """Bound the wavefront error, rad, for the size of the quadratures; it is one of few values, because each requires a
+    compilation.
+    """
     defocus, *pairs, spherical = np.abs(terms)
     norms = np.hypot(pairs[::2], pairs[1::2]) * np.sqrt([6, 8, 8])
     bound = float(2 * np.pi * (np.sqrt(3) * defocus + norms.sum() + np.sqrt(5) * spherical))
@@ -57,13 +60,13 @@ def phase_of(terms: np.ndarray) -> int:
 
 @partial(compiled_by_jax, static=(3,))
 def amplitude(terms: jax.Array, x: jax.Array, y: jax.Array, sizes: tuple[int, int]) -> jax.Array:
-    """Return the mean over the pupil of exp(2 pi i (W + p . x)).
+    """Compute the mean over the pupil of exp(2 pi i (W + p . x)).
 
     Args:
         terms: of the wavefront, (8,), waves rms.
-        x: places on the sensor, (places,), in half periods of the cutoff.
+        x: positions on the sensor, (places,), in half periods of the cutoff.
         y: the same.
-        sizes: count of nodes along the radius, and round.
+        sizes: numbers of nodes along the radius and the circumference.
     """
     node, weight = np.polynomial.legendre.leggauss(sizes[0])
     turn = 2 * np.pi * np.arange(sizes[1]) / sizes[1]
@@ -79,21 +82,23 @@ def amplitude(terms: jax.Array, x: jax.Array, y: jax.Array, sizes: tuple[int, in
 
 
 def pupil_sizes(phase: int, reach: float) -> tuple[int, int]:
-    """Return the nodes (along the radius, round) for an error of `phase` rad, to places `reach` half periods away."""
+    """Return the nodes (along the radius, along the circumference) for an error of `phase` rad, to positions `reach`
+    half periods away.
+    """
     turns = phase + 2 * np.pi * reach
     return 16 + int(0.7 * turns), 2 * (16 + int(1.2 * turns))
 
 
 def overlap_order(phase: int) -> int:
-    """Return how many nodes resolve an overlap for an error of `phase` rad."""
+    """Return the number of nodes that resolve an overlap for an error of `phase` rad."""
     return _LEAST + int(_PER_PHASE * phase)
 
 
 @partial(compiled_by_jax, static=(3,))
 def overlap(terms: AnyArray, end: AnyArray, angle: AnyArray, order: int) -> jax.Array:
-    """Return the transfer function at frequencies cos(end) of the cutoff, along `angle`, rad; arrays (n,), complex.
+    """Compute the transfer function at frequencies cos(end) of the cutoff, along `angle`, rad; arrays (n,), complex.
 
-    It is the entire continuation where `end` lies outside [0, pi/2].
+    Outside [0, pi/2] of `end` it is the entire continuation.
     """
     node, weight = np.polynomial.legendre.leggauss(order)
     s, t = xp.asarray(node[:, None]), xp.asarray(node)
@@ -116,10 +121,10 @@ def overlap(terms: AnyArray, end: AnyArray, angle: AnyArray, order: int) -> jax.
 
 @partial(compiled_by_jax, static=(1,))
 def overlap_table(terms: jax.Array, phase: int) -> jax.Array:
-    """Return `overlap` on a grid of `end` and angle, for `from_table`; (ends, angles), complex.
+    """Tabulate `overlap` on a grid of `end` and angle, for `from_table`; (ends, angles), complex.
 
-    It is integrated on few lines and directions, and interpolated between them by Chebyshev's polynomial and by Fourier's
-    series. The grid reaches a few steps beyond its ends.
+    It is integrated on few lines and directions, and interpolated between them by Chebyshev's polynomial and by
+    Fourier's series. The grid extends a few steps beyond its ends.
     """
     lines, half = 40 + 4 * phase, 20 + 8 * phase
     cheb = np.cos(np.pi * (np.arange(lines) + 0.5) / lines)
@@ -142,13 +147,13 @@ def overlap_table(terms: jax.Array, phase: int) -> jax.Array:
 
 
 def _fineness(phase: int) -> tuple[int, int]:
-    """Return the steps of a table from 0 to pi/2 of `end`, and round."""
+    """Return the numbers of steps of a table from 0 to pi/2 of `end`, and around."""
     return 96 + 12 * phase, 128 + 48 * phase
 
 
 @partial(compiled_by_jax, static=(1,))
 def from_table(table: jax.Array, phase: int, end: jax.Array, angle: jax.Array) -> jax.Array:
-    """Return the transfer function at end in [0, pi/2] and any angle, rad, (n,), between the points of a table."""
+    """Interpolate the transfer function at end in [0, pi/2] and any angle, rad, (n,), in a table."""
     fine, round_fine = _fineness(phase)
     flat, width, steps = table.ravel(), table.shape[1], np.arange(POINTS)
     row, column = (

@@ -1,6 +1,6 @@
-"""A lens with aberrations: defocus, astigmatism, coma, trefoil and spherical aberration, by Zernike's terms.
+"""Lens with aberrations as Zernike terms: defocus, astigmatism, coma, trefoil, spherical aberration.
 
-Axes are those of pictures: x to the right, y upwards. The transfer function is complex and depends on the direction.
+The axes are those of images: x to the right, y upwards. The transfer function is complex and depends on the direction.
 """
 
 from __future__ import annotations
@@ -33,20 +33,21 @@ if TYPE_CHECKING:
     from matcam.core.jax import AnyArray, jax
 
 _MOST_DIRECTLY = 4096
-"""Frequencies up to which each has its own quadrature; more are read between those of a table."""
-_TRACED_PHASE = LARGEST_PHASE  # rad; assumed for coefficients that are not known yet
-_LEAST = 1e-5  # waves rms: below it no picture shows an aberration, and metres were meant
+"""Number of frequencies up to which each has its own quadrature; more are interpolated in a table."""
+_TRACED_PHASE = LARGEST_PHASE  # rad; assumed for traced coefficients
+_LEAST = 1e-5  # waves rms: smaller aberrations are invisible, and the value was probably in metres
 _MOST = 5.0  # waves rms
 _FARTHEST = 200.0  # half periods of the cutoff
 
 
 class ZernikeOptics(Optics):
-    """Blur by diffraction and low aberrations of a circular pupil.
+    """Lens with diffraction and low-order aberrations of a circular pupil.
 
-    Coefficients are the rms of their terms over the pupil, in waves of `wavelength`: terms of Noll's order and norm, which is
-    also that of OSA and ISO 24157. Light goes down the wavefront's slope: a point's image is shifted by -2 f_number
-    wavelength times it. Piston and tilt are left out, because they do not blur. Coma holds its balancing tilt: the sharpest
-    part of a point's image stays at the point, and its centroid lies at -4 sqrt(2) coma wavelength f_number.
+    Coefficients are the rms of their terms over the pupil, in waves of `wavelength`: terms of Noll's order and norm,
+    which is also that of OSA and ISO 24157. The image of a point is shifted by -2 f_number wavelength times the slope
+    of the wavefront. Piston and tilt are omitted, because they do not blur. Coma includes its balancing tilt: the
+    sharpest part of the image of a point stays at the point, and its centroid is at -4 sqrt(2) coma wavelength
+    f_number.
 
     Args:
         f_number: working f-number, no unit, positive.
@@ -60,8 +61,8 @@ class ZernikeOptics(Optics):
         spherical: sqrt(5) (6 rho^4 - 6 rho^2 + 1), term 11, waves rms. Default: 0.
 
     Raises:
-        ArgumentError: a parameter is out of range or not finite, coefficients look like metres, or they are so large together
-            that they bend the wavefront by more than 2.5 waves.
+        ArgumentError: a parameter is out of range or not finite, coefficients look like metres, or the total wavefront
+            error exceeds 2.5 waves.
 
     Source:
         Noll (1976), J. Opt. Soc. Am. 66, 207; Goodman, Introduction to Fourier Optics, 6.4.
@@ -117,7 +118,7 @@ class ZernikeOptics(Optics):
 
     @property
     def isotropic(self) -> bool:
-        """Tell that it does not blur alike in all directions."""
+        """Check whether it is isotropic, which it is not."""
         return False
 
     @property
@@ -127,28 +128,28 @@ class ZernikeOptics(Optics):
         return xp.concatenate([alone[0], self.astigmatism, self.coma, self.trefoil, alone[1]])
 
     def wavefront(self, x: ArrayLike, y: ArrayLike) -> jax.Array:
-        """Return the wavefront's error at a place of the pupil, waves.
+        """Evaluate the wavefront error at a position of the pupil, waves.
 
         Args:
-            x: place, in radii of the pupil; broadcasts with y.
+            x: position, in radii of the pupil; broadcasts with y.
             y: the same upwards.
 
         Raises:
-            ArgumentError: a place is not finite.
+            ArgumentError: a position is not finite.
         """
         return wavefront(self.terms, *xp.broadcast_arrays(*checks.broadcastable(x=x, y=y)))
 
     def psf(self, x: ArrayLike, y: ArrayLike) -> jax.Array:
         """Return the point spread function, 1/px^2; optics only.
 
-        (pi cutoff^2 / 4) |mean over the pupil of exp(2 pi i (W + cutoff p . x / 2))|^2: it is nowhere negative.
+        (pi cutoff^2 / 4) |mean over the pupil of exp(2 pi i (W + cutoff p . x / 2))|^2: it is non-negative.
 
         Args:
             x: distance from the point's image to the right, up to 400 over the cutoff, px; broadcasts with y.
             y: the same upwards.
 
         Raises:
-            ArgumentError: a place is not finite, or too far away.
+            ArgumentError: a position is not finite, or too distant.
         """
         right, up = xp.broadcast_arrays(*checks.broadcastable(x=x, y=y))
         scale = self.cutoff / 2
@@ -205,7 +206,7 @@ class ZernikeOptics(Optics):
         return self.focused.band()
 
     def rule_on(self, borders: np.ndarray) -> Rule:
-        """Return the perfect lens's rule on finer panels.
+        """Return the rule of the perfect lens on finer panels.
 
         They resolve the phase of the aberrations.
         """
@@ -262,17 +263,17 @@ def _refuse_metres(terms: jax.Array, wavelength: jax.Array) -> None:
 
 
 def check_phase(terms: AnyArray) -> None:
-    """Refuse aberrations beyond what the quadratures are made for.
+    """Check that aberrations are within the range of the quadratures.
 
     Args:
         terms: of the wavefront, (8,), waves rms.
 
     Raises:
-        ArgumentError: they may bend the wavefront too far.
+        ArgumentError: the wavefront error may be too large.
     """
     phase = phase_of(np.asarray(terms)) if is_concrete(terms) else 0
     if phase > LARGEST_PHASE:
         raise ArgumentError(
-            f"the aberrations bend the wavefront by up to {phase / 2 / np.pi:.1f} waves, more than "
-            f"{LARGEST_PHASE / 2 / np.pi:.1f}: for defocus alone use DefocusOptics, else give smaller coefficients"
+            f"the wavefront error is up to {phase / 2 / np.pi:.1f} waves, more than "
+            f"{LARGEST_PHASE / 2 / np.pi:.1f}: for defocus alone use DefocusOptics, otherwise give smaller coefficients"
         )

@@ -1,4 +1,4 @@
-"""Arrays of NumPy or of JAX, and immutable objects that hold them: what formulae are written with."""
+"""Arrays of NumPy or of JAX, and immutable objects that contain them: the basis of all formulas."""
 
 from matcam.core.arrays.control import (
     as_index,

@@ -1,4 +1,4 @@
-"""Steps, conditions and derivatives that are written once, for arrays of NumPy and of JAX."""
+"""Steps, conditions and derivatives for arrays of both NumPy and JAX."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def first_axis_map(function: Callable[..., Any], arrays: tuple[Any, ...], togeth
     """Apply a function to pieces of arrays and join the results, so that intermediate results stay small.
 
     Args:
-        function: takes a piece of each array, and returns an array of as many elements along the first axis.
+        function: function of a piece of each array that returns an array of the same length along the first axis.
         arrays: arrays whose first axes are of one length.
         together: elements in a piece.
     """
@@ -32,7 +32,7 @@ def first_axis_map(function: Callable[..., Any], arrays: tuple[Any, ...], togeth
 
 
 def repeated(count: int, step: Callable[[T], T], state: T) -> T:
-    """Apply a step to a tuple of arrays several times, all of which are of JAX where one is."""
+    """Apply a step to a tuple of arrays several times; if one is an array of JAX, all become such."""
     if has_jax(state):
         return import_module("jax").lax.fori_loop(0, count, lambda _, now: step(now), state)
     for _ in range(count):
@@ -41,7 +41,9 @@ def repeated(count: int, step: Callable[[T], T], state: T) -> T:
 
 
 def each(function: Callable[[Any], Any], array: Any) -> Any:
-    """Apply a function to the elements along an array's first axis, and stack what it returns: an array, or a tuple of them."""
+    """Apply a function to the elements along the first axis of an array, and stack the results: an array, or a tuple of
+    them.
+    """
     if has_jax(array):
         return import_module("jax").vmap(function)(array)
     found = [function(one) for one in array]
@@ -58,7 +60,7 @@ def either(condition: Any, some: Callable[..., T], others: Callable[..., T], *ar
 
 
 def last_of(step: Callable[[Any, Any], tuple[Any, T]], state: Any, inputs: Any) -> T:
-    """Go through inputs with a state, and return what the last step yields. step: takes state and input, returns both anew."""
+    """Loop over inputs with a state, and return the result of the last step. step: takes state and input, returns both anew."""
     if has_jax(state):
         jax = import_module("jax")
         return jax.tree.map(lambda a: a[-1], jax.lax.scan(step, state, inputs)[1])
@@ -68,7 +70,7 @@ def last_of(step: Callable[[Any, Any], tuple[Any, T]], state: Any, inputs: Any) 
 
 
 def changed(array: Any, where: Any, value: Any) -> Any:
-    """Return a copy of an array with other values at some places."""
+    """Return a copy of an array with other values at some indices."""
     if has_jax(array, value):
         return import_module("jax").numpy.asarray(array).at[where].set(value)
     copy = np.array(array)
@@ -77,12 +79,12 @@ def changed(array: Any, where: Any, value: Any) -> Any:
 
 
 def as_index(number: Any) -> Any:
-    """Return whole numbers of an array as indices; 0 where there is no number."""
+    """Convert the numbers of an array to indices; NaN becomes 0."""
     return xp.nan_to_num(number).astype(int)
 
 
 def tuple_map(function: Callable[..., Any], tree: T, *others: T) -> T:
-    """Apply a function to the arrays of a tuple, its tuples and theirs, and to those in the same places of others."""
+    """Apply a function to corresponding arrays of nested tuples."""
     if not isinstance(tree, tuple):
         return function(tree, *others)
     parts = (tuple_map(function, *them) for them in zip(tree, *others, strict=True))
@@ -90,13 +92,16 @@ def tuple_map(function: Callable[..., Any], tree: T, *others: T) -> T:
 
 
 _STEP = 1e-3
-"""Relative step of differences of the fourth order: they err by 1e-12 of what is smooth on the scale of its argument."""
+"""Relative step of differences of the fourth order: an error of 1e-12 for functions that are smooth on the scale of
+their argument.
+"""
 
 
 def jacobian(function: Callable[[Any], Any], at: Any) -> Any:
-    """Return the derivatives of a function by the elements of a vector, on a last axis: of an array, or of each of a tuple.
+    """Compute the derivatives of a function by the elements of a vector, on a last axis: of an array, or of each of a
+    tuple.
 
-    For arrays of NumPy they are differences.
+    For arrays of NumPy they are finite differences.
     """
     if has_jax(at):
         return import_module("jax").jacfwd(function)(at)
@@ -108,7 +113,7 @@ def jacobian(function: Callable[[Any], Any], at: Any) -> Any:
 
 
 def slope_along(function: Callable[[Any], Any], at: Any, direction: Any) -> Any:
-    """Return the derivative of a function along a direction, whose length is the scale on which it is smooth."""
+    """Compute the derivative of a function along a direction, whose length is the scale on which it is smooth."""
     if has_jax(at, direction):
         jax = import_module("jax")
         at, direction = (jax.numpy.asarray(a, dtype=float) for a in (at, direction))
@@ -124,11 +129,11 @@ def slope_along(function: Callable[[Any], Any], at: Any, direction: Any) -> Any:
 
 
 def compiled_by_jax(function: Callable[P, T], *, static: tuple[int, ...] = ()) -> Callable[P, T]:
-    """Compile a function for arrays of JAX, and call it as it is for those of NumPy.
+    """Compile a function for arrays of JAX; arrays of NumPy use it uncompiled.
 
     Args:
         function: a function of positional arguments.
-        static: places of arguments that are no arrays. Default: none.
+        static: indices of arguments that are not arrays. Default: none.
     """
     programs: list[Callable[P, T]] = []
 
@@ -145,7 +150,7 @@ def compiled_by_jax(function: Callable[P, T], *, static: tuple[int, ...] = ()) -
 
 
 def with_derivatives(function: Callable[P, T], *derivatives: Callable[..., Any]) -> Callable[P, T]:
-    """Give a function derivatives of its own, one for each argument, as `jax.custom_jvp` takes them.
+    """Give a function custom derivatives, one for each argument, as `jax.custom_jvp` takes them.
 
     Args:
         function: a function of positional arguments.

@@ -1,7 +1,6 @@
 """Immutable objects whose parameters are arrays: cameras, lobes, samples.
 
-They are pytrees of JAX, as the modules of Equinox are, but importing them does not import JAX: they are registered when it is
-imported.
+They are pytrees of JAX like the modules of Equinox, but do not import JAX: they are registered when JAX is imported.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ M = TypeVar("M", bound="Module")
 
 
 def static_field(**options: Any) -> Any:
-    """Return a field that is no array: part of an object's kind, as `equinox.field(static=True)`."""
+    """Return a field that is not an array: part of the kind of an object, as `equinox.field(static=True)`."""
     return dataclasses.field(metadata={"static": True}, **options)
 
 
@@ -89,7 +88,7 @@ def _in_words(value: Any) -> str:
 
 
 def replaced(module: M, path: str, value: Any) -> M:
-    """Return a copy of an object with one attribute replaced, without the checks of its constructor.
+    """Copy an object with one attribute replaced, without the checks of its constructor.
 
     Args:
         module: the object.
@@ -121,7 +120,7 @@ def _equal(a: Any, b: Any) -> bool:
 
 
 def _names(cls: type) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return the names of a class's fields: those of arrays, and static ones."""
+    """Return the names of the fields of a class: those of arrays, and static ones."""
     fields = dataclasses.fields(cls)
     static = tuple(field.name for field in fields if field.metadata.get("static"))
     return tuple(field.name for field in fields if field.name not in static), static

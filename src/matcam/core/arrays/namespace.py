@@ -1,8 +1,9 @@
-"""Formulae that are written once, for arrays of NumPy and of JAX.
+"""Namespaces for formulas on arrays of NumPy and of JAX.
 
-`xp` is NumPy's namespace, in which each function is JAX's where an argument is an array of JAX: inside `jax.grad` or `jax.jit`,
-or given by the caller. So a formula needs JAX only for derivatives and for compiled programs, and a single number needs
-neither the second that JAX takes to import nor a compiled program. `special` is the same for special functions.
+`xp` is the namespace of NumPy, in which each function is that of JAX if an argument is an array of JAX: inside
+`jax.grad` or `jax.jit`, or from the caller. A formula therefore requires JAX only for derivatives and compiled
+programs, and evaluation of a single number requires no import of JAX, which takes a second. `special` is the same for
+special functions.
 
 Annotations name `jax.Array` for both kinds.
 """
@@ -25,7 +26,7 @@ FloatArray = npt.NDArray[np.float64]
 
 
 def has_jax(*values: Any) -> bool:
-    """Check whether any value, or an element of a tuple or list among them, is an array of JAX."""
+    """Check whether any value, or an element of a nested tuple or list, is an array of JAX."""
     jax = sys.modules.get("jax")
     return jax is not None and _any_of(getattr(jax, "Array", ()), values)
 
@@ -35,7 +36,7 @@ def _any_of(kind: Any, values: Any) -> bool:
 
 
 def is_concrete(value: object) -> bool:
-    """Check whether `value` holds numbers now, rather than a tracer inside a JAX transformation."""
+    """Check whether `value` has concrete numbers, rather than a tracer inside a JAX transformation."""
     jax: Any = sys.modules.get("jax")
     return not (hasattr(jax, "core") and isinstance(value, jax.core.Tracer))
 
@@ -46,7 +47,7 @@ def constant(value: T) -> T:
 
 
 class _Namespace:
-    """Functions of NumPy or SciPy, each of which is that of JAX where an argument is an array of JAX."""
+    """Functions of NumPy or SciPy, each of which is that of JAX if an argument is an array of JAX."""
 
     def __init__(self, numpy_home: str, jax_home: str):
         self._homes = numpy_home, jax_home
@@ -61,7 +62,7 @@ class _Namespace:
         def function(*args: Any, **kwargs: Any) -> Any:
             if has_jax(*args, *kwargs.values()):
                 return getattr(import_module(self._homes[1]), name)(*args, **kwargs)
-            with np.errstate(all="ignore"):  # as in JAX, infinity and NaN are results like any other
+            with np.errstate(all="ignore"):  # as in JAX, infinity and NaN are valid results
                 try:
                     return own(*args, **kwargs)
                 except np.linalg.LinAlgError:
@@ -86,7 +87,7 @@ _awaiting: list[Callable[[Any], None]] = []
 
 
 def when_jax_is_there(action: Callable[[Any], None]) -> None:
-    """Run an action with the module of JAX: at once where it is imported, otherwise as soon as it is."""
+    """Run an action with the module of JAX, immediately if it is imported, otherwise after its import."""
     jax = sys.modules.get("jax")
     if hasattr(jax, "tree_util"):
         action(jax)
@@ -95,13 +96,13 @@ def when_jax_is_there(action: Callable[[Any], None]) -> None:
 
 
 def jax_is_there(jax: Any) -> None:
-    """Run the actions that wait for JAX."""
+    """Run the actions that wait for the import of JAX."""
     while _awaiting:
         _awaiting.pop(0)(jax)
 
 
 class _JaxWatcher(MetaPathFinder):
-    """Prepare JAX as soon as anybody imports it: a camera that was made before must be a pytree after, in float64."""
+    """Import hook that prepares JAX: objects that were created before its import must become pytrees, in float64."""
 
     def find_spec(self, fullname: str, path: Any = None, target: Any = None) -> ModuleSpec | None:
         """Find JAX once, with a loader that prepares it."""

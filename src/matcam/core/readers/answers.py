@@ -1,4 +1,6 @@
-"""Answers of the processes that read files: a length and JSON, in which arrays are numbered, then the bytes of each array."""
+"""Encoding of the answers of reading processes: a length and JSON, in which arrays are numbered, then the bytes of each
+array.
+"""
 
 from __future__ import annotations
 
@@ -15,17 +17,17 @@ from matcam.core import errors
 from matcam.core.errors import FileFormatError
 
 _KINDS = "biufcSU"
-"""NumPy's kinds of numbers and text that an answer may hold."""
+"""Kinds of NumPy's numbers and text that an answer may contain."""
 _LONGEST_ANSWER = 64 << 20  # bytes of JSON
 
 
 def packed(value: Any, arrays: list[np.ndarray]) -> Any:
-    """Convert an answer to what JSON can hold; its arrays are appended to `arrays`."""
+    """Convert an answer to types of JSON; its arrays are appended to `arrays`."""
     if isinstance(value, np.ndarray | np.generic):
         array = np.asarray(value)
-        if array.dtype.kind in "OT":  # texts of any length
+        if array.dtype.kind in "OT":  # texts of variable length
             texts = [v.decode("utf-8", "replace") if isinstance(v, bytes) else str(v) for v in array.ravel()]
-            # each text gets the length of the longest, which exceeds the memory limit here and not in the caller
+            # each text gets the length of the longest, so that the memory limit applies here and not in the caller
             array = np.array(texts, dtype=str).reshape(array.shape)
         if array.dtype.kind not in _KINDS:
             raise TypeError(f"values of type {array.dtype} are not supported")
@@ -63,7 +65,7 @@ def read_answer(take: Callable[[int], bytearray], path: Path, memory: int) -> An
     """Read the answer that `take` yields piece by piece."""
     (length,) = struct.unpack("<Q", take(8))
     if length > _LONGEST_ANSWER:
-        raise FileFormatError(f"{path}: its description alone takes {length} bytes: damaged")
+        raise FileFormatError(f"{path}: its metadata alone take {length} bytes: damaged")
     message = json.loads(bytes(take(length)))
     if "error" in message:
         kind = getattr(errors, message["error"], FileFormatError)
@@ -71,7 +73,7 @@ def read_answer(take: Callable[[int], bytearray], path: Path, memory: int) -> An
     arrays = []
     layout = _layout(message["answer"])
     if sum(dtype.itemsize * math.prod(shape) for dtype, shape in layout) > memory:
-        raise FileFormatError(f"{path}: what it holds needs more than {memory / 2**20:.0f} MiB")
+        raise FileFormatError(f"{path}: its content needs more than {memory / 2**20:.0f} MiB")
     for dtype, shape in layout:
         if dtype.kind not in _KINDS:
             raise FileFormatError(f"{path}: values of type {dtype} are not supported")

@@ -1,16 +1,16 @@
-"""Read a file in a process of its own, which has limits and can be killed. One rule holds for all formats.
+"""Reading of files in a separate process with limits, the same for all formats.
 
-Decoders of foreign formats (HDF5, OpenEXR, TIFF, PNG, JPEG, camera raw, Zarr) are large C libraries that trust their input: a
-damaged or hostile file makes them crash, hang or fill the memory. Parsers of text survive, but may need time and memory that
-grow faster than their file. So files are read apart:
+Decoders of foreign formats (HDF5, OpenEXR, TIFF, PNG, JPEG, camera raw, Zarr) are large C libraries that trust their
+input: a damaged or hostile file can make them crash, hang or fill the memory. Parsers of text are safe, but may require
+time and memory that grow faster than their file. Files are therefore read in a separate process:
 
     this process  --request-->  nursery  --fork-->  child (limits, then one decoder, one file)
                   <------------ result: JSON, then arrays as bytes ------------
                   <-- end -------- (how the child ended)
 
-The nursery is a small Python process without threads, started once; a child of it costs milliseconds. A child may not write
-files, and what it answers is JSON and plain numbers: nothing is unpickled. Where a system cannot fork (Windows), each file
-has a new process. Texts of a few kilobytes are parsed in this process, where their size bounds what they cost.
+The nursery is a small Python process without threads, started once; forking a child takes milliseconds. A child must
+not write files, and its answer is JSON and plain numbers, without pickle. On systems without fork (Windows), each file
+has a new process. Texts of a few kilobytes are parsed in this process, because their size bounds the cost.
 """
 
 from __future__ import annotations
@@ -42,12 +42,12 @@ from matcam.core.readers.serving import called
 from matcam.core.threads import ONE_BLAS_THREAD
 
 _SECONDS, _BYTES_A_SECOND = 2.0, 5e6
-"""Processor time that a file may take: 2 s, and 1 s for every 5 MB. The slowest decoder (PNG) reads 30 MB in 1 s."""
+"""Processor time for a file: 2 s, and 1 s for every 5 MB. The slowest decoder (PNG) reads 30 MB in 1 s."""
 _SPARE_MEMORY, _TIMES_THE_FILE = 512 << 20, 32
-"""Memory that a file may take: 512 MiB, and 32 times its size. Parsers of text need up to 25 times, deflated pictures 10."""
+"""Memory for a file: 512 MiB, and 32 times its size. Parsers of text need up to 25 times, deflated images 10."""
 _SERVING = "matcam.core.readers.serving"
 _PATIENCE = 30.0
-"""Wall-clock time over processor time: a busy machine or a slow disk is no fault of the file."""
+"""Ratio of wall-clock time to processor time that is allowed, because the machine may be busy or the disk slow."""
 
 
 class Limits(NamedTuple):
@@ -55,8 +55,8 @@ class Limits(NamedTuple):
 
     Attributes:
         seconds: processor time; None: 2 s, and 1 s for every 5 MB of the file. Default: None.
-        memory: bytes beyond what the decoder's process has at its start; None: 512 MiB and 32 times the file, but at most
-            half of what is available now. Default: None.
+        memory: bytes in addition to the memory of the process at its start; None: 512 MiB and 32 times the file, but at
+            most half of what is available now. Default: None.
         wall: wall-clock time, s; None: 30 times the processor time. Default: None.
     """
 
@@ -71,7 +71,7 @@ _limits: ContextVar[Limits | None] = ContextVar("limits", default=_NORMAL)
 
 @contextmanager
 def reading_limits(limits: Limits | None) -> Iterator[None]:
-    """Read the files opened inside under other limits; None trusts them: they are decoded in this process."""
+    """Use other limits for files that are opened in the block; None trusts them: they are decoded in this process."""
     token = _limits.set(limits)
     try:
         yield
@@ -85,9 +85,9 @@ def files_are_trusted() -> bool:
 
 
 def start_reader(modules: Sequence[str]) -> None:
-    """Start the process that will read files, in the background, and let it import these modules."""
+    """Start the reading process in the background, with an import of these modules."""
     if _CAN_FORK and not files_are_trusted():
-        with contextlib.suppress(OSError):  # the first file that is read reports what is wrong
+        with contextlib.suppress(OSError):  # the first file that is read reports the error
             for one in _request({"module": "", "libraries": list(modules)})[1:]:
                 one.close()
 
@@ -101,14 +101,15 @@ def read_apart(
     size: int | None = None,
     **options: Any,
 ) -> Any:
-    """Call `decoder` ("package.module:function") on a file in a process of its own.
+    """Call `decoder` ("package.module:function") on a file in a separate process.
 
-    libraries: modules that the decoder imports.
-    small: bytes of a file up to which the decoder is called in this process. Only for decoders whose cost the size bounds.
-    size: bytes that count for the limits. Default: None, the size of the file; needed where `path` is a folder.
+    libraries: modules that the decoder imports. small: size of a file, bytes, up to which the decoder is called in this
+    process, for decoders whose cost is bounded by the size. size: bytes for the limits. Default: None, the size of the
+    file; required if `path` is a folder.
 
-    The answer may consist of None, truth values, numbers, text, lists, dicts with text keys, and NumPy arrays. FileFormatError,
-    naming the file, where it exceeds a limit or crashes its decoder; the decoder's own errors are raised as they are.
+    The answer may consist of None, truth values, numbers, text, lists, dicts with text keys, and NumPy arrays.
+    FileFormatError that names the file if it exceeds a limit or crashes its decoder; errors of the decoder are passed
+    on.
     """
     limits = _limits.get()
     module, name = decoder.split(":")
@@ -121,7 +122,7 @@ def read_apart(
         return called(module, name, path, options)
     seconds = _SECONDS + size / _BYTES_A_SECOND if limits.seconds is None else limits.seconds
     wall = _PATIENCE * seconds if limits.wall is None else limits.wall
-    # half at most: this process will hold the answer too, and work on it
+    # at most half: this process will contain the answer, too, and process it
     allowed = min(_SPARE_MEMORY + _TIMES_THE_FILE * size, available_memory() // 2)
     memory = allowed if limits.memory is None else limits.memory
     folder = path.anchor or str(Path.cwd())
@@ -149,7 +150,7 @@ def _answer_to(request: dict[str, Any], path: Path, memory: int, wall: float) ->
 class _EndedError(Exception):
     """The child ended before its answer was complete.
 
-    by: the number of the signal that ended it; 0: its own exit; None: it or the nursery is gone or stopped.
+    by: number of the signal that ended it; 0: normal exit; None: it or the nursery is gone or stopped.
     """
 
     def __init__(self, by: int | None):
@@ -158,10 +159,13 @@ class _EndedError(Exception):
 
 
 _ATTEMPTS = 2
-"""Attempts to read a file whose reader is ended from outside. A file that fills the memory of the machine ends both."""
+"""Number of attempts to read a file whose reader is ended from outside.
+
+A file that fills the memory of the machine ends both.
+"""
 _OUT_OF_TIME = getattr(signal, "SIGPROF", -1), getattr(signal, "SIGALRM", -1)
 _FROM_OUTSIDE = None, getattr(signal, "SIGKILL", -1), signal.SIGTERM
-"""Ends for which the file is not responsible: the system had no memory left, or somebody ended the process."""
+"""Ends for which the file is not responsible: lack of memory, or a signal from a user."""
 
 
 def _reason(ended_by: int | None, seconds: float, wall: float, memory: int) -> str:
@@ -178,7 +182,7 @@ def _from_socket(
     nursery: subprocess.Popen[bytes], channel: socket.socket, status: socket.socket, deadline: float
 ) -> Callable[[int], bytearray]:
     def end() -> _EndedError:
-        """Find out how the child ended, which is known when its nursery has waited for it."""
+        """Determine how the child ended, which is known when its nursery has waited for it."""
         while not (ready := select.select([status], [], [], _A_MOMENT)[0]) and _is_running(nursery):
             pass
         said = status.recv(4) if ready else b""
@@ -196,7 +200,9 @@ def _from_socket(
                 if not _is_running(nursery):
                     raise _EndedError(None)
                 continue
-            count = channel.recv_into(view[at:]) if channel in ready else 0  # what was sent before the end comes first
+            count = (
+                channel.recv_into(view[at:]) if channel in ready else 0
+            )  # data that were sent before the end have priority
             if not count:
                 raise end()
             at += count
@@ -206,7 +212,7 @@ def _from_socket(
 
 
 def _from_process(request: dict[str, Any]) -> Callable[[int], bytearray]:
-    """Decode in a new process for this file alone: systems that cannot fork."""
+    """Decode in a new process for this file alone, on systems without fork."""
     code = f"from {_SERVING} import serve_standard_streams; serve_standard_streams()"
     try:
         done = subprocess.run(
@@ -226,13 +232,14 @@ def _from_process(request: dict[str, Any]) -> Callable[[int], bytearray]:
     return take
 
 
-# -- the nursery -------------------------------------------------------------------------------------------------------------
+# -- the nursery
+# -------------------------------------------------------------------------------------------------------------
 
 _CAN_FORK = hasattr(os, "fork") and hasattr(socket, "send_fds")
 
 
 _A_MOMENT = 1.0
-"""Time between two checks whether the nursery still runs while it reads a file, s: what a user hardly notices."""
+"""Interval of the checks whether the nursery still runs, s: hardly noticeable for a user."""
 
 
 def _is_running(process: subprocess.Popen[bytes]) -> bool:
@@ -247,13 +254,13 @@ def _is_running(process: subprocess.Popen[bytes]) -> bool:
 
 
 class _Nursery:
-    """The process that forks, and the socket to it."""
+    """Process that forks readers, and the socket to it."""
 
     def __init__(self) -> None:
         self.forget()
 
     def forget(self) -> None:
-        """Begin anew, in a fork of this process: it shares neither the nursery nor the lock, which another thread may hold."""
+        """Reset in a fork of this process, which must not share the nursery, or the lock that another thread may hold."""
         self.lock = threading.Lock()
         self.process: subprocess.Popen[bytes] | None = None
         self.channel: socket.socket | None = None
@@ -285,10 +292,10 @@ class _Nursery:
             self._stop()
 
     def send(self, request: dict[str, Any], *sockets: socket.socket) -> subprocess.Popen[bytes]:
-        """Pass a request on, with the sockets for its answer and its end."""
+        """Pass on a request, with the sockets for its answer and its end."""
         text = json.dumps(request).encode()
         with self.lock:
-            for attempt in range(1, _ATTEMPTS + 1):  # it may have been ended since the last file
+            for attempt in range(1, _ATTEMPTS + 1):  # it may have ended since the last file
                 try:
                     process, channel = self._started()
                     socket.send_fds(channel, [struct.pack("<Q", len(text))], [one.fileno() for one in sockets])
@@ -309,7 +316,7 @@ if hasattr(os, "register_at_fork"):
 
 
 def _request(request: dict[str, Any]) -> tuple[subprocess.Popen[bytes], socket.socket, socket.socket]:
-    """Send a request; return the nursery that has it, and the sockets on which the answer and the child's end arrive."""
+    """Send a request; return its nursery, and the sockets for the answer and the end of the child."""
     channel, its_channel = socket.socketpair()
     status, its_status = socket.socketpair()
     with its_channel, its_status:
@@ -322,7 +329,7 @@ def _request(request: dict[str, Any]) -> tuple[subprocess.Popen[bytes], socket.s
 
 
 def _environment() -> dict[str, str]:
-    # a process that has threads must not fork; a heap for each thread would take address space, which is limited
+    # a process with threads must not fork; a heap for each thread would take address space, which is limited
     return {
         **os.environ,
         **ONE_BLAS_THREAD,

@@ -1,6 +1,6 @@
-"""Names of files and folders as callers and documents give them: which are there, and which are refused.
+"""Checks of names of files and folders from callers and documents.
 
-A document that others may have made names files of its own folder alone.
+A document of unknown origin may name only files of its own folder.
 """
 
 from __future__ import annotations
@@ -12,11 +12,11 @@ from pathlib import Path, PurePosixPath
 from matcam.core.errors import FileFormatError
 
 _LONGEST = 200
-"""Characters of a name in a document, at most: file systems allow 255 bytes for each of its parts."""
+"""Largest number of characters of a name in a document: file systems allow 255 bytes for each of its parts."""
 
 
 def is_there(path: Path) -> bool:
-    """Check whether there is a file or folder. A name that the system refuses, such as one that is too long, names none."""
+    """Check whether there is a file or folder. A name that the system rejects, such as one that is too long, does not exist."""
     return os.path.exists(path)  # noqa: PTH110  # Path.exists raises an error for such a name
 
 
@@ -36,7 +36,7 @@ def is_link(path: Path) -> bool:
 
 
 def check_folder(path: Path, hint: str = "") -> None:
-    """Refuse what is no folder. FileFormatError; `hint` states what to give instead."""
+    """Raise FileFormatError for a path that is not a folder; `hint` states what to give instead."""
     if is_there(path) and not is_folder(path):
         raise FileFormatError(f"{path}: is no folder{hint}")
     try:
@@ -50,24 +50,24 @@ def check_folder(path: Path, hint: str = "") -> None:
 
 
 UNPRINTABLE = "[\x00-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069\ud800-\udfff]"
-"""Characters that move a terminal's cursor or change its state, and bytes of a name that are no text."""
+"""Characters that move the cursor of a terminal or change its state, and bytes that are not text."""
 
 
 def printable(text: str) -> str:
-    """Return text without characters that a terminal obeys, or that are no characters: each as its escape."""
+    """Escape characters that control a terminal, or that are not text."""
     return re.sub(UNPRINTABLE, lambda found: found[0].encode("unicode_escape").decode(), text)
 
 
 def check_name(path: Path) -> None:
-    """Refuse an input whose name could not be written down. FileFormatError."""
+    """Raise FileFormatError for an input whose name is not plain text."""
     if re.search(UNPRINTABLE, path.name):
         raise FileFormatError(f"{printable(str(path))}: its name is not plain text: rename it")
 
 
 def check_within(path: Path, folder: Path) -> None:
-    """Refuse a file of a folder that is a link to elsewhere: who fills a folder must not choose among the reader's files.
+    """Raise FileFormatError if the links of `path` lead out of `folder`.
 
-    FileFormatError where following the links of `path` leads out of `folder`.
+    The author of a folder must not be able to select other files of the reader.
     """
     if is_link(path) and not (target := path.resolve()).is_relative_to(folder.resolve()):
         raise FileFormatError(f"{path}: is a link out of its folder, to {target}: name that file itself")
@@ -87,7 +87,7 @@ def listed_file(folder: Path, name: str, what: str) -> Path:
     pure = PurePosixPath(name)
     path = folder / name
     if not pure.parts or not name.isprintable() or len(name) > _LONGEST:
-        raise FileFormatError(f"{folder}: file {name[:40]!r} has no name that is plain text")
+        raise FileFormatError(f"{folder}: file {name[:40]!r} has a name that is not plain text")
     if pure.is_absolute() or ".." in pure.parts or "\\" in name or re.match(r"[A-Za-z]:", name):
         raise FileFormatError(f"{path}: leads out of {what}: give a name inside it")
     if not path.resolve().is_relative_to(folder.resolve()):

@@ -1,4 +1,4 @@
-"""The processes that read files: a nursery that forks, and its children, each of which reads one file under its limits."""
+"""Processes that read files: a nursery that forks, and its children, each of which reads one file with limits."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from matcam.core import errors
 from matcam.core.readers.answers import packed, write_answer
 
 _THREAD_STACK, _FREE_THREADS = 8 << 20, 16
-"""Address space of one thread, and the threads that a file's memory covers: libraries start one for every processor."""
+"""Address space of one thread, and number of threads that the memory of a file includes: libraries start one per processor."""
 
 
 def called(module: str, name: str, path: Path, options: dict[str, Any]) -> Any:
@@ -34,7 +34,7 @@ def _serve(request: dict[str, Any], write: Callable[[Any], Any]) -> None:
     _limit(request["seconds"], request["wall"], request["memory"])
     arrays: list[np.ndarray] = []
     try:
-        os.chdir(request["folder"])  # the caller's: messages name the file as it does
+        os.chdir(request["folder"])  # the path as the caller gave it, for messages
         answer = called(request["module"], request["name"], Path(request["path"]), request["options"])
         message = {"answer": packed(answer, arrays)}
     except errors.MatcamError as error:
@@ -51,7 +51,7 @@ def _serve(request: dict[str, Any], write: Callable[[Any], Any]) -> None:
 def _limit(seconds: float, wall: float, memory: int) -> None:
     try:
         import resource
-    except ImportError:  # not a Unix: the reader of the answer kills this process
+    except ImportError:  # not a Unix: the caller kills this process
         return
     for timer, number, limit in (
         (signal.ITIMER_PROF, signal.SIGPROF, seconds),
@@ -60,7 +60,7 @@ def _limit(seconds: float, wall: float, memory: int) -> None:
         signal.signal(number, signal.SIG_DFL)
         signal.setitimer(timer, limit)
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0))  # a decoder writes nothing
+    resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0))  # a decoder writes no files
     if sys.platform == "linux":
         now = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0]) * os.sysconf("SC_PAGE_SIZE")
         most = now + memory + _THREAD_STACK * max((os.cpu_count() or 1) - _FREE_THREADS, 0)
@@ -99,7 +99,7 @@ def serve_by_forking(number: int) -> None:
         while len(text) < length and (piece := requests.recv(length - len(text))):
             text += piece
         request = json.loads(bytes(text))
-        for name in filter(None, (request["module"], *request["libraries"])):  # once, for all children to come
+        for name in filter(None, (request["module"], *request["libraries"])):  # once, for all future children
             with contextlib.suppress(ImportError):
                 importlib.import_module(name)
         with channel:
@@ -120,7 +120,7 @@ def _report_ends(children: dict[int, socket.socket]) -> None:
         child, status = os.waitpid(-1, os.WNOHANG)
         if not child:
             return
-        with children.pop(child) as channel, contextlib.suppress(OSError):  # a reader that has gone needs no report
+        with children.pop(child) as channel, contextlib.suppress(OSError):  # a reader that has gone requires no report
             channel.sendall(struct.pack("<i", os.WTERMSIG(status) if os.WIFSIGNALED(status) else 0))
 
 

@@ -1,7 +1,7 @@
-"""Texts that others may have made: JSON, TOML and lines, whose limits are checked before anything is parsed.
+"""Reading of untrusted texts: JSON, TOML and lines, with limits that are checked before parsing.
 
-A parser takes memory and time for each value, key and line: a file of 9 MB may hold millions of each. So all three are limited
-besides the size. Documents of matcam's own formats bear a version.
+A parser takes memory and time for each value, key and line: a file of 9 MB may contain millions of each. All three are
+therefore limited in addition to the size. Documents of matcam's own formats have a version.
 """
 
 from __future__ import annotations
@@ -23,21 +23,27 @@ if TYPE_CHECKING:
     from pydantic import ValidationError
 
 SMALL_TEXT = 64 << 10
-"""Bytes of a text that is parsed in the caller's process. Its values, at most one for every two bytes, take 20 ms and 4 MiB."""
+"""Size of a text that is parsed in the process of the caller, bytes.
+
+Its values, at most one for every two bytes, take 20 ms and 4 MiB.
+"""
 _LARGEST_JSON = 16 << 20  # bytes; a measured curve of 100,000 samples takes 4 MiB
 _MOST_VALUES = 250_000
-"""Values in a JSON document: a measured curve of 100,000 samples has 200,000. A schema may refuse each of them in 5 us."""
+"""Largest number of values in a JSON document: a measured curve of 100,000 samples has 200,000.
+
+A schema may check each in 5 us.
+"""
 _LARGEST_LINES = 4 << 20  # bytes; 65,536 lines of three numbers take 3 MiB
 _MOST_LINES = 100_000
-"""Lines of a text: more than the 65,536 codes of a tone curve of 16 bits."""
+"""Largest number of lines of a text: more than the 65,536 codes of a tone curve of 16 bits."""
 _LONGEST_LINE = 1000
-"""Characters in a line. A TOML key of a thousand dots takes 1 s to parse, and the time grows with their square."""
+"""Largest number of characters in a line. A TOML key of a thousand dots takes 1 s to parse, quadratic in its length."""
 
 
 def read_json(path: str | Path, what: str) -> Any:
-    """Read a document; `what` is what it should be, such as "a camera profile".
+    """Read a JSON document; `what` is the expected content, such as "a camera profile".
 
-    FileFormatError naming the file, where it is not JSON, or has more than 16 MiB or 250,000 values.
+    FileFormatError that names the file if it is not JSON, or has more than 16 MiB or 250,000 values.
     """
     path = Path(path)
     content = read_apart(f"{__name__}:decode_json", path, small=SMALL_TEXT, what=what)
@@ -45,9 +51,9 @@ def read_json(path: str | Path, what: str) -> Any:
 
 
 def read_toml(path: str | Path, what: str) -> dict[str, Any]:
-    """Read settings that people write; `what` is what they should be, such as "a rig".
+    """Read settings in TOML; `what` is the expected content, such as "a rig".
 
-    FileFormatError naming the file, where it is not TOML, has more than 64 KiB, or lines of more than 1000 characters.
+    FileFormatError that names the file if it is not TOML, has more than 64 KiB, or lines of more than 1000 characters.
     """
     import tomllib
 
@@ -56,14 +62,14 @@ def read_toml(path: str | Path, what: str) -> dict[str, Any]:
         with reading(path, what):
             text = _checked_text(path, what, SMALL_TEXT).decode("utf-8-sig")
         return tomllib.loads(text)
-    except (ValueError, RecursionError) as error:  # a number of too many digits is not TOMLDecodeError
+    except (ValueError, RecursionError) as error:  # an integer with too many digits does not raise TOMLDecodeError
         raise FileFormatError(f"{path}: not TOML: {' '.join(str(error).split())}") from None
 
 
 def read_lines(path: str | Path, what: str) -> list[str]:
-    """Read a text as lines, without their ends; `what` is what it should be. Bytes that are no text are replaced.
+    """Read a text as lines, without their ends; `what` is the expected content. Bytes that are not text are replaced.
 
-    FileFormatError naming the file, where it has more than 4 MiB, 100,000 lines, or 1000 characters in a line.
+    FileFormatError that names the file if it has more than 4 MiB, 100,000 lines, or 1000 characters in a line.
     """
     content = read_apart(f"{__name__}:decode_lines", Path(path), small=SMALL_TEXT, what=what)
     text = content.tobytes().decode("utf-8-sig", "replace")
@@ -114,9 +120,9 @@ def _checked_text(path: Path, what: str, largest: int) -> bytes:
 
 
 def checked_version(document: Any, where: str | Path, what: str, form: str, versions: Collection[int]) -> int:
-    """Return the version of a document of ours: {"format": form, "version": one of `versions`, ...}.
+    """Return the version of a document of matcam: {"format": form, "version": one of `versions`, ...}.
 
-    FileFormatError says `where` it stands, `what` it should be, and the field.
+    FileFormatError names its location `where`, the expected content `what`, and the field.
     """
     if not isinstance(document, dict) or document.get("format") != form:
         raise FileFormatError(f'{where}: not {what}: field "format" must be "{form}"')
@@ -130,9 +136,9 @@ def checked_version(document: Any, where: str | Path, what: str, form: str, vers
 
 
 def first_problem(error: ValidationError, unnamed: Collection[str] = ()) -> str:
-    """Return what a schema finds wrong first, in one line that names the field.
+    """Format the first error of a schema, in one line that names the field.
 
-    unnamed: parts of the field's place that are no names of fields.
+    unnamed: parts of the path of the field that are not names of fields.
     """
     first = error.errors()[0]
     field = ".".join(str(part) for part in first["loc"] if part not in unnamed)

@@ -1,14 +1,14 @@
-"""Pictures through a lens that passes no frequency above a limit, without a detour over sums of Gaussians.
+"""Images through a band-limited lens, without an approximation by sums of Gaussians.
 
-A diffraction-limited lens, in focus or not, with aberrations or not, and a measured curve that has reached 0 end at a frequency
-B. Their picture is one through a narrow Gaussian and no pixel, filtered:
+A diffraction-limited lens, with or without defocus and aberrations, and a measured MTF that reaches 0 pass no frequency
+above a limit B. Their image is a filtered image through a narrow Gaussian and a point-like pixel:
 
     picture = F^-1 [ lens(f) pixel(f) / g(f)  F picture_g ],    g(f) = exp(-2 pi^2 s^2 f^2).
 
-A sphere's light before a distant camera is known by itself (`light_grid.py`), and picture_g with it. Elsewhere picture_g
-is recorded at `per_px` places a pixel, by the operator for Gaussians. What it holds above per_px - B comes back as
-another frequency below B; the Gaussian has left nothing of it. s is so narrow that the filter amplifies little. The filter is
-exact at every frequency that there is, so lens and pixel are the stated ones to `error`.
+The light of a sphere in front of a distant camera is known directly (`light_grid.py`), and picture_g follows from it.
+Otherwise picture_g is recorded at `per_px` positions per pixel, by the operator for Gaussians. Frequencies above per_px
+- B alias to below B, but the Gaussian suppresses them. s is so small that the filter amplifies little. The filter is
+exact at all frequencies, so lens and pixel are accurate to `error`.
 """
 
 from __future__ import annotations
@@ -28,25 +28,25 @@ from matcam.camera.pixel import PixelResponse
 from matcam.core.jax import is_concrete, jax, jnp, without_derivatives
 
 POINT = 1e-3
-"""Half width, px, of the pixel through which a fine record is made: none, to the operator."""
+"""Half width, px, of the pixel of a fine record: practically a point."""
 _MOST_PER_PX = 8
 _AMPLIFIED = 3.0
-"""Largest factor by which a filter may amplify a frequency: the record's own errors grow by it."""
+"""Largest factor by which a filter may amplify a frequency, and with it the errors of the record."""
 EXACT = 1e-6
-"""Error of a transfer function that no more places a pixel are taken for."""
+"""Error of a transfer function below which no finer sampling is used."""
 _SIGMAS = np.arange(0.1, 2.0, 0.025)
 _FREQUENCIES = 120
 _ANGLES = np.linspace(0, np.pi / 4, 5)
 _REPLICAS = [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if i or j]
 APART = 160
-"""px between the scene and its periodic neighbour: an Airy pattern of f/8 has fallen to 1e-7 of its peak."""
+"""Distance between the scene and its periodic copy, px: an Airy pattern of f/8 has fallen to 1e-7 of its peak."""
 
 
 class BandLimit(NamedTuple):
-    """Say how a picture is recorded and filtered.
+    """Sampling and filter of an image through a band-limited lens.
 
     Attributes:
-        per_px: places along a pixel's side.
+        per_px: positions along the side of a pixel.
         sigma: standard deviation of the Gaussian lens through which they are recorded, px.
         error: largest error of the transfer function of lens and pixel.
     """
@@ -57,9 +57,9 @@ class BandLimit(NamedTuple):
 
 
 def band_limit(camera: Camera, enough: float = EXACT) -> BandLimit | None:
-    """Return how pictures of a camera are filtered; None where its lens is a sum of Gaussians, or nearer to one.
+    """Choose the filter of images of a camera; None if its lens is a sum of Gaussians, or closer to one.
 
-    enough: error of a transfer function that no more places a pixel are taken for.
+    enough: error of a transfer function below which no finer sampling is used.
     """
     if not concrete(camera):
         return None
@@ -72,13 +72,13 @@ def band_limit(camera: Camera, enough: float = EXACT) -> BandLimit | None:
 
 
 def concrete(camera: Camera) -> bool:
-    """Tell whether the numbers of lens and pixel are known, but for their derivatives."""
+    """Check whether the parameters of lens and pixel are concrete, apart from their derivatives."""
     stopped = without_derivatives((camera.optics, camera.pixel))
     return all(is_concrete(leaf) for leaf in jax.tree.leaves(stopped))
 
 
 def sampling_of(lenses: Sequence[Optics], pixel: PixelResponse, enough: float = EXACT) -> BandLimit:
-    """Return how a picture is recorded that each of these lenses filters; their numbers must be known."""
+    """Choose the sampling of an image that each of these lenses filters; their parameters must be concrete."""
     stopped = without_derivatives(list(lenses))
     pixel = without_derivatives(pixel)
     frequency = np.linspace(0, max(lens.band() for lens in stopped), _FREQUENCIES)
@@ -88,7 +88,7 @@ def sampling_of(lenses: Sequence[Optics], pixel: PixelResponse, enough: float = 
 
 
 def _at_most(optics: Optics, frequency: np.ndarray) -> np.ndarray:
-    """Return what a lens lets pass in any direction, at most: aberrations only take away."""
+    """Return an upper bound of the transfer of a lens in all directions: aberrations only reduce it."""
     if optics.isotropic:
         return np.abs(np.asarray(optics.mtf(frequency)))
     parts = [
@@ -101,9 +101,9 @@ def _at_most(optics: Optics, frequency: np.ndarray) -> np.ndarray:
 
 @lru_cache(maxsize=32)
 def _chosen(frequencies: tuple[float, ...], passed: tuple[tuple[float, ...], ...], enough: float) -> BandLimit:
-    """Return the fewest places a pixel whose error is small enough, with the best Gaussian; else the least error.
+    """Choose the coarsest sampling with a sufficiently small error and its best Gaussian, otherwise the smallest error.
 
-    passed: what lens and pixel let pass at these frequencies, along `_ANGLES`.
+    passed: transfer of lens and pixel at these frequencies, along `_ANGLES`.
     """
     f, total = np.array(frequencies), np.array(passed)
     fx, fy = (f * part(_ANGLES[:, None]) for part in (np.cos, np.sin))
@@ -123,12 +123,12 @@ def _chosen(frequencies: tuple[float, ...], passed: tuple[tuple[float, ...], ...
 
 
 class FineLine(NamedTuple):
-    """Hold the places along one axis at which a picture is recorded before it is filtered.
+    """Positions along one axis at which an image is recorded before it is filtered.
 
     Attributes:
-        at: px, in steps of a share of a pixel, in the direction of the picture's own.
+        at: px, in steps of a fraction of a pixel, in the order of the pixels of the image.
         first: index of the picture's first pixel.
-        step: 1.0 where they run to the right or upwards, -1.0 where they run the other way.
+        step: 1.0 to the right or upwards, otherwise -1.0.
     """
 
     at: np.ndarray
@@ -137,7 +137,7 @@ class FineLine(NamedTuple):
 
 
 def fine_line(pixels: np.ndarray, low: float, high: float, per_px: int) -> FineLine:
-    """Return places that hold a picture's pixels and all that sends light, from low to high px."""
+    """Return positions that cover the pixels of an image and all light sources, from low to high px."""
     step = 1.0 if pixels.size < 2 else float(np.sign(pixels[1] - pixels[0]))
     ends = (low, high) if step > 0 else (high, low)
     before, after = max(0.0, step * (pixels[0] - ends[0])), max(0.0, step * (ends[1] - pixels[-1]))
@@ -147,13 +147,13 @@ def fine_line(pixels: np.ndarray, low: float, high: float, per_px: int) -> FineL
 
 
 class FineRecord(NamedTuple):
-    """Hold the transform of a fine record.
+    """Transform of a fine record.
 
     Attributes:
         spectrum: (rows, columns, channels), complex, of real values.
         fx: frequency of its columns, to the right, cycles/px.
         fy: frequency of its rows, upwards, cycles/px.
-        padded: rows and columns of the record with what parts it from its periodic neighbour.
+        padded: rows and columns of the record with its distance to the periodic copy.
         size: rows and columns of the record.
     """
 
@@ -164,15 +164,15 @@ class FineRecord(NamedTuple):
     size: tuple[int, int]
 
     def values(self) -> jax.Array:
-        """Return the record itself, (rows, columns, channels)."""
+        """Return the record, (rows, columns, channels)."""
         return jnp.fft.irfft2(self.spectrum, self.padded, axes=(0, 1))[: self.size[0], : self.size[1]]
 
     def through(self, sigma: float | jax.Array) -> FineRecord:
-        """Return what of light is recorded through a Gaussian of a standard deviation, px, and a pixel of `POINT`."""
+        """Filter light by a Gaussian of a standard deviation, px, and a pixel of `POINT`."""
         return self._replace(spectrum=self.spectrum * recorded(sigma, self.fx, self.fy[:, None])[..., None])
 
     def derivative(self, along: int, across: int) -> jax.Array:
-        """Return the values' derivative, so often by x and by y, 1/px."""
+        """Return a derivative of the values of given orders in x and y, 1/px."""
         factor = (2j * np.pi * self.fx) ** along * (2j * np.pi * self.fy[:, None]) ** across
         return self._replace(spectrum=self.spectrum * factor[..., None]).values()
 
@@ -181,7 +181,7 @@ class FineRecord(NamedTuple):
         return self._replace(spectrum=self.spectrum[..., channels])
 
     def of(self, values: jax.Array) -> FineRecord:
-        """Return the transform of other values at the same places."""
+        """Return the transform of other values at the same positions."""
         return self._replace(spectrum=jnp.fft.rfft2(values, self.padded, axes=(0, 1)))
 
 
@@ -192,8 +192,8 @@ def transformed(values: jax.Array, across: FineLine, along: FineLine, per_px: in
         values: the record, (rows, columns, channels).
         across: its columns.
         along: its rows.
-        per_px: places along a pixel's side.
-        periodic: True where the record goes on along y for ever, as a cylinder's does.
+        per_px: positions along the side of a pixel.
+        periodic: True if the record is constant along y, as that of a cylinder.
     """
     height, width = values.shape[:2]
     rows, columns = (next_fast_len(n + APART * per_px, real=True) for n in (height, width))
@@ -204,17 +204,17 @@ def transformed(values: jax.Array, across: FineLine, along: FineLine, per_px: in
 
 
 def filtered(record: FineRecord, optics: Optics, pixel: PixelResponse, limit: BandLimit, shift: jax.Array) -> jax.Array:
-    """Return a fine record as lens and pixel show it, at the same places.
+    """Filter a fine record by lens and pixel.
 
     Args:
         record: the record's transform.
         optics: the lens.
         pixel: the pixel.
-        limit: how the record was made.
+        limit: sampling of the record.
         shift: of the picture, (right, up), px.
 
     Returns:
-        Transform of what is seen of the record's channels.
+        Transform of the filtered record.
     """
     fx, fy = np.broadcast_arrays(record.fx, record.fy[:, None])
     rows, columns = np.nonzero(np.hypot(fx, fy) <= optics_band(optics))
@@ -227,10 +227,10 @@ def filtered(record: FineRecord, optics: Optics, pixel: PixelResponse, limit: Ba
 
 
 def recorded(sigma: float | jax.Array, fx: np.ndarray, fy: np.ndarray) -> jax.Array:
-    """Return the transfer function through which a fine record is made: of a Gaussian lens, px, and a pixel of `POINT`."""
+    """Return the transfer function of a fine record: a Gaussian lens, px, and a pixel of `POINT`."""
     return jnp.exp(-2 * (jnp.pi * sigma) ** 2 * (fx**2 + fy**2)) * np.sinc(2 * POINT * fx) * np.sinc(2 * POINT * fy)
 
 
 def optics_band(optics: Optics) -> float:
-    """Return the frequency above which a lens passes nothing, cycles/px, where its parameters may be differentiated."""
+    """Return the cutoff frequency of a lens, cycles/px; its parameters may be differentiated."""
     return float(without_derivatives(optics).band())

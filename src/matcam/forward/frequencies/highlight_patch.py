@@ -1,4 +1,4 @@
-"""Light around a highlight, laid on a grid from nodes in longitude and latitude, graded towards the half vector."""
+"""Light around a highlight on a grid, from nodes in longitude and latitude that are denser towards the half vector."""
 
 from __future__ import annotations
 
@@ -12,23 +12,22 @@ from matcam.forward.frequencies.taps import Taps
 from matcam.numerics.approximation import nodes_in_panels
 
 _GRADED = 3.0 ** -np.arange(5, 0, -1.0)
-"""Cuts of the panel beside the half vector, as shares of it."""
+"""Borders within the panel beside the half vector, as shares of it."""
 _PANELS = 5
-"""Panels in the plane of incidence, to either side."""
+"""Number of panels in the plane of incidence, on either side."""
 _TALL = (8, 20, 48)
-"""Panels across it: few kinds, each of which is a program."""
+"""Numbers of panels across it: few values, because each requires a program."""
 _WIDEST_PANEL = 2.9
-"""Standard deviations of a border."""
+"""Width of the widest panel, in standard deviations of a border."""
 _NODES = 8
 
 
 class PatchSize(NamedTuple):
-    """Say how large the patch about a highlight is on a grid.
+    """Size of the patch about a highlight on a grid.
 
     Attributes:
         panels: across the plane of incidence, to either side.
-        columns: points of the grid.
-        rows: points of the grid.
+        columns: number of grid points. rows: points of the grid.
     """
 
     panels: int
@@ -37,22 +36,22 @@ class PatchSize(NamedTuple):
 
 
 def patch_size(widths: RegionWidths, squeezed: float, step: float, taps: Taps, alike: bool, turned: bool) -> PatchSize:
-    """Return the size of the patch about a highlight.
+    """Choose the size of the patch about a highlight.
 
     Args:
-        widths: how wide the regions are.
+        widths: widths of the regions.
         squeezed: cosine of the view at the highlight.
         step: of the grid, px.
-        taps: how light is laid on the grid.
-        alike: whether only the upper half is laid.
-        turned: whether the sensor is turned against the scene.
+        taps: weights of light on the grid.
+        alike: whether only the upper half is computed.
+        turned: whether the sensor is turned relative to the scene.
     """
     squeezed = max(squeezed, STEEPEST)
     widest = _WIDEST_PANEL * widths.sigma
     panels = next(n for n in _TALL if n * widest * squeezed >= widths.around or n == _TALL[-1])
     most = min(panels * widest, widths.around / STEEPEST)
     wide = 2 * widths.around
-    # turned, each latitude is laid by itself
+    # if turned, each latitude is placed separately
     high = wide if turned else most if alike else 2 * most
     return PatchSize(panels, *(int(np.ceil(side / step)) + 2 * taps.reach + 2 for side in (wide, high)))
 
@@ -64,12 +63,12 @@ def lay_highlight(
 
     Args:
         grid: (rows, columns, channels).
-        regions: what belongs to the highlight.
+        regions: regions of the light.
         size: of the patch.
-        x: places of the grid's columns, px.
-        y: places of its rows, px.
-        taps: how light is laid on the grid.
-        alike: whether only the upper half is laid, of light that is the same above and below.
+        x: positions of the grid's columns, px.
+        y: positions of its rows, px.
+        taps: weights of light on the grid.
+        alike: whether only the upper half is computed, for symmetric light.
     """
     scene, around = regions.scene, regions.widths.around
     counts = min(size.columns, x.size), min(size.rows, y.size)
@@ -81,9 +80,9 @@ def lay_highlight(
     radius = scene.sample.radius
     tall = np.concatenate([[0.0], _GRADED, np.arange(1, size.panels + 1)]) / size.panels
     latitude = jnp.arcsin(jnp.clip(around / regions.squeezed * tall / radius, 0, 1 - 1e-12))
-    # all light first: within a loop over what it is laid on it would be asked for again and again
+    # all light first: inside the loop it would be computed repeatedly
     nodes = jax.lax.map(lambda node: _light(regions, *node), nodes_in_panels(latitude, _NODES))
-    if scene.turn is None:  # one latitude is one height
+    if scene.turn is None:  # one latitude has one height
         at_x, at_y, sent = nodes
         left = _start(x, regions.peak, counts[0])
         low = jnp.zeros((), int) if alike else _start(y, jnp.zeros(()), counts[1])
@@ -116,7 +115,7 @@ def _start(line: jax.Array, middle: jax.Array, count: int) -> jax.Array:
 
 
 def _light(regions: Regions, v: jax.Array, width: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Return nodes of one latitude in the scene, x and y, px, and the light of each, (nodes, channels), px^2/sr."""
+    """Compute the nodes of one latitude in the scene, x and y, px, and the light of each, (nodes, channels), px^2/sr."""
     scene, around, peak = regions.scene, regions.widths.around, regions.peak
     radius = scene.sample.radius
     cuts = np.concatenate([[0.0], _GRADED, np.arange(1, _PANELS + 1)]) / _PANELS

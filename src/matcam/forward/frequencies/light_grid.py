@@ -1,13 +1,13 @@
-"""The light that a sphere sends, on an even grid whose transform is right for all that a lens passes.
+"""Light of a sphere on a regular grid whose transform is accurate within the band of a lens.
 
-A sum over points of light an even step apart is exact but for frequencies that come back as others: those beyond one over the
-step, less the lens's highest. Light has hardly any of them but in three places, which are laid on the grid by themselves:
+A sum over regular points is exact except for aliased frequencies: those beyond one over the step less the cutoff of the
+lens. Light has such frequencies only in three regions, which have their own quadratures:
 
-- the limb, where it ends (`limb_lines.py`);
+- the limb, where light ends (`limb_lines.py`);
 - the highlight, whose lobe may be narrower than a step (`highlight_patch.py`);
-- the terminator, where it reaches 0 with a bend (`terminator.py`).
+- the terminator, where the slope of light is discontinuous (`terminator.py`).
 
-`regions.py` says what belongs to which. So each piece of light is asked for once, and the lens is its transfer function.
+`regions.py` divides the light among them. Each piece of light is evaluated once, and the lens is its transfer function.
 """
 
 from __future__ import annotations
@@ -28,19 +28,19 @@ from matcam.sample.curved import Sphere
 from matcam.sample.shape import Curved
 
 _FINE_ENOUGH = 2.4
-"""Points a pixel, over the lens's highest frequency in cycles/px."""
+"""Grid points per pixel, over the cutoff of the lens in cycles/px."""
 _TILE = 32, 64
-"""Rows and columns of the grid that are looked at together."""
+"""Rows and columns of a tile of the grid."""
 _ACROSS = 30.0
-"""Steps of the grid in a sphere's radius, at least, beyond those that the lens's highest frequency asks for."""
+"""Smallest number of grid steps in the radius of a sphere, beyond those that the cutoff of the lens requires."""
 _SMALLEST = 2.5
-"""Least radius of a sphere, px."""
+"""Smallest radius of a sphere, px."""
 _HIGHEST = 3.3
-"""Highest frequency that a lens may pass, cycles/px: 8 points a pixel."""
+"""Highest supported cutoff of a lens, cycles/px: 8 points per pixel."""
 
 
 class Laying(NamedTuple):
-    """Say where light is laid that does not belong to the grid's own points. Each kind is a program.
+    """Arrangement of the light outside the regular points of a grid. Each kind requires a program.
 
     Attributes:
         lines: those of the limb.
@@ -52,14 +52,14 @@ class Laying(NamedTuple):
 
 
 class LightGrid(NamedTuple):
-    """Say how light is laid on a grid.
+    """Regular grid on which light is placed.
 
     Attributes:
-        x: places of the columns, an even step apart, px.
-        y: places of the rows, px; from half a step upwards where they are alike.
+        x: positions of the columns, at a constant step, px.
+        y: positions of the rows, px; from half a step upwards if the light is symmetric.
         widths: of the regions.
-        taps: how single points of light are laid.
-        alike: whether only the upper half is laid, of light that is the same above and below.
+        taps: weights of single points of light.
+        alike: whether only the upper half is computed, for symmetric light.
     """
 
     x: np.ndarray
@@ -70,12 +70,12 @@ class LightGrid(NamedTuple):
 
     @classmethod
     def of(cls, x: np.ndarray, y: np.ndarray, highest: float, *, alike: bool = False) -> LightGrid:
-        """Return the grid for what lets pass frequencies up to `highest`, cycles/px."""
+        """Build the grid for a band up to `highest`, cycles/px."""
         per_px = 1 / abs(x[1] - x[0])
         return cls(x, y, RegionWidths.above(per_px - highest), Taps.below(highest / per_px), alike)
 
     def laying(self, scene: Scene) -> Laying:
-        """Return how the light of a scene is laid; its numbers must be known, but for their derivatives."""
+        """Choose the arrangement of the light of a scene; its parameters must be concrete, apart from their derivatives."""
         known = without_derivatives(scene)
         radius = float(known.sample.radius)
         cosine = np.sqrt(1 - (float(highlight_x(known.sample, known.lamp_angle, known.lamp_nearness)) / radius) ** 2)
@@ -89,32 +89,34 @@ class LightGrid(NamedTuple):
         return Laying(lines, patch_size(self.widths, cosine, step, self.taps, self.alike, turned))
 
     def laid(self, scene: Scene, laying: Laying | None = None) -> jax.Array:
-        """Return the light of a scene, 1/sr, (rows, columns, channels). laying: how, where its numbers are not known."""
+        """Compute the light of a scene on the grid, 1/sr, (rows, columns, channels). laying: for parameters that are
+        not concrete.
+        """
         return _laid(scene, self.x, self.y, (self.widths, self.taps, self.alike), laying or self.laying(scene))
 
 
 def per_px_for(highest: float, radius: float) -> int:
-    """Return how many points a pixel a grid needs.
+    """Compute the number of grid points per pixel.
 
     Args:
-        highest: frequency up to which its light is looked at, cycles/px.
+        highest: frequency up to which the light is used, cycles/px.
         radius: of the sphere, px.
     """
     return max(2, int(np.ceil(_FINE_ENOUGH * highest)), int(np.ceil(highest + _ACROSS / radius)))
 
 
 def margin_of(per_px: int, highest: float) -> float:
-    """Return how far a grid must reach beyond the sphere, px."""
+    """Compute the margin of a grid beyond the sphere, px."""
     return (Taps.below(highest / per_px).reach + 2) / per_px
 
 
 def serves(sample: Curved, elongation: float, highest: float) -> bool:
-    """Tell whether light is laid on grids: a sphere's before a distant camera, of round lobes.
+    """Check whether grids apply: a sphere in front of a distant camera, with round lobes.
 
     Args:
-        sample: what is photographed.
+        sample: the sample.
         elongation: of the material's lobe, no unit.
-        highest: frequency that the lens lets pass, cycles/px.
+        highest: cutoff of the lens, cycles/px.
     """
     if not isinstance(sample, Sphere) or not sample.distant or elongation != 1 or highest > _HIGHEST:
         return False
@@ -142,7 +144,7 @@ def _laid(
 
 
 def _smooth_part(regions: Regions, x: jax.Array, y: jax.Array) -> jax.Array:
-    """Return the light of the grid's own points, tile by tile: most of a picture is dark."""
+    """Compute the light of the regular points, tile by tile, because most of an image is dark."""
     channels = regions.scene.channels()
     down, across = (-(-line.size // side) for line, side in zip((y, x), _TILE, strict=True))
 

@@ -1,8 +1,9 @@
-"""Light at the limb, laid on a grid from nodes along its rows and columns.
+"""Light at the limb on a grid, from nodes along its rows and columns.
 
-Within a few px of the limb light changes as the root of the distance, and then ends. Along a line it is a smooth function of
-the angle up to the limb, or to the terminator where that comes first. Lines that meet the limb at less than half a right angle
-would come back as other frequencies: rows serve its left and right, columns its top and bottom, with a smooth border between.
+Within a few px of the limb light varies as the square root of the distance, and then ends. Along a line it is a smooth
+function of the angle up to the limb, or up to the terminator if that is closer. Lines that meet the limb at less than
+45 degrees would alias, so rows are used at its left and right and columns at its top and bottom, with a smooth
+transition.
 """
 
 from __future__ import annotations
@@ -20,22 +21,21 @@ from matcam.sample.curved import Sphere
 
 _NODES = 32
 _BETWEEN = 0.045
-"""Standard deviation of the border between rows and columns, rad."""
+"""Standard deviation of the transition between rows and columns, rad."""
 _STEEPEST_LINE = np.pi / 4 + 4.9 * _BETWEEN
-"""Largest angle, at the sphere's centre, between the limb and the direction of the lines that serve it, rad."""
+"""Largest angle at the centre of the sphere between the limb and the direction of its lines, rad."""
 _AT_ONCE = 16
-"""Lines at a time: as many numbers as fit into a processor's cache."""
+"""Number of lines that are computed at a time: their arrays fit into the cache of a processor."""
 
 
 class LimbLines(NamedTuple):
-    """Say which lines of a grid serve a limb on one side, and where they go.
+    """Lines of a grid for one side of a limb.
 
     Attributes:
         upright: True for columns, False for rows.
-        side: 1 where they end right or above, -1 left or below.
-        first: number of the first.
-        last: number after the last.
-        length: points of the grid on which the light of one is laid.
+        side: 1 if they end at the right or top, -1 at the left or bottom.
+        first: index of the first. last: index after the last.
+        length: number of grid points that receive the light of one.
     """
 
     upright: bool
@@ -46,13 +46,13 @@ class LimbLines(NamedTuple):
 
 
 def limb_lines(fixed: np.ndarray, radius: float, widest: float, taps: Taps, upright: bool, side: int) -> LimbLines:
-    """Return the lines that serve a side of a limb.
+    """Select the lines for a side of a limb.
 
     Args:
-        fixed: places of all lines across their direction, an even step apart, px.
+        fixed: positions of all lines across their direction, at a constant step, px.
         radius: of the limb, px.
-        widest: how far within the limb light belongs to it, px.
-        taps: how light is laid on the grid.
+        widest: depth of the region of the limb, px.
+        taps: weights of light on the grid.
         upright: see `LimbLines`.
         side: see `LimbLines`.
     """
@@ -69,11 +69,11 @@ def lay_limb(
 
     Args:
         grid: (rows, columns, channels).
-        regions: what belongs to the limb.
-        served: which lines serve it.
-        across: places of all lines of their kind, px.
-        along: places of the grid's points on one of them, px.
-        taps: how light is laid on the grid.
+        regions: regions of the light.
+        served: the lines of that side.
+        across: positions of all lines of their kind, px.
+        along: positions of the grid's points on one of them, px.
+        taps: weights of light on the grid.
     """
     first, step = along[0], along[1] - along[0]
     count = served.last - served.first
@@ -101,7 +101,7 @@ def lay_limb(
         nothing = jnp.zeros((*start.shape, served.length, sent.shape[-1]))
         return start, jax.lax.cond(jnp.any(sent != 0), laid, lambda: nothing)
 
-    # all light first: within a loop over what it is laid on it would be asked for again and again
+    # all light first: inside the loop it would be computed repeatedly
     nodes = jax.lax.map(light, across[number].reshape(-1, _AT_ONCE))
     starts, values = jax.lax.map(lay, nodes)
     values = values.reshape(padded, served.length, -1)[:count]
@@ -110,10 +110,10 @@ def lay_limb(
 
 
 def _ends(lines: Lines, regions: Regions, side: int) -> tuple[jax.Array, jax.Array]:
-    """Return the ends of what belongs to the limb on each line, as angles towards `side`, rad."""
+    """Compute the ends of the region of the limb on each line, as angles towards `side`, rad."""
     middle, half = lines.lit()
     middle = side * middle
-    middle = jnp.where(middle < -np.pi / 2, middle + 2 * np.pi, middle)  # the turn that is nearest to the limb
+    middle = jnp.where(middle < -np.pi / 2, middle + 2 * np.pi, middle)  # the turn closest to the limb
     radius = regions.scene.sample.radius
     within = jnp.sqrt(jnp.maximum((radius - regions.depth) ** 2 - lines.fixed**2, 1e-12)) / lines.radius
     low = jnp.maximum(jnp.arcsin(jnp.clip(within, 0, 1 - 1e-12)), middle - half)
@@ -122,7 +122,7 @@ def _ends(lines: Lines, regions: Regions, side: int) -> tuple[jax.Array, jax.Arr
 
 
 def _light(lines: Lines, regions: Regions, side: int, low: jax.Array, high: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Return nodes along each line, px, (lines, nodes), and the light of each, (lines, nodes, channels), px/sr."""
+    """Compute nodes along each line, px, (lines, nodes), and the light of each, (lines, nodes, channels), px/sr."""
     scene, sphere = regions.scene, regions.scene.sample
     assert isinstance(sphere, Sphere)
     radius = sphere.radius
@@ -132,6 +132,6 @@ def _light(lines: Lines, regions: Regions, side: int, low: jax.Array, high: jax.
     x, y = radius * normal[0], radius * normal[1]
     share = regions.limb(x, y) * (1 - regions.highlight(x, y))
     share *= falling(jnp.arctan2(jnp.abs(lines.fixed[:, None]), jnp.abs(along)) - np.pi / 4, _BETWEEN)
-    # along a line dx cos_o = cos_o^2 radius d(angle): what a piece of surface sends counts radius^2 a solid angle
+    # along a line dx cos_o = cos_o^2 radius d(angle): the light of a surface element is radius^2 per solid angle
     sent = scene.sent(sphere.facing(normal))
     return along, sent * (share * width / radius)[..., None]

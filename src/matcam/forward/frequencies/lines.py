@@ -1,4 +1,4 @@
-"""Rows and columns of the sensor: each is half a circle on a sphere before a distant camera, of which one arc is lit."""
+"""Rows and columns of the sensor: each is half a circle on a sphere in front of a distant camera, with one lit arc."""
 
 from __future__ import annotations
 
@@ -14,14 +14,15 @@ _LEAST = 1e-12
 
 
 class Lines(NamedTuple):
-    """Hold lines of the sensor.
+    """Lines of the sensor.
 
-    A place on one is an angle from the optical axis about the line's own, rad: 0 is its middle, pi / 2 its right or upper end.
+    A position on a line is an angle from the optical axis about the axis of the line, rad: 0 is its middle, pi / 2 its
+    right or upper end.
 
     Attributes:
-        scene: what the sensor sees.
+        scene: the scene.
         upright: True for columns, False for rows.
-        fixed: the place of each across its direction, px.
+        fixed: position of each across its direction, px.
     """
 
     scene: Scene
@@ -30,12 +31,12 @@ class Lines(NamedTuple):
 
     @property
     def radius(self) -> jax.Array:
-        """Return half of each line's length within the limb, px."""
+        """Return half the length of each line within the limb, px."""
         sphere = self.scene.sample.radius
         return jnp.sqrt(jnp.maximum(sphere**2 - self.fixed**2, _LEAST * sphere**2))
 
     def normal(self, angle: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
-        """Return the normals at places, (lines, places) each, in the scene's axes."""
+        """Compute the normals at positions, (lines, positions) each, in the axes of the scene."""
         sphere = self.scene.sample.radius
         share, across = self.radius[:, None] / sphere, self.fixed[:, None] / sphere
         along, across = share * jnp.sin(angle), jnp.broadcast_to(across, angle.shape)
@@ -43,7 +44,7 @@ class Lines(NamedTuple):
         return x, y, share * jnp.cos(angle)
 
     def ordered(self, along: jax.Array, across: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Return x and y of what points along the lines and across them."""
+        """Return x and y of vectors along the lines and across them."""
         return (across, along) if self.upright else (along, across)
 
     def lamp(self) -> tuple[jax.Array, jax.Array, jax.Array]:
@@ -53,12 +54,12 @@ class Lines(NamedTuple):
         return *self.ordered(x, y), jnp.cos(angle)
 
     def lit(self) -> tuple[jax.Array, jax.Array]:
-        """Return middle, in [-pi, pi], and half length of the lit arc of each line's whole circle, rad, (lines,)."""
+        """Compute middle, in [-pi, pi], and half length of the lit arc of each line's whole circle, rad, (lines,)."""
         along, across, axis = self.lamp()
         sphere = self.scene.sample.radius
         needed = (horizon(self.scene) - across * self.fixed / sphere) * sphere / self.radius
         reach = jnp.maximum(jnp.hypot(along, axis), _LEAST)
-        # where the lamp stands square to all of them its direction along them has no derivative, and needs none
+        # where the lamp is perpendicular to all lines, its direction along them has no derivative
         middle = jnp.arctan2(along, jnp.where((along == 0) & (axis == 0), _LEAST, axis))
         cosine = jnp.clip(needed / reach, -1, 1)
         ends = jnp.abs(cosine) < 1

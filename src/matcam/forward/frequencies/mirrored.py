@@ -1,8 +1,9 @@
-"""A lens's transfer function for pictures that are alike above and below: only the upper half is transformed.
+"""Transfer function of a lens for images that are symmetric above and below: only the upper half is transformed.
 
-Half a picture with its mirror image below has a cosine transform. That is the transform of the half itself, its even rows first
-and its odd ones backwards after them, but for a phase (Makhoul 1980, A fast cosine transform in one and two dimensions). There
-and back, both phases join the transfer function: every frequency of the half is passed on, with a part of its mirror image.
+Half a picture with its mirror image below has a cosine transform. Apart from a phase this is the transform of the half
+with its even rows first and its odd rows in reverse order after them (Makhoul 1980, A fast cosine transform in one and
+two dimensions). The phases of both transforms become a part of the transfer function, which mixes every frequency of
+the half with its mirror image.
 """
 
 from __future__ import annotations
@@ -15,11 +16,11 @@ from matcam.core.jax import jax, jnp
 
 
 class MirroredTransfer(NamedTuple):
-    """Hold what a lens lets pass of half a picture.
+    """Transfer of a lens for half an image.
 
     Attributes:
         own: share of each frequency that stays, (rows, columns of half the plane), no unit.
-        other: share of the frequency mirrored in the row that takes its place, of that shape, complex.
+        other: share of the frequency mirrored in the row, same shape, complex.
     """
 
     own: jax.Array
@@ -27,7 +28,7 @@ class MirroredTransfer(NamedTuple):
 
     @classmethod
     def of(cls, transfer: jax.Array) -> MirroredTransfer:
-        """Return it for a lens that is alike above and below.
+        """Build the transfer of a symmetric lens.
 
         transfer: of the lens at frequencies 0, 1, 2... cycles per two halves along y, an even number of rows.
         """
@@ -37,7 +38,7 @@ class MirroredTransfer(NamedTuple):
         return cls((transfer + mirrored) / 2, (transfer - mirrored) * phase / 2)
 
     def seen(self, light: jax.Array, width: int) -> jax.Array:
-        """Return what the lens shows of an upper half, from half a step above the axis: (rows, columns, channels).
+        """Filter an upper half by the lens, from half a step above the axis: (rows, columns, channels).
 
         Args:
             light: of the half, (rows, columns, channels), 1/sr.

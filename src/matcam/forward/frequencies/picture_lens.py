@@ -1,8 +1,8 @@
-"""What a picture is filtered by: one lens, one for each colour, or several between which the kernel at a place is interpolated.
+"""Filter of an image: one lens, one for each colour, or several lenses between which the kernel at a position is interpolated.
 
-A lens that differs over the field is taken at some places (`place_shares.py`). The light is divided into as many shares by
-smooth weights of the place that sends it, each share is filtered by its own lens, and the shares are added: each piece of
-surface is spread by the kernel at its own place.
+A lens that varies over the field is sampled at some positions (`place_shares.py`). The light is divided into as many
+shares by smooth weights of the position of its source. Each share is filtered by its own lens, and the shares are
+added. Each surface element is thus blurred by the kernel at its own position.
 """
 
 from __future__ import annotations
@@ -24,22 +24,22 @@ from matcam.forward.frequencies.band_limited import EXACT, BandLimit, band_limit
 from matcam.forward.frequencies.place_shares import PlaceShares
 
 _DEGREES = (3, 6, 9, 12, 16)
-"""Of the weights as polynomials of the place: the first of these that is enough."""
+"""Degrees of the weights as polynomials of the position; the lowest sufficient one is used."""
 _ENOUGH = 1e-4
-"""Error of an interpolated transfer function that no higher degree is taken for."""
+"""Error of an interpolated transfer function below which no higher degree is used."""
 _LEFT_OUT = 1e-3
-"""Length of the part of all values of a transfer function, 248 complex ones, that a sum of fewer may leave out."""
+"""Largest norm of the neglected part of all values of a transfer function (248 complex ones)."""
 _TOLERABLE = 3e-4
-"""Largest error of a transfer function with which a picture is made."""
+"""Largest acceptable error of a transfer function of an image."""
 _RINGS, _ROUND = (0.35, 0.65, 0.85, 1.0), 7
 _FITTED = (0.05, 0.15, 0.27, 0.39, 0.51, 0.63, 0.75, 0.87), 31
-"""Frequencies, shares of the cutoff, and count of directions by which places are chosen."""
+"""Frequencies, shares of the cutoff, and number of directions by which positions are chosen."""
 _CHECKED = (0.1, 0.33, 0.57, 0.81), 13
-"""Others, at which the error is found."""
+"""Other frequencies and directions, at which the error is determined."""
 
 
 class ColourLens(NamedTuple):
-    """Hold what one colour is filtered by.
+    """Filter of one colour.
 
     Attributes:
         lenses: one for each share of the light.
@@ -51,13 +51,13 @@ class ColourLens(NamedTuple):
 
 
 class PictureLens(NamedTuple):
-    """Hold what a fine record is filtered by, and how.
+    """Filter of a fine record.
 
     Attributes:
         pixel: response of a pixel.
-        limit: how the record is made.
-        colours: one for all channels, or one for each.
-        shares: how light is divided by place; None: it is not.
+        limit: sampling of the record.
+        colours: filter for all channels, or one for each.
+        shares: weights by position; None: the light is not divided.
         error: largest error of a transfer function.
     """
 
@@ -69,27 +69,27 @@ class PictureLens(NamedTuple):
 
     @property
     def highest(self) -> float:
-        """Return the frequency above which no lens of it passes anything, cycles/px."""
+        """Return the largest cutoff frequency of its lenses, cycles/px."""
         return max(optics_band(lens) for colour in self.colours for lens in colour.lenses)
 
     def channels(self, material: int) -> int:
-        """Return the picture's channels for a material's. ArgumentError where they do not fit."""
+        """Return the number of channels of the image for that of a material. ArgumentError if they do not match."""
         if len(self.colours) > 1 and material not in (1, len(self.colours)):
             raise ArgumentError(f"the lens has 3 colours, and the material {material} channels: give it 1 or 3")
         return max(material, len(self.colours))
 
 
 def picture_lens(camera: Camera, radius: float, error: float | None = None) -> PictureLens | None:
-    """Return what pictures of a camera are filtered by; None where its lens is a sum of Gaussians, or nearer to one.
+    """Build the filter of images of a camera; None if its lens is a sum of Gaussians, or closer to one.
 
     Args:
         camera: the camera.
-        radius: of the sample's limb, px: no light comes from further away.
-        error: largest error of a transfer function that is aimed at. Default: None, `EXACT`.
+        radius: of the limb of the sample, px; beyond it there is no light.
+        error: target for the largest error of a transfer function. Default: None, `EXACT`.
 
     Raises:
-        ArgumentError: a lens that is not isotropic passes frequencies that are too high, varies too much over the sample, or
-            its parameters are not known yet.
+        ArgumentError: a lens that is not isotropic passes frequencies that are too high, varies too much over the
+            sample, or its parameters are traced.
     """
     optics = camera.optics
     if optics.isotropic:
@@ -121,7 +121,7 @@ def picture_lens(camera: Camera, radius: float, error: float | None = None) -> P
 
 
 def varies_over_field(optics: Optics) -> bool:
-    """Tell whether a lens, or that of a colour, differs over the field."""
+    """Check whether a lens, or that of a colour, varies over the field."""
     parts = optics.lenses if isinstance(optics, ColourOptics) else (optics,)
     return any(isinstance(one, SeidelOptics) for one in parts)
 
@@ -136,7 +136,7 @@ def _colour(optics: Optics, shares: PlaceShares | None, shift: jax.Array | None 
 
 
 def _shares_for(optics: tuple[Optics, ...], radius: float) -> tuple[PlaceShares | None, float]:
-    """Return the fewest shares between which the lenses are interpolated well enough, and their error."""
+    """Choose the fewest shares between which the lenses are interpolated accurately, and return their error."""
     varying = [jax.lax.stop_gradient(one) for one in optics if isinstance(one, SeidelOptics)]
     if not varying:
         return None, 0.0
@@ -162,9 +162,9 @@ def _shares_for(optics: tuple[Optics, ...], radius: float) -> tuple[PlaceShares 
 
 
 def _sampled(lenses: list[SeidelOptics], places: np.ndarray, frequencies: tuple[tuple[float, ...], int]) -> np.ndarray:
-    """Return transfer functions at places (n, 2), px: (n, lenses times frequencies).
+    """Evaluate transfer functions at positions (n, 2), px: (n, lenses times frequencies).
 
-    frequencies: shares of the cutoff, and count of directions.
+    frequencies: shares of the cutoff, and number of directions.
     """
     angle = 2 * np.pi * (np.arange(frequencies[1]) + 0.3) / frequencies[1]
     share = np.array(frequencies[0])[:, None]

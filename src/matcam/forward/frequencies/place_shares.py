@@ -1,11 +1,11 @@
-"""Light divided into shares by the place of the surface that sends it, each of which meets a lens of its own.
+"""Light divided into shares by the position of its source, each of which is filtered by its own lens.
 
-A kernel that is a smooth function of the place is a sum of a few, those of chosen places, with weights that are polynomials in
-x and y. Which places serve best, a pivoted QR decomposition says. Kernels all over the disc that light comes from are
-polynomials of the place, whose coefficients are sums of the chosen kernels: least squares says which.
+A kernel that varies smoothly with the position is a sum of few kernels, those at chosen positions, with weights that
+are polynomials in x and y. Pivoted QR selects the positions. Kernels over the disc of the light are polynomials of the
+position, whose coefficients are combinations of the chosen kernels, found by least squares.
 
-The light is known as a record R through a Gaussian of standard deviation s, which has spread it already. What light weighted by
-w would have recorded follows from R, because the Gaussian turns multiplication by x into x + s^2 d/dx:
+The light is known as a record R through a Gaussian of standard deviation s. The record of light weighted by w follows
+from R, because the Gaussian turns multiplication by x into x + s^2 d/dx:
 
     sum over a, b of  s^(2a + 2b) / (a! b!)  d^(a+b)/dx^a dy^b [exp(s^2 Laplace / 2) w]  d^(a+b) R / dx^a dy^b.
 """
@@ -29,11 +29,11 @@ _STEEPEST = 3.0
 
 
 class PlaceShares(NamedTuple):
-    """Weights of places on the sensor.
+    """Weights of positions on the sensor.
 
     Attributes:
-        side: radius of the disc about the optical axis that they serve, px.
-        places: the chosen places, (shares, 2), px.
+        side: radius of the disc about the optical axis in which they hold, px.
+        places: the chosen positions, (shares, 2), px.
         coefficients: of Chebyshev's T_a(x / side) T_b(y / side) with a + b <= degree, (degree + 1, degree + 1, shares).
     """
 
@@ -43,13 +43,13 @@ class PlaceShares(NamedTuple):
 
     @classmethod
     def of(cls, degree: int, side: float, values: Callable[[np.ndarray], np.ndarray], left_out: float) -> PlaceShares:
-        """Choose places and weights.
+        """Choose positions and weights.
 
         Args:
             degree: of the polynomials.
             side: radius of the disc, px.
-            values: of the kernels at places (n, 2), px: (n, numbers), complex.
-            left_out: length of the part of a kernel's values that is left out.
+            values: of the kernels at positions (n, 2), px: (n, numbers), complex.
+            left_out: norm of the neglected part of the values of a kernel.
         """
         unit = _in_disc(degree + 3)
         every = values(side * unit)
@@ -58,22 +58,22 @@ class PlaceShares(NamedTuple):
         chosen = order[: max(1, int(np.sum(np.abs(np.diag(r)) > left_out)))]
         low = np.add.outer(np.arange(degree + 1), np.arange(degree + 1)).ravel() <= degree
         basis = chebvander2d(unit[:, 0], unit[:, 1], [degree, degree])[:, low]
-        # the kernels' own polynomials are smooth where weights, of kernels that are nearly alike, need not be
+        # the polynomials of the kernels are smooth; weights of nearly equal kernels need not be
         polynomials = np.linalg.lstsq(basis, every, rcond=None)[0]
         coefficients = np.zeros((low.size, chosen.size))
         coefficients[low] = np.linalg.lstsq(every[chosen].T, polynomials.T, rcond=None)[0].T
         return cls(side, side * unit[chosen], coefficients.reshape(degree + 1, degree + 1, -1))
 
     def at(self, places: np.ndarray) -> np.ndarray:
-        """Return the weights of places (n, 2) on the sensor, px: (n, shares)."""
+        """Evaluate the weights at positions (n, 2) on the sensor, px: (n, shares)."""
         return _evaluated(self.coefficients, places / self.side)
 
     def left_over(self, sigma: float, values: np.ndarray) -> float:
-        """Return a bound of what derivatives beyond `ORDER` would add to a record, as a share of its peak.
+        """Bound the contribution of derivatives beyond `ORDER` to a record, as a share of its peak.
 
         Args:
             sigma: standard deviation of the Gaussian that it was recorded through, px.
-            values: of the kernels at the chosen places, (shares, numbers).
+            values: of the kernels at the chosen positions, (shares, numbers).
         """
         places = _in_disc(self.coefficients.shape[0])
         more = [
@@ -86,12 +86,13 @@ class PlaceShares(NamedTuple):
     def divided(
         self, record: Callable[[int, int], jax.Array], x: np.ndarray, y: np.ndarray, sigma: float
     ) -> list[jax.Array]:
-        """Return the record of each share of the light.
+        """Compute the record of each share of the light.
 
         Args:
-            record: returns the derivative of the whole record, so often by x and by y: (rows, columns, channels).
-            x: places of the columns, px.
-            y: places of the rows, px.
+            record: function that returns a derivative of the whole record of given orders in x and y: (rows, columns,
+                channels).
+            x: positions of the columns, px.
+            y: positions of the rows, px.
             sigma: standard deviation of the Gaussian that it was recorded through, px.
         """
         degree = self.coefficients.shape[0] - 1
@@ -106,13 +107,13 @@ class PlaceShares(NamedTuple):
         return shares
 
     def _spread(self, sigma: float) -> PlaceShares:
-        """Return the weights after a Gaussian has spread them: exp(sigma^2 Laplace / 2) w, to sigma^4."""
+        """Blur the weights by a Gaussian: exp(sigma^2 Laplace / 2) w, to sigma^4."""
         one = self._replace(coefficients=self._derived(2, 0) + self._derived(0, 2))
         two = one._derived(2, 0) + one._derived(0, 2)
         return self._replace(coefficients=self.coefficients + sigma**2 / 2 * one.coefficients + sigma**4 / 8 * two)
 
     def _derived(self, along: int, across: int) -> np.ndarray:
-        """Return the coefficients of a derivative by px, in the shape of the weights' own."""
+        """Return the coefficients of a derivative by px, in the shape of those of the weights."""
         found = self.coefficients
         for axis, times in ((0, along), (1, across)):
             if times:
@@ -127,7 +128,7 @@ def _evaluated(coefficients: np.ndarray, unit: np.ndarray) -> np.ndarray:
 
 
 def _in_disc(rings: int) -> np.ndarray:
-    """Return places in the unit disc, (n, 2), denser towards its border."""
+    """Return positions in the unit disc, (n, 2), denser towards its border."""
     radius = np.sin(np.pi / 2 * (np.arange(rings) + 0.5) / rings)
     turn = 2 * np.pi * (np.arange(2 * rings) + 0.5 * (np.arange(rings)[:, None] % 2)) / (2 * rings)
     return np.stack([radius[:, None] * np.cos(turn), radius[:, None] * np.sin(turn)], axis=-1).reshape(-1, 2)

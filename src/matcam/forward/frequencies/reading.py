@@ -1,7 +1,7 @@
-"""Values of a picture between the points of the grid on which its transform is known.
+"""Interpolation of an image between the points of the grid on which its transform is known.
 
-A value is a sum over the points about it, weighted by a narrow window. What the window does to each frequency the transform has
-been divided by before.
+A value is a sum over neighbouring points, weighted by a narrow window. The transform has been divided by that of the
+window before.
 """
 
 from __future__ import annotations
@@ -13,13 +13,13 @@ import numpy as np
 from matcam.core.jax import jax, jnp
 
 _REACH = 5
-"""Steps to either side from which a value is read."""
+"""Support radius of the window, steps."""
 _STEEPNESS = 0.97
-"""Of the window's logarithm, over that with which its transform ends where a frequency would come back."""
+"""Steepness of the logarithm of the window, over the one with which its transform ends where frequencies alias."""
 
 
 class Reading(NamedTuple):
-    """Say how values are read off.
+    """Window that interpolates on a grid.
 
     Attributes:
         steepness: of the window's logarithm, no unit.
@@ -29,31 +29,32 @@ class Reading(NamedTuple):
 
     @classmethod
     def below(cls, limit: float) -> Reading:
-        """Return how to read what holds no frequency above a limit, in (0, 0.5), cycles a step."""
+        """Build the window for a band limit in (0, 0.5), cycles per step."""
         return cls(_STEEPNESS * 2 * np.pi * _REACH * (1 - limit))
 
     def window(self, steps: jax.Array) -> jax.Array:
-        """Return the weight of a point so many steps away, no unit."""
+        """Evaluate the weight of a point at a distance in steps, no unit."""
         near = 1 - (steps / _REACH) ** 2
         return jnp.where(near > 0, jnp.exp(self.steepness * (jnp.sqrt(jnp.maximum(near, 1e-30)) - 1)), 0.0)
 
     def transfer(self, frequency: np.ndarray) -> np.ndarray:
-        """Return the window's transform at frequencies below the limit, cycles a step."""
+        """Evaluate the transform of the window at frequencies below the limit, cycles per step."""
         unit, weight = np.polynomial.legendre.leggauss(64)
         window = np.exp(self.steepness * (np.sqrt(1 - unit**2) - 1)) * weight * _REACH
         return np.cos(2 * np.pi * np.multiply.outer(frequency, _REACH * unit)) @ window
 
     def values(self, grid: jax.Array, row: jax.Array, column: jax.Array, *, mirrored: bool = False) -> jax.Array:
-        """Return values between a grid's points.
+        """Interpolate values between the points of a grid.
 
         Args:
             grid: periodic, (rows, columns, channels).
-            row: places, counted in steps from the first row.
+            row: positions, in steps from the first row.
             column: the same from the first column.
-            mirrored: whether the grid's mirror image follows on its last row, and stands before its first. Default: False.
+            mirrored: whether the mirror image of the grid continues it beyond its last row and before its first.
+                Default: False.
 
         Returns:
-            (places, channels).
+            Values, (positions, channels).
         """
         taps, shares = [], []
         for at in (row, column):

@@ -1,10 +1,10 @@
-"""Which part of a sphere's light is laid on a grid in which way: smooth weights of the place, which add up to 1.
+"""Division of the light of a sphere among quadratures: smooth weights of the position, which add up to 1.
 
     light = (1 - limb) (1 - highlight) light      by the grid's own points       (`light_grid.py`)
           + limb (1 - highlight) light            along lines that end at the limb   (`limb_lines.py`)
           + highlight light                       around the half vector         (`highlight_patch.py`)
 
-A weight's border is as steep as it may be: of its frequencies that come back as others, 1e-6 is left.
+The border of a weight is as steep as possible: its aliased frequencies are below 1e-6.
 """
 
 from __future__ import annotations
@@ -18,20 +18,20 @@ from matcam.forward.integral.scene import Scene, highlight_x
 from matcam.numerics.lengths import plane_length
 
 STEEPEST = 0.1
-"""Least cosine of the view by which a patch around a highlight is stretched."""
+"""Smallest cosine of the view by which a patch around a highlight is stretched."""
 _SMOOTH = 0.84
-"""Standard deviation of a border, times the lowest frequency that must not come back."""
+"""Standard deviation of a border, times the lowest aliased frequency."""
 _ENDS = 4.9
-"""Standard deviations from the middle of a border to where its weight is 0 or 1, but for 1e-6."""
+"""Standard deviations from the middle of a border to where its weight is 0 or 1 within 1e-6."""
 _NEAR = 6.65
-"""Standard deviations from a highlight to the middle of its border: a lobe narrower than a step is smooth from there."""
+"""Standard deviations from a highlight to the middle of its border; a lobe narrower than a step is smooth beyond it."""
 _MORE = 4.4
-"""Standard deviations by which a crescent may be wider than what belongs to the limb, and is all taken as such."""
+"""Standard deviations by which a crescent may be wider than the region of the limb, and still belong to it as a whole."""
 _NO_BORDER = 1e9
 
 
 class RegionWidths(NamedTuple):
-    """Say how wide the regions are. The numbers are those of a grid, not of a scene.
+    """Widths of the regions. They belong to a grid, not to a scene.
 
     Attributes:
         sigma: standard deviation of a border, px.
@@ -41,35 +41,35 @@ class RegionWidths(NamedTuple):
 
     @classmethod
     def above(cls, frequency: float) -> RegionWidths:
-        """Return regions whose borders hold hardly anything above a frequency, cycles/px."""
+        """Choose regions whose borders have hardly any content above a frequency, cycles/px."""
         return cls(_SMOOTH / frequency)
 
     @property
     def depth(self) -> float:
-        """Return how far within the limb light belongs to it, px."""
+        """Return the depth of the region of the limb, px."""
         return 2 * _ENDS * self.sigma
 
     @property
     def around(self) -> float:
-        """Return how far from a highlight light belongs to it, px."""
+        """Return the radius of the region of a highlight, px."""
         return (_NEAR + _ENDS) * self.sigma
 
     @property
     def widest_line(self) -> float:
-        """Return the length, px, of the longest part of a line whose light belongs to the limb."""
+        """Return the largest length, px, of a line inside the region of the limb."""
         return self.depth + _MORE * self.sigma
 
 
 class Regions(NamedTuple):
-    """Hold the regions of a scene's light.
+    """Regions of a scene's light.
 
     Attributes:
-        scene: a sphere before a distant camera, under one lamp.
-        widths: how wide they are.
-        peak: place of the highlight on the scene's x axis, px.
-        squeezed: cosine of the view there, but for what is steeper than `STEEPEST`.
-        all_limb: whether the light is a crescent so thin that all of it belongs to the limb.
-        depth: how far within the limb light belongs to it, px.
+        scene: a sphere in front of a distant camera, under one lamp.
+        widths: their widths.
+        peak: position of the highlight on the scene's x axis, px.
+        squeezed: cosine of the view there, at least `STEEPEST`.
+        all_limb: whether the light is a thin crescent that belongs to the limb as a whole.
+        depth: depth of the region of the limb, px.
     """
 
     scene: Scene
@@ -97,26 +97,26 @@ class Regions(NamedTuple):
         )
 
     def limb(self, x: jax.Array, y: jax.Array) -> jax.Array:
-        """Return the weight of the limb at a place in the scene, px, were there no highlight."""
+        """Evaluate the weight of the limb at a position in the scene, px, without a highlight."""
         middle = jnp.where(self.all_limb, _NO_BORDER, _ENDS * self.widths.sigma)
         radius = self.scene.sample.radius
         return self.fall(radius - plane_length(x, y) - middle)
 
     def highlight(self, x: jax.Array, y: jax.Array) -> jax.Array:
-        """Return the weight of the highlight at a place in the scene, px."""
+        """Evaluate the weight of the highlight at a position in the scene, px."""
         return self.fall(plane_length(x - self.peak, self.squeezed * y) - _NEAR * self.widths.sigma)
 
     def fall(self, at: jax.Array) -> jax.Array:
-        """Return a weight that falls from 1 to 0 about 0, px."""
+        """Evaluate a weight that falls from 1 to 0 about 0, px."""
         return falling(at, self.widths.sigma)
 
     def inside(self, x: jax.Array, y: jax.Array) -> jax.Array:
-        """Return the weight of the grid's own points at a place on the sensor, px."""
+        """Evaluate the weight of the regular points at a position on the sensor, px."""
         at = self.scene.from_sensor(x, y)
         return (1 - self.limb(*at)) * (1 - self.highlight(*at))
 
     def lit(self, x: jax.Array, y: jax.Array) -> jax.Array:
-        """Tell whether places on the sensor, px, show the sample and light falls there, without asking for all angles."""
+        """Check whether positions on the sensor, px, show lit surface, without computing all angles."""
         radius, angle = self.scene.sample.radius, self.scene.lamp_angle
         n_x, n_y = (at / radius for at in self.scene.from_sensor(x, y))
         depth2 = 1 - n_x**2 - n_y**2
@@ -124,16 +124,16 @@ class Regions(NamedTuple):
         return (depth2 > 0) & (cosine > horizon(self.scene))
 
     def sent(self, x: jax.Array, y: jax.Array) -> jax.Array:
-        """Return the radiance at places on the sensor, px: 1/sr, channels last; 0 where no light falls."""
+        """Compute the radiance at positions on the sensor, px: 1/sr, channels last; 0 where there is no light."""
         element, lit = self.scene.shown(x, y)
         return jnp.where(lit[..., None], self.scene.sent(element), 0.0)
 
 
 def falling(at: jax.Array, sigma: float) -> jax.Array:
-    """Return a weight that falls from 1 to 0 about 0, as the integral of a Gaussian of that standard deviation."""
+    """Evaluate a weight that falls from 1 to 0 about 0, as the integral of a Gaussian of that standard deviation."""
     return jax.scipy.special.erfc(at / (np.sqrt(2) * sigma)) / 2
 
 
 def horizon(scene: Scene) -> jax.Array:
-    """Return the cosine between a normal and the lamp, from the sample's centre, at which light ends."""
+    """Return the cosine between a normal and the lamp, from the centre of the sample, at which light ends."""
     return jnp.zeros(()) if scene.lamp_nearness is None else scene.lamp_nearness

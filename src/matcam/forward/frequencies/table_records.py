@@ -1,9 +1,9 @@
-"""Records of a sphere's pictures at the places of a table's cells, through a lens that ends at a frequency.
+"""Records of images of a sphere at the positions of the cells of a table, through a band-limited lens.
 
-One picture of the sphere is one theta_d slice of a table. Its light is laid on a grid (`light_grid.py`), the grid's transform
-multiplied by that of lens and pixel, and what comes back is read off at the cells. A Gaussian is no detour, and the lens is
-its transfer function, aberrations and all. It takes a distant camera and a distant point lamp: all cells of a slice then lie in
-one picture.
+One image of the sphere is one theta_d slice of a table. Its light is computed on a grid (`light_grid.py`), the
+transform of the grid is multiplied by that of lens and pixel, and the result is interpolated at the cells. The lens is
+its transfer function, with all aberrations. This requires a distant camera and a distant point lamp, so that all cells
+of a slice lie in one image.
 """
 
 from __future__ import annotations
@@ -32,15 +32,15 @@ from matcam.sample.curved import Sphere
 
 
 class _Frame(NamedTuple):
-    """A picture's grid and frequencies, and what a lens lets pass of each.
+    """Grid and frequencies of an image, and the transfer of a lens at each.
 
     Attributes:
-        grid: where light is laid; where it is alike above and below, the lower half is the mirror image.
-        transfer: of lens, pixel and the reading, (rows, columns of half the plane), no unit; of half a picture, where the lens
-            too is alike above and below.
+        grid: grid of the light; for symmetric light, the lower half is the mirror image.
+        transfer: of lens, pixel and the reading, (rows, columns of half the plane), no unit; of half an image, if the
+            lens is symmetric too.
         sides: rows and columns of the periodic picture.
-        per_px: its points a pixel.
-        reading: how values are read off it.
+        per_px: its points per pixel.
+        reading: interpolation of values.
     """
 
     grid: LightGrid
@@ -51,10 +51,10 @@ class _Frame(NamedTuple):
 
 
 def served_by_frequencies(rig: Rig, material: Material) -> bool:
-    """Tell whether a table is recorded so: through a lens that is no sum of Gaussians, where camera and lamp are distant.
+    """Check whether a table is recorded by frequencies: the lens is not a sum of Gaussians, and camera and lamp are distant.
 
-    The lamp must be a point: under a disc each slice would take as many pictures as the disc has points. A lens may be
-    differentiated, but its numbers must be known.
+    The lamp must be a point, because under a disc each slice would require as many images as the disc has points. A
+    lens may be differentiated, but its parameters must be concrete.
     """
     optics = rig.camera.optics
     known = without_derivatives((rig, material))
@@ -71,14 +71,14 @@ def served_by_frequencies(rig: Rig, material: Material) -> bool:
 def record_by_frequencies(
     material: Material, rig: Rig, lamps: np.ndarray, azimuth: float, places: RecordPlaces
 ) -> jax.Array:
-    """Record a material at places in the pictures of a sphere.
+    """Record a material at positions in the images of a sphere.
 
     Args:
         material: the material.
         rig: camera and sphere; see `served_by_frequencies`.
-        lamps: of each picture, the angle between its lamp and the optical axis, rad.
+        lamps: angle between the lamp of each image and the optical axis, rad.
         azimuth: of all lamps, rad.
-        places: in ascending order of their pictures.
+        places: positions in ascending order of their images.
 
     Returns:
         Radiance under unit irradiance, 1/sr, (places, channels). Differentiable in material, sample and lens.
@@ -98,13 +98,15 @@ def record_by_frequencies(
         most = int(counts[pictures].max())
         known = all(map(is_concrete, jax.tree.leaves((material, sample, frame.transfer))))
         for k in pictures:
-            # one program for all pictures: of as many places
+            # one program for all images: equal numbers of positions
             index = np.minimum(np.arange(ends[k] - counts[k], ends[k] - counts[k] + most), ends[k] - 1)
             at = placed(places.x[index]), placed(places.y[index])
             scene = Scene(material, sample, placed(lamps[k]), None, turn)
             recorded: Callable[..., jax.Array] = partial(_recorded, frame.grid, frame.grid.laying(scene), at)
             if not known:
-                recorded = eqx.filter_checkpoint(recorded)  # what each picture needs for derivatives is made again
+                recorded = eqx.filter_checkpoint(
+                    recorded
+                )  # the intermediate results for derivatives are computed again
             records[k] = recorded(scene, frame)[: counts[k]]
     return jnp.concatenate([record for record, count in zip(records, counts, strict=True) if count])
 
@@ -112,12 +114,12 @@ def record_by_frequencies(
 def _recorded(
     grid: LightGrid, laying: Laying, at: tuple[jax.Array, jax.Array], scene: Scene, frame: _Frame
 ) -> jax.Array:
-    """Return what places on the sensor, px, show of a scene: 1/sr, (places, channels)."""
+    """Compute the record of a scene at positions on the sensor, px: 1/sr, (positions, channels)."""
     return _read(grid.laid(scene, laying), frame, at)
 
 
 def _frame(rig: Rig, sample: Sphere, *, right_half: bool, alike: bool) -> _Frame:
-    """Return the grid of all pictures whose light lies in a half or all of the sphere, and what the lens lets pass there."""
+    """Build the common grid of all images of half a sphere or a whole one, and the transfer of the lens on it."""
     optics, pixel = rig.camera.optics, rig.camera.pixel
     highest, radius = optics_band(optics), float(jax.lax.stop_gradient(sample.radius))
     per_px = per_px_for(highest, radius)
@@ -126,7 +128,7 @@ def _frame(rig: Rig, sample: Sphere, *, right_half: bool, alike: bool) -> _Frame
     x = line[line.size // 2 - margin :] if right_half else line
     y = line[line.size // 2 : -1] + 0.5 / per_px if alike else line
     wide = next_fast_len(x.size + APART * per_px, real=True)
-    # half of the rows, too, are an even number
+    # half of the rows is an even number, too
     high = 4 * next_fast_len(-(-(line.size + APART * per_px) // 4))
     fx, fy = np.fft.rfftfreq(wide, 1 / per_px), np.fft.fftfreq(high, 1 / per_px)
     gaussian, reading = (jnp.pi * rig.jitter) ** 2, Reading.below(highest / per_px)
@@ -142,21 +144,21 @@ def _frame(rig: Rig, sample: Sphere, *, right_half: bool, alike: bool) -> _Frame
     grid, transfer = LightGrid.of(x, y, highest, alike=alike), lines[1][: known.size, None] * whole
     if alike and optics.isotropic:
         return _Frame(grid, MirroredTransfer.of(transfer[:-1]), (high, wide), per_px, reading)
-    if optics.isotropic:  # the same below as above
+    if optics.isotropic:  # symmetric above and below
         transfer = transfer[np.minimum(np.arange(high), high - np.arange(high))]
     return _Frame(grid, transfer, (high, wide), per_px, reading)
 
 
 @kept_program
 def _read(light: jax.Array, frame: _Frame, at: tuple[jax.Array, jax.Array]) -> jax.Array:
-    """Return what is seen at places on the sensor, px: 1/sr, (places, channels)."""
+    """Interpolate the filtered image at positions on the sensor, px: 1/sr, (positions, channels)."""
     column, row = (
         (place - line[0]) * frame.per_px for place, line in zip(at, (frame.grid.x, frame.grid.y), strict=True)
     )
     if isinstance(frame.transfer, MirroredTransfer):
         return frame.reading.values(frame.transfer.seen(light, frame.sides[1]), row, column, mirrored=True)
     height, width, channels = light.shape
-    # the picture goes on after its last row with its first: what lies below the axis stands there
+    # the image is periodic: positions below the axis follow after its last row
     whole = jnp.zeros((*frame.sides, channels)).at[:height, :width].set(light)
     if frame.grid.alike:
         whole = whole.at[-height:, :width].set(light[::-1])

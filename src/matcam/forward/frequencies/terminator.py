@@ -1,9 +1,9 @@
-"""What the terminator adds to the sum over a grid's points: there light reaches 0 with a bend, which no weight smooths.
+"""Correction of a sum over grid points at the terminator, where the slope of light is discontinuous.
 
-A sum over points a step h apart, of a function that starts at 0 with slope s, is its integral less h^2 s B_2(d) / 2, where d is
-the distance of the first point from the start in steps (Euler and Maclaurin; B_2 is Bernoulli's second polynomial). That is
-laid on the two points about the start. Rows and columns both know it; each counts by the square of how steeply the cosine of
-the light rises along it.
+A sum over points at step h, of a function that starts at 0 with slope s, is its integral less h^2 s B_2(d) / 2, where d
+is the distance of the first point from the start in steps (Euler and Maclaurin; B_2 is the second Bernoulli
+polynomial). This term is added to the two points about the start. Rows and columns both give it; they are weighted by
+the squared slopes of the cosine of the light along them.
 """
 
 from __future__ import annotations
@@ -15,18 +15,18 @@ from matcam.forward.frequencies.lines import Lines
 from matcam.forward.frequencies.regions import Regions
 
 _STEP = 0.25
-"""Steps of the grid within which the slope is found."""
+"""Distance over which the slope is determined, in steps of the grid."""
 
 
 def mend_bend(grid: jax.Array, regions: Regions, upright: bool, across: jax.Array, along: jax.Array) -> jax.Array:
-    """Add to a grid what the sum of each row, or column, lacks where it crosses the terminator.
+    """Add to a grid the correction of the sum of each row, or column, at the terminator.
 
     Args:
         grid: (rows, columns, channels).
-        regions: what belongs to the grid's own points.
+        regions: regions of the light.
         upright: True for columns, False for rows.
-        across: places of the lines, px.
-        along: places of the grid's points on one of them, px.
+        across: positions of the lines, px.
+        along: positions of the grid's points on one of them, px.
     """
     radius = regions.scene.sample.radius
     first, step = along[0], along[1] - along[0]
@@ -42,7 +42,7 @@ def mend_bend(grid: jax.Array, regions: Regions, upright: bool, across: jax.Arra
         there = ends & (jnp.abs(angle) < np.pi / 2)
         at = lines.radius * jnp.sin(angle)
         depth = lines.radius * jnp.where(there, jnp.cos(angle), 1.0)
-        # how the cosine of the light grows along the line and across it
+        # slopes of the cosine of the light along the line and across it
         grows, beyond = towards - axis * at / depth, beside - axis * across / depth
         share = grows**2 / jnp.where(there, grows**2 + beyond**2, 1.0)
         share = jnp.where(there, share * regions.inside(*lines.ordered(at, lines.fixed)), 0.0)
@@ -51,7 +51,7 @@ def mend_bend(grid: jax.Array, regions: Regions, upright: bool, across: jax.Arra
         place = (at - first) / step
         below = jnp.floor(jax.lax.stop_gradient(place))
         rest = place - below
-        off = jnp.where(side * step < 0, 1 - rest, rest)  # light lies on the other side of the end than `side`
+        off = jnp.where(side * step < 0, 1 - rest, rest)  # light lies on the other side of the end
         added = jnp.abs(step) / 2 * (off**2 - off + 1 / 6) * share
         for point, part in ((below, 1 - rest), (below + 1, rest)):
             where = jnp.where((point >= 0) & (point < along.size), point, along.size).astype(int)

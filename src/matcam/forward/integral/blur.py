@@ -1,11 +1,11 @@
-"""The blur of a rig: a sum of Gaussians, seen through the pixel in closed form.
+"""Blur of a rig: a sum of Gaussians, with the pixel in closed form.
 
-- The lens is a sum of Gaussians (`camera/optics/gaussian.py`), and what they leave of it (`kernel_rest.py`). Registration
+- The lens is a sum of Gaussians (`camera/optics/gaussian.py`) and their residual (`kernel_rest.py`). Registration
   jitter adds its variance to each.
-- A lens out of focus spreads light over a disc. A lamp's disc spreads the half vector over an ellipse (docs/model.md 3). Both
-  vary over the picture. Records of pixels and cells take the first as a disc, by chords, each a product in x and y. They take
-  a lamp's disc as one, too: a record is the mean over its points, and a fit's operator has `lamp_lines`. Elsewhere both are
-  Gaussians with the disc's own standard deviation, a quarter of its diameter.
+- A lens out of focus spreads light over a disc. A source disc spreads the half vector over an ellipse (docs/model.md
+  3). Both vary over the image. Records of pixels and cells integrate the first over chords of the disc, each a product
+  in x and y. They integrate over the source disc, too: a record is the mean over its points, and the operator of a fit
+  has `lamp_lines`. Elsewhere both are Gaussians with the standard deviation of the disc, a quarter of its diameter.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from matcam.sample.curved import Sphere
 from matcam.sample.shape import Curved
 
 _LEAST_DISC = 1e-4
-"""Least radius of a disc in standard deviations of its blur: the difference that a chord is keeps 12 digits."""
+"""Smallest radius of a disc in standard deviations of its blur: the difference over a chord keeps 12 digits."""
 
 
 Line = Callable[[jax.Array], jax.Array]
@@ -39,12 +39,12 @@ Line = Callable[[jax.Array], jax.Array]
 
 
 class Spread(NamedTuple):
-    """Hold what focus and lamp add to a blur at a piece of surface.
+    """Contribution of focus and lamp to a blur at a surface element.
 
     Attributes:
         along: variance along x, px^2.
         across: variance along y, px^2.
-        disc: radius of the disc of a lens out of focus, px; 0 where it is in the variances.
+        disc: radius of the disc of a lens out of focus, px; 0 if it is part of the variances.
     """
 
     along: jax.Array
@@ -53,18 +53,18 @@ class Spread(NamedTuple):
 
 
 class Blur(eqx.Module):
-    """All that spreads the light of a piece of surface over the sensor.
+    """Everything that spreads the light of a surface element over the sensor.
 
     Attributes:
-        pixel: response of a pixel, through which the terms are seen.
+        pixel: response of a pixel, included in the terms.
         weights: shares of the Gaussians, (Gaussians,), no unit.
         stds: standard deviations of the Gaussians, (Gaussians,), px.
         lamp_radius: angular radius of the lamp's disc, rad.
         aperture: diameter of the entrance pupil over its distance, no unit.
         focus: angle of the normals in focus from the optical axis, rad.
-        varies: True where lamp or focus add to the terms; the kernel then depends on the place.
+        varies: True where lamp or focus add to the terms; the kernel then depends on the position.
         chords: of the disc of a lens out of focus, one of `disc_chords.COUNTS`; 0: it is a Gaussian.
-        rest: what the Gaussians leave of the lens, the last term; None: nothing.
+        rest: residual of the Gaussians, the last term; None: no residual.
     """
 
     pixel: PixelResponse
@@ -84,16 +84,16 @@ class Blur(eqx.Module):
 
     @property
     def std_of_half(self) -> float:
-        """Return how wide its Gaussians are together, px: see `std_of_half`."""
+        """Return the common width of its Gaussians, px: see `std_of_half`."""
         return std_of_half(np.asarray(self.weights), np.asarray(self.stds))
 
     @property
     def even(self) -> bool:
-        """Tell whether the kernel is the same mirrored up and down."""
+        """Check whether the kernel is symmetric above and below."""
         return self.rest is None or self.rest.even
 
     def is_rest(self, term: int) -> bool:
-        """Tell whether a term is what the Gaussians leave."""
+        """Check whether a term is the residual of the Gaussians."""
         return term == self.stds.size
 
     def share(self, term: int) -> jax.Array:
@@ -101,7 +101,7 @@ class Blur(eqx.Module):
         return jnp.ones(()) if self.is_rest(term) else self.weights[term]
 
     def only(self, terms: tuple[int, ...]) -> Blur:
-        """Return a blur of some of the terms: one program serves as many Gaussians of any width."""
+        """Restrict the blur to some of the terms: one program serves as many Gaussians of any width."""
         index = np.array([term for term in terms if not self.is_rest(term)], dtype=int)
         rest = self.rest if any(map(self.is_rest, terms)) else None
         return dataclasses.replace(self, weights=self.weights[index], stds=self.stds[index], rest=rest)
@@ -109,7 +109,7 @@ class Blur(eqx.Module):
     def spread(
         self, sample: Curved, normal_z: jax.Array, lamp_angle: jax.Array, lamp_nearness: jax.Array | None = None
     ) -> Spread:
-        """Return what focus and lamp add. It depends on the normal's z and on the lamp."""
+        """Return the contribution of focus and lamp, which depends on the z component of the normal and on the lamp."""
         if not self.varies:
             return Spread(jnp.zeros(()), jnp.zeros(()), jnp.zeros(()))
         disc = jnp.abs(self.defocus(sample.radius, normal_z))
@@ -124,25 +124,25 @@ class Blur(eqx.Module):
         return Spread(disc**2 / 4 + along**2, disc**2 / 4 + across**2, jnp.zeros(()))
 
     def defocus(self, radius: ArrayLike, normal_z: ArrayLike) -> jax.Array:
-        """Return the radius of a lens's disc out of focus at a normal's z, px; below 0 where it is behind the focus.
+        """Compute the radius of the disc of a lens out of focus at z of a normal, px; negative behind the focus.
 
         radius: of the sample, px.
         """
         return jnp.asarray(radius) * self.aperture * (jnp.asarray(normal_z) - jnp.cos(self.focus)) / 2
 
     def at(self, term: int, spread: Spread, x: jax.Array, y: jax.Array) -> jax.Array:
-        """Return one term, 1/px^2, at offsets of the pixel from a piece of surface's image along x and y, px."""
+        """Evaluate one term, 1/px^2, at offsets of the pixel from the image of a surface element along x and y, px."""
         if self.rest is not None and self.is_rest(term):
             return self.rest.at(x, y, self._rest_variances(spread))
         return self.through_disc(term, spread, lambda along, across: along(x) * across(y))
 
     def through_disc(self, term: int, spread: Spread, of: Callable[[Line, Line], jax.Array]) -> jax.Array:
-        """Return the sum of what is made of each product that one term of the kernel consists of.
+        """Sum a function over the products that one term of the kernel consists of.
 
         Args:
             term: index of the term.
-            spread: what is added to it.
-            of: takes the kernel along x and along y.
+            spread: contribution of focus and lamp.
+            of: function of the kernel along x and along y.
         """
         if self.is_rest(term):
             return self._through_rest(spread, of)
@@ -170,7 +170,7 @@ class Blur(eqx.Module):
         return jax.lax.scan(lambda total, chord: (total + of_chord(chord), None), first, rest)[0]
 
     def _through_rest(self, spread: Spread, of: Callable[[Line, Line], jax.Array]) -> jax.Array:
-        """Return the sum of what is made of the rest's products. Discs spread it as Gaussians do: it is small itself."""
+        """Sum a function over the products of the residual. Discs spread it as Gaussians do, because it is small."""
         rest, (along, across) = self.rest, self._rest_variances(spread) or (None, None)
         assert rest is not None
 
@@ -186,11 +186,11 @@ class Blur(eqx.Module):
         return spread.along + spread.disc**2 / 4, spread.across + spread.disc**2 / 4
 
     def kernel(self, offset: jax.Array, term: int, variance: jax.Array) -> jax.Array:
-        """Return one term along one axis, 1/px, at `offset` px from the pixel's centre."""
+        """Evaluate one term along one axis, 1/px, at `offset` px from the centre of the pixel."""
         return self.pixel.of_gaussian(offset, self._std(term, variance))
 
     def kernel_until(self, offset: jax.Array, term: int, variance: jax.Array) -> jax.Array:
-        """Return the integral of `kernel` up to an offset, no unit."""
+        """Integrate `kernel` up to an offset, no unit."""
         return self.pixel.until_gaussian(offset, self._std(term, variance))
 
     def turned_kernel(
@@ -202,18 +202,19 @@ class Blur(eqx.Module):
         turn: tuple[jax.Array, jax.Array],
         nodes: int,
     ) -> jax.Array:
-        """Return one term, 1/px^2, seen by a pixel that is turned against the axes of x and y.
+        """Evaluate one term, 1/px^2, for a pixel that is turned relative to the axes of x and y.
 
-        What a lamp adds along x and y is correlated on the pixel's own axes: along the wider one the pixel is integrated over,
-        across it the rest of the Gaussian is in closed form. A disc out of focus is the same on all axes.
+        The contribution of a lamp along x and y is correlated along the axes of the pixel. The pixel is integrated
+        numerically along the wider one; across it the conditional Gaussian has a closed form. A disc out of focus is
+        the same on all axes.
 
         Args:
             x: offset from the pixel's centre, px, along the first axis of the variances.
             y: the same along the second.
             term: index of the term.
-            spread: what is added; no disc beside variances.
-            turn: cosine and sine of the angle of the x axis against the pixel's rows.
-            nodes: count of Gauss-Legendre nodes over the pixel, where anything is added.
+            spread: contribution of focus and lamp; no disc beside variances.
+            turn: cosine and sine of the angle between the x axis and the rows of pixels.
+            nodes: number of Gauss-Legendre nodes over the pixel.
         """
         cosine, sine = turn
         x, y = x * cosine - y * sine, x * sine + y * cosine
@@ -236,7 +237,7 @@ class Blur(eqx.Module):
         return jnp.asarray(total)
 
     def plane_rule(self, term: int, spread: Spread) -> tuple[jax.Array, jax.Array, jax.Array]:
-        """Return offsets along x and y (px) and weights by which a term integrates smooth light, each (..., nodes)."""
+        """Return offsets along x and y (px) and weights that integrate smooth light through a term, each (..., nodes)."""
         if self.rest is not None and self.is_rest(term):
             return self.rest.nodes()
         (dx, x_weight), (dy, y_weight) = (self.rule(term, added) for added in (spread.along, spread.across))
@@ -247,8 +248,8 @@ class Blur(eqx.Module):
     def rule(self, term: int, variance: jax.Array) -> tuple[jax.Array, jax.Array]:
         """Return the five-node Gauss rule of a term along one axis.
 
-        Its weight function is the term's kernel. It is exact for polynomials of degree 9, and so for all that is smooth
-        on the kernel's scale. Offsets (px) and weights stand on a trailing axis.
+        Its weight function is the term's kernel. It is exact for polynomials of degree 9, and thus accurate for light
+        that is smooth on the scale of the kernel. Offsets (px) and weights stand on a trailing axis.
         """
         m2, m4, m6, m8 = self._moments(self._std(term, variance))
         a = (m2 * m8 - m4 * m6) / (m2 * m6 - m4**2)
@@ -283,7 +284,7 @@ class Blur(eqx.Module):
         return dataclasses.replace(self, chords=0)
 
     def of_point(self) -> Blur:
-        """Return the blur under a lamp without a disc."""
+        """Return the blur under a point source."""
         varies = self.chords > 0 or not (is_concrete(self.aperture) and float(self.aperture) == 0)
         return dataclasses.replace(self, lamp_radius=jnp.zeros(()), varies=varies)
 
@@ -306,14 +307,14 @@ class BlurTerms(eqx.Module):
 
     @property
     def of_rest(self) -> bool:
-        """Tell whether they are what the Gaussians leave, which passes no even light."""
+        """Check whether these terms are the residual of the Gaussians, which passes no constant light."""
         return all(map(self.blur.is_rest, self.terms))
 
 
 def std_of_half(weights: np.ndarray, stds: np.ndarray) -> float:
-    """Return the standard deviation of the Gaussian whose transfer falls to a half where that of a sum of Gaussians does.
+    """Compute the standard deviation of the Gaussian whose transfer falls to a half at the same frequency as that of a sum.
 
-    The sum's own variance says nothing of a lens: of an ideal one's it is infinite, by tails of hardly any light.
+    The variance of the sum does not describe a lens: that of an ideal lens is infinite, because of faint tails.
     """
     if stds.size == 1:
         return float(stds[0])
@@ -323,13 +324,13 @@ def std_of_half(weights: np.ndarray, stds: np.ndarray) -> float:
 
 
 def blur_of(rig: Rig, *, in_discs: bool = False, whole: bool = False, rest: KernelRest | None = None) -> Blur:
-    """Return the blur of a rig.
+    """Build the blur of a rig.
 
     Args:
         rig: the rig.
-        in_discs: whether a lens out of focus makes discs, not Gaussians.
-        whole: whether what Gaussians leave of the lens is a term, too. Then it need not be isotropic.
-        rest: taken for what they leave, as of a lens that differs little. Default: None, the lens's own.
+        in_discs: whether a lens out of focus has discs, not Gaussians.
+        whole: whether the residual of the Gaussians is a term, too. The lens then need not be isotropic.
+        rest: residual to use, for a lens that differs little. Default: None, that of the lens.
     """
     optics = rig.camera.optics
     lens = _with_rest(optics) if whole else gaussian_sum(optics)
@@ -348,13 +349,13 @@ def blur_of(rig: Rig, *, in_discs: bool = False, whole: bool = False, rest: Kern
 
 
 def _with_rest(optics: Optics) -> GaussianSum:
-    """Return the Gaussians that a rest is added to: more of them where a derivative goes through them alone."""
+    """Return the Gaussians that a residual is added to: more of them for derivatives, which use them alone."""
     known = all(map(is_concrete, jax.tree.leaves(optics)))
     return few_gaussians(optics) if known else round_gaussians(optics)
 
 
 def _chords(rig: Rig, lens: GaussianSum) -> int:
-    """Return how many chords serve a rig's discs out of focus; 0: it has none, or numbers that are not known yet."""
+    """Choose the number of chords of the discs out of focus of a rig; 0: no discs, or traced parameters."""
     sample: Any = rig.sample
     own = rig.aperture, rig.focus, sample.radius, lens.sigmas, rig.jitter, rig.camera.pixel.half_width
     numbers = [jax.lax.stop_gradient(a) for a in own]
@@ -367,7 +368,7 @@ def _chords(rig: Rig, lens: GaussianSum) -> int:
 
 
 def kernel_error(rig: Rig) -> float:
-    """Return the largest error of the transfer function by which a record is made; 0 for Gaussian lenses."""
+    """Return the largest error of the transfer function of a record; 0 for Gaussian lenses."""
     if not isinstance(rig.sample, Sphere):
         return float(gaussian_sum(rig.camera.optics).total_error)
     rest = blur_of(rig, whole=True).rest
@@ -375,7 +376,7 @@ def kernel_error(rig: Rig) -> float:
 
 
 class Imaging(NamedTuple):
-    """Hold what turns light into a record: a sample, its rig's blur, and how near the lamp is.
+    """Sample, blur and lamp distance of a record.
 
     Attributes:
         sample: the sample.
@@ -389,10 +390,10 @@ class Imaging(NamedTuple):
 
 
 def imaging_of(rig: Rig, gaussian_disc: bool = False) -> Imaging:
-    """Return the imaging of a rig whose sample is curved.
+    """Build the imaging of a rig whose sample is curved.
 
-    The lamp's disc is no part of it: its record is the mean over `lamp_points`. `gaussian_disc`: it is, as a
-    Gaussian, and so is that of a lens out of focus.
+    The source disc is not part of it: its record is the mean over `lamp_points`. `gaussian_disc`: it is a Gaussian in
+    the blur, and so is the disc of a lens out of focus.
     """
     if not isinstance(rig.sample, Curved):
         raise ArgumentError(

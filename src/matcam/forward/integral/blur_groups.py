@@ -1,4 +1,4 @@
-"""The lengths that a blur sets on the sensor: terms of about one width share those of their integral."""
+"""Lengths on the sensor that a blur defines. Terms of similar width share their integral."""
 
 from __future__ import annotations
 
@@ -16,34 +16,34 @@ from matcam.sample.shape import Curved
 _ONE_WIDTH = 1.4
 """Largest ratio of the standard deviations in a group."""
 _ONE_WIDTH_OF_TAILS = 1.8
-"""The same beyond the core of a lens that is no Gaussian: the shares there are small, and so are their errors."""
+"""The same beyond the core of a non-Gaussian lens, where shares and thus errors are small."""
 _SHARP = 0.7
-"""Standard deviation, in half widths of the pixel, below which the pixel's borders show as steps."""
+"""Standard deviation, in half widths of the pixel, below which the borders of the pixel are steps."""
 _FOLLOWED = 5.2
-"""How far a Gaussian is followed, in standard deviations."""
+"""Support radius of a Gaussian, in standard deviations."""
 _REST_NEAR = 1.3
-"""Half side of the square around a highlight, in reaches of what Gaussians leave."""
+"""Half side of the square around a highlight, in support radii of the residual."""
 _REST_SQUEEZED = 0.65
-"""Half the distance, in the same reaches, from which a lobe is smooth on its scale: a polynomial about a pixel."""
+"""Half the distance, in support radii of the residual, beyond which a lobe is a polynomial about a pixel."""
 _REST_FINEST, _REST_SPACING = 0.7, 0.18
-"""Of what Gaussians leave: as narrow a Gaussian, and the step of a record, in periods of the cutoff."""
+"""Standard deviation of an equally narrow Gaussian, and step of a record, for the residual, in periods of the cutoff."""
 _REST_PANEL = 3
-"""Periods between the cuts of its support."""
+"""Periods between the borders of panels in the support of the residual."""
 
 
 class BlurScale(NamedTuple):
-    """Lengths on the sensor, px, that terms of about one width set.
+    """Lengths on the sensor, px, of terms of similar width.
 
     Attributes:
-        near: half the side of the square around the highlight in which the nodes go about the half vector.
-        squeezed: reach of the kernel as a squeezed lobe meets it.
+        near: half the side of the square around the highlight in which the nodes are centred on the half vector.
+        squeezed: support radius of the kernel for a squeezed lobe.
         margin: distance from the ends of the light beyond which the surroundings of a pixel are smooth.
-        reach: distance to which the kernel is followed.
+        reach: support radius of the kernel.
         reach_in_focus: the same without discs.
-        disc: radius of the largest disc out of focus; 0 where it is a Gaussian.
+        disc: radius of the largest disc out of focus; 0 if it is a Gaussian.
         finest: standard deviation of the narrowest term, without the pixel.
-        spacing: step of the grid that holds a record: it has nothing finer.
-        cuts: offsets inside the reach at which the kernel must be cut to be smooth in between; () where it is smooth.
+        spacing: step of the grid that resolves a record.
+        cuts: offsets inside the support between which the kernel is smooth; () if it is smooth everywhere.
     """
 
     near: float
@@ -58,7 +58,7 @@ class BlurScale(NamedTuple):
 
 
 class BlurGroup(NamedTuple):
-    """Terms of a blur of about one width, by index, and their lengths."""
+    """Terms of a blur of similar width, by index, and their lengths."""
 
     terms: tuple[int, ...]
     scale: BlurScale
@@ -67,12 +67,12 @@ class BlurGroup(NamedTuple):
 def groups_of(blur: Blur, sample: Curved, turned: bool = False) -> tuple[BlurGroup, ...]:
     """Group the terms of a blur by width. Needs concrete values: ArgumentError inside jit.
 
-    Where the pixel is turned against the plane of camera and lamp, lengths hold its corners.
+    If the pixel is turned relative to the plane of camera and lamp, lengths include its corners.
     """
     lengths = [jax.lax.stop_gradient(a) for a in (blur.stds, blur.pixel.half_width, sample.radius, blur.lamp_radius)]
     if not all(is_concrete(a) for a in lengths):
         raise ArgumentError(
-            "the rig's numbers set how its picture is integrated: call this outside of jax.jit and vmap"
+            "the rig's parameters set how its picture is integrated: call this outside of jax.jit and vmap"
         )
     stds, half = np.asarray(lengths[0]), float(lengths[1])
     disc, added = _widest_spread(blur, sample)
@@ -101,7 +101,7 @@ def groups_of(blur: Blur, sample: Curved, turned: bool = False) -> tuple[BlurGro
 
 
 def _rest_scale(rest: KernelRest, half: float, added: float, turned: bool) -> BlurScale:
-    """Return the lengths of what Gaussians leave. added: variance that focus and lamp add to it, px^2."""
+    """Compute the lengths of the residual of the Gaussians. added: variance that focus and lamp add to it, px^2."""
     period = float(rest.period)
     reach = rest.reach_through(added)
     along = reach * (np.sqrt(2) if turned else 1.0)
@@ -140,7 +140,7 @@ def _scale(half: float, stds: np.ndarray, widened: np.ndarray, turned: bool) -> 
 
 
 def _widest_spread(blur: Blur, sample: Curved) -> tuple[float, float]:
-    """Return the radius of the largest disc out of focus, px, and the variance that it and the lamp add at most, px^2."""
+    """Compute the radius of the largest disc out of focus, px, and the largest variance that it and the lamp add, px^2."""
     if not blur.varies:
         return 0.0, 0.0
     aperture, focus, lamp, radius = (

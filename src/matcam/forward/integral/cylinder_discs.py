@@ -1,6 +1,6 @@
-"""A lamp's disc before a cylinder: the record is the mean over its points, each a lamp of its own (docs/model.md 3).
+"""Source disc in front of a cylinder: the record is the mean over its points (docs/model.md 3).
 
-Across the cylinder lens and lobe blur the disc's image. Along it light hardly changes: there the lobe alone blurs the disc.
+Across the cylinder lens and lobe blur the image of the disc. Along it light hardly changes, so only the lobe blurs the disc.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ from matcam.rigs import Rig
 from matcam.sample.curved import Cylinder
 
 _PLACES = 1 << 20
-"""Places times points of a lamp that are recorded at once: they fit into 1 GiB."""
+"""Positions times points of a lamp that are recorded at once: they fit into 1 GiB."""
 _LEAST_FINENESS = 0.25
-"""Radius of a lamp's image over its blur below which no fewer points would do."""
+"""Radius of the image of a lamp over its blur below which the number of points is the smallest."""
 
 
 class LinePlaces(NamedTuple):
-    """Hold places on the line that a cylinder shows at height 0, arrays of one shape; each has a lamp of its own.
+    """Positions on the line of a cylinder at height 0, arrays of one shape; each has its own lamp.
 
     Attributes:
         x: px from the axis.
@@ -43,14 +43,14 @@ class LinePlaces(NamedTuple):
 def cylinder_fineness(
     rig: Rig, blur: Blur, lamp_angle: np.ndarray, azimuth: np.ndarray | float, material: Material
 ) -> np.ndarray:
-    """Return the radius of a lamp's image over the standard deviation of its blur before a cylinder, no unit.
+    """Compute the radius of the image of a lamp over the standard deviation of its blur on a cylinder, no unit.
 
     Args:
         rig: the rig.
         blur: its blur.
         lamp_angle: angle between lamp and optical axis, rad, any shape.
         azimuth: of the lamp about the optical axis, rad; broadcasts with lamp_angle.
-        material: what the lamp is seen in.
+        material: the material.
     """
     disc = disc_of(rig.lamp)
     if disc == 0:
@@ -78,16 +78,16 @@ def record_under_points(
     nearness: jax.Array | None,
     one_picture: bool = False,
 ) -> jax.Array:
-    """Return the radiance that places on a cylinder record under a lamp, 1/sr, (places, channels).
+    """Compute the radiance that positions on a cylinder record under a lamp, 1/sr, (positions, channels).
 
     Args:
         material: the material.
         cylinder: the cylinder.
         blur: under a lamp without a disc.
-        at: x and y of the places, (places,), px.
+        at: x and y of the positions, (positions,), px.
         points: of the lamp, whose angle and azimuth are those of one lamp, or (places,).
         nearness: inverse of the lamp's distance, 1/radii; None: a distant lamp.
-        one_picture: whether all places are those of one. Of one whose rows are all the same each column is recorded once.
+        one_picture: whether all positions are those of one image. If its rows are equal, each column is recorded once.
             Default: False.
     """
     total: jax.Array | float = 0.0
@@ -107,10 +107,10 @@ def record_under_points(
 
 
 def line_record(material: Material, rig: Rig, places: LinePlaces) -> jax.Array:
-    """Return the radiance that places on a cylinder record, 1/sr, (places, channels).
+    """Compute the radiance that positions on a cylinder record, 1/sr, (positions, channels).
 
-    The irradiance is 1 at the cylinder's centre, on a surface that faces the lamp. Places whose lamp needs about as many
-    points are recorded together.
+    The irradiance is 1 at the cylinder's centre, on a surface that faces the lamp. Positions whose lamps require a
+    similar number of points are recorded together.
     """
     cylinder, blur, nearness = imaging_of(rig)
     assert isinstance(cylinder, Cylinder)
@@ -127,7 +127,7 @@ def line_record(material: Material, rig: Rig, places: LinePlaces) -> jax.Array:
 
 
 def places_under(x: np.ndarray, y: np.ndarray, point: LampPoint, nearness: jax.Array | None) -> CylinderPlaces:
-    """Return places under one point of a lamp. nearness: of the lamp, 1/radii; None: it is distant."""
+    """Return positions under one point of a lamp. nearness: of the lamp, 1/radii; None: it is distant."""
     lamp = tuple(np.broadcast_to(a, x.shape) for a in towards(point.angle, point.azimuth))
     near = None if nearness is None else np.full(x.shape, float(jax.lax.stop_gradient(nearness)) / point.distance)
     return CylinderPlaces(x, y, lamp, near)  # type: ignore[arg-type]

@@ -1,15 +1,16 @@
-"""What a camera records of a cylinder at places of its pictures, each under a lamp of its own, anywhere (docs/model.md 3).
+"""Record of a cylinder at positions of its images, each under its own lamp at any position (docs/model.md 3).
 
-The pixel's axes are the cylinder's, so the kernel is a product across the cylinder and along it, wherever the lamp stands:
+The axes of the pixel are those of the cylinder, so the kernel is a product across the cylinder and along it:
 
     R(x, y) = integral over rows of  k(y - row)  integral over the visible, lit u of  k(x - x(u)) rho cos_i cos_o ... du.
 
-Before a distant camera, under a distant lamp, light is the same all along the cylinder: the outer integral falls away.
-Otherwise the mirror point of a lamp is found as in a plane, because a path that is mirrored by a cylinder climbs evenly.
+In a distant rig light is constant along the cylinder, and the outer integral is 1. Otherwise the mirror point of a lamp
+is found as in a plane, because a path that is mirrored by a cylinder has a constant slope along its axis.
 
-- Where light is smooth on the kernel's scale, in one direction or in both, Gauss's rule of the kernel serves (`Blur.rule`).
-- Elsewhere panels shrink towards the place closest to the half vector, on the lobe's own scale. They end where a sharp pixel
-  does, and at the limb and the terminator, which are straight: the light ends at the same u in every row.
+- Where light is smooth on the kernel's scale, in one direction or in both, the Gauss rule of the kernel is used (`Blur.rule`).
+- Elsewhere panels become smaller towards the position closest to the half vector, on the scale of the lobe. They end at
+  the borders of a sharp pixel, and at the limb and the terminator, which are straight: the light ends at the same u in
+  every row.
 """
 
 from __future__ import annotations
@@ -32,26 +33,30 @@ from matcam.sample.curved import Cylinder
 from matcam.sample.shape import Element, highlight_between
 
 _REACH = 6.2
-"""How far a kernel is followed, in standard deviations."""
+"""Support radius of a kernel, in standard deviations."""
 _AWAY = 9.0
-"""Angle from the half vector, in the kernel's standard deviations, from which the light is smooth on the kernel's scale."""
+"""Angle from the half vector, in standard deviations of the kernel, beyond which the light is smooth on the scale of
+the kernel.
+"""
 _GRADED, _EVEN, _ORDER = 6, 4, 6
 _ENDS = 3.0
-"""Width of the panel at the ends of the light, where masking sets in, in the lobe's own scale."""
+"""Width of the panel at the ends of the light, where masking sets in, in scales of the lobe."""
 _STEPS = 6
-"""Newton's steps to the place closest to the half vector; each leaves a few per cent of the error."""
+"""Newton steps to the position closest to the half vector; each leaves a few per cent of the error."""
 _SMOOTH, _ROUGH, _BOTH = 4096, 256, 2
-"""Places at a time, on a line and where rows are rough, too: as many nodes as fit into a processor's cache."""
+"""Positions that are computed at a time, on a line and where rows are rough, too: their nodes fit into the cache of a
+processor.
+"""
 _RULE = 5
 """Nodes of `Blur.rule`."""
 
 
 class CylinderPlaces(NamedTuple):
-    """Hold places in pictures of a cylinder, arrays of shape (places,), each under a lamp of its own.
+    """Positions in images of a cylinder, arrays of shape (positions,), each under its own lamp.
 
     Attributes:
         x: px from the axis.
-        y: px along it, from where camera and lamp are seen from the axis.
+        y: px along it, from the plane of camera and lamp.
         lamp: direction from the cylinder's centre to the lamp, three arrays.
         nearness: inverse of the lamp's distance from the centre, 1/radii; None: distant lamps.
     """
@@ -63,7 +68,7 @@ class CylinderPlaces(NamedTuple):
 
 
 class PlacedLamps(NamedTuple):
-    """Hold lamps of some places, ready to broadcast: directions, and nearness; None: distant."""
+    """Lamps of some positions, ready to broadcast: directions, and nearness; None: distant."""
 
     towards: Vector
     nearness: AnyArray | None
@@ -74,14 +79,14 @@ class PlacedLamps(NamedTuple):
 
 
 def towards(lamp_angle: ArrayLike, azimuth: ArrayLike) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the directions to lamps at angles from the optical axis and azimuths about it, rad."""
+    """Compute the directions to lamps at angles from the optical axis and azimuths about it, rad."""
     lamp_angle, azimuth = np.broadcast_arrays(lamp_angle, azimuth)
     sine = np.sin(lamp_angle)
     return sine * np.cos(azimuth), sine * np.sin(azimuth), np.cos(lamp_angle)
 
 
 def record_cylinder(material: Material, cylinder: Cylinder, blur: Blur, places: CylinderPlaces) -> jax.Array:
-    """Return the radiance that places on a cylinder record, 1/sr, (places, channels).
+    """Compute the radiance that positions on a cylinder record, 1/sr, (positions, channels).
 
     The lamps' irradiance is 1 at the cylinder's centre. Differentiable in material and blur.
 
@@ -89,14 +94,14 @@ def record_cylinder(material: Material, cylinder: Cylinder, blur: Blur, places: 
         material: the material.
         cylinder: the cylinder.
         blur: under a lamp without a disc.
-        places: the places.
+        places: the positions.
     """
     elongation = np.asarray(float(material.elongation))
     record = jnp.zeros((places.x.size, _channels(material, cylinder)))
-    for terms, _ in groups_of(blur, cylinder):  # narrow terms need nodes that wide ones would not have
+    for terms, _ in groups_of(blur, cylinder):  # narrow terms require nodes that wide ones do not
         across, along = smooth_places(cylinder, blur, terms, places, float(elongation))
         for rough_x, rough_y in ((False, False), (True, False), (True, True)):
-            # where only the rows are rough the columns are taken as such, too
+            # where only the rows are rough, the columns count as rough, too
             which = (~(across & along) == rough_x) & (~along == rough_y)
             index = pad_indices(np.flatnonzero(which))
             if index.size:
@@ -111,24 +116,26 @@ def record_cylinder(material: Material, cylinder: Cylinder, blur: Blur, places: 
 
 
 def is_line(cylinder: Cylinder, places: CylinderPlaces) -> bool:
-    """Say whether light is the same all along the cylinder."""
+    """Check whether light is constant along the cylinder."""
     return cylinder.distant and places.nearness is None
 
 
 def smooth_places(
     cylinder: Cylinder, blur: Blur, terms: tuple[int, ...], places: CylinderPlaces, elongation: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Say where the light is smooth on the kernel's scale, across the cylinder and along it; two arrays (places,)."""
+    """Find positions where the light is smooth on the scale of the kernel, across the cylinder and along it; two arrays
+    (positions,).
+    """
     cylinder, blur = jax.lax.stop_gradient((cylinder, blur))
     line = is_line(cylinder, places)
-    if float(blur.aperture) > 0:  # what is out of focus changes the kernel from place to place
+    if float(blur.aperture) > 0:  # defocus changes the kernel with the position
         return np.zeros(places.x.shape, dtype=bool), np.full(places.x.shape, line)
     half = float(blur.pixel.half_width)
     widest = float(np.max(np.asarray(blur.stds)[list(terms)]))
     std, reach = float(np.hypot(widest, half / np.sqrt(3))), _REACH * widest + half
     light = PlacedLamps(places.lamp, places.nearness)
     x, y = places.x, places.y
-    size = 1 << max(x.size - 1, 1).bit_length()  # few sizes: each is a program
+    size = 1 << max(x.size - 1, 1).bit_length()  # few sizes, because each requires a program
     padded = jax.tree.map(lambda a: np.resize(a, size), (x, y, light))
     inside, away, turn_x, turn_y = (np.asarray(a)[: x.size] for a in _smoothness(cylinder, *padded, reach))
     across = inside & (away > _AWAY * elongation * std * turn_x)
@@ -139,7 +146,9 @@ def smooth_places(
 def _smoothness(
     cylinder: Cylinder, x: jax.Array, y: jax.Array, light: PlacedLamps, reach: float
 ) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
-    """Return whether no end of the light is within reach, the least angle from the half vector there, and its turns per px."""
+    """Compute whether no end of the light is in the support, the smallest angle from the half vector there, and its
+    slope per px.
+    """
     low, high = ends_of_light(cylinder, light)
     first, last = (_at_column(cylinder, x + side * reach) for side in (-1, 1))
     inside = (jnp.abs(x) + reach < cylinder.radius) & (first > low) & (last < high)
@@ -153,20 +162,20 @@ def _smoothness(
 
 
 def _at_column(cylinder: Cylinder, x: jax.Array) -> jax.Array:
-    """Return the visible u at columns, px, or the closest to it."""
+    """Compute the visible u at columns, px, or the closest to it."""
     return cylinder.across(x, jnp.zeros_like(x))
 
 
 def ends_of_light(cylinder: Cylinder, light: PlacedLamps) -> tuple[jax.Array, jax.Array]:
-    """Return the u between which the cylinder is visible and lit: limb and terminator are straight."""
+    """Compute the u between which the cylinder is visible and lit: limb and terminator are straight."""
     across = jnp.hypot(light.towards[0], light.towards[2])
-    # a lamp that shines along the axis lights nothing
+    # a lamp along the axis lights no surface
     near = None if light.nearness is None else light.nearness / jnp.maximum(across, 1e-12)
     return cylinder.lit(jnp.zeros_like(across), jnp.arctan2(light.towards[0], light.towards[2]), near)
 
 
 def mirror_row(cylinder: Cylinder, light: PlacedLamps, low: jax.Array, high: jax.Array) -> jax.Array:
-    """Return the row, px, in which the cylinder mirrors the lamp; 0 where it does in all or in none."""
+    """Compute the row, px, in which the cylinder mirrors the lamp; 0 if it does in all or in none."""
     x, y, z = light.towards
     if light.nearness is None and cylinder.distant:
         return jnp.zeros_like(x)
@@ -174,7 +183,7 @@ def mirror_row(cylinder: Cylinder, light: PlacedLamps, low: jax.Array, high: jax
     q, w = cylinder.nearness, jnp.zeros_like(across) if light.nearness is None else light.nearness / across
     angle = jnp.arctan2(x, z)
     u = jnp.clip(highlight_between(angle, q, w), low, high)
-    # seen along the axis, paths from the mirror to lamp and camera, over the distances of these
+    # lengths along the axis of the paths from the mirror to lamp and camera, over the distances of these
     to_lamp, to_camera = (jnp.sqrt(1 - 2 * r * jnp.cos(u - a) + r**2) for r, a in ((w, angle), (q, 0.0)))
     climb = w + q * to_lamp / to_camera
     height = jnp.where(climb > 0, y / across / jnp.where(climb > 0, climb, 1.0), 0.0)
@@ -184,7 +193,7 @@ def mirror_row(cylinder: Cylinder, light: PlacedLamps, low: jax.Array, high: jax
 def seen_at(
     cylinder: Cylinder, light: PlacedLamps, u: jax.Array, row: jax.Array
 ) -> tuple[Element, Vector, jax.Array | None]:
-    """Return the surface at u in rows, px, the direction to the lamp, and the square of its distance; None: 1."""
+    """Compute the surface at u in rows, px, the direction to the lamp, and the square of its distance; None: 1."""
     element = cylinder.surface(u, row / cylinder.stretch * (1 - cylinder.nearness * jnp.cos(u)))
     if light.nearness is None:
         return element, light.towards, None
@@ -198,7 +207,7 @@ def seen_at(
 def ridge_of(
     cylinder: Cylinder, light: PlacedLamps, row: jax.Array, low: jax.Array, high: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    """Return where a row comes closest to the half vector, as u, and the angle by which it misses it, rad."""
+    """Compute the u at which a row comes closest to the half vector, and the angle between them, rad."""
     angle = jnp.arctan2(light.towards[0], light.towards[2] + 1)
 
     def newton(_: int, u: jax.Array) -> jax.Array:
@@ -206,7 +215,7 @@ def ridge_of(
         tangent, normal, view = element.tangent, element.normal, element.view
         aside = [tangent[0] * one[0] + tangent[2] * one[2] for one in (lamp, view)]
         slope = normal[0] * (lamp[0] + view[0]) + normal[2] * (lamp[2] + view[2])
-        if light.nearness is not None and square is not None:  # a near point is seen from further along, too
+        if light.nearness is not None and square is not None:  # the view direction of a near point differs, too
             slope += light.nearness * (1 - aside[0] ** 2) / jnp.sqrt(square)
         if not cylinder.distant:
             slope += cylinder.nearness * (1 - aside[1] ** 2)
@@ -221,7 +230,7 @@ def ridge_of(
 
 
 def turn_along(cylinder: Cylinder, light: PlacedLamps, u: jax.Array, row: jax.Array) -> jax.Array:
-    """Return by how much the half vector turns along the cylinder at most, rad/px."""
+    """Compute the largest turn of the half vector along the cylinder, rad/px."""
     if light.nearness is None and cylinder.distant:
         return jnp.zeros_like(u)
     element, lamp, square = seen_at(cylinder, light, u, row)
@@ -233,9 +242,9 @@ def turn_along(cylinder: Cylinder, light: PlacedLamps, u: jax.Array, row: jax.Ar
 
 
 def _sent(material: Material, cylinder: Cylinder, light: PlacedLamps, u: jax.Array, row: jax.Array) -> jax.Array:
-    """Return the light of the surface at u in rows, px, per rad and px, channels last."""
+    """Compute the light of the surface at u in rows, px, per rad and px, channels last."""
     element, lamp, square = seen_at(cylinder, light, u, row)
-    # area is px^2 per rad and radius along the axis: a radius takes as many rows as the scale says
+    # area is px^2 per rad and radius along the axis; the scale converts radii to rows
     share = element.area / (cylinder.stretch / (1 - cylinder.nearness * jnp.cos(u)))
     return _through(material, element, lamp, share if square is None else share / square)
 
@@ -254,7 +263,7 @@ def _channels(material: Material, cylinder: Cylinder) -> int:
 
 
 def light_at(material: Material, cylinder: Cylinder, places: CylinderPlaces) -> jax.Array:
-    """Return the radiance at places of a sharp picture, 1/sr, (places, channels); 0 where there is none."""
+    """Compute the radiance at positions of a sharp image, 1/sr, (positions, channels); 0 where there is none."""
     element, visible = cylinder.at(jnp.asarray(places.x), jnp.asarray(places.y))
     light = PlacedLamps(places.lamp, places.nearness)
     u, _ = cylinder.coordinates(element)
@@ -290,7 +299,7 @@ def _record_smooth(material: Material, cylinder: Cylinder, through: BlurTerms, p
 
 
 class _Nodes(NamedTuple):
-    """Hold nodes of an integral in one direction, and their weights; the nodes on the last axis."""
+    """Nodes of an integral in one direction, and their weights; the nodes on the last axis."""
 
     at: jax.Array
     weight: jax.Array
@@ -327,7 +336,9 @@ def _record_rough(
 
 
 class _Window(NamedTuple):
-    """Hold what pixels see across the cylinder; arrays (places,): the light's ends, the kernel's reach, px, columns."""
+    """Window of pixels across the cylinder; arrays (positions,): ends of the light, support radius of the kernel, px,
+    columns.
+    """
 
     low: jax.Array
     high: jax.Array
@@ -337,7 +348,7 @@ class _Window(NamedTuple):
 
 
 def _reach(cylinder: Cylinder, through: BlurTerms, x: jax.Array) -> jax.Array:
-    """Return how far kernels are followed, px, with the widest disc out of focus about each column."""
+    """Compute the support radius of kernels, px, with the largest disc out of focus about each column."""
     blur = through.blur
     reach = _REACH * jnp.max(blur.stds[np.array(through.terms)]) + blur.pixel.half_width
     discs = [_spread(blur, cylinder, jnp.cos(_at_column(cylinder, x + side * reach))).disc for side in (-1, 0, 1)]
@@ -351,7 +362,7 @@ def _spread(blur: Blur, cylinder: Cylinder, normal_z: jax.Array) -> Spread:
 def _rows_about(
     material: Material, cylinder: Cylinder, through: BlurTerms, light: PlacedLamps, window: _Window, y: jax.Array
 ) -> _Nodes:
-    """Return rows about pixels, (places, rows), that crowd where the cylinder mirrors the lamp, on the lobe's scale."""
+    """Compute rows about pixels, (positions, rows), denser where the cylinder mirrors the lamp, on the scale of the lobe."""
     mirror, own = mirror_row(cylinder, light, window.low, window.high)[:, None], y[:, None]
     first, last = own - window.reach[:, None], own + window.reach[:, None]
     middle = jnp.clip(mirror, first, last)
@@ -373,7 +384,7 @@ def _rows_about(
 
 
 def _graded(middle: jax.Array, sides: list[tuple[jax.Array, jax.Array]], scale: jax.Array) -> _Nodes:
-    """Return nodes that crowd towards a place, on a scale, on either side of it.
+    """Compute nodes that become denser towards a position, on a scale, on either side of it.
 
     sides: each an end, and borders of panels up to it.
     """
@@ -384,7 +395,7 @@ def _graded(middle: jax.Array, sides: list[tuple[jax.Array, jax.Array]], scale: 
         borders = jnp.sort(jnp.clip(borders, 0.0, jnp.abs(end - middle)), axis=-1)
         distance, weight = graded_nodes(borders, scale, _GRADED, _ORDER)
         found.append((middle + way * distance, weight))
-    # an integral does not depend on where its nodes are
+    # an integral does not depend on the positions of its nodes
     return _Nodes(*(jax.lax.stop_gradient(jnp.concatenate(parts, axis=-1)) for parts in zip(*found, strict=True)))
 
 
@@ -397,9 +408,9 @@ def _sum_over(
     rows: _Nodes,
     y: jax.Array | None,
 ) -> jax.Array:
-    """Return the light in rows (places, rows) through the kernel.
+    """Integrate the light in rows (positions, rows) through the kernel.
 
-    y: of the pixels; None: the rows' weights are the kernel's, or light is the same in all.
+    y: of the pixels; None: the weights of the rows include the kernel, or light is constant.
     """
     low, high, reach, x = (a[:, None, None] for a in window[:4])
     beside, row = light.beside(1), rows.at
@@ -413,7 +424,7 @@ def _sum_over(
     middle = jnp.clip(peak, first, last)
     layers = [jnp.broadcast_to(a, middle.shape) for a in (low + _ENDS * finest, high - _ENDS * finest)]
     steps = np.array([-1.0, 1.0]), np.arange(1, _EVEN) / _EVEN
-    # even on the sensor, where the kernel is
+    # uniform on the sensor, as is the kernel
     centre = cylinder.surface(middle, jnp.zeros(())).x
     pixel = jnp.broadcast_to(x + steps[0] * blur.pixel.half_width, (*middle.shape[:-1], 2))
     sides = []
@@ -421,7 +432,7 @@ def _sum_over(
         even = centre + (cylinder.surface(end, jnp.zeros(())).x - centre) * steps[1]
         cuts = along(jnp.concatenate([pixel, even], axis=-1))
         sides.append((end, jnp.concatenate([cuts, *layers], axis=-1)))
-    # a lobe that is long across the line is narrow on it however far the line misses it
+    # a lobe that is long across the line is narrow along it at any distance of the line from its peak
     scale = jnp.sqrt(finest**2 + (miss**2 + (middle - peak) ** 2) / window.elongation**2)
     u, weight = _graded(middle, [(jnp.broadcast_to(end, middle.shape), cuts) for end, cuts in sides], scale[..., 0])
     sent = _sent(material, cylinder, light.beside(2), u, row[..., None])

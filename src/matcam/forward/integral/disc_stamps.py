@@ -1,9 +1,9 @@
 """Records on a grid around a highlight through a lens out of focus: light in shares, each spread over discs of one radius.
 
-Each piece of surface is spread over its own disc. Around a highlight radii c differ little, and a kernel is a smooth function
-of c: a polynomial through a few radii. So light is divided into shares by Lagrange's basis at its own c. Each share is recorded
-in focus, where nodes and kernel are products in x and y. Its record is averaged over the disc of its radius: a convolution on
-the grid, by Fourier transform.
+Each surface element is spread over its own disc. Around a highlight the radii c differ little, and the kernel is a
+smooth function of c: a polynomial through few radii. Light is therefore divided into shares by the Lagrange basis at
+its own c. Each share is recorded in focus, where nodes and kernel are products in x and y. Its record is averaged over
+the disc of its radius: a convolution on the grid, by Fourier transform.
 """
 
 from __future__ import annotations
@@ -21,31 +21,33 @@ from matcam.sample.shape import Curved, Element
 
 _SHARES = (4, 6, 8, 12, 16, 24, 32)
 _LEAST, _PER_BLUR = 4.3, 6.0
-"""Shares of light for an error of 1e-6 of the kernel's peak, and more for each standard deviation of half the range of c."""
+"""Number of shares of light for an error of 1e-6 of the peak of the kernel, and additional ones per standard deviation
+of half the range of c.
+"""
 _ALONG = 8
-"""Least count of places along a chord."""
+"""Smallest number of positions along a chord."""
 
 
 def shares_for(change: float) -> int:
-    """Return how many shares serve. change: half the range of discs' radii, in standard deviations of the blur."""
+    """Compute the number of shares. change: half the range of radii of the discs, in standard deviations of the blur."""
     needed = _LEAST + _PER_BLUR * change
     return next((count for count in _SHARES if count >= needed), _SHARES[-1])
 
 
 def margin_for(disc: float, spacing: float) -> int:
-    """Return how many steps of a grid discs reach beyond its border. disc: largest radius, px."""
+    """Compute the margin of a grid for discs beyond its border, steps. disc: largest radius, px."""
     return math.ceil(disc / spacing) + POINTS // 2
 
 
 class DiscShares(NamedTuple):
-    """Hold how light is divided: the radii of the shares are Chebyshev's nodes between the least and the largest.
+    """Division of light by disc radius; the radii of the shares are Chebyshev nodes of the range.
 
     Attributes:
         blur: the blur, with its discs.
         radius: of the sample, px.
         middle: middle of the range of radii, px; signed, as those of `Blur.defocus`.
         half: half the range, px.
-        unit: the nodes in [-1, 1]; none where no disc is out of focus.
+        unit: the nodes in [-1, 1]; none without defocus.
     """
 
     blur: Blur
@@ -56,7 +58,7 @@ class DiscShares(NamedTuple):
 
     @classmethod
     def over(cls, blur: Blur, sample: Curved, element: Element, count: int) -> DiscShares:
-        """Return so many shares for the light of pieces of surface; 0: it is not divided."""
+        """Choose a number of shares for the light of surface elements; 0: it is not divided."""
         discs = blur.defocus(sample.radius, element.normal[2])
         low, high = (jax.lax.stop_gradient(end(discs)) for end in (jnp.min, jnp.max))
         unit = np.cos(np.pi * (np.arange(count) + 0.5) / max(count, 1))
@@ -68,7 +70,7 @@ class DiscShares(NamedTuple):
         return self.blur.in_focus() if self.unit.size else self.blur
 
     def divided(self, light: jax.Array, element: Element) -> jax.Array:
-        """Return light with its channels once for each share, (..., channels x shares)."""
+        """Repeat the channels of light for each share, (..., channels x shares)."""
         if not self.unit.size:
             return light
         discs = self.blur.defocus(self.radius, element.normal[2])
@@ -94,14 +96,14 @@ class DiscShares(NamedTuple):
         centred = jnp.zeros((self.unit.size, rows, columns)).at[:, : discs.shape[1], : discs.shape[2]].set(discs)
         centred = jnp.roll(centred, (-margin, -margin), axis=(1, 2))
         shares = grids.reshape(rows, columns, -1, self.unit.size)
-        # what wraps around stays within the margin
+        # the wrapped part stays within the margin
         spectrum = jnp.einsum("yxcm,myx->yxc", jnp.fft.rfft2(shares, axes=(0, 1)), jnp.fft.rfft2(centred))
         inner = slice(margin, -margin)
         return jnp.fft.irfft2(spectrum, s=(rows, columns), axes=(0, 1))[inner, inner]
 
 
 def _disc_on_grid(radius: jax.Array, margin: int, chords: int) -> jax.Array:
-    """Return weights of a grid's points, (2 margin + 1, 2 margin + 1), whose sum is the mean over a disc. radius: in steps."""
+    """Compute weights of grid points, (2 margin + 1, 2 margin + 1), whose sum is the mean over a disc. radius: in steps."""
     at, half, share = chords_of(chords)
     along, weight = np.polynomial.legendre.leggauss(max(chords, _ALONG))
     across = _cardinal(radius * at, margin)
@@ -110,7 +112,7 @@ def _disc_on_grid(radius: jax.Array, margin: int, chords: int) -> jax.Array:
 
 
 def _cardinal(position: jax.Array, margin: int) -> jax.Array:
-    """Return the weights of the points -margin to margin in an interpolated value, on a trailing axis."""
+    """Compute the weights of the points -margin to margin in an interpolated value, on a trailing axis."""
     first, weights = on_steps(position)
     places = first[..., None] + np.arange(POINTS) + margin
     return jnp.sum(weights[..., None] * (places[..., None] == np.arange(2 * margin + 1)), axis=-2)

@@ -1,18 +1,18 @@
-"""Three integrals of a scene's record: around a highlight, inside smooth light, and where the light ends.
+"""Three integrals of the record of a scene: around a highlight, inside smooth light, and at the ends of the light.
 
-What reaches a pixel is radiance rho cos_i, not rho (docs/model.md 3). With dx dy = area cos_o du dv, the record is
+A pixel receives radiance rho cos_i, not rho (docs/model.md 3). With dx dy = area cos_o du dv, the record is
 
     R(x) = integral over the visible, lit surface of  k(x - x(u, v)) rho cos_i cos_o area du dv.
 
-Every cosine that could vanish has cancelled: nothing is singular at the limb.
+All cosines in denominators cancel, so the integrand is regular at the limb.
 
-- `record_around`: over normals about the half vector. The nodes crowd towards the half vector on the lobe's own scale, and
-  are nowhere further apart than the kernel allows. A highlight of a thousandth of a pixel is neither missed nor noisy.
-  Nodes and kernel are products in u and v, so two matrix products give all pixels of a rectangle.
-  Through a lens out of focus that is so for shares of the light, each of one disc (`disc_stamps.py`).
-- `record_inside`: a few nodes on the sensor about each pixel. The light is smooth there on the scale of the kernel.
-- `record_in_window`: over (u, v) about each pixel, along limb and terminator. What is visible and lit is one interval of u
-  whose ends are known, and the light is smooth up to them.
+- `record_around`: over normals about the half vector. The nodes become denser towards the half vector on the scale of
+  the lobe, and their distances resolve the kernel. A highlight of a thousandth of a pixel is neither missed nor noisy.
+  Nodes and kernel are products in u and v, so two matrix products give all pixels of a rectangle. Through a lens out of
+  focus this holds for shares of the light, each with one disc (`disc_stamps.py`).
+- `record_inside`: few nodes on the sensor about each pixel, where the light is smooth on the scale of the kernel.
+- `record_in_window`: over (u, v) about each pixel, along limb and terminator. The visible and lit surface is one
+  interval of u with known ends, and the light is smooth up to them.
 """
 
 from __future__ import annotations
@@ -30,23 +30,23 @@ from matcam.forward.integral.scene import Scene, beside_nodes
 from matcam.numerics.approximation import ascending, graded_nodes, nodes_in_panels
 from matcam.sample.shape import Element
 
-# Panels across a squeezed lobe, their cuts in the lobe's width there, and where masking sets in
+# panels across a squeezed lobe, and their borders in widths of the lobe, where masking sets in
 _RIDGE_PANELS = 4
 _RIDGE_CUTS = np.array([-2.0, 0.0, 2.0])
 _MASKING_LAYER = np.array([3.0])
 _ALONG = 1e-9
-"""Sine of an angle below which two lines run along each other."""
+"""Sine of an angle below which two lines are parallel."""
 
 
 class HighlightPanels(NamedTuple):
     """Fineness of the integral around a highlight.
 
     Attributes:
-        graded: panels that grow from the lobe's scale outwards.
+        graded: panels that grow outwards from the scale of the lobe.
         even: panels of one length between the half vector and the border.
         order: Gauss-Legendre nodes per panel.
-        margin: points by which a record is smaller than the rectangle that is asked for, where light is divided.
-        shares: into which light is divided by its disc out of focus; 0: no disc is.
+        margin: points by which a record is smaller than the requested rectangle, if light is divided.
+        shares: number of shares of light by disc out of focus; 0: in focus.
     """
 
     graded: int
@@ -60,11 +60,11 @@ class WindowPanels(NamedTuple):
     """Panels of the integral in a window about a pixel.
 
     Attributes:
-        reach: distance to which the kernel is followed, px.
-        cuts: offsets, px, at which the kernel must be cut to be smooth in between; none where it is smooth.
-        along_v: count of panels along v.
-        ridge: True where a squeezed lobe runs through the window: towards the limb, where the surface turns within a pixel,
-            a lobe is a narrow ridge even far from its peak, along the half vector's u.
+        reach: support radius of the kernel, px.
+        cuts: offsets, px, between which the kernel is smooth; none if it is smooth everywhere.
+        along_v: number of panels along v.
+        ridge: True if a squeezed lobe crosses the window. Towards the limb the surface turns within a pixel, and a lobe
+            is a narrow ridge even far from its peak, along the u of the half vector.
         orders: Gauss-Legendre nodes per panel along u and v.
     """
 
@@ -85,12 +85,12 @@ def record_around(
         blur: the terms to record through.
         x: columns of the rectangle, (columns,), px.
         y: rows of the rectangle, (rows,), px.
-        reach: distance to which the terms are followed, px.
+        reach: support radius of the terms, px.
         panels: fineness of the integral.
 
     Returns:
-        Radiance per unit irradiance, (rows, columns, channels + 1). The last channel is the record of a flat field of radiance
-        1 wherever light falls.
+        Radiance per unit irradiance, (rows, columns, channels + 1). The last channel is the record of a flat field of
+        radiance 1 on the lit surface.
     """
     extent_y = jnp.max(jnp.abs(y)) + reach
     u, v, weight = _around(scene, (jnp.min(x) - reach, jnp.max(x) + reach), extent_y, panels)
@@ -102,7 +102,7 @@ def record_around(
 
     def recorded(along: Line, across: Line) -> jax.Array:
         columns = along(x[:, None, None] - element.x)
-        # the surface is the same on either side of the plane of camera and lamp
+        # the plane of camera and lamp is a plane of symmetry
         above, below = (y[:, None, None] - sign * element.y for sign in (1, -1))
         rows = across(above) + across(below)
         if rows.shape[-1] == 1:
@@ -119,16 +119,16 @@ def record_around(
 def record_around_turned(
     scene: Scene, blur: BlurTerms, x: jax.Array, y: jax.Array, reach: ArrayLike, panels: HighlightPanels
 ) -> jax.Array:
-    """Record a rectangle of pixels that is turned against the plane of camera and lamp.
+    """Record a rectangle of pixels that is turned relative to the plane of camera and lamp.
 
-    Neither kernel nor nodes are a product in x and y then, and both sides of that plane differ.
+    Kernel and nodes are then not products in x and y, and both sides of that plane differ.
 
     Args:
         scene: the light; its lamp_angle and turn have shape ().
         blur: the terms to record through.
         x: columns of the rectangle on the sensor, (columns,), px.
         y: rows of the rectangle, (rows,), px.
-        reach: distance to which the terms are followed, px.
+        reach: support radius of the terms, px.
         panels: fineness of the integral.
 
     Returns: as of `record_around`.
@@ -165,9 +165,9 @@ def record_around_turned(
 def _around(
     scene: Scene, ends_x: tuple[jax.Array, jax.Array], extent_y: jax.Array, panels: HighlightPanels
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Return nodes u (lines, nodes), v (lines,) on one side of the plane of camera and lamp, and weights as u.
+    """Compute nodes u (lines, nodes), v (lines,) on one side of the plane of camera and lamp, and weights as u.
 
-    They reach from one column of the scene to another, and from its x axis to a row, px.
+    They cover the range between two columns of the scene, and from its x axis to a row, px.
     """
     sample, lamp, near = scene.sample, scene.lamp_angle, scene.lamp_nearness
     peak, finest = sample.highlight(lamp, near), scene.material.finest
@@ -185,12 +185,12 @@ def _around(
         borders = jnp.clip(at.at[:, 0].set(middle), low[:, None], high[:, None])
         sides.append(graded_nodes(borders, finest, panels.graded, panels.order))
     u = jnp.concatenate([nodes for nodes, _ in sides], axis=1)
-    # on the lower side the nodes run downwards, and their weights are negative
+    # on the lower side the order of the nodes is reversed, and their weights are negative
     return u, v, jnp.concatenate([-sides[0][1], sides[1][1]], axis=1) * v_weight[:, None]
 
 
 def record_inside(scene: Scene, blur: BlurTerms, x: jax.Array, y: jax.Array) -> jax.Array:
-    """Record pixels whose kernel meets neither the highlight nor an end of the light.
+    """Record pixels whose kernel contains neither the highlight nor an end of the light.
 
     Args:
         scene: the light, under one lamp or one per pixel.
@@ -208,7 +208,7 @@ def record_inside(scene: Scene, blur: BlurTerms, x: jax.Array, y: jax.Array) -> 
     for term in blur.terms:
         dx, dy, share = blur.blur.plane_rule(term, spread)
         light = _arriving(scene, blur.blur, x[:, None] - dx, y[:, None] - dy)
-        if blur.blur.is_rest(term):  # its corners, of hardly any weight, may lie off the limb
+        if blur.blur.is_rest(term):  # its corners, of hardly any weight, may lie beyond the limb
             _, lit = scene.shown(x[:, None] - dx, y[:, None] - dy)
             light = jnp.where(lit[..., None], light, 0.0)
         total += blur.blur.share(term) * jnp.sum(light * share[..., None], axis=1)
@@ -216,7 +216,7 @@ def record_inside(scene: Scene, blur: BlurTerms, x: jax.Array, y: jax.Array) -> 
 
 
 def _arriving(scene: Scene, blur: Blur, x: jax.Array, y: jax.Array) -> jax.Array:
-    """Return the light that arrives at places of the sensor, px, through a lens without any blur but that out of focus."""
+    """Compute the light at positions of the sensor, px, through a lens whose only blur is defocus."""
 
     def seen(at_x: jax.Array, at_y: jax.Array) -> Element:
         return scene.sample.at(*scene.from_sensor(at_x, at_y))[0]
@@ -253,7 +253,7 @@ def record_in_window(scene: Scene, blur: BlurTerms, x: jax.Array, y: jax.Array, 
     if panels.cuts.size:
         if scene.turn is None:
             at = y[:, None] + panels.cuts
-        else:  # rows of the pixel's corners: between them a border of the pixel crosses each row at one place
+        else:  # rows of the corners of the pixel: between them a border of the pixel crosses each row at one position
             corners = jnp.meshgrid(panels.cuts, panels.cuts)
             at = at_y[:, None] + lamps.from_sensor(*(a.ravel() for a in corners))[1]
         stepped, _ = sample.window(at, at, sample.across(at_x, jnp.zeros_like(x))[:, None])
@@ -278,7 +278,7 @@ class _SurfaceNodes(NamedTuple):
 
 
 def _cuts_along_u(scene, places, v, ends, panels: WindowPanels) -> list[jax.Array]:  # type: ignore[no-untyped-def]
-    """Return the places in u at which panels must end, on a trailing axis; those of the first array are in order.
+    """Compute the positions in u at which panels must end, on a trailing axis; those of the first array are in order.
 
     Between them the integrand is smooth.
     """
@@ -287,7 +287,7 @@ def _cuts_along_u(scene, places, v, ends, panels: WindowPanels) -> list[jax.Arra
     by_kernel = [sample.across(x[:, None, None] + cuts, v[..., None])]
     if panels.cuts.size and scene.turn is None:
         by_kernel.append(sample.across(x[:, None, None] + panels.cuts, v[..., None]))
-    elif panels.cuts.size:  # where the pixel's turned borders cross a row
+    elif panels.cuts.size:  # crossings of the turned borders of the pixel with a row
         lamps = scene.beside_nodes(2)
         cosine, sine = (_away_from_zero(a) for a in lamps.turn)
         row = sample.surface(sample.across(x[:, None], v), v).y[..., None] - y[:, None, None]
@@ -297,15 +297,15 @@ def _cuts_along_u(scene, places, v, ends, panels: WindowPanels) -> list[jax.Arra
     if not panels.ridge:
         return by_kernel
     ridge = sample.highlight(beside_nodes(scene.lamp_angle, 1), scene.lamp_nearness)
-    # no wider, close to the ridge, than the lobe is
+    # close to the ridge no wider than the lobe
     by_lobe = (ridge + 0 * v)[..., None] + jnp.hypot(finest, v)[..., None] * _RIDGE_CUTS
-    # masking takes effect within the lobe's own width of the ends
+    # masking sets in within the width of the lobe from the ends
     low, high = (end[..., None] for end in ends)
     return [*by_kernel, by_lobe, low + finest * _MASKING_LAYER, high - finest * _MASKING_LAYER]
 
 
 def _away_from_zero(a: jax.Array) -> jax.Array:
-    """Return a divisor; a border that runs along a row crosses it nowhere near."""
+    """Replace a divisor that is almost 0, where a border is parallel to a row."""
     return jnp.where(jnp.abs(a) > _ALONG, a, _ALONG)
 
 
@@ -314,7 +314,7 @@ def _through_kernel(
 ) -> jax.Array:
     """Sum the light at the nodes, weighted by each pixel's kernel.
 
-    A flat field's light follows as the last channel.
+    The last channel is the light of a flat field.
     """
     x, y = (a[:, None, None] for a in pixels)
     element = scene.sample.surface(nodes.u, nodes.v)

@@ -1,12 +1,12 @@
-"""What a sum of Gaussians leaves of a lens's kernel: its rings, and whatever differs with the direction.
+"""Residual of the kernel of a lens beyond a sum of Gaussians: its rings, and its dependence on direction.
 
-The kernel of lens and pixel is exact on a grid, as the transform of a transfer function that ends. Less its Gaussians it has
-died away some rings from its centre. A singular value decomposition makes of the grid a few products
+The kernel of lens and pixel is exact on a grid, as the transform of a band-limited transfer function. Its difference
+from the Gaussians vanishes some rings from the centre. A singular value decomposition of the grid gives a few products
 
     rest(x, y) = sum over r of  u_r(x) v_r(y),
 
-and the operator for Gaussians, which are such products, takes them as they are. Their lines are polynomials between knots. At
-single places the grid itself is read.
+which the operator for Gaussians can use, because Gaussians are such products too. Their lines are polynomials between
+knots. Single positions are interpolated from the grid.
 """
 
 from __future__ import annotations
@@ -24,40 +24,40 @@ from matcam.core.workspace import default_workspace
 from matcam.numerics.approximation import lagrange_basis
 
 _REACH, _REACH_OF_ABERRATIONS = 9, 16
-"""Half side of the rest, in periods of the cutoff: further out rings are below 1e-4 of the peak, and alike on average."""
+"""Support radius of the residual, in periods of the cutoff: further out rings are below 1e-4 of the peak and average out."""
 _TAPERED = 0.6
-"""Share of the reach from which the rest is led to 0."""
+"""Share of the support radius beyond which the residual is tapered to 0."""
 _KNOTS = 21
-"""Intervals to a period of the cutoff."""
+"""Intervals per period of the cutoff."""
 _APART = 128
-"""Half side of what the transform repeats, in periods of the cutoff: their light within the reach is 2e-5 of all."""
+"""Half period of the transform, in periods of the cutoff: the light of its copies within the support is 2e-5 of the total."""
 _STENCIL = np.arange(-2, 4)
-"""Knots through which the polynomial of an interval goes."""
+"""Knots of the polynomial of an interval."""
 MARGIN = 3
-"""Zeros around the grid."""
+"""Number of zeros around the grid."""
 _LEFT_OUT = 1e-5
-"""Of the kernel's peak: largest value of the products that are left out."""
+"""Largest value of the neglected products, as a share of the peak of the kernel."""
 _FEWEST = 4
-"""Products come in multiples of these: each count is a program."""
+"""Numbers of products are multiples of this value, because each requires a program."""
 REST_RULE = _REACH, _REACH_OF_ABERRATIONS, _TAPERED, _KNOTS, _LEFT_OUT
-"""All that says what is left to a lens's rest: a kept rule is of no use where this is different."""
+"""All parameters of the residual of a lens: a stored rule is valid only for the same values."""
 _SMOOTH = np.polynomial.legendre.leggauss(9)
-"""Nodes along each axis in light that is smooth on the rest's own scale."""
+"""Gauss-Legendre nodes along each axis for light that is smooth on the scale of the residual."""
 _HERMITE = (-np.sqrt(3), 1 / 6), (0.0, 2 / 3), (np.sqrt(3), 1 / 6)
-"""Places, in standard deviations, and shares by which what is added to the lens spreads the rest."""
+"""Offsets, in standard deviations, and shares that represent the blur of the residual by additional Gaussians."""
 
 
 class KernelRest(eqx.Module):
-    """A kernel of a compact support, as a sum of products in x and y.
+    """Kernel of compact support, as a sum of products in x and y.
 
     Attributes:
         lines: coefficients of the polynomials along x and y, (products, 2, intervals, degree + 1), 1/px.
-        grid: values at the knots along x and y, with some zeros around, 1/px^2.
+        grid: values at the knots along x and y, padded with zeros, 1/px^2.
         smooth: weights of the nodes in smooth light, (nodes along x, nodes along y), no unit.
         reach: half side of its support, px.
         period: of the lens's cutoff, px.
-        error: largest error of the transfer function that is left, no unit.
-        even: whether it is the same mirrored up and down.
+        error: largest remaining error of the transfer function, no unit.
+        even: whether it is symmetric above and below.
     """
 
     lines: jax.Array
@@ -69,7 +69,7 @@ class KernelRest(eqx.Module):
     even: bool = eqx.field(static=True)
 
     def at(self, x: jax.Array, y: jax.Array, variances: tuple[jax.Array, jax.Array] | None) -> jax.Array:
-        """Return values at offsets along x and y, px. variances: px^2, along x and y, of a Gaussian that spreads it."""
+        """Evaluate the residual at offsets along x and y, px. variances: px^2, along x and y, of a Gaussian that blurs it."""
         if variances is None:
             return self._read(x, y)
         along, across = (jnp.sqrt(variance) for variance in variances)
@@ -77,7 +77,7 @@ class KernelRest(eqx.Module):
         return sum((a[1] * b[1] * self._read(x + a[0] * along, y + b[0] * across) for a, b in both), jnp.zeros(()))
 
     def _read(self, x: jax.Array, y: jax.Array) -> jax.Array:
-        """Return the cubic through the knots about each place: they are close."""
+        """Interpolate by the cubic through the knots about each position, which are close."""
         side = self.grid.shape[0]
         half = (side - 1) / 2
         flat = self.grid.ravel()
@@ -95,7 +95,7 @@ class KernelRest(eqx.Module):
         return sum(rows, jnp.zeros(()))
 
     def line(self, polynomials: jax.Array, offset: jax.Array, variance: jax.Array | None) -> jax.Array:
-        """Return one line at offsets, px. polynomials: (intervals, degree + 1). variance: that spreads it, px^2."""
+        """Evaluate one line at offsets, px. polynomials: (intervals, degree + 1). variance: of its blur, px^2."""
         if variance is None:
             return self._at(polynomials, offset)
         std = jnp.sqrt(variance)
@@ -113,20 +113,20 @@ class KernelRest(eqx.Module):
         return jnp.where((place >= 0) & (place <= count), value, 0.0)
 
     def reach_through(self, variance: Any) -> Any:
-        """Return the half side of the support where a Gaussian of this variance, px^2, spreads it, px."""
+        """Compute the half side of the support after a blur of this variance, px^2, px."""
         return float(self.reach) + _HERMITE[-1][0] * np.sqrt(variance)
 
     def nodes(self) -> tuple[jax.Array, jax.Array, jax.Array]:
-        """Return offsets along x and y, px, and weights of a rule for light that is smooth within the reach, (nodes,)."""
+        """Return offsets along x and y, px, and weights of a rule for light that is smooth within the support, (nodes,)."""
         x, y = (self.reach * a.ravel() for a in np.meshgrid(_SMOOTH[0], _SMOOTH[0], indexing="ij"))
         return x, y, self.smooth.ravel()
 
 
 def kernel_rest(optics: Optics, pixel: PixelResponse, gaussians: GaussianSum, jitter: Any) -> KernelRest | None:
-    """Return what Gaussians leave of a lens seen through a pixel; None where that is nothing, or numbers are not known yet.
+    """Compute the residual of a lens through a pixel; None if there is none, or parameters are traced.
 
     Args:
-        optics: the lens, the same all over the field.
+        optics: the lens, constant over the field.
         pixel: the pixel.
         gaussians: the sum.
         jitter: standard deviation that registration adds to the lens, px.
@@ -178,13 +178,13 @@ def _made(optics: Optics, pixel: PixelResponse, gaussians: GaussianSum, jitter: 
 
 
 def _taper(share: np.ndarray) -> np.ndarray:
-    """Return 1 up to the tapered part, and down to 0 at the reach; smooth to the third derivative."""
+    """Evaluate the taper: 1 up to its start, and 0 at the support radius; smooth to the third derivative."""
     t = np.clip((share - _TAPERED) / (1 - _TAPERED), 0, 1)
     return 1 - t**4 * (35 - 84 * t + 70 * t**2 - 20 * t**3)
 
 
 def _enough(u: np.ndarray, size: np.ndarray, v: np.ndarray, most: float, rest: np.ndarray) -> int:
-    """Return how many products leave out no more than `most` anywhere."""
+    """Return the number of products beyond which the remainder is below `most` everywhere."""
     for count in range(_FEWEST, size.size, _FEWEST):
         if np.abs((u[:, :count] * size[:count]) @ v[:count] - rest).max() < most:
             return count
@@ -192,8 +192,8 @@ def _enough(u: np.ndarray, size: np.ndarray, v: np.ndarray, most: float, rest: n
 
 
 def _polynomials(values: np.ndarray) -> np.ndarray:
-    """Return the coefficients of the polynomials between knots, by powers of the place there; (..., intervals, degree + 1)."""
-    padded = np.pad(values, [(0, 0)] * (values.ndim - 1) + [(2, 2)])  # beyond its reach the rest is 0
+    """Compute the coefficients of the polynomials between knots, by powers of the position; (..., intervals, degree + 1)."""
+    padded = np.pad(values, [(0, 0)] * (values.ndim - 1) + [(2, 2)])  # the residual is 0 beyond its support
     count = values.shape[-1] - 1
     through = np.linalg.inv(np.vander(_STENCIL.astype(float), increasing=True))
     about = np.arange(count)[:, None] + 2 + _STENCIL
@@ -201,6 +201,6 @@ def _polynomials(values: np.ndarray) -> np.ndarray:
 
 
 def _smooth_weights(rest: np.ndarray, knots: np.ndarray, step: float) -> np.ndarray:
-    """Return weights at Legendre's nodes by which polynomials are integrated as by the rest; knots: in reaches."""
+    """Compute weights at Legendre nodes that integrate polynomials as the residual does; knots: in support radii."""
     basis = np.stack(lagrange_basis(_SMOOTH[0], knots))
     return step**2 * basis @ rest @ basis.T

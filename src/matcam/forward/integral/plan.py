@@ -1,8 +1,8 @@
-"""The plan of a record: which integral serves which pixel, decided once by geometry alone.
+"""Plan of a record: assignment of pixels to integrals, from the geometry alone.
 
-Lengths and sorting depend on the camera's parameters, but a record must not jump where they do. So a plan is frozen: under
-one plan a record is a smooth function of material and camera. Index lists are padded to few lengths, so that rigs that
-differ in values only share what is compiled.
+Lengths and assignment depend on the parameters of the camera, but a record must not be discontinuous in them. A plan is
+therefore frozen: under one plan a record is a smooth function of material and camera. Index lists are padded to few
+lengths, so that rigs that differ only in values share compiled programs.
 """
 
 from __future__ import annotations
@@ -23,27 +23,27 @@ from matcam.sample.curved import Sphere
 from matcam.sample.shape import Curved
 
 _PANELS_ALONG_V = ((2.6, 2), (5.0, 4), (np.inf, 10))
-"""(reach along the surface in units of the kernel's own, panels in v): the first row that holds the kernel counts."""
+"""(extent along the surface in units of the kernel's, panels in v): the first row that covers the kernel is used."""
 _OCTAGON = np.sqrt(2) - 1
 _ONE_LAMP = 1e-12  # rad
 _FAINT = 0.1
-"""Share of a lens's terms from which their own error shows."""
+"""Share of the terms of a lens below which fewer nodes suffice."""
 _NO_CRESCENT = 0.6
-"""Share of a rest's reach within which all must be lit, for the light to be smooth up to the limb."""
+"""Share of the support radius of a residual within which all must be lit, for the light to be smooth up to the limb."""
 _FINER = 1.4
-"""How much longer a window counts along v, for more panels: one that holds a turned pixel's corners."""
+"""Factor of the length of a window along v that includes the corners of a turned pixel, for the number of panels."""
 _SHORTEST, _SHORT, _MEDIUM = 16, 1024, 8192  # places
 
 
 class RecordPlaces(NamedTuple):
-    """Pixel centres in pictures, arrays of shape (places,).
+    """Pixel centres in images, arrays of shape (places,).
 
     Attributes:
         x: column from the optical axis, px.
         y: row from the optical axis, upwards, px.
         lamp_angle: angle between lamp and optical axis, rad.
         picture: index of the picture.
-        azimuth: of the lamp of each place, rad; None: every lamp stands towards +x.
+        azimuth: of the lamp of each position, rad; None: every lamp is towards +x.
     """
 
     x: np.ndarray
@@ -54,18 +54,18 @@ class RecordPlaces(NamedTuple):
 
     @property
     def turn(self) -> Turn | None:
-        """Return the azimuth's cosine and sine."""
+        """Return cosine and sine of the azimuth."""
         return None if self.azimuth is None else Turn(np.cos(self.azimuth), np.sin(self.azimuth))
 
 
 class PixelWindow(eqx.Module):
-    """Places that are integrated over a window about the kernel, in which the light ends or a lobe is squeezed.
+    """Positions with a window about the kernel, in which the light ends or a lobe is squeezed.
 
     Attributes:
-        index: indices of the places, padded.
-        whole: True where the kernel meets no end of the light and sees a flat field whole.
-        ridge: True where a squeezed lobe runs through the window.
-        panels: count of panels along v.
+        index: indices of the positions, padded.
+        whole: True if the kernel contains no end of the light, so that a flat field is complete.
+        ridge: True if a squeezed lobe crosses the window.
+        panels: number of panels along v.
     """
 
     index: np.ndarray
@@ -75,29 +75,29 @@ class PixelWindow(eqx.Module):
 
 
 class PlanPart(eqx.Module):
-    """The plan for the terms of a blur that share a scale. Indices point into the places, padded.
+    """Plan for the terms of a blur that share a scale. Indices refer to the positions, padded.
 
     Attributes:
         terms: indices of the terms.
-        reach: distance to which the kernel is followed, px.
+        reach: support radius of the kernel, px.
         reach_in_focus: the same without the discs of a lens out of focus, px.
-        cuts: offsets at which the kernel must be cut, px; () where it is smooth.
+        cuts: offsets between which the kernel is smooth, px; () if it is smooth everywhere.
         spacing: step of the grid around a highlight, px.
         steps: points of that grid from the highlight to its border.
-        even: panels that the kernel asks for between the highlight and the border.
-        margin: points of the grid beyond its border that discs of a lens out of focus reach; 0: there are none.
-        shares: of the light by its disc out of focus; 0: there are none.
+        even: panels that the kernel requires between the highlight and the border.
+        margin: grid points beyond its border for discs of a lens out of focus; 0: no discs.
+        shares: number of shares of the light by disc out of focus; 0: no discs.
         lamps: lamps whose highlights are recorded, (pictures, 1 or 3), rad.
         turns: azimuth of each picture's lamps, (pictures,), rad; None: 0.
-        inside: indices of places in smooth light.
-        limb: indices of places that see the limb through what Gaussians leave of a lens.
-        limb_rule: weights of their nodes; None: there are none.
-        near: indices of places around the highlight.
-        near_whole: True for those of them whose kernel meets no end of the light.
-        windows: places that need a window of their own.
-        faint: whether the terms' share in the blur is so small that fewer nodes do.
-        place: for each place, its position in the records of inside, limb, windows and near, one after the other. The last
-            position is that of darkness.
+        inside: indices of positions in smooth light.
+        limb: indices of positions with the limb in the support of the residual of a lens.
+        limb_rule: weights of their nodes; None: no such positions.
+        near: indices of positions around the highlight.
+        near_whole: True for those of them whose kernel contains no end of the light.
+        windows: positions with their own window.
+        faint: whether the share of the terms in the blur is so small that fewer nodes suffice.
+        place: for each position, its index in the concatenated records of inside, limb, windows and near. The last
+            index is darkness.
     """
 
     terms: tuple[int, ...] = eqx.field(static=True)
@@ -122,13 +122,13 @@ class PlanPart(eqx.Module):
 
 
 class IntegrationPlan(NamedTuple):
-    """The places of a record, and a part for each scale of the blur."""
+    """Positions of a record, and a part of the plan for each scale of the blur."""
 
     places: RecordPlaces
     parts: tuple[PlanPart, ...]
 
     def turned(self, by: jax.Array) -> IntegrationPlan:
-        """Return the plan under lamps that are turned away from the optical axis by so little that it serves them, rad."""
+        """Return the plan under lamps that are turned away from the optical axis by a small angle, rad."""
         places = self.places._replace(lamp_angle=self.places.lamp_angle + by)
         parts = (eqx.tree_at(lambda one: one.lamps, part, part.lamps + by) for part in self.parts)
         return IntegrationPlan(places, tuple(parts))
@@ -146,10 +146,10 @@ def integration_plan(
     Args:
         imaging: sample, blur and the lamp's nearness.
         lamp_angles: lamp of each picture, (pictures,), rad.
-        places: places to record.
+        places: positions to record.
         azimuths: azimuth of each picture's lamp, (pictures,), rad; None, as in `places`: 0.
-        elongation: of the lobe, no unit. So much further from a highlight a lobe may still be narrow on the kernel's scale.
-            Default: 1, a round lobe, which is as wide anywhere as it is far from its peak.
+        elongation: of the lobe, no unit: factor of the distance from a highlight within which a lobe may be narrow on
+            the scale of the kernel. Default: 1, a round lobe.
 
     Returns:
         The plan, which serves any material and any camera whose parameters differ little.
@@ -167,10 +167,10 @@ def pad_indices(index: np.ndarray) -> np.ndarray:
 
 
 def few_lengths(size: int) -> int:
-    """Return the next of few lengths: each makes a compilation, and programs of 10 to 20 MB.
+    """Round up to one of few lengths, because each requires a compilation, and programs of 10 to 20 MB.
 
-    A compilation costs more than a thousand places: to there each length is four times the one before. Further on there are
-    two for each power of two, and beyond some thousand eight.
+    A compilation costs more than a thousand positions, so up to that number each length is four times the previous one.
+    Beyond it there are two per power of two, and eight beyond some thousands.
     """
     length = _SHORTEST
     while length < min(size, _SHORT):
@@ -250,7 +250,7 @@ def _part(
 
 
 def _limb_rule(imaging: Imaging) -> LimbRule | None:
-    """Return the rule for what Gaussians leave at the limb; None where lamp or focus spread it, or there is none."""
+    """Build the rule for the residual at the limb; None if lamp or focus blur it, or there is no residual."""
     rest, sample = imaging.blur.rest, imaging.sample
     if rest is None or imaging.blur.varies or not isinstance(sample, Sphere):
         return None
@@ -264,17 +264,17 @@ def _rest_beside(
     aslant: np.ndarray,
     places: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return which places see the limb through a lens's rest and need no window, and which are as good as in smooth light.
+    """Select positions with the limb in the support of a residual that require no window, and those in smooth light.
 
-    Of a terminator, at which light sets in from 0, or a squeezed lobe away from the limb the rest shows 2e-5 of the peak at
-    most. Only where the light is a thin crescent does a terminator beside the limb count.
+    The effect of a terminator, where light starts at 0, or of a squeezed lobe away from the limb on the residual is at
+    most 2e-5 of the peak. A terminator beside the limb counts only if the light is a thin crescent.
 
     Args:
         sample: the sphere.
-        reach: of the rest, px.
-        at: x and y, px, and lamp of all places.
-        aslant: whether a place sees the sphere's poles, where crescents are dim.
-        places: those in question.
+        reach: support radius of the residual, px.
+        at: x and y, px, and lamp of all positions.
+        aslant: whether a position is near the poles of the sphere, where crescents are dim.
+        places: candidates.
     """
     index = np.flatnonzero(places)
     limb, dim = np.zeros_like(places), np.zeros_like(places)
@@ -290,40 +290,42 @@ def _rest_beside(
 
 
 def _faint(blur: Blur, terms: tuple[int, ...]) -> bool:
-    """Tell whether terms are a small share of a lens that is no Gaussian: what surrounds its core, and its tails."""
+    """Check whether terms are a small share of a non-Gaussian lens: the surroundings of its core, and its tails."""
     shares = [abs(float(blur.share(term))) for term in terms if not blur.is_rest(term)]
     return blur.rest is not None and 0 < sum(shares) < _FAINT
 
 
 class _SceneLamp(NamedTuple):
-    """The lamp of each place, in the scene's own axes: angle, rad, and nearness, 1/radii or None."""
+    """Lamp of each position, in the axes of the scene: angle, rad, and nearness, 1/radii or None."""
 
     angle: jax.Array
     nearness: jax.Array | None
 
 
 def _padded(places: RecordPlaces) -> RecordPlaces:
-    """Return the places with the last one repeated up to one of few lengths."""
+    """Pad the positions with the last one up to one of few lengths."""
     more = few_lengths(places.x.size) - places.x.size if places.x.size else 0
     fields: list[Any] = [a if a is None else np.pad(np.asarray(a), (0, more), mode="edge") for a in places]
     return RecordPlaces(*fields)
 
 
 def _in_the_scene(imaging: Imaging, places: RecordPlaces) -> tuple[jax.Array, jax.Array, np.ndarray]:
-    """Return the places in the axes of camera and lamp, px, and how far they are from their highlight, by the larger axis."""
+    """Transform positions to the axes of camera and lamp, px, and compute their distances from the highlight, by the
+    larger axis.
+    """
     peak = np.asarray(highlight_x(imaging.sample, jnp.asarray(places.lamp_angle), imaging.lamp_nearness))
     turn = places.turn
     if turn is None:
         aside = np.abs(places.x - peak), np.abs(places.y)
         x, y = places.x, places.y
-    else:  # the rectangle around a highlight is the sensor's
+    else:  # the rectangle around a highlight is aligned with the sensor
         aside = np.abs(places.x - peak * turn.cosine), np.abs(places.y - peak * turn.sine)
         x, y = places.x * turn.cosine + places.y * turn.sine, places.y * turn.cosine - places.x * turn.sine
     return jnp.asarray(x), jnp.asarray(y), np.asarray(np.maximum(*aside))
 
 
 def _shares(imaging: Imaging, scale: BlurScale, longer: float) -> int:
-    """Return how many shares of light serve around a highlight at the limb, where depth changes most. longer: see below."""
+    """Compute the number of shares of light around a highlight at the limb, where depth changes most. longer: see below."""
     radius = float(imaging.sample.radius)
     deepest = np.sqrt(1 - max(1 - 2 * longer * (scale.near + scale.reach) / radius, 0) ** 2)
     return shares_for(radius * float(imaging.blur.aperture) * deepest / 4 / scale.finest)
@@ -332,8 +334,7 @@ def _shares(imaging: Imaging, scale: BlurScale, longer: float) -> int:
 def _even_panels(scale: BlurScale, longer: float) -> int:
     """Count the panels of one length around a highlight.
 
-    None is wider than 2.2 standard deviations of the narrowest term. `longer`: how far beyond the square around it, as that
-    square's corners are.
+    Their width is at most 2.2 standard deviations of the narrowest term. `longer`: factor for the corners of a turned square.
     """
     return max(8, _round_up(int(np.ceil(longer * (scale.near + scale.reach) / (2.2 * scale.finest))), 2))
 
@@ -341,8 +342,8 @@ def _even_panels(scale: BlurScale, longer: float) -> int:
 def _lamps_around(lamp_angles: np.ndarray, places: RecordPlaces, near: np.ndarray) -> np.ndarray:
     """Return the lamps whose highlights are recorded.
 
-    That is one per picture, or three that span the lamps of its places. Before a near camera a slice of a table is
-    taken from pictures of many lamps.
+    There is one per image, or three that span the lamps of its positions: with a near camera a slice of a table comes
+    from images of many lamps.
     """
     offset = np.abs(places.lamp_angle[near] - lamp_angles[places.picture[near]])
     if not near.any() or offset.max() < _ONE_LAMP:
@@ -358,9 +359,9 @@ def _round_up(number: int, unit: int) -> int:
 
 @jax.jit
 def _away_from_ends(sample: Curved, x: jax.Array, y: jax.Array, lamp: _SceneLamp, margin: float) -> jax.Array:
-    """Tell where all within `margin` px of (x, y) is visible and lit.
+    """Find positions whose surroundings within `margin` px are visible and lit.
 
-    The circle is taken as the octagon about it.
+    The circle is replaced by the octagon about it.
     """
     equator = sample.across(x, jnp.zeros_like(x))
     inside = jnp.ones(jnp.broadcast_shapes(x.shape, y.shape), dtype=bool)
@@ -375,9 +376,9 @@ def _away_from_ends(sample: Curved, x: jax.Array, y: jax.Array, lamp: _SceneLamp
 
 @jax.jit
 def _crowded(sample: Curved, x: jax.Array, y: jax.Array, lamp: _SceneLamp, reach: float) -> jax.Array:
-    """Tell where foreshortening squeezes a lobe into the kernel at (x, y).
+    """Find positions where foreshortening squeezes a lobe into the kernel.
 
-    There the surface under the kernel turns by more than its own angle from the half vector.
+    The surface under the kernel turns there by more than its angle from the half vector.
     """
     v, _ = sample.window(y, y, sample.across(x, jnp.zeros_like(x)))
     low, high = sample.lit(v, *lamp)
@@ -388,9 +389,9 @@ def _crowded(sample: Curved, x: jax.Array, y: jax.Array, lamp: _SceneLamp, reach
 
 @jax.jit
 def _turn_along_v(sample: Curved, x: jax.Array, y: jax.Array, reach: float) -> jax.Array:
-    """Return the length in v, px, under a kernel at (x, y).
+    """Compute the length in v, px, under a kernel at (x, y).
 
-    Along the surface it is twice the kernel's reach, and more where it is seen aslant.
+    Along the surface it is twice the support radius of the kernel, and more where it is foreshortened.
     """
     first, last = sample.rows(x, y, reach)
     return (last - first) * sample.stretch
@@ -398,15 +399,15 @@ def _turn_along_v(sample: Curved, x: jax.Array, y: jax.Array, reach: float) -> j
 
 @jax.jit
 def _lit_within(sample: Curved, x: jax.Array, y: jax.Array, lamp: _SceneLamp, reach: float) -> jax.Array:
-    """Tell where light may come from within `reach` px of (x, y).
+    """Find positions with lit surface within `reach` px.
 
-    It errs seldom, and never towards darkness.
+    Errors are rare, and never declare a lit position dark.
     """
     first, last = sample.rows(x, y, reach)
     if lamp.nearness is not None:
         most = sample.lit_rows(lamp.angle, lamp.nearness)
         first, last = jnp.clip(first, -most, most), jnp.clip(last, -most, most)
-    # terminator and limb lie ever closer to the axis towards the poles: their furthest places are those of these rows
+    # terminator and limb approach the axis towards the poles, so their extreme positions are in these rows
     left, right = jnp.full(first.shape, jnp.inf), jnp.full(first.shape, -jnp.inf)
     for v in (first, jnp.clip(0.0, first, last), last):
         low, high = sample.lit(v, *lamp)
@@ -417,7 +418,7 @@ def _lit_within(sample: Curved, x: jax.Array, y: jax.Array, lamp: _SceneLamp, re
 
 @jax.jit
 def _lit_around(sample: Curved, x: jax.Array, y: jax.Array, lamp: _SceneLamp, reach: float) -> jax.Array:
-    """Tell where all that is visible within `reach` px of (x, y) is lit, by places on two circles."""
+    """Find positions whose visible surroundings within `reach` px are lit, by points on two circles."""
     limb = sample.radius * (1 - 1e-9)
     lit = jnp.ones(x.shape, dtype=bool)
     for angle in np.arange(24) * (np.pi / 12):

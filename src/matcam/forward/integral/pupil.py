@@ -1,7 +1,7 @@
 """Light through a lens out of focus where it is smooth: the mean over points of the lens's pupil.
 
-Light of a piece of surface at s on the sensor arrives at s + c(s) p through the pupil's point p; c is the radius of its disc
-out of focus. s is found by steps. Light is thinner there by how much s + c p changes with s.
+Light of a surface element at s on the sensor arrives at s + c(s) p through the point p of the pupil; c is the radius of
+its disc out of focus. s is found by iteration. The density of the light is divided by the derivative of s + c p.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import numpy as np
 from matcam.core.jax import jax, jnp
 
 _STEPS = 3
-"""Steps to s; each leaves a share of the error that is the change of c with s."""
+"""Iterations for s; each multiplies the error by the derivative of c."""
 
 
 def _points() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -35,12 +35,12 @@ def mean_over_pupil(
     x: jax.Array,
     y: jax.Array,
 ) -> jax.Array:
-    """Return the light that arrives at places of the sensor, channels last.
+    """Compute the light that arrives at positions of the sensor, channels last.
 
     Args:
-        sent: light of the surface that a sharp picture shows at places, channels last.
-        disc: radius of its disc out of focus, px.
-        x: places, px.
+        sent: function that returns the light of a sharp image at positions, channels last.
+        disc: function that returns the radius of its disc out of focus, px.
+        x: positions, px.
         y: the same across.
     """
 

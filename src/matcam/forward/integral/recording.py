@@ -1,8 +1,9 @@
-"""The record of a curved sample at given places in its pictures: the one operator behind tables and pictures.
+"""Record of a curved sample at given positions in its images: the operator behind tables and images.
 
-It follows a plan (`plan.py`), in which each kind of place has its own integral (`integrals.py`). Around each highlight the
-record is made on a grid that holds all of it, and read off between the grid's points. Wherever the kernel meets no end of
-the light, each integral is divided by its record of a flat field, which is known: the quadrature's error falls out.
+It follows a plan (`plan.py`), in which each kind of position has its own integral (`integrals.py`). Around each
+highlight the record is computed on a grid that contains it, and interpolated between the points of the grid. Where the
+kernel contains no end of the light, each integral is divided by its record of a flat field, which is known, so that
+quadrature errors cancel.
 """
 
 from __future__ import annotations
@@ -33,12 +34,12 @@ _GRADED, _ORDER, _ORDER_FAINT = 6, 6, 4
 _THREE_LAMPS = np.array([-1.0, 0.0, 1.0])
 # Nodes along u and v of a window's panels
 _WINDOW, _RIDGE_WINDOW, _WINDOW_OF_SEVERAL, _FAINT_WINDOW = (8, 8), (6, 7), (11, 11), (7, 7)
-# Places at a time: as many nodes as fit into a processor's cache
+# positions that are computed at a time: their nodes fit into the cache of a processor
 _INSIDE, _NODES, _READ = 4096, 128, 8192
 
 
 def record(material: Material, imaging: Imaging, plan: IntegrationPlan) -> jax.Array:
-    """Record a material at the places of a plan.
+    """Record a material at the positions of a plan.
 
     Args:
         material: the material.
@@ -66,7 +67,7 @@ class _Subject(NamedTuple):
 
 
 def _record_part(subject: _Subject, part: PlanPart, places: RecordPlaces) -> jax.Array:
-    """Dispatch each kind of place by itself, so that they run side by side."""
+    """Dispatch each kind of position separately, so that they run in parallel."""
     records = [jnp.zeros((0, subject.under(jnp.zeros(())).channels()))]
     if part.inside.size:
         records.append(_record_inside(subject, part.terms, _at(places, part.inside)))
@@ -89,12 +90,12 @@ def _record_part(subject: _Subject, part: PlanPart, places: RecordPlaces) -> jax
 
 
 def _orders(subject: _Subject, part: PlanPart, *, ridge: bool) -> tuple[int, int]:
-    """Return the Gauss-Legendre nodes of a window's panels along u and v."""
+    """Choose the Gauss-Legendre nodes of the panels of a window along u and v."""
     if part.faint:
         return _FAINT_WINDOW
     if subject.imaging.blur.rest is None:
         return _RIDGE_WINDOW if ridge else _WINDOW
-    # terms of several widths: the window is the widest's, the nodes are the narrowest's
+    # for terms of several widths, the window is that of the widest and the nodes are those of the narrowest
     return _WINDOW if len(part.terms) == 1 else _WINDOW_OF_SEVERAL
 
 
@@ -114,7 +115,7 @@ def _at(places: RecordPlaces, index: np.ndarray) -> _Pixels:
 
 def _in_order(records: list[jax.Array], place: np.ndarray) -> jax.Array:
     if all(map(is_concrete, records)) and jax.default_backend() == "cpu":
-        nothing = np.zeros((1, records[0].shape[1]))  # without a program for each shape of a picture
+        nothing = np.zeros((1, records[0].shape[1]))  # without a program for each shape of an image
         return jnp.asarray(np.concatenate([*map(np.asarray, records), nothing])[place])
     return _in_order_compiled(records, place)
 
@@ -173,7 +174,7 @@ def _read_highlights(
 ) -> jax.Array:
     angles, azimuths = lamps
     columns, more = np.arange(-grid.steps, grid.steps + 1), grid.panels.margin
-    # both sides of the plane of camera and lamp are the same, unless the pixel is turned against it, or the lens not even
+    # the plane of camera and lamp is a plane of symmetry, unless the pixel is turned or the lens is not even
     alike = azimuths is None and subject.imaging.blur.even
     rows = np.arange(-POINTS // 2, grid.steps + 1) if alike else columns
     beyond, above = (np.arange(points[0] - more, points[-1] + more + 1) for points in (columns, rows))
@@ -213,13 +214,13 @@ def _read_highlights(
 
 
 def _over_flat_field(values: jax.Array, whole: jax.Array, blur: BlurTerms) -> jax.Array:
-    """Divide records by the error of a flat field's, the last channel.
+    """Divide records by the relative error of a flat field, the last channel.
 
-    That is done where the kernel is whole; the last channel is dropped.
+    This applies where the kernel is complete; the last channel is dropped.
     """
     values, flat = values[:, :-1], values[:, -1]
     if blur.blur.varies or blur.of_rest:
-        return values  # each piece of surface is spread by its own kernel: a flat field need not read its radiance
+        return values  # each surface element has its own kernel: the record of a flat field need not equal its radiance
     return values * jnp.where(whole, blur.weight / jnp.where(whole, flat, 1.0), 1.0)[:, None]
 
 

@@ -1,11 +1,12 @@
-"""What Gaussians leave of a lens, where a pixel sees the limb: few nodes in the light, whose weights hold the kernel's rings.
+"""Residual of a lens at the limb: few nodes in the light, whose weights include the rings of the kernel.
 
-The light ends at the limb, and the rest's rings are as fine as a period there, so that a window about a pixel takes thousands
-of nodes. But the light itself is smooth up to the limb. In c = sqrt(1 - (distance from the axis / limb)^2) and the azimuth
-about the axis a polynomial through few nodes follows it. By what the rest makes of each polynomial, the nodes' weights, a place
-depends on the rest, on its depth within the limb and on its azimuth alone. These are made once, on a lattice.
+The light ends at the limb, and the rings of the residual have the period of the cutoff, so a window about a pixel would
+require thousands of nodes. But the light itself is smooth up to the limb: a polynomial through few nodes in c = sqrt(1
+- (distance from the axis / limb)^2) and in the azimuth about the axis approximates it. The integrals of the residual
+times each polynomial, the weights of the nodes, depend only on the residual, on the depth within the limb and on the
+azimuth. They are computed once, on a lattice.
 
-The whole is 2e-3 of the light at most, so that a hundredth of it is enough.
+The residual carries at most 0.2 % of the light, so 1 % relative accuracy suffices.
 """
 
 from __future__ import annotations
@@ -23,26 +24,26 @@ from matcam.forward.integral.scene import Scene
 from matcam.numerics.approximation import four_about, lagrange_basis
 
 _ACROSS = np.polynomial.legendre.leggauss(8)[0]
-"""Nodes in c."""
+"""Gauss-Legendre nodes in c."""
 _ALONG = np.polynomial.legendre.leggauss(4)[0]
-"""Nodes in the azimuth."""
+"""Gauss-Legendre nodes in the azimuth."""
 _FINE_ACROSS, _FINE_ALONG = (np.polynomial.legendre.leggauss(n) for n in (100, 50))
-"""Nodes in c and in the azimuth by which a lattice's entries are integrated: some to a period wherever it is."""
+"""Nodes in c and in the azimuth that integrate the entries of a lattice: several per period everywhere."""
 _DEPTHS = 7
-"""Entries of the lattice to a period of the cutoff."""
+"""Entries of the lattice per period of the cutoff."""
 _AZIMUTHS = 18
-"""Entries to a quarter of a turn, after which a round lens through a square pixel is the same."""
+"""Entries per quarter of a turn, the period of a round lens with a square pixel."""
 _BEYOND = 3
 """Entries beyond either end of the lattice."""
 
 
 class LimbRule(eqx.Module):
-    """Hold the weights of nodes about places at the limb.
+    """Weights of nodes about positions at the limb.
 
     Attributes:
         weights: (depths, azimuths, nodes), px^2 times the kernel's 1/px^2.
-        reach: of the rest, px.
-        quarter: whether the weights are the same after a quarter of a turn; else after a whole one.
+        reach: support radius of the residual, px.
+        quarter: whether the period of the weights is a quarter of a turn; otherwise it is a whole turn.
     """
 
     weights: jax.Array
@@ -50,7 +51,7 @@ class LimbRule(eqx.Module):
     quarter: bool = eqx.field(static=True)
 
     def record(self, scene: Scene, x: jax.Array, y: jax.Array) -> jax.Array:
-        """Return radiance per unit irradiance, (pixels, channels), through the rest.
+        """Compute radiance per unit irradiance, (pixels, channels), through the residual.
 
         Args:
             scene: the light, under one lamp or one per pixel.
@@ -81,13 +82,13 @@ class LimbRule(eqx.Module):
 
 
 def _window(limb: Any, reach: Any, off: Any) -> tuple[Any, Any]:
-    """Return the largest c that a place sees, and the half range of the azimuth, rad. off: px from the axis."""
+    """Compute the largest c in the window of a position, and the half range of the azimuth, rad. off: px from the axis."""
     nearest = jnp.maximum(off - reach, 0.0) / limb
     return jnp.sqrt(jnp.maximum(1 - nearest**2, 0.0)), reach / (limb - reach)
 
 
 def limb_rule(rest: KernelRest, limb: float) -> LimbRule | None:
-    """Return the rule for a sphere whose limb has this radius, px; None where the rest sees more than its border."""
+    """Build the rule for a sphere with a limb of this radius, px; None if the support contains more than the border."""
     if 4 * float(rest.reach) > limb:
         return None
     key = np.asarray(rest.grid).tobytes(), float(rest.reach), limb

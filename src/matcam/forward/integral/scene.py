@@ -1,4 +1,4 @@
-"""The light of a scene: a material on a curved sample, under a lamp (docs/model.md 3)."""
+"""Light of a scene: a material on a curved sample, under a lamp (docs/model.md 3)."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from matcam.sample.shape import Curved, Element
 
 
 class Turn(NamedTuple):
-    """Cosine and sine of the lamp's azimuth: of the scene's x axis against the sensor's."""
+    """Cosine and sine of the azimuth of the lamp: of the x axis of the scene relative to that of the sensor."""
 
     cosine: jax.Array
     sine: jax.Array
@@ -26,13 +26,13 @@ class Turn(NamedTuple):
 class Scene(eqx.Module):
     """A material on a curved sample under a lamp; radiance is in 1/sr.
 
-    The lamp's irradiance is 1 at the sample's centre. The scene's x axis points towards the lamp. A lamp at an azimuth turns
-    it against the sensor's, on which the pixels lie: places in the scene are not places on the sensor.
+    The lamp's irradiance is 1 at the sample's centre. The scene's x axis points towards the lamp. A lamp at an azimuth
+    turns it relative to the sensor, so positions in the scene differ from positions on the sensor.
 
     Attributes:
         material: the material.
         sample: the sample.
-        lamp_angle: angle between lamp and optical axis, towards +x, rad; it broadcasts with the elements asked for.
+        lamp_angle: angle between lamp and optical axis, towards +x, rad; it broadcasts with the requested elements.
         lamp_nearness: inverse of the lamp's distance, 1/radii; None: a distant lamp.
         turn: the lamp's azimuth, of lamp_angle's shape; None: 0.
     """
@@ -49,29 +49,29 @@ class Scene(eqx.Module):
         return Scene(self.material, self.sample, beside_nodes(self.lamp_angle, axes), self.lamp_nearness, turn)
 
     def from_sensor(self, x: jax.Array, y: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Return the place in the scene of a place on the sensor, px."""
+        """Transform a position on the sensor to one in the scene, px."""
         if self.turn is None:
             return x, y
         return x * self.turn.cosine + y * self.turn.sine, y * self.turn.cosine - x * self.turn.sine
 
     def on_sensor(self, x: jax.Array, y: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Return the place on the sensor of a place in the scene, px."""
+        """Transform a position in the scene to one on the sensor, px."""
         if self.turn is None:
             return x, y
         return x * self.turn.cosine - y * self.turn.sine, y * self.turn.cosine + x * self.turn.sine
 
     def shown(self, x: jax.Array, y: jax.Array) -> tuple[Element, jax.Array]:
-        """Return what places of the sensor, px, show, and whether that is lit surface."""
+        """Return the surface elements at positions of the sensor, px, and whether they are lit."""
         element, visible = self.sample.at(*self.from_sensor(x, y))
         return element, visible & (self.seen(element).cos_i > 0)
 
     def seen(self, element: Element) -> Shading:
-        """Return the angles under which a piece of surface sees lamp and camera."""
+        """Compute the angles of lamp and camera at a surface element."""
         light, _ = self._light(element)
         return shading(element.normal, self._tangent(element), light, element.view)
 
     def _light(self, element: Element) -> tuple[Vector, jax.Array | None]:
-        """Return the direction to the lamp, and the irradiance there over that at the centre; None: 1 all over."""
+        """Compute the direction to the lamp, and the irradiance there over that at the centre; None: 1 everywhere."""
         light = jnp.sin(self.lamp_angle), jnp.zeros(()), jnp.cos(self.lamp_angle)
         if self.lamp_nearness is None:
             return light, None
@@ -82,7 +82,7 @@ class Scene(eqx.Module):
         return (x / length, y / length, z / length), 1 / square
 
     def _tangent(self, element: Element) -> Vector:
-        """Return the first tangent, which lies in the plane of the sensor's x and the optical axis."""
+        """Return the first tangent, in the plane of the x axis of the sensor and the optical axis."""
         if self.turn is None:
             return element.tangent
         (x, y, z), (cosine, sine) = element.normal, self.turn
@@ -90,9 +90,9 @@ class Scene(eqx.Module):
         return cosine * z / length, -sine * z / length, (sine * y - cosine * x) / length
 
     def sent(self, element: Element) -> jax.Array:
-        """Return rho cos_i cos_o area under the lamp's irradiance, channels last.
+        """Compute rho cos_i cos_o area under the irradiance of the lamp, channels last.
 
-        It is the light of a piece of surface per unit of its coordinates.
+        It is the light of a surface element per unit of its coordinates.
         """
         direction, strength = self._light(element)
         seen = shading(element.normal, self._tangent(element), direction, element.view)
@@ -103,19 +103,19 @@ class Scene(eqx.Module):
         return light * (area[..., None] if jnp.ndim(area) else area)
 
     def flat_field(self, element: Element) -> jax.Array:
-        """Return the same for a surface of radiance 1 all over.
+        """Compute the same for a surface of radiance 1 everywhere.
 
-        It has no channels, and light need not reach it.
+        It has no channels, and includes unlit surface.
         """
         return self.seen(element).cos_o * element.area
 
     def channels(self) -> int:
-        """Return the count of channels."""
+        """Return the number of channels."""
         return jax.eval_shape(_sent_at_centre, self.material, self.sample, self.lamp_nearness).shape[-1]
 
 
 def _sent_at_centre(material: Material, sample: Curved, lamp_nearness: jax.Array | None) -> jax.Array:
-    # a function that always is the same: JAX traces it once for each kind of scene
+    # always the same function, so that JAX traces it once for each kind of scene
     middle = jnp.zeros(())
     return Scene(material, sample, middle, lamp_nearness).sent(sample.surface(middle, middle))
 

@@ -1,8 +1,8 @@
-"""The discs of lamp and lens in the tangent plane, as points on the sensor over which a highlight's record is a mean.
+"""Discs of lamp and lens in the tangent plane, as points on the sensor over which the record of a highlight is averaged.
 
-A lamp's disc moves a highlight over an ellipse; a lens out of focus spreads it over a disc (docs/model.md 3). In the tangent
-plane both are the same all over the lobe. So the record is the mean of records in focus under a point lamp, each moved by one
-point of each: Gauss-Legendre in the squared radius times equal steps round the disc.
+A source disc moves a highlight over an ellipse; a lens out of focus spreads it over a disc (docs/model.md 3). In the
+tangent plane both are constant over the lobe. The record is therefore the mean of records in focus under a point lamp,
+shifted by the points of both discs: Gauss-Legendre in the squared radius times equal steps round the disc.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ if TYPE_CHECKING:
     from matcam.rigs import Rig
 
 _LOBE = 0.5
-"""Share of a lobe's roughness that counts as its blur: a GGX lobe has its singularities at its scale."""
+"""Share of the roughness of a lobe that counts as its blur: a GGX lobe has its singularities at its scale."""
 _UNKNOWN_FINENESS = 6.0
-"""Radius of a disc over the standard deviation of its blur that is reckoned with inside jit."""
+"""Radius of a disc over the standard deviation of its blur that is assumed inside jit."""
 
 
 class DiscPoints(NamedTuple):
-    """Hold points about some highlights.
+    """Points about some highlights.
 
     Attributes:
         x: px towards the limb, (slices, points).
@@ -61,7 +61,7 @@ class Discs(NamedTuple):
 
 
 def disc_sizes(rig: Rig, theta: jax.Array) -> Discs | None:
-    """Return the sizes of a rig's discs at viewing angles, rad, (slices,); None where it has none."""
+    """Compute the sizes of the discs of a rig at viewing angles, rad, (slices,); None if it has none."""
     sample, nearness = rig.sample, rig.lamp.nearness
     if not has_discs(rig) or not isinstance(sample, Curved):
         return None
@@ -82,13 +82,13 @@ def mean_over_discs(
     record: Callable[[np.ndarray, DiscPoints], jax.Array],
     roughness: jax.Array | None = None,
 ) -> jax.Array:
-    """Return the mean of a record over the points of a rig's discs.
+    """Average a record over the points of the discs of a rig.
 
     Args:
         rig: a rig with discs.
         theta: viewing angles of the highlights, rad, (slices,).
-        record: takes which of the angles, and returns the mean over their points, slices first.
-        roughness: of a lobe that is seen from aside. Default: None, the record does not depend on `aside`.
+        record: function of indices of the angles that returns the mean over their points, slices first.
+        roughness: of a lobe that is seen from the side. Default: None, the record does not depend on `aside`.
     """
     discs = disc_sizes(rig, theta)
     assert discs is not None
@@ -105,7 +105,7 @@ def mean_over_discs(
         )
     )
     found: list[tuple[np.ndarray, jax.Array]] = []
-    for level in np.unique(np.stack([of_lamp, of_lens]), axis=1).T:  # the same count of points in one program
+    for level in np.unique(np.stack([of_lamp, of_lens]), axis=1).T:  # equal numbers of points in one program
         slices = np.flatnonzero((of_lamp == level[0]) & (of_lens == level[1]))
         lamps, lens = (_unit_points(float(fineness)) for fineness in level)
         x, y = (
@@ -125,7 +125,7 @@ def has_discs(rig: Rig) -> bool:
 
 
 def _levels(fineness: jax.Array) -> np.ndarray:
-    """Return radii over the standard deviation of their blur as powers of 2 that are no smaller; 0 stays."""
+    """Round radii over the standard deviation of their blur up to powers of 2; 0 stays."""
     fineness = constant(fineness)
     if not is_concrete(fineness):
         return np.full(fineness.shape, _UNKNOWN_FINENESS)
@@ -134,7 +134,7 @@ def _levels(fineness: jax.Array) -> np.ndarray:
 
 
 def _unit_points(fineness: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return x, y and shares of the points of the unit disc. fineness: its radius over the standard deviation of its blur."""
+    """Return x, y and shares of points of the unit disc. fineness: its radius over the standard deviation of its blur."""
     if fineness == 0:
         return np.zeros(1), np.zeros(1), np.ones(1)
     rings, spokes = rings_and_spokes(fineness)

@@ -1,4 +1,4 @@
-"""The response at the peak of a curved sample: recorded peak over true peak, with its limb (docs/model.md 3)."""
+"""Response at the peak on a curved sample with its limb: recorded peak over true peak (docs/model.md 3)."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ from matcam.sample.curved import Cylinder
 from matcam.sample.shape import Curved, Flat
 
 _EVEN = 6
-"""Panels of one length about an exact peak, in focus."""
+"""Number of equal panels about an exact peak in focus."""
 
 
 def exact_response(rig: Rig, ndf: SlopeDistribution, theta: AnyArray, masking: Masking) -> jax.Array:
-    """Return recorded over true peak on the curved sample; theta: (n,)."""
+    """Compute recorded over true peak on the curved sample; theta: (n,)."""
     theta = jnp.asarray(theta)
     if isinstance(rig.sample, Flat):
         return jnp.ones_like(theta)
@@ -41,10 +41,10 @@ def exact_response(rig: Rig, ndf: SlopeDistribution, theta: AnyArray, masking: M
     material = Microfacet(ndf, 1.0, masking=masking)
     disc = disc_of(rig.lamp) > 0
     groups = groups_of(imaging.blur, imaging.sample, turned=disc)
-    # lengths as arrays: what is compiled for one rig serves all of its kind
+    # lengths as arrays, so that all rigs of a kind share a program
     reaches = jnp.asarray([group.scale.reach for group in groups])
     terms = tuple(BlurTerms(imaging.blur, group.terms) for group in groups)
-    # a lens's disc reaches further than its blur, on whose scale the disc's border lies
+    # the disc of a lens extends beyond its blur, which is the scale of its border
     finer = max(group.scale.reach / group.scale.reach_in_focus for group in groups)
     even = _EVEN * int(np.exp2(np.ceil(np.log2(finer))))
     if not disc:
@@ -60,7 +60,7 @@ def exact_response(rig: Rig, ndf: SlopeDistribution, theta: AnyArray, masking: M
 
 
 def _responses_on_cylinder(material: Microfacet, rig: Rig, lamp_angle: np.ndarray) -> jax.Array:
-    """Return recorded over true peak under lamps with a disc before a cylinder."""
+    """Compute recorded over true peak on a cylinder under lamps with a disc."""
     sample, near = rig.sample, rig.lamp.nearness
     assert isinstance(sample, Cylinder)
     x = np.asarray(highlight_x(sample, jnp.asarray(lamp_angle), near))
@@ -76,8 +76,8 @@ class _LampDisc(NamedTuple):
         angle: between the disc's centre and the optical axis, rad.
         angles: the same of its points, (points,).
         azimuths: of its points, rad.
-        distances: of its points, over the centre's.
-        shares: of its light; 0 where the points only fill the array up.
+        distances: of its points, over that of the centre.
+        shares: of its light; 0 for padding.
     """
 
     angle: np.ndarray
@@ -88,7 +88,7 @@ class _LampDisc(NamedTuple):
 
 
 def _sampled_lamp(lamp: Lamp, angle: np.ndarray, fineness: float) -> _LampDisc:
-    """Return the points of a lamp's disc, their count a power of 2: each is a program."""
+    """Sample a source disc by a power of 2 of points, because each number requires a program."""
     points = lamp_points(lamp, angle, 0.0, float(fineness))
     more = (1 << (len(points) - 1).bit_length()) - len(points)
     rows = [(p.angle, p.azimuth, p.distance, p.weight) for p in points]
@@ -105,7 +105,7 @@ def _response_under_disc(
     disc: _LampDisc,
     even: int,
 ) -> jax.Array:
-    """Return recorded over true peak under a lamp's disc, the mean over its points."""
+    """Compute recorded over true peak under a source disc, the mean over its points."""
     sample, nearness = imaging.sample, imaging.lamp_nearness
     panels, at = HighlightPanels(graded=10, even=even, order=8), jnp.zeros(1)
     x = highlight_x(sample, disc.angle, nearness)

@@ -1,9 +1,10 @@
-"""The record of any lobe through any isotropic lens, by one integral over frequencies (docs/model.md 4).
+"""Record of any lobe through any isotropic lens, by one integral over frequencies (docs/model.md 4).
 
     record = integral of transfer(f) spectrum(f) discs(f) exp(2 pi i f x) df
 
-The nodes are polar: panels that crowd towards f = 0, where the spectra of broad lobes are, times azimuths that crowd towards
-the direction in which the lobe is short. The discs of lamp and lens are factors, the transforms of even ellipses.
+The nodes are polar: panels that become denser towards f = 0, where the spectra of broad lobes are, times azimuths that
+become denser towards the short axis of the lobe. The discs of lamp and lens are factors, the transforms of even
+ellipses.
 """
 
 from __future__ import annotations
@@ -25,34 +26,34 @@ if TYPE_CHECKING:
     from matcam.rigs import Rig
 
 _VALUES = 1 << 19
-"""Values of an integrand that are held at a time."""
+"""Number of values of an integrand that are stored at a time."""
 _GRADE = 2.0
-"""Ratio of neighbouring panels of frequencies. The spectrum of a flat-topped lobe swings twice in one."""
+"""Ratio of neighbouring panels of frequencies. The spectrum of a flat-topped lobe oscillates twice in one."""
 _MOST_PANELS = 28
-"""Panels that crowd towards 0 where the lobe's size is not known, inside `jax.jit`: lobes of up to 1e5 px."""
+"""Number of panels towards 0 if the size of the lobe is traced, inside `jax.jit`: lobes of up to 1e5 px."""
 _FLATTEST = 1e-3
-"""The first panel ends where the frequency times the lobe's size is this: the spectrum bends by its square below."""
+"""Product of the end of the first panel and the size of the lobe: below it the spectrum varies with its square."""
 _AZIMUTHS = 28
-"""Nodes of a quarter turn: 1e-9 for lobes that are 600 times as long as wide."""
+"""Number of nodes in a quarter turn: an error of 1e-9 for lobes that are 600 times as long as wide."""
 _SHORTEST = 1.7e-3
-"""Ratio of a lobe's sizes that is reckoned with inside `jax.jit`: that on a sphere at 89.9 degrees."""
+"""Ratio of the axes of a lobe that is assumed inside `jax.jit`: that on a sphere at 89.9 degrees."""
 _UNKNOWN_REACH = 8.0
-"""Distance of a place from the peak that is reckoned with inside `jax.jit`, px."""
+"""Distance of a position from the peak that is assumed inside `jax.jit`, px."""
 _CHEBYSHEV = 64
-"""Slices from which all others are interpolated where only the lobe's length varies: 1e-9."""
+"""Number of slices from which all others are interpolated if only the length of the lobe varies: an error of 1e-9."""
 
 Places = tuple["jax.Array", "jax.Array"]
 """Offsets from the peak towards the limb and across, px, (slices, points) each."""
 
 
 def plane_record(rig: Rig, ndf: NDF, theta: jax.Array, places: Places | None) -> jax.Array:
-    """Return the record of a lobe over the true peak, (slices, points).
+    """Compute the record of a lobe over the true peak, (slices, points).
 
     Args:
         rig: the rig.
         ndf: the lobe.
         theta: viewing angles of the peak, rad, (slices,).
-        places: where it is recorded; None: at the peak, one point.
+        places: positions of the record; None: one point at the peak.
     """
     scale_x, scale_y = rig.px_per_rad(theta)
     uniform = xp.isinf(scale_x) | xp.isinf(scale_y)
@@ -68,14 +69,13 @@ def plane_record(rig: Rig, ndf: NDF, theta: jax.Array, places: Places | None) ->
 
 
 def line_record(rig: Rig, ndf: NDF, theta: jax.Array, one_plane: bool) -> jax.Array:
-    """Return the record at the peak in one dimension, (slices,).
+    """Compute the record at the peak in one dimension, (slices,).
 
     Args:
         rig: the rig.
         ndf: the lobe.
         theta: viewing angles of the peak, rad, (slices,).
-        one_plane: True where only normals of one plane are there, as on a cylinder, away from all of which a lamp's disc turns
-            the half vector.
+        one_plane: True if the normals lie in one plane, as on a cylinder; a source disc turns the half vector out of it.
     """
     discs = disc_sizes(rig, theta)
     if discs is None or not one_plane:
@@ -88,7 +88,7 @@ def line_record(rig: Rig, ndf: NDF, theta: jax.Array, one_plane: bool) -> jax.Ar
 
 
 def _line(rig: Rig, ndf: NDF, theta: jax.Array, discs: Discs | None, points: DiscPoints | None) -> jax.Array:
-    """Return the record in one dimension, (slices, points): at the peak before discs, or at points beside it."""
+    """Compute the record in one dimension, (slices, points): at the peak before discs, or at points beside it."""
     scale = rig.px_per_rad(theta)[0]
     uniform = xp.isinf(scale)
     scale = xp.where(uniform, 1.0, scale)
@@ -127,7 +127,7 @@ class _PolarNodes(NamedTuple):
         amplitude: transfer function times the weights of all four quarters, (n, azimuths).
         discs: whether records have discs.
         largest: largest frequency times the largest disc.
-        together: slices that are summed at a time.
+        together: number of slices that are summed at a time.
     """
 
     spectrum: LobeSpectrum
@@ -140,7 +140,7 @@ class _PolarNodes(NamedTuple):
     together: int
 
     def at(self, scale_x: jax.Array, scale_y: jax.Array, *more: jax.Array) -> jax.Array:
-        """Return the record of slices, (slices, points). more: half axes of the discs where there are any, and places."""
+        """Compute the record of slices, (slices, points). more: half axes of the discs, if any, and positions."""
         stretch = (scale_x[:, None] * self.cos) ** 2 + (scale_y[:, None] * self.sin) ** 2
         ln_k = xp.log(2 * np.pi * self.frequency) + xp.log(stretch)[:, None] / 2
         spectra = self.spectrum.at(ln_k) * self.amplitude * (scale_x * scale_y)[:, None, None]
@@ -166,7 +166,7 @@ def _polar_nodes(
     rule = _frequencies(rig, ndf, xp.maximum(*scales), reach)
     ratio = constant(xp.min(scales[0] / scales[1]))
     short = float(np.clip(ratio, 1e-6, 1)) if is_concrete(ratio) else _SHORTEST
-    # phi = short sinh v: a spectrum changes over `short` next to phi = 0, and over 1 elsewhere
+    # phi = short sinh v: a spectrum changes over `short` near phi = 0, and over 1 elsewhere
     band = rig.camera.optics.band()
     v, weight = nodes_between(np.zeros(()), np.arcsinh(np.pi / 2 / short), _AZIMUTHS + int(4 * reach * band))
     phi = short * np.sinh(v)
@@ -179,7 +179,7 @@ def _polar_nodes(
 
 
 def _frequencies(rig: Rig, ndf: NDF, scale: jax.Array, reach: float) -> Rule:
-    """Return a rule over the lens's band that resolves a lobe of any size, and its record up to a distance from its peak.
+    """Build a rule over the band of the lens that resolves a lobe of any size, and its record up to a distance from its peak.
 
     scale: px per unit of the lobe's coordinate. reach: px.
     """
@@ -193,7 +193,7 @@ def _frequencies(rig: Rig, ndf: NDF, scale: jax.Array, reach: float) -> Rule:
 
 
 def _of_jitter(rig: Rig, frequency: AnyArray) -> jax.Array:
-    """Return the transfer function of the pictures' registration."""
+    """Return the transfer function of the registration jitter."""
     return xp.exp(-2 * (np.pi * frequency * rig.jitter) ** 2)
 
 
@@ -204,14 +204,14 @@ def _largest(*lengths: jax.Array) -> float:
 
 
 def _only_length_varies(scale_x: jax.Array, scale_y: jax.Array) -> bool:
-    """Check whether slices are many and differ in one known number: on a distant sphere."""
+    """Check whether slices are many and differ in one concrete parameter, as on a distant sphere."""
     if scale_x.size <= _CHEBYSHEV or not all(isinstance(scale, np.ndarray) for scale in (scale_x, scale_y)):
         return False
     return bool(np.all(scale_y == scale_y[0]) and np.ptp(scale_x) > 0)
 
 
 def _interpolated(nodes: _PolarNodes, scale_x: np.ndarray, scale_y: np.ndarray) -> np.ndarray:
-    """Return the record at many peaks, (slices, 1), from those at Chebyshev's nodes of the logarithm of the lobe's length."""
+    """Interpolate the record at many peaks, (slices, 1), from Chebyshev nodes of the logarithm of the length of the lobe."""
     domain = np.log([scale_x.min(), scale_x.max()])
     unit = np.polynomial.chebyshev.chebpts1(_CHEBYSHEV)
     length = np.exp(domain.mean() + np.ptp(domain) / 2 * unit)

@@ -1,10 +1,10 @@
-"""The spectrum of a lobe in the tangent plane, for any distribution of normals.
+"""Spectrum of a lobe in the tangent plane, for any distribution of normals.
 
-A lobe is a function of the length of the tangent-plane coordinate, shape(r). Its Fourier transform in the plane is the Hankel
-transform 2 pi integral r shape(r) J0(k r) dr, and along a line the cosine transform 2 integral shape(r) cos(k r) dr. Both are
-convolutions in ln r, which FFTs compute for all k at once: FFTLog (Talman 1978; Hamilton 2000). The grid covers 28 decades, so
-that a sharp peak, a power-law tail and the whole range of frequencies have room in it. Values between its points are
-interpolated by cubics: 2e-9 of the spectrum at k = 0.
+A lobe is a function of the length of the tangent-plane coordinate, shape(r). Its Fourier transform in the plane is the
+Hankel transform 2 pi integral r shape(r) J0(k r) dr, and along a line the cosine transform 2 integral shape(r) cos(k r)
+dr. Both are convolutions in ln r, which FFTs compute for all k at once: FFTLog (Talman 1978; Hamilton 2000). The grid
+covers 28 decades, which include a sharp peak, a power-law tail and the whole range of frequencies. Values between its
+points are interpolated by cubics: 2e-9 of the spectrum at k = 0.
 """
 
 from __future__ import annotations
@@ -40,7 +40,9 @@ class LobeSpectrum(NamedTuple):
     dims: int
 
     def at(self, ln_k: jax.Array) -> jax.Array:
-        """Return the transform at ln k, k in rad per unit of r: (..., n); the table's leading axes are those of ln_k."""
+        """Interpolate the transform at ln k, k in rad per unit of r: (..., n); the leading axes of the table are those
+        of ln_k.
+        """
         ln_k = ln_k + xp.log(self.scale)
         first, shares = four_about((ln_k - _FIRST) / _STEP, _POINTS)
         inside = xp.clip(first, 0, _POINTS - 4)
@@ -54,7 +56,7 @@ class LobeSpectrum(NamedTuple):
 
 
 def lobe_spectrum(ndf: NDF, dims: int, aside: jax.Array | None = None) -> LobeSpectrum:
-    """Return the spectrum of a lobe.
+    """Compute the spectrum of a lobe.
 
     Args:
         ndf: the lobe.
@@ -67,20 +69,20 @@ def lobe_spectrum(ndf: NDF, dims: int, aside: jax.Array | None = None) -> LobeSp
     power = 1.0 if dims == 2 else 0.5
     spectrum = fft.rfft(shape * (r / scale) ** power) * _transform(dims)
     turned = fft.irfft(spectrum, _POINTS)
-    # the sum over wave numbers runs against the direction of an inverse FFT
+    # the sum over wave numbers has the opposite sign of an inverse FFT
     values = xp.concatenate([turned[..., :1], turned[..., :0:-1]], axis=-1)
     return LobeSpectrum(values * (2 * np.pi if dims == 2 else 2.0), scale, dims)
 
 
 @cache
 def _transform(dims: int) -> np.ndarray:
-    """Return what the transform makes of each wave in ln r, exp(i w ln r) r^-power: its factor of exp(-i w ln k) k^-power."""
+    """Compute the transform of each wave in ln r, exp(i w ln r) r^-power: its factor of exp(-i w ln k) k^-power."""
     from scipy.special import loggamma
 
     w = 2 * np.pi * np.arange(_POINTS // 2 + 1) / (_POINTS * _STEP)
     if dims == 2:  # integral of r^(i w) J0(k r) dr
         factor = np.exp(1j * w * np.log(2) + loggamma((1 + 1j * w) / 2) - loggamma((1 - 1j * w) / 2))
-    else:  # integral of r^(i w - 1/2) cos(k r) dr; cos grows as fast as the gamma function falls
+    else:  # integral of r^(i w - 1/2) cos(k r) dr; the cosine grows as fast as the gamma function falls
         ln_cos = np.pi * w / 2 - 0.25j * np.pi + np.log1p(np.exp(-np.pi * w + 0.5j * np.pi)) - np.log(2)
         factor = np.exp(loggamma(0.5 + 1j * w) + ln_cos)
     factor[-1] = factor[-1].real

@@ -1,7 +1,8 @@
-"""The response at the peak of a highlight: recorded peak over true peak (docs/model.md 4).
+"""Response at the peak of a highlight: recorded peak over true peak (docs/model.md 4).
 
-In the tangent plane it takes milliseconds. On a sphere of 256 px the plane is good to 1e-5 up to 83 degrees for lobes narrower
-than 0.002 rad, and to 2 % at 80 degrees for 0.05 rad. The exact route integrates over the curved sample itself, with its limb.
+In the tangent plane it takes milliseconds. On a sphere of 256 px the plane is accurate to 1e-5 up to 83 degrees for
+lobes narrower than 0.002 rad, and to 2 % at 80 degrees for 0.05 rad. The exact computation integrates over the curved
+sample with its limb.
 """
 
 from __future__ import annotations
@@ -30,20 +31,20 @@ def peak_response(
     exact: bool = False,
     masking: Masking = "smith",
 ) -> jax.Array:
-    """Return the recorded peak over the true peak of a highlight.
+    """Compute the recorded peak over the true peak of a highlight.
 
     In the tangent plane the response lies in (0, 1]. On a sphere, lobes much narrower than the kernel lose at most
-    cos(theta) relative to theta = 0. The integral over the lobe is good to 1e-6 for every lobe and every isotropic lens.
-    The exact response may exceed 1 close to the limb, where the BRDF bends upwards. Its relative error is below 1e-6 for
-    Gaussian lenses; other lenses are sums of Gaussians.
+    cos(theta) relative to theta = 0. The integral over the lobe is accurate to 1e-6 for every lobe and every isotropic
+    lens. The exact response may exceed 1 close to the limb, where the BRDF bends upwards. Its relative error is below
+    1e-6 for Gaussian lenses; other lenses are sums of Gaussians.
 
     Args:
         rig: camera, sample and lamp.
         ndf: distribution of the microfacets' normals, such as `GGX(0.01)`.
         theta: viewing angle of the highlight, half the angle between lamp and camera, in [0, pi/2), rad, any shape.
         dims: 2 for a real sample, 1 for the paper's one-dimensional model, towards the limb only. Default: 2.
-        exact: True for the curved sample with its limb, in two dimensions, for any NDF. Default: False, the tangent plane,
-            which is faster and good to 1e-3 up to 75 degrees for lobes narrower than 0.05 rad.
+        exact: True for the curved sample with its limb, in two dimensions, for any NDF. Default: False, the tangent
+            plane, which is faster and accurate to 1e-3 up to 75 degrees for lobes narrower than 0.05 rad.
         masking: "smith" (height-correlated), "smith-separable", "van-ginneken" or None (no masking). Only the exact
             response depends on it. Default: "smith".
 

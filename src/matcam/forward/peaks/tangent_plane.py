@@ -1,14 +1,14 @@
-"""The record of a specular lobe in the tangent plane, around its peak (docs/model.md 4).
+"""Record of a specular lobe in the tangent plane, around its peak (docs/model.md 4).
 
-A curved sample is replaced by theta = theta_o + t / (r_s cos theta_o) (paper (7)), so that the lobe arrives on the sensor
-stretched by the sample's `px_per_rad`. Its record is an integral over frequencies for every lobe and every isotropic lens
-(`lobe_quadrature.py`). Where the lens is a sum of Gaussians and the lobe is one, too, the integral has a closed form, the
+A curved sample is replaced by theta = theta_o + t / (r_s cos theta_o) (paper (7)), so that the lobe on the sensor is
+stretched by `px_per_rad` of the sample. Its record is an integral over frequencies for every lobe and every isotropic
+lens (`lobe_quadrature.py`). If both the lens and the lobe are sums of Gaussians, the integral has a closed form, the
 product in both directions of
 
     b(u; s) = sqrt(2 pi) s pixel.of_gaussian(u, sqrt(s^2 + sigma^2)).
 
-The closed form is kept because it takes a thirtieth of the time (2 ms a lobe for 361 angles against 68 ms, on one core), and
-because the record of a whole table needs it at a million places around the peak.
+The closed form is kept because it takes a thirtieth of the time, and the record of a whole table evaluates it at a
+million positions around the peak.
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ if TYPE_CHECKING:
     from matcam.rigs import Rig
 
 _VALUES = 1 << 20
-"""Values of a lobe's Gaussians that are held at a time."""
+"""Number of values of the Gaussians of a lobe that are stored at a time."""
 
 Gaussians = list[tuple["jax.Array", "jax.Array"]]
 """Weights and standard deviations, px, of a lens that is a sum of Gaussians."""
 
 
 def response_at_peak(rig: Rig, ndf: SlopeDistribution, theta: jax.Array, dims: int) -> jax.Array:
-    """Return the record at the peak over the true peak, (n,).
+    """Compute the record at the peak over the true peak, (n,).
 
     Args:
         rig: the rig.
@@ -52,7 +52,7 @@ def response_at_peak(rig: Rig, ndf: SlopeDistribution, theta: jax.Array, dims: i
     if not isinstance(ndf, NDF):
         raise ArgumentError(f"the tangent plane needs an isotropic lobe, not {type(ndf).__name__}: use exact=True")
     sample = rig.sample
-    # every line across the axis of a cylinder is alike
+    # all lines across the axis of a cylinder are equal
     one_plane = dims == 2 and isinstance(sample, Cylinder) and sample.distant and rig.lamp.nearness is None
     lens = _gaussians_of(rig)
     if lens is not None and isinstance(ndf, MixtureNDF):
@@ -86,7 +86,7 @@ def lobe_record(rig: Rig, ndf: NDF, theta_o: AnyArray, x: AnyArray, y: AnyArray)
 
 
 def _gaussians_of(rig: Rig) -> Gaussians | None:
-    """Return the Gaussians that a lens is, with the jitter in them; None where it is no sum of Gaussians."""
+    """Return the Gaussians of a lens, with the jitter in them; None if it is not a sum of Gaussians."""
     parts = checked_isotropic(rig.camera.optics, "a prediction").components()
     if not all(isinstance(part, GaussianOptics) for _, part in parts):
         return None
@@ -96,7 +96,7 @@ def _gaussians_of(rig: Rig) -> Gaussians | None:
 def _closed_record(
     rig: Rig, ndf: MixtureNDF, lens: Gaussians, theta: jax.Array, places: tuple[jax.Array, jax.Array]
 ) -> jax.Array:
-    """Return the record of a lobe at places (x, y), (slices, points)."""
+    """Compute the record of a lobe at positions (x, y), (slices, points)."""
     if not has_discs(rig):
         return _closed_in_focus(rig, ndf, lens, theta, places)
 
@@ -114,7 +114,7 @@ def _closed_record(
 def _closed_in_focus(
     rig: Rig, ndf: MixtureNDF, lens: Gaussians, theta: jax.Array, places: tuple[jax.Array, jax.Array]
 ) -> jax.Array:
-    """Return the same under a point lamp, through a lens in focus."""
+    """Compute the same under a point lamp, through a lens in focus."""
     weights, widths = ndf.mixture()
 
     def record(scale_x: jax.Array, scale_y: jax.Array, x: jax.Array, y: jax.Array) -> jax.Array:
@@ -130,7 +130,7 @@ def _closed_in_focus(
 
 
 def _closed_line(rig: Rig, ndf: MixtureNDF, lens: Gaussians, theta: jax.Array, one_plane: bool) -> jax.Array:
-    """Return the response at the peak in one dimension, (slices,): the paper's, towards the limb.
+    """Compute the response at the peak in one dimension, (slices,): that of the paper, towards the limb.
 
     one_plane: see `line_record`.
     """
@@ -152,7 +152,7 @@ def _closed_line(rig: Rig, ndf: MixtureNDF, lens: Gaussians, theta: jax.Array, o
 
 
 def _line(rig: Rig, u: jax.Array, std: jax.Array, lens: jax.Array) -> jax.Array:
-    """Return b(u; s), the record of a line with a Gaussian profile of unit peak; 1 where s is infinite."""
+    """Evaluate b(u; s), the record of a line with a Gaussian profile of unit peak; 1 for infinite s."""
     uniform = xp.isinf(std)
     std = xp.where(uniform, 1.0, std)
     record = np.sqrt(2 * np.pi) * std * rig.camera.pixel.of_gaussian(u, xp.sqrt(std**2 + lens**2))

@@ -1,8 +1,9 @@
-"""A bent lobe in all slices, as smooth as it turned out to be.
+"""Spline-modified lobe in all slices, with its smoothness estimated from the data.
 
-How far a lobe bends is guessed from the family that failed, by a linear model: far from the lobe it asks for too much. A few
-slices then show the lobe itself, and the evidence of the linear model there says how smooth it is where the camera shows it.
-What no camera shows, below a pixel and beyond 45 degrees, stays as open as it was. All slices say what the lobe is then.
+A linear model predicts the scale of the modification from the residuals of the family, and overestimates it far from
+the solution. A fit in few slices gives the lobe, and the evidence of the linear model there gives the smoothness at the
+angles that the camera resolves. Below a pixel and beyond 45 degrees the prior stays as wide as it was. The lobe is then
+fitted in all slices.
 """
 
 from __future__ import annotations
@@ -14,19 +15,21 @@ from matcam.inverse.fit.fit_setup import FitSetup
 from matcam.inverse.fit.material_fit import MaterialFit
 
 _LEAST = 0.03
-"""Smallest bend that is tried, as a share of the largest."""
+"""Smallest scale that is tried, as a share of the largest."""
 TRIED_BENDS = 16
-"""Scales of a bend that are tried."""
+"""Number of scales that are tried."""
 
 
 def in_all_slices(few: MaterialFit, setup: FitSetup, slice_step: int) -> tuple[MaterialFit, FitSetup]:
-    """Return a bent lobe in every `every`-th slice, and its setup. few: the solution of `setup`, in fewer of them."""
+    """Fit a spline-modified lobe in every `slice_step`-th slice, and return it with its setup. few: the solution of
+    `setup`, in fewer of them.
+    """
     whole = setup.with_(slice_step=slice_step, learned_bend=learned_bend(few, setup.bend))
     return whole.solve(start=few), whole
 
 
 def learned_bend(found: MaterialFit, most: float) -> float:
-    """Return the standard deviation of second differences, at most `most`, that a bent lobe asks for where it is shown."""
+    """Estimate the standard deviation of the second differences, at most `most`, at the angles that the camera resolves."""
     linear = found.linearised()
     solution = linear.solution
     problem, p, model = solution.problem, solution.p, solution.model
@@ -34,7 +37,7 @@ def learned_bend(found: MaterialFit, most: float) -> float:
     white = problem.whitening(model, solution.weight, solution.noise.picture_gain)
     flat = white(model.derivative).reshape(p.size, -1)
     information = flat @ flat.T
-    # at the solution the slope of the likelihood is that of the prior
+    # at the solution the gradient of the log likelihood equals that of the prior
     rows = prior.rows(layout)
     right = information @ p + rows.T @ (rows @ p)
     information[layout.rig, layout.rig] += linear.rig_information

@@ -1,4 +1,4 @@
-"""The values, standard deviations and support of a corrected table, from the ratio of true over recorded lobe."""
+"""Values, standard deviations and support of a corrected table, from the ratio of true to recorded lobe."""
 
 from __future__ import annotations
 
@@ -25,20 +25,23 @@ TABLE_ATTRIBUTES = {
     "brdf_std": {"units": "1/sr", "long_name": "standard deviation of brdf: correction and noise"},
     "correction_std": {
         "units": "1",
-        "long_name": "standard deviation of true / recorded value: what the camera leaves open",
+        "long_name": "standard deviation of true / recorded value, from the camera",
     },
-    "noise_std": {"units": "1/sr", "long_name": "standard deviation of brdf: what pixel noise leaves open"},
-    "supported": {"units": "1", "long_name": "standard deviation of the correction under 5 %"},
+    "noise_std": {"units": "1/sr", "long_name": "standard deviation of brdf from pixel noise"},
+    "supported": {"units": "1", "long_name": "whether the standard deviation of the correction is below 5 %"},
     "response": {"units": "1", "long_name": "recorded / true lobe"},
 }
 """Attributes of the variables of a corrected table."""
 CORRECTED = "corrected_for_camera"
 """Attribute of a table that is corrected."""
 OPERATOR_ACCURACY = 1e-6
-"""Error of the modelled record of a lobe, as a share of the slice's largest value (docs/correct.md, Claims): a recorded lobe
-fainter than that is not known, whatever the noise."""
+"""Error of the modelled record of a lobe, as a share of the slice's largest value (docs/correct.md, Claims): fainter
+parts of a recorded lobe are unknown, whatever the noise.
+"""
 _LEAST_CONTRAST = 1e-3
-"""Least share of a slice's peak that counts as the lobe, so that the noise floor stays finite where only the body shows."""
+"""Smallest share of the peak of a slice that counts as lobe, so that the noise floor stays finite where only the body
+is visible.
+"""
 
 
 def corrected_table(
@@ -50,7 +53,7 @@ def corrected_table(
     scattered: FarthestGlare,
     glare: float,
 ) -> tuple[xr.Dataset, EnergyLimit, tuple[VariancePart, ...]]:
-    """Correct a table; the energy limit says whether and how it acted; the parts are the sources of the peaks' variance.
+    """Correct a table; return it with the energy limit and the sources of the variance of the peaks.
 
     noise_share: of a pixel's variance, in each entry. scattered: most light of the highlight that glare adds to it.
     """
@@ -156,7 +159,7 @@ def recorded_table(table: xr.Dataset) -> xr.DataArray:
 
 
 def supported_values(table: xr.Dataset, recorded: xr.DataArray) -> xr.DataArray:
-    """Return a corrected table for a format that cannot say what is supported: what is not stays as it was recorded.
+    """Replace unsupported values by recorded ones, for a format that cannot mark them.
 
     Args:
         table: Dataset as from `correct`.

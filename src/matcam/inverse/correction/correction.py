@@ -1,4 +1,4 @@
-"""A whole table as a perfect camera would have measured it, with the error of every entry (docs/model.md 8)."""
+"""Correction of a table for its camera, with the standard deviation of every entry (docs/model.md 8)."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ from matcam.numerics.fit_budget import VariancePart, parts_budget
 from matcam.rigs import Rig
 
 _MATTERS = 0.01
-"""Change of the peak from which a correction that is withheld is worth a remark."""
+"""Relative change of the peak above which a withheld correction gets a remark."""
 _WITHHELD = Remark(
     "correction-withheld",
     "rig and data contradict each other: the table stays as it is, and what the rig would have changed is the standard "
@@ -61,15 +61,15 @@ _ANGLES = (5, 45, 75)
 
 @dataclass(frozen=True, repr=False)
 class Correction(Summarised):
-    """Hold a corrected table, and the fits that it was corrected by.
+    """Corrected table with the fits that it was corrected by.
 
     Attributes:
         table: Dataset as from `correct`.
         recorded: the table that was corrected, 1/sr.
         fit: fit of the lobe through the camera.
-        doubts: the same fit with a parameter of the rig free, one for each parameter.
-        shape: how well the shape of the lobe is known.
-        remarks: what a reader should know of the correction.
+        doubts: fits with one parameter of the rig free each.
+        shape: uncertainty of the shape of the lobe.
+        remarks: remarks on the correction.
         without_camera: fit of the same lobe as a perfect camera would have recorded it; with free shadowing and a lobe for each
             colour where nothing less explains the data.
         no_camera: probability (no unit) that no camera, rather than this one, made the table.
@@ -125,7 +125,7 @@ class Correction(Summarised):
 
         Raises:
             ArgumentError: an argument is wrong.
-            FitError: the table holds nothing to fit.
+            FitError: the table has no values to fit.
         """
         brdf = checked_table(brdf)
         if brdf.attrs.get(CORRECTED):
@@ -141,11 +141,11 @@ class Correction(Summarised):
         sampling, located = sampling_of(brdf), located_rig(rig, brdf)
         setup = first_setup(brdf, located.rig, masking=masking, noise=noise, workspace=workspace)
         expected = setup.axes_with_doubts
-        setup.rule()  # by itself: what it compiles serves the others
+        setup.rule()  # alone: the programs that it compiles serve the other fits
         with done_behind(lambda: lattices_ahead(located.rig, sampling, expected, workspace)):
             found = explain(setup, located, ndf)
         best = found.fit
-        # the linear step to another masking is itself approximate, so no more than this share of a likelihood counts
+        # the linear step to another masking is approximate, so at most this share of a log likelihood counts
         maskings = other_maskings(best, min(found.weighing.kappa, UNKNOWN_SHARE))
         fits = CorrectionFits(best, found.shape, found.base, found.doubts, found.others, maskings, expected)
         fitted = lobe_ratio(located.rig, sampling, fits, workspace, located.std)
@@ -159,12 +159,12 @@ class Correction(Summarised):
         scattered = farthest_glare(glare, sampling, rig, best, workspace)
         blind = held_back and found.no_blur
         left, lit = (found.without_camera.noise, found.blind) if blind else (found.shape.noise, best)
-        if noise is None:  # a fit with F free says nothing of the pictures' gains: the roughness of F does
+        if noise is None:  # with F free, the roughness of F gives the gains of the images, not the fit
             lit = found.scattering(lit)
             left = left._replace(picture_gain=strengths_gain(lit.theta_d, *lit.strengths()[:3]))
         shares = noise_shares(located.rig, sampling)
         table, limit, parts = corrected_table(brdf, best, left, shares, ratio, scattered, glare)
-        if said:  # what the rejected rig would have changed is uncertain everywhere
+        if said:  # the change by the rejected rig is uncertainty everywhere
             table["supported"].values[:] = False
         remarks = found.remarks
         if limit.acts:
@@ -193,11 +193,11 @@ class Correction(Summarised):
         stated camera, the other explanations of the table, glare, the body, and the noise of the entry.
 
         Args:
-            theta_d: difference angle, rad. The slice that contains it answers.
+            theta_d: difference angle, rad. The slice that contains it is used.
             channel: index of the channel, no unit. Default: None, the middle one.
 
         Raises:
-            ArgumentError: the table states no standard deviation there.
+            ArgumentError: the table has no standard deviation there.
 
         Example:
             >>> done.uncertainty_budget(np.radians(45.0)).expanded  # doctest: +SKIP
@@ -237,10 +237,10 @@ class Correction(Summarised):
         return [str(c) for c in (brdf["channel"].values if "channel" in brdf.coords else range(brdf.shape[-1]))]
 
     def peak_loss(self, theta_d: ArrayLike) -> np.ndarray:
-        """Return the share of the highlight's peak that the camera lost.
+        """Compute the share of the highlight's peak that the camera lost.
 
         Args:
-            theta_d: difference angle, rad, or several of them (n,). The slice that contains it answers.
+            theta_d: difference angle, rad, or several of them (n,). The slice that contains it is used.
 
         Returns:
             1 - recorded / true peak, no unit, of the shape of `theta_d`.
@@ -252,15 +252,15 @@ class Correction(Summarised):
 
     @property
     def supported_share(self) -> float:
-        """Return the share of supported entries (no unit).
+        """Compute the share of supported entries (no unit).
 
-        It is that of the entries that can be judged, which have a standard deviation.
+        Entries without a standard deviation do not count.
         """
         return float(self.table["supported"].values[np.isfinite(self.table["brdf_std"].values)].mean())
 
     @property
     def determination(self) -> str:
-        """Say in a word or two whether the lobe is known.
+        """Summarise in a word or two whether the lobe is known.
 
         It is "determined", "not determined", "family fails: bent", or "withheld": rig and data contradict each other.
         """
@@ -272,12 +272,12 @@ class Correction(Summarised):
 
     @property
     def _determined(self) -> bool:
-        """Judge whether the roughness is known, by a lobe that explains the data."""
+        """Check whether a lobe that explains the data has a determined roughness."""
         return self.fit.determined and UNEXPLAINED not in (remark.code for remark in self.remarks)
 
     @property
     def verdict(self) -> str:
-        """Say in three plain sentences what was found."""
+        """Summarise the result in three sentences."""
         if self.withheld:
             return (
                 "Rig and data contradict each other, so the table stays as it is: the data do not show the blur that the rig "
@@ -311,7 +311,7 @@ class Correction(Summarised):
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Return everything but the table, as plain numbers and texts.
+        """Return everything but the table as numbers and texts.
 
         Returns:
             A dictionary that `matcam correct --json` prints. Angles are in rad, and their names say so.
@@ -333,7 +333,7 @@ class Correction(Summarised):
         }
 
     def _peak_response(self, theta_d: ArrayLike) -> np.ndarray:
-        """Recorded over corrected peak across the plane of incidence, the mean of the channels."""
+        """Compute recorded over corrected peak across the plane of incidence, averaged over the channels."""
         at = self._peak(theta_d)
         recorded, corrected = self.recorded.values[at], self.table["brdf"].values[at]
         with np.errstate(invalid="ignore", divide="ignore"):
@@ -373,25 +373,26 @@ def correct(
             and where these leave more than noise Student's t, two lobes, and a lobe with a smooth correction.
         masking: the lobe's G: "smith", "smith-separable", "van-ginneken" or None. Default: "smith".
         noise: noise of a pixel. Default: None, estimated from the residuals.
-        glare: share of light (no unit) that the lens may scatter far beyond what its profile says. Default: 1e-3. It limits
-            what is supported beside a highlight; a lens that is known to be clean allows less.
+        glare: share of light (no unit) that the lens may scatter far beyond what its profile says. Default: 1e-3. It
+            limits what is supported beside a highlight; use less for a lens that is known to be clean.
         force_correction: whether to correct a table whose data contradict the rig. Default: False, it stays as it is.
         workspace: keeps what depends on the rig alone for the next call. Default: None, the process's own.
 
     Returns:
-        Dataset over the table's dims. `brdf`, 1/sr: missing stays missing, negative noise becomes 0, reciprocal as the table
-        is; what is not known shrinks to the recorded value, and a direction that would reflect more than it receives is
-        lowered within the standard deviation of the correction. Two standard deviations describe the uncertainty.
-        `correction_std`, no unit: of true over recorded value, from fitted parameters, the other explanations, the camera's
-        uncertainty, the lens's shape, the shape of the body, a free lamp, and glare. `noise_std`, 1/sr: of brdf, from pixel
-        noise. Both make `brdf_std`, 1/sr. They are NaN where the sphere's last pixels show the entry, which is left as it was.
-        `supported`: whether the correction leaves less than 5 % of brdf open. `response`: recorded / true lobe, over the
+        Dataset over the table's dims. `brdf`, 1/sr: missing stays missing, negative noise becomes 0, reciprocal as the
+        table is; uncertain corrections shrink towards the recorded value, and directions that would reflect more light
+        than they receive are lowered within the standard deviation of the correction. Two standard deviations describe
+        the uncertainty. `correction_std`, no unit: of true over recorded value, from fitted parameters, the other
+        explanations, the camera's uncertainty, the lens's shape, the shape of the body, a free lamp, and glare.
+        `noise_std`, 1/sr: of brdf, from pixel noise. Both make `brdf_std`, 1/sr. They are NaN for entries in the last
+        pixels of the sphere, which are not corrected.
+        `supported`: whether the correction is known to 5 % of brdf. `response`: recorded / true lobe, over the
         first three dims. Attributes: `withheld`, 1 where rig and data contradict each other, when the response is 1 and no
         entry is supported; `body`, the value of the Lambertian part in each channel, 1/sr.
 
     Raises:
         ArgumentError: an argument is wrong, or the rig is not one that a fit can follow.
-        FitError: the table holds nothing to fit.
+        FitError: the table has no values to fit.
 
     Source:
         docs/model.md sections 3 and 8.
@@ -417,5 +418,5 @@ def correct(
 
 
 def _matters(ratio: LobeRatio) -> bool:
-    """Say whether a correction would change the highlight at all."""
+    """Check whether a correction would change the highlight."""
     return bool(np.abs(ratio.log[0, : _ANGLES[-1]]).max() > _MATTERS)

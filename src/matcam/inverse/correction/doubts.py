@@ -1,13 +1,14 @@
-"""Doubts about a fit: a parameter of the rig that may be wrong, and a lobe that its family does not describe.
+"""Sensitivity of a fit to exact parameters of the rig, and to the shape of the lobe.
 
-The rig: the fit is made again with a parameter free that the user took for certain. If rig and data agree, nothing changes. If
-not, something is wrong: lens, lamp or family. It need not be the parameter that was left free. What the correction would have
-been with it counts as uncertainty, several times over.
+Rig: the fit is repeated with one exact parameter free. If rig and data agree, the result does not change. Otherwise
+lens, lamp or family is wrong, not necessarily the free parameter. The change of the correction then counts several
+times as uncertainty.
 
-The lobe: the record is linear in D. So after a fit, D (1 + sum_k b_k B_k(theta)) with smooth B_k is one linear least-squares
-problem (docs/model.md 8). It is solved together with small changes of the fit's own parameters, strengths free in every
-slice. How much the b_k may vary is learnt from the data, by the evidence of the linear model. What the pixels cannot resolve of
-the b_k is uncertainty. The lobe itself stays that of its family, because a corrected lobe is an explanation of its own.
+Lobe: the record is linear in D. After a fit, D (1 + sum_k b_k B_k(theta)) with smooth B_k is therefore a linear
+least-squares problem (docs/model.md 8). It is solved together with small changes of the parameters of the fit, with
+strengths free in every slice. The evidence of the linear model determines the variance of the b_k. The part of the b_k
+that the pixels do not resolve is uncertainty. The lobe itself stays that of its family, because a modified lobe is an
+explanation of its own.
 """
 
 from __future__ import annotations
@@ -37,30 +38,30 @@ from matcam.numerics.linalg import scaled_inverse
 from matcam.rigs import Rig
 
 CONTRADICTION_WEIGHT = 3.0
-"""How often the change counts where rig and data contradict each other."""
+"""Factor of the change as uncertainty where rig and data contradict each other."""
 
 DOUBTED = (LENS, LAMP)
-"""Parameters of a rig that are doubted: the lens's width and the lamp's radius."""
+"""Exact parameters of a rig that are tested: the width of the lens and the radius of the lamp."""
 
 _INSIDE = 0.8
-"""Share of an axis's half up to which a parameter is followed nearby: beyond it may want to leave."""
+"""Share of the half range of an axis up to which a nearby solution is accepted; beyond it the optimum may lie outside."""
 _SIGNIFICANT = 4.0
-"""Standard deviations by which a free parameter has to move for that, and"""
+"""Standard deviations by which a free parameter must move to contradict the rig."""
 _LEAST = 0.002
-"""the relative change of the blur's width."""
+"""Smallest relative change of the width of the blur that contradicts the rig."""
 
 
 class Doubt(NamedTuple):
-    """Hold what the data say of one parameter of the rig that was left free.
+    """Refit with one parameter of the rig free.
 
     Attributes:
         axis: the parameter.
-        coordinate: where the data put it; 0 is the rig's value.
+        coordinate: fitted coordinate; 0 is the value of the rig.
         value: the parameter there, in its own unit.
         std: standard deviation of `value`.
         contradicts: whether rig and data contradict each other.
         fit: the fit with the parameter free.
-        weight: how often the change that it makes counts as uncertainty; 0 where the fit's own covariance has it.
+        weight: factor of its change as uncertainty; 0 where the covariance of the fit includes it.
     """
 
     axis: Axis
@@ -73,12 +74,12 @@ class Doubt(NamedTuple):
 
     @property
     def counted(self) -> float:
-        """Return how often the change that it makes counts as uncertainty."""
+        """Return the factor of the change as uncertainty."""
         return self.weight * (CONTRADICTION_WEIGHT if self.contradicts else 1.0)
 
     @property
     def remark(self) -> Remark:
-        """Say what a reader should know of it."""
+        """State the fitted value, and whether it contradicts the rig."""
         if self.axis.name == LENS:
             code = "lens-contradicts-data"
             found = (
@@ -95,7 +96,7 @@ class Doubt(NamedTuple):
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Return its fit as plain numbers and texts, and whether it contradicts the rig."""
+        """Return the fit as numbers and texts, with its contradiction flag."""
         return {**self.fit.to_dict(), "contradicts": self.contradicts}
 
 
@@ -114,9 +115,9 @@ class OtherLobe(NamedTuple):
 
 
 def rig_doubts(setup: FitSetup, rig: Rig, found: MaterialFit, names: Sequence[str] = DOUBTED) -> tuple[Doubt, ...]:
-    """Leave parameters of the rig free, one after the other. found: the solution of `setup`.
+    """Fit with parameters of the rig free, one after the other. found: the solution of `setup`.
 
-    A width that has a prior is fitted already: its doubt is that fit.
+    For a width with a prior, the fit that exists is used.
     """
     doubts = []
     for name in names:
@@ -124,13 +125,13 @@ def rig_doubts(setup: FitSetup, rig: Rig, found: MaterialFit, names: Sequence[st
             doubts.append(_fitted_doubt(found, name, rig))
         elif name in widths_of(rig) or name in rig.camera.parameters():
             doubts.append(_followed_doubt(setup.with_(also=(name,)), found, name))
-    if not found.resolved:  # a lobe at its bound pushes the lens
+    if not found.resolved:  # a lobe at its bound biases the lens
         return tuple(doubt._replace(contradicts=doubt.contradicts and doubt.axis.name != LENS) for doubt in doubts)
     return tuple(doubts)
 
 
 def _followed_doubt(free: FitSetup, found: MaterialFit, name: str) -> Doubt:
-    """Return the doubt of a parameter that is free, followed nearby, and farther where the data ask for it."""
+    """Refit with a parameter free near its value, and over its whole range if the data require it."""
     doubt = _free_doubt(free.with_(nearby=True).solve(start=found, weights="start"), name)
     axis, whole = doubt.axis, next(axis for axis in free.prior.axes if axis.name == name)
     ends = [own for own, far in ((axis.low, whole.low), (axis.high, whole.high)) if own != far]
@@ -140,7 +141,7 @@ def _followed_doubt(free: FitSetup, found: MaterialFit, name: str) -> Doubt:
 
 
 def _free_doubt(fit: MaterialFit, name: str) -> Doubt:
-    """Return the doubt of a parameter that the rig gives as exact."""
+    """Refit with a parameter free that the rig gives as exact."""
     at = fit.coordinates
     place = [axis.name for axis in at.axes].index(name)
     own = len(at.lobe) + place
@@ -150,14 +151,14 @@ def _free_doubt(fit: MaterialFit, name: str) -> Doubt:
 
 
 def _fitted_doubt(fit: MaterialFit, name: str, rig: Rig) -> Doubt:
-    """Return the doubt of a parameter with a prior: it contradicts the data if these alone would put it elsewhere."""
+    """Compare a parameter that has a prior with its estimate from the data alone."""
     at = fit.coordinates
     place = [axis.name for axis in at.axes].index(name)
     own = len(at.lobe) + place
     axis, coordinate, variance = at.axes[place], float(at.rig[place]), float(at.covariance[own, own])
     known = known_lens(rig.camera).uncertainty
     relative = (known.std()[name] if known else 0.0) / axis.base
-    if is_guess(name, relative):  # nothing is claimed that the data could contradict
+    if is_guess(name, relative):  # no exact value that the data could contradict
         return Doubt(axis, coordinate, fit.params[name], fit.std[name], False, fit, weight=0.0)
     by_data = 1 / max(1 / variance - 1 / relative**2, 1e-9)
     likeliest = coordinate * by_data / variance
@@ -166,20 +167,20 @@ def _fitted_doubt(fit: MaterialFit, name: str, rig: Rig) -> Doubt:
 
 
 FAMILY_FAILS = 0.05
-"""Scale of a shape's correction beyond which its family does not explain the data."""
+"""Scale of the shape correction above which the family does not explain the data."""
 
 _SCALES = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0)
 _ROUNDS = 3
 
 
 class ShapeUncertainty(NamedTuple):
-    """Uncertainty of the shape of a lobe, as the factor 1 + sum b_k B_k of the lobe.
+    """Uncertainty of the shape of a lobe, as a factor 1 + sum b_k B_k.
 
     Attributes:
         covariance: of (lobe, rig, b), the first two in the fit's coordinates.
-        scale: standard deviation of the second differences of b that the data ask for.
+        scale: estimated standard deviation of the second differences of b.
         noise: of a pixel, as estimated with b free, or as given.
-        statements: what is known of (lobe, rig, b) beside the data. Default: none.
+        statements: prior knowledge of (lobe, rig, b). Default: none.
     """
 
     covariance: np.ndarray
@@ -189,7 +190,7 @@ class ShapeUncertainty(NamedTuple):
 
     @property
     def family_fails(self) -> bool:
-        """Say whether the lobe's family does not explain the data."""
+        """Check whether the family of the lobe fails to explain the data."""
         return self.scale > FAMILY_FAILS
 
     def remark(self, family: str) -> Remark:
@@ -205,7 +206,7 @@ class ShapeUncertainty(NamedTuple):
 def shape_records(
     operator: LobeOperator, kind: LobeKind, q: jax.Array, shifts: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    """Return the record of a lobe and what each B_k adds to it: (slices, cells) and (k, slices, cells)."""
+    """Compute the record of a lobe, (slices, cells), and the contribution of each B_k, (k, slices, cells)."""
     ndf = kind.ndf(q)
     table = None if kind.masking is None else quick_table(ndf)
 
@@ -225,7 +226,7 @@ def shape_uncertainty(found: MaterialFit, noise: PixelNoise | None) -> ShapeUnce
     columns = _columns(linear)
     count, shapes = len(columns), slice(len(linear.by_coordinates), len(linear.by_coordinates) + KNOTS)
     rig = slice(len(at.lobe), len(linear.by_coordinates))
-    # a tail that has to bend, stiff as it is, would ask for a scale that leaves the peak free
+    # a tail that departs from a stiff prior would enlarge the scale and leave the peak free
     even, differences = smoothness(KNOTS), bend_smoothness()
     assumed = solution.noise
     result = np.zeros(count)
@@ -252,7 +253,7 @@ def shape_uncertainty(found: MaterialFit, noise: PixelNoise | None) -> ShapeUnce
 
 
 def known_shape(found: MaterialFit, scale: float) -> ShapeUncertainty:
-    """Return the uncertainty of a fit's own parameters, which hold its shape already. scale: that its family had asked for."""
+    """Compute the uncertainty of the parameters of a fit that includes its shape. scale: estimated for its family."""
     covariance = found.coordinates.covariance
     own = slice(0, len(covariance))
     statements = tuple(
@@ -263,7 +264,7 @@ def known_shape(found: MaterialFit, scale: float) -> ShapeUncertainty:
 
 
 def _columns(linear: LinearisedFit) -> np.ndarray:
-    """Return the derivatives of the model by lobe, rig, b and the units' parameters."""
+    """Compute the derivatives of the model by lobe, rig, b and the parameters of the units."""
     at, solution = linear.coordinates, linear.solution
     q, shifts = placed(at.lobe), placed(at.rig)
     added = solution.problem.read(solution.model, lambda one: np.asarray(shape_records(one, at.kind, q, shifts)[1]))
@@ -272,10 +273,10 @@ def _columns(linear: LinearisedFit) -> np.ndarray:
 
 
 def linear_evidence(information: np.ndarray, right: np.ndarray, shapes: slice, rows: np.ndarray) -> float:
-    """Return the logarithm of the evidence for a scale, up to a constant: all but the b_k is integrated out.
+    """Compute the log evidence of a scale, up to a constant; all parameters but the b_k are integrated out.
 
-    information, right: of the linear model by all its parameters, without what the scale says. shapes: the place of the b_k.
-    rows: combinations of the b_k that are 0 +- 1.
+    information, right: of the linear model by all its parameters, without the prior of the scale. shapes: indices of
+    the b_k. rows: combinations of the b_k that are 0 +- 1.
     """
     others = np.r_[0 : shapes.start, shapes.stop : len(right)]
     cross = information[shapes, others]

@@ -1,7 +1,7 @@
-"""Evidence of the explanations of a table: how probable each makes the data, on one scale for all of them.
+"""Evidence of the explanations of a table: marginal likelihood of each, on one scale.
 
-The variance of a cell is that of pixel noise, V0, and of what the model misses, tau^2 m^2 + tau_f^2 P^2 (m the model, P the
-peak of the slice). The misfit t, its root mean square over the cells relative to m and 1e-2 P, has an exponential prior.
+The variance of a cell is the sum of pixel noise, V0, and model error, tau^2 m^2 + tau_f^2 P^2 (m the model, P the peak
+of the slice). The misfit t, its root mean square over the cells relative to m and 1e-2 P, has an exponential prior.
 Laplace's approximation gives
 
     ln E = kappa ln L + ln p(t) + ln p(theta) + k/2 ln 2 pi - 1/2 ln |kappa H + Q| + sum_s 1/2 ln(2 pi / (kappa q_s)) ,
@@ -37,21 +37,24 @@ from matcam.inverse.fit.fit_setup import FitSetup
 from matcam.inverse.fit.material_fit import MaterialFit
 
 LEAST_NOISE = PixelNoise(5e-3, 1e-6, 0.0)
-"""Least noise of a pixel that is assumed: shot noise of a full well of 40,000 electrons, and the accuracy of a modelled record.
-A table that was made symmetric shows no noise in mirrored cells, and has it all the same."""
+"""Least noise of a pixel that is assumed: shot noise of a full well of 40,000 electrons, and the accuracy of a modelled
+record. Mirrored cells of a symmetrised table agree exactly, although they have noise.
+"""
 UNKNOWN_SHARE = 0.1
 """kappa where nothing distinguishes pixel noise from misfit, as in a table of one channel whose cells have no mirror images:
 about ten cells, those of two rings, then share one error."""
 _MISFIT_SCALE = 1e-2
-"""Mean of the exponential prior of the misfit, over the value of a cell: a model that is off by much more is no explanation."""
+"""Mean of the exponential prior of the misfit, over the value of a cell: models with much larger errors do not explain
+a table.
+"""
 _FAINT = 1e-2
-"""Share of the peak of a slice below which the misfit of a cell counts as if the cell were that bright."""
+"""Share of the peak of a slice below which misfit is relative to that share, not to the cell."""
 _TYPICAL = PixelNoise(1e-2, 1e-4, 0.0)
 """Noise of a pixel from which its estimate starts."""
 _MOSTLY_MISFIT = 2.0
 """chi^2 from which more than half of the residual variance is misfit."""
 _FEWEST_PAIRS = 100
-"""Pairs of cells from which a noise is estimated to 7 % or better."""
+"""Smallest number of pairs of cells; it determines the noise to 7 %."""
 _PRIORS = {
     "width": (-4.5, 2.5), "power": (0.0, 0.7), STUDENT: (0.0, 1.0), "share": (0.0, 1.5), "tail": (0.5, 0.5),
     "spline": (0.0, 10.0), "rig": (0.0, 0.5), "fresnel": (0.0, 3.0), "diffuse": (0.2, 0.3),
@@ -62,7 +65,7 @@ their logarithm only."""
 
 
 def noise_without_model(setup: FitSetup, found: MaterialFit) -> PixelNoise | None:
-    """Estimate the noise of a pixel without a model of the lobe; None where nothing shows it.
+    """Estimate the noise of a pixel without a model of the lobe; None if the data do not determine it.
 
     Each of two estimates is an upper bound: mirrored cells differ through an aberrated lens, too, and channels in what only
     one of them shows. The one with the smaller variance is returned.
@@ -103,7 +106,7 @@ def _mirrored_noise(setup: FitSetup) -> PixelNoise | None:
 
 
 def _channel_noise(found: MaterialFit) -> PixelNoise | None:
-    """Estimate noise from the differences of residuals between channels, which share what a model of the lobe misses."""
+    """Estimate noise from the differences of residuals between channels, in which model errors of the lobe cancel."""
     problem, model = found._solution.problem, found._solution.model
     data, residual = problem.data, problem.residual(model)
     units = len(data.labels)
@@ -120,20 +123,21 @@ def _channel_noise(found: MaterialFit) -> PixelNoise | None:
 
 
 def _of_pairs(data: FitData, difference: np.ndarray, value: np.ndarray) -> PixelNoise:
-    """Estimate noise from the differences of pairs of cells of one value."""
+    """Estimate noise from the differences within pairs of cells of equal true value."""
     noise = _TYPICAL
-    for _ in range(2):  # gains are taken out by the weights of the start
+    for _ in range(2):  # the weights of the start take gains out
         noise = estimate_noise(data, difference / np.sqrt(2), value, 0, noise)
     return noise
 
 
 class Explained(NamedTuple):
-    """Judgement of a fit before its cells are weighed.
+    """Likelihood, prior and information of a fit before its cells are weighed.
 
     Attributes:
         log_likelihood: logarithm of the likelihood with its misfit as noise.
         log_misfit: logarithm of the prior of that misfit.
-        log_prior: logarithm of the prior of the parameters, but for powers of 2 pi; a bend's scale is one of those tried.
+        log_prior: logarithm of the prior of the parameters, without powers of 2 pi; the scale of a spline modification
+            is one of those tried.
         information: (parameters, parameters), of the data.
         prior: (parameters, parameters), information of the prior.
         of_strengths: (strengths,), information about each free strength.
@@ -163,7 +167,7 @@ def mean_squared_residual(found: MaterialFit, noise: PixelNoise) -> float:
 
 
 def explained(found: MaterialFit, noise: PixelNoise) -> Explained:
-    """Judge a fit with free strengths. noise: of a pixel."""
+    """Compute the terms of the evidence of a fit with free strengths. noise: of a pixel."""
     solution = found._solution
     problem, model = solution.problem, solution.model
     data, residual = problem.data, problem.residual(model)
@@ -196,9 +200,9 @@ class Weighing(NamedTuple):
     Attributes:
         noise: of a pixel.
         kappa: share of pixel noise in the variance of the best explanation.
-        chi2: mean squared residual of the best explanation in standard deviations of pixel noise, or, where that is not
-            known, of a typical camera's noise.
-        known: whether the data show the noise of a pixel without a model.
+        chi2: mean squared residual of the best explanation over the variance of pixel noise; of a typical camera if
+            that noise is not known.
+        known: whether the data determine the noise of a pixel without a model.
     """
 
     noise: PixelNoise
@@ -208,7 +212,7 @@ class Weighing(NamedTuple):
 
     @classmethod
     def of(cls, fits: Sequence[MaterialFit], noise: PixelNoise | None) -> Weighing:
-        """Weigh the residuals of some fits of the same cells. noise: of a pixel; None: the least that any of them leaves."""
+        """Weigh the residuals of some fits of the same cells. noise: of a pixel; None: the smallest estimate of them."""
         if noise is None:
             left = [fit.noise for fit in fits]
             least = PixelNoise(min(one.relative for one in left), min(one.floor for one in left), 0.0)
@@ -218,16 +222,16 @@ class Weighing(NamedTuple):
         return cls(noise, min(1.0, 1 / max(chi2, 1e-12)), chi2, known=True)
 
     def at_most(self, other: Weighing) -> Weighing:
-        """Return the one whose best explanation leaves less."""
+        """Return whichever of two has the better best explanation."""
         return self if self.chi2 < other.chi2 else other
 
     @property
     def unexplained(self) -> bool:
-        """Judge whether most of the residual variance of the best explanation is misfit."""
+        """Check whether most of the residual variance of the best explanation is misfit."""
         return self.chi2 > _MOSTLY_MISFIT
 
     def complete(self, fit: MaterialFit) -> bool:
-        """Judge whether a fit leaves no more than pixel noise, so that a richer model has nothing to explain."""
+        """Check whether a fit leaves no more than pixel noise, so that a richer model cannot improve it."""
         # three standard deviations of a mean of chi squared
         return self.known and mean_squared_residual(fit, self.noise) < 1 + 3 * np.sqrt(2 / max(fit.freedom, 1))
 
@@ -247,13 +251,13 @@ class Weighing(NamedTuple):
 
 
 def _robust(u: np.ndarray) -> np.ndarray:
-    """Return squared residuals, which grow linearly where a fit gives them less weight (Huber 1964)."""
+    """Limit squared residuals to linear growth where a fit gives them less weight (Huber 1964)."""
     weight = huber_weights(u)
     return weight * (2 - weight) * u**2
 
 
 def _priors(layout: Layout) -> tuple[np.ndarray, np.ndarray]:
-    """Return mean and standard deviation of every parameter of a fit."""
+    """Return prior mean and standard deviation of every parameter of a fit."""
     kind = layout.kind
     if kind.family == TWO_LOBES:
         own = ["width", "width", "share", "tail", "tail"]

@@ -1,11 +1,11 @@
 """Explanations of a table, weighed by their evidence (docs/correct.md).
 
-`correct` and `fresnel` read the same explanation, so they cannot contradict each other. Every member of the list is fitted to
-the same cells with F free in every slice and a Lambertian part:
+`correct` and `fresnel` use the same explanations, so they cannot contradict each other. Every member of the list is
+fitted to the same cells with F free in every slice and a Lambertian part:
 
-- a lobe of each family through the camera, whose lens is uncertain as the profile states, in width and shape;
-- where the best of them leaves more than pixel noise: Student's t, whose tails are of any length, two lobes, and a lobe with a
-  smooth correction ("bent");
+- a lobe of each family through the camera, with the uncertainty of the lens (width and shape) as its prior;
+- where the best of them leaves more than pixel noise: Student's t with a free tail exponent, two lobes, and a
+  spline-modified lobe;
 - the best lobe as a perfect camera would have recorded it, and, where the list does not explain the data, a lobe of each
   channel with any smooth masking.
 
@@ -45,22 +45,25 @@ from matcam.material.masking import Masking
 from matcam.rigs import Rig
 
 _MOST_BEND = 1.0
-"""Standard deviation of the second differences of ln D of a lobe that is as free as no family at all."""
+"""Standard deviation of the second differences of ln D at which a lobe is not bound to its family."""
 _STIFF = 0.125
-"""Share of a lobe's half width below which its correction is stiff: a broad lobe has no fine structure."""
+"""Share of the half width of a lobe below which its spline modification is stiff, because broad lobes have no finer
+structure.
+"""
 _RANKED_STEP = 3 * SEARCH_STEP
 """Spacing of the slices in which the members are ranked."""
 _SMOOTH_CORES = ("ggx", STUDENT)
-"""Families that a correction may start from: unlike EPD's they have no cusp, which no pixel could resolve."""
+"""Families that a spline modification may start from. Unlike EPD's lobe they have no cusp, which no pixel could resolve."""
 _HOPELESS = 15.0
-"""Difference of log evidence in the ranking slices from which a member is left out: a probability of 3e-7, to which more
-slices would only add."""
+"""Difference of log evidence in the ranking slices above which a member is left out: a probability of 3e-7, which more
+slices would lower further.
+"""
 _PROBABLE = 0.95
-"""Probability of no camera from which the data are said to show no blur."""
+"""Probability of no camera above which the data show no blur."""
 _UNLIKELY = 0.05
-"""Probability of no camera down to which a lens that is a guess moves nothing."""
+"""Probability of no camera below which a guessed lens is used."""
 _NEGLIGIBLE = 1e-3
-"""Probability below which another lobe counts for nothing."""
+"""Probability below which another lobe is neglected."""
 UNEXPLAINED = "unexplained"
 """Code of the remark that no member of the list explains the data."""
 
@@ -76,12 +79,12 @@ class Explanation(NamedTuple):
     """The explanations of a table and their probabilities.
 
     Attributes:
-        located: the rig, with the rule of its cells.
+        located: the rig, with its cell rule.
         setup: of `fit`.
         candidates: fits of the lobes through the camera that may matter.
         fit: the most probable of them.
-        shape: how well its shape is known.
-        base: the same lobe in the slices that doubts are fitted to.
+        shape: uncertainty of its shape.
+        base: the same lobe in the slices that `doubts` are fitted to.
         others: the other lobes through the same camera, with their probabilities.
         doubts: fits with a parameter of the rig free.
         blind_setup: of `blind`.
@@ -107,17 +110,17 @@ class Explanation(NamedTuple):
 
     @property
     def without_camera(self) -> MaterialFit:
-        """Return what explains the table best if no camera is needed."""
+        """Return the best fit of the table without a camera."""
         return self.shadowed or self.blind
 
     @property
     def no_blur(self) -> bool:
-        """Say whether the data show no blur by this camera."""
+        """Check whether the data show no blur by this camera."""
         return self.no_camera > _PROBABLE
 
     @property
     def contradicts(self) -> bool:
-        """Say whether rig and data contradict each other: no blur, another lens than is stated, or cells of other pixels."""
+        """Check whether rig and data contradict each other: no blur, another lens than specified, or cells of other pixels."""
         return (
             self.located.unexplained
             or self.no_blur
@@ -126,7 +129,7 @@ class Explanation(NamedTuple):
 
     @property
     def undecided(self) -> bool:
-        """Say whether nobody knows of a blur: the lens is a guess, and the data do not show one clearly."""
+        """Check whether the blur is unknown: the lens is a guess, and the data do not determine one."""
         camera = self.located.rig.camera
         lens = known_lens(camera).uncertainty
         if lens is None or LENS not in lens.names or self.no_camera <= _UNLIKELY:
@@ -134,7 +137,8 @@ class Explanation(NamedTuple):
         return is_guess(LENS, lens.std()[LENS] / float(camera.parameters()[LENS]))
 
     def scattering(self, lit: MaterialFit) -> MaterialFit:
-        """Return the fit whose F shows the pictures' gains: one that has most slices. A bent lobe is fitted in a few.
+        """Return the fit whose F determines the gains of the images: one that has most slices. A spline-modified lobe
+        is fitted in few.
 
         lit: preferred, if it has as many.
         """
@@ -142,18 +146,18 @@ class Explanation(NamedTuple):
 
     @property
     def no_blur_remark(self) -> Remark:
-        """Say that the data show no blur."""
+        """State that the data show no blur."""
         noise = [f"{fit.noise.relative:.1%}" for fit in (self.blind, self.fit, self.without_camera)]
         text = (
             f"the data show no blur by this camera: without it a pixel's noise would be {noise[0]}, with it {noise[1]}"
         )
         if self.shadowed is not None:
-            text += f"; {noise[2]} with free shadowing and a lobe for each colour"
+            text += f"; {noise[2]} with free shadowing and one lobe per colour"
         return Remark("no-blur-in-data", text)
 
     @property
     def remarks(self) -> tuple[Remark, ...]:
-        """Say what a reader should know of it."""
+        """List the remarks on the explanations."""
         remarks = [*self.fit.remarks, *self.located.remarks]
         if self.fit.is_bent:
             remarks.append(self.shape.remark(self.fit.family))
@@ -177,7 +181,7 @@ def first_setup(
     workspace: Workspace | None,
     slice_step: int = SEARCH_STEP,
 ) -> FitSetup:
-    """Return the setup that `explain` begins with.
+    """Build the setup that `explain` starts from.
 
     Args:
         brdf: a checked table, 1/sr.
@@ -205,7 +209,7 @@ def explain(setup: FitSetup, located: LocatedRig, ndf: str) -> Explanation:
     few = setup.with_(slice_step=max(_RANKED_STEP, slice_step))
     try:
         ranked = [_solved(few.with_(ndf=family)) for family in families]
-    except FitError:  # the table's values lie in other slices
+    except FitError:  # the values of the table lie in other slices
         few = setup
         ranked = [_solved(few.with_(ndf=family)) for family in families]
     noise = noise_without_model(setup, ranked[0].fit)
@@ -228,7 +232,7 @@ def explain(setup: FitSetup, located: LocatedRig, ndf: str) -> Explanation:
     blind = max((one for _, one in pairs), key=lambda one: weighing.log_evidence(one.fit))
     no_camera = max(
         _probability_of_none(logs, [weighing.log_evidence(one.fit) for one in others]),
-        # what a blur hides of a lobe is a volume of parameters, and no evidence of the blur
+        # the parameter volume that a blur hides is no evidence of the blur
         *(_probability_of_none(*([weighing.log_likelihood(one.fit)] for one in pair)) for pair in pairs),
     )
     without = _closest(others, noise)
@@ -248,7 +252,8 @@ def explain(setup: FitSetup, located: LocatedRig, ndf: str) -> Explanation:
     shape = known_shape(found.fit, found.setup.bend)
     if not found.fit.is_bent:
         free = shape_uncertainty(found.fit, setup.noise)
-        shape = known_shape(found.fit, free.scale) if free.family_fails else free  # a bent lobe is a member of its own
+        # a spline-modified lobe is a member of its own
+        shape = known_shape(found.fit, free.scale) if free.family_fails else free
     base = kept[first] if found.fit.is_bent else found
     return Explanation(
         located=located, setup=found.setup, candidates=[one.fit for one in whole], fit=found.fit, shape=shape,
@@ -262,13 +267,13 @@ def _weighing(members: list[Member], noise: PixelNoise | None) -> Weighing:
 
 
 def _probability_of_none(by_camera: list[float], by_none: list[float]) -> float:
-    """Compute the probability of no camera from the logarithms of the evidence of members with and without it."""
+    """Compute the probability of no camera from log evidences of members with and without it."""
     difference = np.logaddexp.reduce(by_camera) - np.logaddexp.reduce(by_none)
     return float(1 / (1 + np.exp(np.clip(difference, -500, 500))))
 
 
 def _closest(members: list[Member], noise: PixelNoise | None) -> Member:
-    """Return the member that leaves the smallest residuals."""
+    """Return the member with the smallest residuals."""
     return min(members, key=lambda one: _weighing([one], noise).chi2)
 
 
@@ -277,7 +282,7 @@ def _solved(setup: FitSetup) -> Member:
 
 
 def _bent(core: Member) -> Member:
-    """Return a lobe with a smooth correction, as free as its family's residuals suggest."""
+    """Fit a spline-modified lobe, as free as the residuals of its family suggest."""
     bend = min(shape_uncertainty(core.fit, core.setup.noise).scale, _MOST_BEND)
     stiff = _STIFF * core.fit.hwhm if np.isfinite(core.fit.hwhm) else 0.0
     setup = core.setup.with_(bend=bend, stiff_below=stiff)
@@ -285,7 +290,7 @@ def _bent(core: Member) -> Member:
 
 
 def _without_camera(best: Member, rig: Rig) -> Member:
-    """Return the same lobe as a perfect camera would have recorded it, in the same cells."""
+    """Fit the same lobe as a perfect camera would have recorded it, in the same cells."""
     own = best.setup
     setup = FitSetup(
         own.tables, None, own.ndf, fresnel="free", diffuse=True, masking=own.masking, noise=own.noise,
@@ -299,14 +304,14 @@ def _without_camera(best: Member, rig: Rig) -> Member:
 
 
 def _shadowed(core: Member, rig: Rig) -> Member:
-    """Return the fit without a camera with free masking and a corrected lobe for each channel. core: whose family is used."""
+    """Fit free masking and a spline-modified lobe for each channel without a camera. core: fit whose family is used."""
     blind = _without_camera(core._replace(setup=core.setup.with_(bend=_MOST_BEND)), rig)
     setup = blind.setup.with_(masking="smith-separable", per_channel=True, free_masking=True)
     return Member(setup, setup.solve(start=blind.fit, weights="start"))
 
 
 def _in_more_slices(member: Member, slice_step: int) -> Member:
-    """Return the same lobe in every `every`-th slice; how smooth a correction is where it is shown is learned on the way."""
+    """Fit the same lobe in every `slice_step`-th slice; estimate the smoothness of a spline modification before."""
     if member.setup.slice_step == slice_step:
         return member
     if member.setup.bend:

@@ -1,4 +1,4 @@
-"""Glare: the most light of a highlight that the lens could scatter to each entry of a table."""
+"""Glare: the largest amount of light of a highlight that the lens can scatter to each entry of a table."""
 
 from __future__ import annotations
 
@@ -14,39 +14,39 @@ from matcam.inverse.operator.sample_view import SampleView, sample_view
 from matcam.rigs import Rig
 
 _NEAREST = 8.0
-"""px; a halo closer to the highlight than this is the lens's core, and described by its profile."""
+"""px; a halo closer to the highlight belongs to the core of the lens, which its profile describes."""
 _VIEWS = 2
 """Views whose scattered light is kept in memory, 12 MB each."""
 
 
 class FarthestGlare(NamedTuple):
-    """Hold the most that a halo of any radius, holding a share of the highlight's light, could add to an entry.
+    """Largest contribution of a halo of any radius, with a given share of the light of the highlight, to each entry.
 
     Attributes:
         strength: (90, channels), reflectance of the highlight of each theta_d times the share.
-        of_mirror: (90, 90, 180), what it would be if all light were reflected, 1/sr.
+        of_mirror: (90, 90, 180), the contribution if all light were reflected, 1/sr.
     """
 
     strength: np.ndarray
     of_mirror: np.ndarray
 
     def of(self, rows: slice) -> np.ndarray:
-        """Return it in some rows of the table, (rows, 90, 180, channels), 1/sr."""
+        """Compute the contribution in some rows of the table, (rows, 90, 180, channels), 1/sr."""
         return self.strength[:, None] * self.of_mirror[rows, ..., None]
 
 
 def farthest_glare(
     glare: float, sampling: Sampling, rig: Rig, found: MaterialFit, workspace: Workspace
 ) -> FarthestGlare:
-    """Return the farthest glare of a highlight.
+    """Compute the largest glare of a highlight.
 
-    glare: share of the light that the lens scatters. found: says how bright the highlights are. workspace: keeps what depends
-        on the rig alone.
+    glare: share of the light that the lens scatters. found: gives the brightness of the highlights. workspace: keeps
+        what depends on the rig alone.
     """
     strength = found.curves["fresnel"].values
     there = np.isfinite(strength).all(axis=1)
     if not there.any():
-        raise FitError("no slice of theta_d shows a highlight: there is nothing to correct")
+        raise FitError("no slice of theta_d shows a highlight: check that the table is complete")
     theta_d, seen = merl_grid(sampling).theta_d, found.theta_d[there]
     f = np.stack([np.interp(theta_d, seen, column[there]) for column in strength.T], axis=-1)
     view = sample_view(rig)
@@ -59,16 +59,16 @@ def farthest_glare(
 
 
 def _of_mirror(view: SampleView, sampling: Sampling, nearest: float) -> np.ndarray:
-    """Return what a surface that reflects all light would have scattered to each entry, (90, 90, 180).
+    """Compute the light that a perfectly reflecting surface would scatter to each entry, (90, 90, 180).
 
-    nearest: distance from the highlight, px, within which its light is spread; what a halo adds there is a share of the light
-        itself.
+    nearest: distance from the highlight, px, within which its light is spread; a halo adds a share of that light there.
 
     A Gaussian of std s adds flux exp(-d^2 / 2 s^2) / (2 pi s^2) at distance d. Its maximum over s is flux / (pi e d^2).
     """
     grid = merl_grid(sampling)
     th, td, ph = grid.theta_h[:, None, None], grid.theta_d[:, None], grid.phi_d
-    # each cell's way on the lamp's side stands for both: they lie about as far from their picture's highlight
+    # the position of each cell on the lamp's side stands for both: they lie about as far from the highlight of their
+    # image
     x, y = view.from_highlight(th, td, ph)
     distance2 = np.maximum(x**2 + y**2, nearest**2)
     # integral of D over normals is about 1: flux = F r^2 / 4 of a distant rig

@@ -1,8 +1,9 @@
-"""Doing no harm: no entry of a table is moved further than the data determine, nor beyond what a surface can reflect.
+"""Limits of a correction: no entry changes by more than the data determine, or beyond what a surface can reflect.
 
 - The ratio of true over recorded lobe shrinks to 1 by its own variance: the logarithm L, of standard deviation s, becomes
-  L (1 - s^2 / L^2), and 0 where s exceeds |L| (the positive part of James & Stein's estimate). What is well known stays.
-- Where rig and data contradict each other the ratio is 1, and what it would have been is its standard deviation.
+  L (1 - s^2 / L^2), and 0 where s exceeds |L| (the positive part of James & Stein's estimate). Well determined
+  corrections stay.
+- Where rig and data contradict each other the ratio is 1, and the change that it would have made is its standard deviation.
 - The light that leaves a surface in all directions is at most the light that falls on it (albedo, docs/model.md 1). Where a
   correction would break that, its additions are lowered within their standard deviation.
 """
@@ -21,25 +22,26 @@ from matcam.inverse.normalised_fresnel import NO_CAMERA
 from matcam.numerics.fit_budget import VariancePart, scaled_parts
 
 ROWS = tuple(slice(start, start + 10) for start in range(0, GRID_SHAPE[0], 10))
-"""Rows of a table that are worked on at a time: all at once would need several times the table's memory."""
+"""Rows of a table that are processed at a time, to limit memory."""
 PEAK = (0, slice(None), GRID_SHAPE[2] // 2)
-"""Index of the peak of every slice across the plane of incidence, whose sources of uncertainty are kept."""
+"""Index of the peak of every slice across the plane of incidence, for which sources of uncertainty are kept."""
 _AZIMUTHS = 72
 _MOST_STEPS = 2.0
-"""Standard deviations by which the energy limit lowers an entry at most: the 95 % bound. Beyond it the table's absolute scale
-is the likelier cause of an albedo above 1 than the correction."""
+"""Standard deviations by which the energy limit lowers an entry at most: the 95 % bound. Beyond it the absolute scale
+of the table is a more likely cause of an albedo above 1.
+"""
 _TRIED_STEPS = np.linspace(0, _MOST_STEPS, 41)[1:]
 _DIRECTIONS = np.radians(np.arange(90) + 0.5)
 
 
 class LobeRatio(NamedTuple):
-    """Hold true over recorded lobe; arrays over a table's angles, (90, 90, 180).
+    """Ratio of true to recorded lobe; arrays over the angles of a table, (90, 90, 180).
 
     Attributes:
         log: ln(true / recorded).
-        std: standard deviation of the ratio over its value: fitted parameters, shape, rig and doubts.
+        std: relative standard deviation of the ratio: fitted parameters, shape, rig and alternatives.
         recorded: recorded lobe over the largest one of its slice (no unit): where it is below the noise, a ratio that
-            multiplies the data means nothing. Default: None, not known.
+            multiplies the data is meaningless. Default: None, not known.
         parts: sources of the variance `std`^2 at the peak of each slice, (90,). Default: none.
     """
 
@@ -49,7 +51,7 @@ class LobeRatio(NamedTuple):
     parts: tuple[VariancePart, ...] = ()
 
     def parts_with(self, name: str, added: np.ndarray, factor: np.ndarray | float = 1.0) -> tuple[VariancePart, ...]:
-        """Return the sources after a change of the variance.
+        """Update the sources after a change of the variance.
 
         name: of a source that is added. added: its variance, (90, 90, 180). factor: by which the others are multiplied.
         """
@@ -60,7 +62,7 @@ class LobeRatio(NamedTuple):
 
 
 def withheld(ratio: LobeRatio) -> LobeRatio:
-    """Return no correction: what it would have been is uncertainty."""
+    """Set the correction to none, with its size as uncertainty."""
     change, factor = np.expm1(ratio.log), np.maximum(np.exp(ratio.log), 1)
     return ratio._replace(
         log=np.zeros_like(ratio.log),
@@ -70,10 +72,10 @@ def withheld(ratio: LobeRatio) -> LobeRatio:
 
 
 def shrunk(ratio: LobeRatio, no_camera: float) -> LobeRatio:
-    """Return the mean of a ratio and of none at all, shrunk to 1. no_camera: probability that none is needed."""
+    """Average the ratio and no correction, and shrink the mean to 1. no_camera: probability that no correction is needed."""
     mean = (1 - no_camera) * ratio.log
     variance = (1 - no_camera) * ratio.std**2 + no_camera * (1 - no_camera) * ratio.log**2
-    known = ~(variance >= mean**2)  # what is missing stays missing
+    known = ~(variance >= mean**2)  # missing values stay missing
     share = 1 - np.divide(variance, mean**2, out=np.ones_like(mean), where=known)
     lost = np.expm1(mean * (1 - share))
     parts = ratio.parts_with(NO_CAMERA, no_camera * (1 - no_camera) * ratio.log**2, 1 - no_camera)
@@ -84,8 +86,8 @@ def shrunk(ratio: LobeRatio, no_camera: float) -> LobeRatio:
 def above_noise(ratio: LobeRatio, floor: np.ndarray) -> LobeRatio:
     """Limit a ratio to where the recorded lobe stands out of the noise.
 
-    A recorded value is the lobe m plus noise n. The linear estimate of least error multiplies the logarithm of the ratio by
-    m^2 / (m^2 + n^2) (Wiener's weight). What it gives up is added to the standard deviation.
+    A recorded value is the lobe m plus noise n. The linear estimate of least error multiplies the logarithm of the
+    ratio by m^2 / (m^2 + n^2) (Wiener's weight). The removed part is added to the standard deviation.
 
     floor: (90,), noise floor of a pixel over the largest recorded lobe of each slice, no unit.
     """
@@ -98,7 +100,7 @@ def above_noise(ratio: LobeRatio, floor: np.ndarray) -> LobeRatio:
 
 
 class EnergyLimit(NamedTuple):
-    """Reduction of what a correction adds, the same for light and view, so that the result stays as reciprocal as it was.
+    """Reduction of the additions of a correction, symmetric in light and view, so that reciprocity is kept.
 
     Attributes:
         steps: (directions, channels), standard deviations of the correction by which additions are lowered.
@@ -114,12 +116,12 @@ class EnergyLimit(NamedTuple):
 
     @property
     def acts(self) -> bool:
-        """Judge whether any entry is lowered."""
+        """Check whether any entry is lowered."""
         return bool((self.steps > 0).any())
 
     @property
     def remark(self) -> Remark:
-        """Size and extent of the reduction."""
+        """State size and extent of the reduction."""
         limited = int((self.steps > 0).any(axis=1).sum())
         text = (
             f"the corrected table would reflect more light than it receives in {limited} of {len(self.steps)} directions: "
@@ -133,7 +135,7 @@ class EnergyLimit(NamedTuple):
         return Remark("energy-limit", text)
 
     def of(self, rows: slice, recorded: np.ndarray, corrected: np.ndarray, std: np.ndarray) -> np.ndarray:
-        """Lower some rows of a corrected table, (rows, 90, 180, channels). No entry falls below its recorded value."""
+        """Lower some rows of a corrected table, (rows, 90, 180, channels), not below the recorded values."""
         steps = np.maximum(self.steps[self.light[rows]], self.steps[self.view[rows]])
         return np.where(corrected > recorded, np.maximum(corrected - steps * std, recorded), corrected)
 
@@ -141,12 +143,12 @@ class EnergyLimit(NamedTuple):
 def energy_limit(recorded: np.ndarray, corrected: np.ndarray, std: np.ndarray, sampling: Sampling) -> EnergyLimit:
     """Compute the reduction that keeps the albedo of each direction and channel at 1, or at the recorded one if larger.
 
-    The errors of a correction are correlated over a direction, because one fit made them. The projection on the limit then
-    moves every entry of the direction by the same number of its own standard deviations, at most `_MOST_STEPS`: what is
-    determined stays. Negative noise must not be clipped beforehand, as clipping adds light.
+    The errors of a correction are correlated over a direction, because one fit made them. The projection on the limit
+    then moves every entry of the direction by the same number of its own standard deviations, at most `_MOST_STEPS`:
+    determined entries stay. Negative noise must not be clipped beforehand, as clipping adds light.
 
-    recorded, corrected: (90, 90, 180, channels), 1/sr; missing entries send nothing. std: of the correction, 1/sr; NaN of an
-    entry that is not corrected: it may be as dark as 0.
+    recorded, corrected: (90, 90, 180, channels), 1/sr; missing entries reflect nothing. std: of the correction, 1/sr;
+    NaN for an uncorrected entry, which may be as low as 0.
     """
     cells, weight = _albedo_rule()
     before, after, error = (table.reshape(-1, table.shape[-1])[cells] for table in (recorded, corrected, std))
@@ -166,7 +168,7 @@ def energy_limit(recorded: np.ndarray, corrected: np.ndarray, std: np.ndarray, s
 
 
 def albedo(table: np.ndarray) -> np.ndarray:
-    """Return the light that a table sends into all directions, per light that falls on it; (directions, channels).
+    """Compute the directional albedo of a table, (directions, channels).
 
     Directions are 0.5, 1.5 ... 89.5 degrees from the normal. The integral goes over half vectors, where a lobe's cells are:
     4 brdf cos_o (light . half) over their solid angle.
@@ -177,7 +179,7 @@ def albedo(table: np.ndarray) -> np.ndarray:
 
 @cache
 def _albedo_rule() -> tuple[np.ndarray, csr_matrix]:
-    """Return the cells that the integrals read, and the weight of each in each direction's, (directions, cells)."""
+    """Return the cells that the integrals use, and their weights for each direction, (directions, cells)."""
     edges = np.pi / 2 * (np.arange(GRID_SHAPE[0] + 1) / GRID_SHAPE[0]) ** 2
     ring = -np.diff(np.cos(edges))
     theta = ((edges[:-1] + edges[1:]) / 2)[:, None]

@@ -1,4 +1,4 @@
-"""The ratio of true over recorded lobe in every cell of a table, with its error: measured values are multiplied by it."""
+"""Ratio of true to recorded lobe in every cell of a table, with its error; a correction multiplies measured values by it."""
 
 from __future__ import annotations
 
@@ -37,16 +37,16 @@ from matcam.rigs import Rig
 
 
 class CorrectionFits(NamedTuple):
-    """Hold the fits that a correction is made of.
+    """Fits that a correction is made from.
 
     Attributes:
         fit: of the lobe that is corrected for.
-        shape: how well its shape is known.
-        base: the same lobe in those slices that doubts were fitted to: they differ from it.
+        shape: uncertainty of its shape.
+        base: the same lobe in the slices of `doubts`, which are compared with it.
         doubts: fits with a parameter of the rig free.
         others: other lobes through the same camera, over which the ratio is averaged.
-        maskings: what other maskings would make of `fit`, whose difference counts as uncertainty.
-        expected: parameters of the rig that such fits have, of which `lattices_ahead` was told.
+        maskings: predictions of `fit` under other maskings, whose difference counts as uncertainty.
+        expected: parameters of the rig that such fits may have, as given to `lattices_ahead`.
     """
 
     fit: MaterialFit
@@ -75,7 +75,7 @@ class CorrectionFits(NamedTuple):
 
     @property
     def axes(self) -> tuple[Axis, ...]:
-        """Return the parameters of the rig that any of the fits has, or may be expected to have."""
+        """Return the parameters of the rig that any of the fits has, or may have."""
         fitted = (
             self.fit.coordinates,
             *(there for _, _, there, _ in self.alternatives),
@@ -85,7 +85,7 @@ class CorrectionFits(NamedTuple):
 
 
 def lattices_ahead(rig: Rig, sampling: Sampling, expected: tuple[Axis, ...], workspace: Workspace) -> None:
-    """Make the lattices that `lobe_ratio` will ask for, and keep them in the workspace."""
+    """Compute the lattices that `lobe_ratio` requires, and keep them in the workspace."""
     response_lattice(rig, sampling, FINE, (), workspace)
     response_lattice(rig, sampling, COARSE, expected, workspace)
 
@@ -93,15 +93,16 @@ def lattices_ahead(rig: Rig, sampling: Sampling, expected: tuple[Axis, ...], wor
 def lobe_ratio(
     rig: Rig, sampling: Sampling, fits: CorrectionFits, workspace: Workspace, phase_std: float = 0.0
 ) -> LobeRatio:
-    """Return the ratio of true over recorded lobe, averaged over the explanations.
+    """Compute the ratio of true to recorded lobe, averaged over the explanations.
 
     phase_std: standard deviation of the phase of the real pixels that cells are looked up in, px.
 
-    It is computed on a fine lattice with the rig as given. Three things are smooth, so that a coarse lattice holds them: what
-    fitted parameters of the rig change of the ratio, its derivatives, and what doubts, other lobes and maskings would make.
+    It is computed on a fine lattice with the rig as given. Three quantities are smooth, so that a coarse lattice
+    suffices: the change of the ratio by fitted parameters of the rig, its derivatives, and the alternatives (free
+    parameters, other lobes, other maskings).
     """
     at = fits.fit.coordinates
-    log_slope = fits.fit.log_slope  # a near rig's: the ratio is one for all channels, so that it is their mean
+    log_slope = fits.fit.log_slope  # a near rig has one ratio for all channels: use their mean
     fine = response_lattice(rig, sampling, FINE, (), workspace).of_fresnel(log_slope)
     axes = fits.axes
     coarse = response_lattice(rig, sampling, COARSE, axes, workspace).of_fresnel(log_slope)
@@ -159,7 +160,7 @@ def _log_ratio(where: ResponseLattice, kind: LobeKind, q: jax.Array, shifts: jax
 
 @kept_program
 def _log_slopes(where: ResponseLattice, kind: LobeKind, q: jax.Array, shifts: jax.Array) -> jax.Array:
-    """Return derivatives by the lobe's and all of the rig's coordinates, (coordinates, slices, cells)."""
+    """Compute derivatives by all coordinates of lobe and rig, (coordinates, slices, cells)."""
     recorded, by_recorded = slopes_by_slice(where.recorded, kind, jnp.concatenate([q, shifts]))
     true, by_true = slopes_by_slice(where.true, kind, q)
     by_true = jnp.pad(by_true, ((0, shifts.size), (0, 0), (0, 0)))
@@ -187,7 +188,7 @@ def _log_ratio_and_record(where: ResponseLattice, at: FitCoordinates) -> tuple[n
 def _lobes_and_shares(
     where: ResponseLattice, at: FitCoordinates, shifts: np.ndarray
 ) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Compute the recorded and the true lobe on the lattice, 1 where unknown, each with the relative change by each B_k."""
+    """Compute the recorded and the true lobe on the lattice, 1 where unknown, each with its relative derivative by each B_k."""
     pairs = [
         shape_records(operator, at.kind, placed(at.lobe), placed(rig))
         for operator, rig in ((where.recorded, shifts), (where.true, np.zeros(0)))
@@ -197,7 +198,7 @@ def _lobes_and_shares(
 
 
 def _columns(where: ResponseLattice, at: FitCoordinates, shape: ShapeUncertainty, shifts: np.ndarray) -> np.ndarray:
-    """Return the derivatives of the ratio by lobe, rig and shape, (coordinates, slices, cells)."""
+    """Compute the derivatives of the ratio by lobe, rig and shape, (coordinates, slices, cells)."""
     (_, by_recorded), (_, by_true) = _lobes_and_shares(where, at, shifts)
     slopes = np.asarray(_log_slopes(where, at.kind, placed(at.lobe), placed(shifts)))
     own = len(at.lobe)
@@ -207,7 +208,7 @@ def _columns(where: ResponseLattice, at: FitCoordinates, shape: ShapeUncertainty
 
 
 def _variance(columns: np.ndarray, shape: ShapeUncertainty) -> np.ndarray:
-    """Return the variance of the ratio, by the covariance of lobe, rig and shape."""
+    """Compute the variance of the ratio from the covariance of lobe, rig and shape."""
     return np.einsum("psn,pq,qsn->sn", columns, shape.covariance, columns)
 
 

@@ -20,7 +20,7 @@ _F0 = 0.04
 
 @cache
 def other_body(sampling: Sampling) -> np.ndarray:
-    """Compute the relative difference of a dielectric's body from the Lambertian one of the same mean; (90, 90, 180)."""
+    """Compute the relative difference of a dielectric body from the Lambertian one of the same mean; (90, 90, 180)."""
     grid = merl_grid(sampling)
     th, td, ph = grid.theta_h[:, None, None], grid.theta_d[:, None], grid.phi_d
     mean, half = np.cos(th) * np.cos(td), np.sin(th) * np.sin(td) * np.cos(ph)

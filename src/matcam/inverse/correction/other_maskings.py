@@ -1,8 +1,8 @@
-"""What other maskings would make of a correction: where the data do not tell them apart, the difference is uncertainty.
+"""Corrections under other maskings; where the data do not distinguish maskings, the difference is uncertainty.
 
-A lobe is seen through its masking, and which one a surface has nobody knows. After a fit the record is made again with each
-other masking of the same lobe. The fit's linear problem says how lobe, rig and the units' parameters would give way to it, and
-how probable the data would then be: no second search is needed.
+The masking of a surface is unknown. After a fit, the record is computed with each other masking of the same lobe. The
+linear problem of the fit predicts the change of lobe, rig and unit parameters, and the probability of the data. No
+second search is required.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ from matcam.numerics.linalg import scaled_inverse
 
 
 class OtherMasking(NamedTuple):
-    """Hold the lobe and rig that another masking would have been fitted by.
+    """Lobe and rig as another masking would have been fitted.
 
     Attributes:
         coordinates: of lobe and rig, the other masking in their kind.
-        weight: how often its difference counts as uncertainty: the root of its probability.
+        weight: factor of its difference as uncertainty: the root of its probability.
     """
 
     coordinates: FitCoordinates
@@ -34,7 +34,7 @@ class OtherMasking(NamedTuple):
 def other_maskings(found: MaterialFit, kappa: float) -> tuple[OtherMasking, ...]:
     """Predict the fit of one lobe with free strengths under each other masking.
 
-    kappa: share of a difference of log likelihoods that counts (`evidence`).
+    kappa: factor that tempers log likelihoods (`evidence`).
     """
     linear = found.linearised()
     solution, at = linear.solution, linear.coordinates

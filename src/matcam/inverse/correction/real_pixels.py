@@ -1,9 +1,9 @@
-"""What looking cells up in real pixels changes of the ratio of true over recorded lobe (docs/correct.md).
+"""Effect of the lookup of cells in real pixels on the ratio of true to recorded lobe (docs/correct.md).
 
-The ratio is known for a pixel at the cell's own place (`lobe_ratio`). What was recorded is that of the pixels behind the cell:
-the record at their centres. It is smooth, as the camera has blurred it. So it is computed for each way on the lattices of the
-ratio, and its logarithm is interpolated to the cells' places and to the pixels' centres. Both are read from one
-interpolation, and their difference is small.
+`lobe_ratio` gives the ratio for a pixel at the position of the cell. The recorded value is that of the pixels behind
+the cell: the record at their centres. The camera has blurred the record, so it is smooth. It is computed for both
+directions on the lattices of the ratio, and its logarithm is interpolated to the positions of the cells and to the
+centres of the pixels. Both come from one interpolation, and their difference is small.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ from matcam.inverse.operator.pixels_behind import PixelsBehind, pixels_behind
 
 _CUBIC = 3
 _OVERLAP = 4
-"""Azimuths by which splines over a whole turn reach beyond it."""
+"""Number of azimuths by which splines over a whole turn overlap."""
 
 
 class Lattices(NamedTuple):
-    """Hold the two lattices of a ratio, and where the fit put the rig along the axes of the coarse one.
+    """Fine and coarse lattice of a ratio, and the fitted coordinates of the rig on the coarse one.
 
     Attributes:
         fine: with the rig as given.
@@ -45,7 +45,8 @@ class Lattices(NamedTuple):
 def pixel_log_ratio(
     lattices: Lattices, at: FitCoordinates, pixels: PixelGrid, radius: float, std: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return ln(record at the cells' places / record of their pixels), (90, 90, 180), and its variance by the phase.
+    """Compute ln(record at the positions of cells / record of their pixels), (90, 90, 180), and its variance by the
+    phase.
 
     std: of the pixels' phase, px.
     """
@@ -68,25 +69,25 @@ def pixel_log_ratio(
         behind = pixels_behind(pixels, radius, theta_d, j, i, k)
         recorded = _log_behind(own, radius, theta_d, behind)
         log[i, j, k] = np.log(own.at(theta_h, psi).mean(axis=-1)) - recorded
-        if std:  # which pixel a cell was read from is known by its value
+        if std:  # the value of a cell identifies its pixel
             for moved in (behind._replace(x=behind.x + std), behind._replace(y=behind.y + std)):
                 variance[i, j, k] += (_log_behind(own, radius, theta_d, moved) - recorded) ** 2
     return log, variance
 
 
 class _SliceRecord(NamedTuple):
-    """Hold the logarithm of what a slice's pixels record, over (ring, azimuth in degrees).
+    """Logarithm of the record of the pixels of a slice, over (ring, azimuth in degrees).
 
     Attributes:
-        splines: of the record, and of the changes to it.
-        mirrored: whether both sides of the plane of light and view are the same; then the azimuths end at 180 degrees.
+        splines: of the record and of its derivatives.
+        mirrored: whether the plane of light and view is a plane of symmetry; then the azimuths end at 180 degrees.
     """
 
     splines: list[RectBivariateSpline]
     mirrored: bool
 
     def at(self, theta_h: np.ndarray, psi: np.ndarray) -> np.ndarray:
-        """Return the record at angles, (...)."""
+        """Interpolate the record at angles, (...)."""
         ring = np.clip(GRID_SHAPE[0] * np.sqrt(theta_h / (np.pi / 2)) - 0.5, 0, GRID_SHAPE[0] - 1)
         if self.mirrored:
             around = np.degrees(np.abs(np.mod(psi + np.pi, 2 * np.pi) - np.pi))
@@ -96,7 +97,7 @@ class _SliceRecord(NamedTuple):
 
 
 def _log_behind(record: _SliceRecord, radius: float, theta_d: float, pixels: PixelsBehind) -> np.ndarray:
-    """Return the logarithm of what the pixels behind cells record; 0 where none shows light."""
+    """Compute the log record of the pixels behind cells; 0 where none shows light."""
     angles = pixel_angles(radius, theta_d, pixels.x, pixels.y)
     weight = np.where((angles.cos_i > 0) & (angles.cos_o > 0), pixels.weight, 0.0)
     value = (weight * record.at(angles.theta_h, angles.psi)).sum(axis=-1)
@@ -106,17 +107,17 @@ def _log_behind(record: _SliceRecord, radius: float, theta_d: float, pixels: Pix
 
 @kept_program
 def _ways(operator: LobeOperator, kind: LobeKind, q: jax.Array, shifts: jax.Array) -> jax.Array:
-    """Return the record of each way of a lobe, (slices, cells, 2)."""
+    """Compute the record of a lobe in each direction, (slices, cells, 2)."""
     return operator.ways(kind.ndf(q), kind.masking, shifts)
 
 
 def _record(where: ResponseLattice, at: FitCoordinates, shifts: np.ndarray) -> np.ndarray:
-    """Return the logarithm of the record of each way on a lattice, (slices, rings, azimuths as of `_around`)."""
+    """Compute the log record in each direction on a lattice, (slices, rings, azimuths as of `_around`)."""
     rings, slices, azimuths = where.spacing
     both = np.asarray(_ways(where.recorded, at.kind, placed(at.lobe), placed(shifts)))
     log = np.log(np.maximum(np.where(where.cells.valid[..., None], both, np.nan), VANISHED))
     log = log.reshape(len(slices), len(rings), len(azimuths), 2)
-    if where.spacing.mirrored:  # the first way lies at 180 degrees less phi_d, the second, mirrored, at phi_d
+    if where.spacing.mirrored:  # the first direction lies at 180 degrees less phi_d, the second, mirrored, at phi_d
         whole = np.concatenate([log[..., 1], log[:, :, -2::-1, 0]], axis=-1)
     else:  # the second lies at 360 degrees less phi_d
         turn = np.concatenate([log[:, :, ::-1, 0], log[:, :, ::-1, 1]], axis=-1)
@@ -127,14 +128,14 @@ def _record(where: ResponseLattice, at: FitCoordinates, shifts: np.ndarray) -> n
 
 
 def _splines(where: ResponseLattice, values: np.ndarray) -> list[RectBivariateSpline]:
-    """Return splines over (ring, azimuth in degrees) for every slice of a table."""
+    """Build splines over (ring, azimuth in degrees) for every slice of a table."""
     along = PchipInterpolator(where.spacing.slices, values, axis=0)(np.arange(GRID_SHAPE[1]))
     around = _around(where.spacing)
     return [RectBivariateSpline(where.spacing.rings, around, one, kx=_CUBIC, ky=_CUBIC) for one in along]
 
 
 def _around(spacing: Spacing) -> list[int]:
-    """Return the azimuths of normals, degrees: half a turn where both halves are the same, a turn and an overlap else."""
+    """Return the azimuths of normals, degrees: half a turn if both halves are equal, otherwise a turn and an overlap."""
     if spacing.mirrored:
         return [*spacing.azimuths, *(180 - a for a in spacing.azimuths[-2::-1])]
     turn = [180 * n - a for n in (1, 2) for a in spacing.azimuths[::-1]]

@@ -1,9 +1,9 @@
-"""The lattice of cells on which the ratio of true over recorded lobe is computed, and the whole table from it.
+"""Lattice of cells on which the ratio of true to recorded lobe is computed, and interpolation to a whole table.
 
-The response, recorded over true, is computed on a lattice of cells and interpolated. Across phi_d a folded cell is even about
-0 and pi/2: a cubic spline, level at both ends, follows it. Where the lamp's azimuth turns the pixels it is not, and repeats
-after pi alone: a periodic spline. Along theta_h and theta_d the logarithm of the response is
-interpolated by monotone cubics. Where the sphere's last pixels show a cell, nothing is claimed.
+The response, recorded over true, is computed on a lattice of cells and interpolated. Along phi_d a folded cell is even
+about 0 and pi/2, and a cubic spline with zero end slopes interpolates it. If the azimuth of the lamp turns the pixels,
+it has period pi instead, and the spline is periodic. Along theta_h and theta_d the logarithm of the response is
+interpolated by monotone cubics. Cells in the last pixels of the sphere are not corrected.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ agrees with the oracle's to 0.8 %; the cells that a fit uses end earlier (`FAR_C
 _LATTICES = 4
 """Lattices kept in memory, some ten MB each."""
 VANISHED = 1e-40
-"""1/sr; no camera sees less, and the exponential tails of some lobes are: there is nothing to correct."""
+"""Radiance of a lobe below which there is nothing to correct, 1/sr. Exponential tails fall below what any camera records."""
 
 
 class Spacing(NamedTuple):
-    """Say where a lattice has its cells, crowded towards both ends, where the axes of the foreshortened lobe lie.
+    """Positions of the cells of a lattice, denser towards both ends, where the axes of the foreshortened lobe lie.
 
     Attributes:
         rings: rows of theta_h.
@@ -47,15 +47,15 @@ class Spacing(NamedTuple):
 
     @property
     def mirrored(self) -> bool:
-        """Say whether the plane of light and view mirrors the cells, so that a quarter of a turn is enough."""
+        """Check whether the plane of light and view is a plane of symmetry, so that a quarter of a turn suffices."""
         return self.azimuths[-1] == 90
 
     def all_round(self) -> Spacing:
-        """Return the same for cells that nothing mirrors: over half a turn, after which both ways change places."""
+        """Extend the azimuths to half a turn, for cells without symmetry."""
         return self._replace(azimuths=(*self.azimuths, *(180 - a for a in self.azimuths[-2:0:-1])))
 
     def of_line(self) -> Spacing:
-        """Return the same for a cylinder, whose line of normals misses the half vector by less where theta_d is small."""
+        """Refine small theta_d for a cylinder, whose line of normals passes closer to the half vector there."""
         return self._replace(slices=tuple(sorted({*self.slices, *_SMALL_ANGLES})))
 
 
@@ -65,22 +65,22 @@ FINE = Spacing(
     (0, 10, 20, 30, 38, 46, 52, 57, 61, 65, 68, 70, *range(72, 90)),
     (0, 4, 8, 12, 17, 24, 33, 43, 53, 62, 69, 75, 80, 84, 87, 90),
 )
-"""For the response itself."""
+"""Spacing for the response."""
 COARSE = Spacing(
     (*range(14), 15, 17, 19, 22, 25, 28, 32, 36, 46, 58, 72, 89),
     (0, 20, 38, 52, 61, 68, 73, 77, 80, 82, 84, 86, 88, 89),
     (0, 8, 20, 36, 53, 69, 80, 90),
 )
-"""For its errors and small changes."""
+"""Spacing for the errors of the response and for small changes."""
 
 
 class ResponseLattice(NamedTuple):
-    """Hold the cells of a lattice, and what is recorded in them.
+    """Cells of a lattice and their operators.
 
     Attributes:
         cells: (slices, rings * azimuths).
-        recorded: the rig's rule for them.
-        true: the rule of a camera that sees points.
+        recorded: operator of the rig.
+        true: operator of a camera without blur.
         spacing: where the cells are.
         sampling: of the table.
     """
@@ -92,14 +92,14 @@ class ResponseLattice(NamedTuple):
     sampling: Sampling
 
     def of_fresnel(self, log_slope: Callable[[np.ndarray], np.ndarray]) -> ResponseLattice:
-        """Return the same for an F that rises with theta_d, which a near rig records. log_slope: of ln F, 1/rad, at angles."""
+        """Apply an F that rises with theta_d, which a near rig records. log_slope: of ln F, 1/rad, at angles."""
         return self._replace(recorded=self.recorded.leaning(log_slope(self.cells.theta_d)))
 
 
 def response_lattice(
     rig: Rig, sampling: Sampling, spacing: Spacing, axes: tuple[Axis, ...], workspace: Workspace
 ) -> ResponseLattice:
-    """Return the lattice of a rig. workspace: keeps it for the rig's next material."""
+    """Build the lattice of a rig. workspace: keeps it for the next material of the rig."""
     view = sample_view(rig)
     if view.azimuth or not rig.camera.optics.isotropic:
         spacing = spacing.all_round()
@@ -144,10 +144,10 @@ def on_table(values: np.ndarray, where: ResponseLattice) -> np.ndarray:
     """Interpolate a function known on the lattice, (slices, rings * azimuths), to every cell of a table: (90, 90, 180)."""
     rings, slices, azimuths = where.spacing
     lattice = np.where(where.cells.valid, values, np.nan).reshape(len(slices), len(rings), len(azimuths))
-    # beyond where it is known it stays what it was there: towards the limb along theta_d
+    # beyond the known cells, towards the limb along theta_d, the last known value is used
     for s in range(1, len(slices)):
         lattice[s] = np.where(np.isfinite(lattice[s]), lattice[s], lattice[s - 1])
-    lattice = np.round(np.nan_to_num(lattice), 12)  # slopes of less overflow in the interpolator's harmonic means
+    lattice = np.round(np.nan_to_num(lattice), 12)  # smaller slopes overflow in the harmonic means of the interpolator
     n_h, n_d, _ = GRID_SHAPE
     along = PchipInterpolator(slices, lattice, axis=0)(np.arange(n_d))
     along = PchipInterpolator(rings, along, axis=1)(np.arange(n_h))

@@ -1,4 +1,4 @@
-"""The values that a material is fitted to, and the likelihood of their noise (docs/model.md 8).
+"""Values that a material is fitted to, and the likelihood of their noise (docs/model.md 8).
 
 Noise belongs to pixels, and each slice of theta_d, which is one picture, has an exposure of its own. Let V be a cell's
 variance, by the model, and g the standard deviation of the picture gain common to a slice m. The covariance of the slice's
@@ -19,7 +19,7 @@ from matcam.core.errors import FitError
 from matcam.inverse.operator.chosen_cells import ChosenCells
 
 INITIAL_NOISE = PixelNoise(0.02, 2e-3, 0.01)
-"""Assumed while nothing better is known."""
+"""Assumed noise before the first estimate."""
 
 _FEWEST = 0.2
 """Smallest share of the chosen cells that a fit needs."""
@@ -27,7 +27,8 @@ _FEWEST_SLICES = 3
 _PEAKS = (1e-9, 1e12)
 """Limits of a channel's brightest value, 1/sr. Black velvet and the narrowest lobe of a mirror lie far inside."""
 
-# What exceeds these is misfit; as a share of the peak it does not make the faint surroundings of the peak govern the fit
+# Larger residuals are misfit; as a share of the peak they do not make the faint surroundings of the peak dominate the
+# fit
 _NOISE_BOUNDS = ((np.log(1e-4), np.log(0.2)), (np.log(1e-7), np.log(0.5)))
 _LEAST_LEFT = 0.02
 _HUBER = 3.0
@@ -35,12 +36,12 @@ _HUBER = 3.0
 
 
 class FitData(NamedTuple):
-    """Hold the values of a fit. Shapes: u units (a channel of a table), s slices, n cells.
+    """Values of a fit. Shapes: u units (a channel of a table), s slices, n cells.
 
     Attributes:
         values: (u, s, n), 1/sr; 0 where unused.
         used: (u, s, n) bool.
-        share: (s, n), variance of a cell over that of one of its pixels: half, unless both places are one pixel.
+        share: (s, n), variance of a cell over that of one of its pixels: half, unless both positions share a pixel.
         peak: (u, s), brightest value of the slice, 1/sr; 1 where there is none.
         labels: (u,), names of the channels.
         table_of: (u,), index of each unit's table.
@@ -66,7 +67,7 @@ class FitData(NamedTuple):
 def fit_data(tables: tuple[xr.DataArray, ...], cells: ChosenCells) -> FitData:
     """Collect the values of checked tables of one rig, one table after the other.
 
-    FitError names the channel that cannot be fitted, and why.
+    FitError names the channel that cannot be fitted, and the reason.
     """
     parts = [_table_data(table, cells, index) for index, table in enumerate(tables)]
     values, used, peak = (np.concatenate(c) for c in zip(*((p.values, p.used, p.peak) for p in parts), strict=True))
@@ -88,7 +89,7 @@ def _table_data(brdf: xr.DataArray, cells: ChosenCells, index: int) -> FitData:
             raise FitError(f"channel {label}: no value is above 0: there is no highlight to fit")
         if not _PEAKS[0] < bright.max() < _PEAKS[1]:
             raise FitError(
-                f"channel {label}: its brightest value, {bright.max():.3g}, is no BRDF's: give the table in 1/sr"
+                f"channel {label}: its brightest value, {bright.max():.3g}, is not that of a BRDF: give the table in 1/sr"
             )
         share, seen = there.sum() / cells.valid.sum(), int(there.any(-1).sum())
         if share < _FEWEST or seen < _FEWEST_SLICES:
@@ -107,7 +108,7 @@ def _table_data(brdf: xr.DataArray, cells: ChosenCells, index: int) -> FitData:
 
 
 class Whitening(NamedTuple):
-    """Turn residuals (u, s, n) into independent ones of variance 1.
+    """Transformation of residuals (u, s, n) to independent ones of variance 1.
 
     Attributes:
         root: (u, s, n), 1 / sqrt V; 0 where unused.
@@ -126,16 +127,16 @@ class Whitening(NamedTuple):
 
 
 def cell_variance(data: FitData, model: np.ndarray, noise: PixelNoise) -> np.ndarray:
-    """Return the variance of each cell without the picture gain, (u, s, n); 1 of cells that are not used."""
+    """Compute the variance of each cell without the gain of the image, (u, s, n); 1 for unused cells."""
     variance = data.share * ((noise.relative * model) ** 2 + (noise.floor * data.peak[..., None]) ** 2)
     return np.where(data.used, variance, 1.0)
 
 
 def whitening(data: FitData, weight: np.ndarray, along: np.ndarray, gain: float) -> Whitening:
-    """Return the whitening of robust weights 1 / V.
+    """Build the whitening from robust weights 1 / V.
 
-    along: the slice that the picture gain multiplies. gain: standard deviation of the picture gain; infinite for free
-        strengths.
+    along: the model that the gain of the image multiplies. gain: standard deviation of the picture gain; infinite for
+        free strengths.
     """
     root = np.sqrt(np.where(data.used, weight, 0.0))
     a = along * root
@@ -147,7 +148,7 @@ def whitening(data: FitData, weight: np.ndarray, along: np.ndarray, gain: float)
 def standardised_residual(
     data: FitData, residual: np.ndarray, model: np.ndarray, noise: PixelNoise, gain: float
 ) -> np.ndarray:
-    """Return residuals in standard deviations, (u, s, n), each slice's likeliest picture gain taken out.
+    """Compute residuals in standard deviations, (u, s, n), after removal of the most probable gain of each slice.
 
     gain: standard deviation of the picture gain; infinite for free strengths.
     """
@@ -159,7 +160,7 @@ def standardised_residual(
 
 
 def huber_weights(u: np.ndarray) -> np.ndarray:
-    """Return the weights of standardised residuals."""
+    """Compute Huber's weights of standardised residuals."""
     return np.minimum(1.0, _HUBER / np.maximum(np.abs(u), 1e-300))
 
 
@@ -168,7 +169,7 @@ def estimate_noise(
 ) -> PixelNoise:
     """Estimate relative noise, floor and picture gain from the residuals, by maximum likelihood.
 
-    fitted: number of parameters that took up noise.
+    fitted: number of fitted parameters.
     """
     used = data.used
     slices = model / np.sqrt(cell_variance(data, model, start)) * used
@@ -176,7 +177,7 @@ def estimate_noise(
     gains = (slices * residual / np.sqrt(cell_variance(data, model, start))).sum(-1, keepdims=True) / power
     seen = used.any(-1, keepdims=True)
     gain = float(np.sqrt(max((gains[seen] ** 2).mean() - (1 / power[seen]).mean(), 0.0)))
-    # a gain takes up more of the noise of the cells that say most about it
+    # a gain absorbs more of the noise of the cells that determine it
     left = np.maximum(1 - slices**2 / power, _LEAST_LEFT)
     rest = ((residual - gains * model) ** 2 / left)[used]
     rest *= used.sum() / max(used.sum() - fitted, 1)

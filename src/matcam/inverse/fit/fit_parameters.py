@@ -1,7 +1,8 @@
-"""The parameters that a fit frees: their names, bounds and coordinates.
+"""Free parameters of a fit: names, bounds and coordinates.
 
-A fit works in coordinates in which a step means the same everywhere: the logarithms of a lobe's parameters, of n, of k and of
-eta - 1. `Layout` says where each lobe, each parameter of the rig and each Fresnel term lies in the one vector of all of them.
+The coordinates of a fit give a step the same meaning everywhere: the logarithms of a lobe's parameters, of n, of k and
+of eta - 1. `Layout` says where each lobe, each parameter of the rig and each Fresnel term lies in the one vector of all
+of them.
 """
 
 from __future__ import annotations
@@ -26,15 +27,15 @@ FresnelModel = str
 """Name of a Fresnel term, one of `FRESNEL_MODELS`."""
 
 NARROWEST_PX = 0.02
-"""Lobes narrower than this on the sensor are the same point to any camera."""
+"""Width of a lobe on the sensor, px, below which any camera records a point."""
 
 STUDENT, TWO_LOBES = StudentLobe.family, TwoLobes.family
-"""Lobes that `correct` tries where no family explains the data; nobody chooses them by name."""
+"""Lobes that `correct` tries where no family explains the data; they are not options of the user."""
 _UNNAMED: dict[str, type[StudentLobe | TwoLobes]] = {STUDENT: StudentLobe, TWO_LOBES: TwoLobes}
 _EXCESS_BOUNDS = (-0.6, 3.7)
 """Of ln(g - 1) of Student's t: from tails just short of hiding all facets (g = 3/2) to Beckmann's."""
 _SHARE_BOUNDS = (-6.0, 6.0)
-"""Of ln(share / (1 - share)): a share of 0.25 % shows in no picture."""
+"""Of ln(share / (1 - share)): no image shows a share of 0.25 %."""
 
 _POWER_BOUNDS = {"epd": (0.25, 4.0), "sgd": (0.02, 2.0)}
 _SPLINE_BOUNDS = (-25.0, 25.0)
@@ -51,17 +52,17 @@ FRESNEL_LATTICE: dict[str, list[tuple[float, ...]]] = {
     "schlick": [(f0,) for f0 in np.linspace(0.01, 0.99, 40)],
     "dielectric": [(float(np.log(eta - 1)),) for eta in np.linspace(1.02, 3.5, 40)],
 }
-"""Coordinates of each model that are told apart before a fit."""
+"""Coordinates of each model that are compared before a fit."""
 _FRESNEL_BOUNDS = {"n": (-5.0, 4.0), "k": (-7.0, 4.0), "f0": (1e-4, 1.0), "eta": (-6.0, 3.0)}
 
 
 class LobeKind(NamedTuple):
-    """Say what the parameters of a lobe mean: its family and masking, and the splines that bend them.
+    """Meaning of the parameters of a lobe: family, masking, and spline modifications.
 
     Attributes:
         family: key of `FAMILIES`, STUDENT or TWO_LOBES.
         masking: the lobe's G.
-        bends: number of parameters that bend the lobe away from its family; 0 or KNOTS.
+        bends: number of parameters of the spline modification; 0 or KNOTS.
         shadows: number of parameters of its masking where that is free; 0 or SHADOWS.
         stretched: whether a "ggx" lobe has one roughness along the surface's first tangent and one across.
     """
@@ -81,12 +82,12 @@ class LobeKind(NamedTuple):
 
     @property
     def of_family(self) -> bool:
-        """Say whether the lobe is a family's, so that its parameters say what it is."""
+        """Check whether the lobe belongs to a family, whose parameters describe it."""
         return not (self.bends or self.shadows or self.family in _UNNAMED)
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Name all coordinates: the family's, those of the bend, those of a free masking. Users read `lobe_readings`."""
+        """Name all coordinates: the family's, those of the spline, those of a free masking. Users see `lobe_readings`."""
         bends = (f"bend{k}" for k in range(self.bends))
         return (*self.family_names, *bends, *(f"shadow{k}" for k in range(self.shadows)))
 
@@ -96,9 +97,9 @@ class LobeKind(NamedTuple):
         return len(self.family_names) + self.bends + self.shadows
 
     def ndf(self, q: jax.Array) -> NDF:
-        """Return the NDF at coordinates: logarithms of the family's parameters, then the splines' own.
+        """Build the NDF at coordinates: logarithms of the parameters of the family, then spline coefficients.
 
-        Of two lobes, the shares are the logistic function of a coordinate, and coordinates themselves.
+        The share of the second of two lobes is the logistic function of its coordinate.
         """
         own = len(self.family_names)
         if self.family == TWO_LOBES:
@@ -113,7 +114,7 @@ class LobeKind(NamedTuple):
         return ShadowedNDF(ndf, shadows) if self.shadows else ndf
 
     def slopes(self, q: jax.Array) -> SlopeDistribution:
-        """Return the distribution of slopes at coordinates, stretched or not."""
+        """Return the distribution of slopes at coordinates, isotropic or stretched."""
         return AnisotropicGGX(jnp.exp(q[0]), jnp.exp(q[1])) if self.stretched else self.ndf(q)
 
     def bounds(self, radius: float) -> list[tuple[float, float]]:
@@ -137,7 +138,7 @@ def _fields_of(family: str) -> tuple[str, ...]:
 
 
 class Layout(NamedTuple):
-    """Order a fit's vector: lobes, then the rig, then each unit's Fresnel term and diffuse part.
+    """Order of the vector of a fit: lobes, then the rig, then Fresnel term and diffuse part of each unit.
 
     Attributes:
         kind: what the parameters of each lobe mean.
@@ -179,17 +180,17 @@ class Layout(NamedTuple):
         return self.rig.stop + self.units * len(self.unit_names)
 
     def lobe(self, index: int) -> slice:
-        """Return the place of a lobe in the vector."""
+        """Return the indices of a lobe in the vector."""
         return slice(index * self.kind.size, (index + 1) * self.kind.size)
 
     @property
     def rig(self) -> slice:
-        """Return the place of the rig's parameters in the vector."""
+        """Return the indices of the parameters of the rig in the vector."""
         first = self.lobes * self.kind.size
         return slice(first, first + self.axes)
 
     def unit(self, index: int) -> slice:
-        """Return the place of a unit in the vector."""
+        """Return the indices of a unit in the vector."""
         size = len(self.unit_names)
         first = self.rig.stop + index * size
         return slice(first, first + size)
@@ -210,7 +211,7 @@ def reflectance_at(model: FresnelModel, coordinates: jax.Array) -> Reflectance:
 
 
 def readable_value(name: str, coordinate: float) -> tuple[float, float]:
-    """Return the parameter that users read, and its derivative by the coordinate."""
+    """Return the parameter as users see it, and its derivative by the coordinate."""
     if name in ("f0", "diffuse"):
         return coordinate, 1.0
     value = float(np.exp(coordinate))

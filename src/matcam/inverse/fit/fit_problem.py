@@ -4,9 +4,9 @@ The model of a cell of unit u (a channel of a table) in slice s is  F_u(theta_d)
 strength F that is free in every slice is solved for exactly (variable projection, Golub & Pereyra 1973; derivatives by Kaufman
 1975).
 
-Of a near rig A is the record of D G at F = 1 plus the slope of ln F times the record's moment (`lobe_operator.py`). The slope
-is the Fresnel model's own, or that of a smooth curve through free strengths (`strength_slopes.py`). The latter counts as fixed
-in derivatives: how it follows the parameters is a small part of a small part.
+Of a near rig A is the record of D G at F = 1 plus the slope of ln F times the record's moment (`lobe_operator.py`). The
+slope is the Fresnel model's own, or that of a smooth curve through free strengths (`strength_slopes.py`). The latter is
+fixed in derivatives, as its dependence on the parameters is of second order.
 """
 
 from __future__ import annotations
@@ -32,14 +32,14 @@ from matcam.numerics.approximation import smoothness
 
 
 class Prior(NamedTuple):
-    """State what is known of a fit's parameters beside the data.
+    """Prior knowledge of the parameters of a fit.
 
     Attributes:
         axes: the rig's parameters that are fitted.
-        root: (rows, axes), root of the information matrix of their coordinates; 0 where nothing is known.
+        root: (rows, axes), root of the information matrix of their coordinates; 0 for unknown parameters.
         bend: standard deviation of the second differences of a spline's coefficients.
-        finest: slope below which the camera shows no structure, where a bend is ten times stiffer.
-        learned: as `bend`, of a bend where it is not stiff, as data that show it asked for; None: as `bend`.
+        finest: slope below which the camera resolves no structure, where the spline is ten times stiffer.
+        learned: as `bend`, estimated from the data where the spline is not stiff; None: as `bend`.
     """
 
     axes: tuple[Axis, ...] = ()
@@ -68,7 +68,9 @@ class Prior(NamedTuple):
     def _of_bend(self) -> np.ndarray:
         smooth = bend_smoothness()
         middle = np.abs(smooth) @ np.arange(KNOTS) / np.abs(smooth).sum(axis=1)
-        smooth[slope_of_knot(middle) < self.finest] *= STIFFER  # what no pixel resolves is the family's
+        smooth[slope_of_knot(middle) < self.finest] *= (
+            STIFFER  # below the resolution of the pixels the lobe follows its family
+        )
         if self.learned is not None:
             shown = (smooth == smoothness(KNOTS)).all(axis=1) & (np.arange(len(smooth)) < KNOTS - 2)
             smooth[shown] *= self.bend / self.learned
@@ -78,12 +80,12 @@ class Prior(NamedTuple):
         return smoothness(SHADOWS) / self.bend
 
     def rig_information(self) -> np.ndarray:
-        """Return the information matrix of the rig's coordinates; almost none where they are free."""
+        """Return the information matrix of the coordinates of the rig; almost 0 for free parameters."""
         return self.root.T @ self.root if self.root.any() else np.eye(len(self.axes)) * 1e-6
 
 
 class FitModel(NamedTuple):
-    """Hold the model and its derivatives. Shapes: u units, s slices, n cells, p parameters.
+    """Model and its derivatives. Shapes: u units, s slices, n cells, p parameters.
 
     Attributes:
         value: (u, s, n), 1/sr.
@@ -116,14 +118,14 @@ def _reflectance(
 
 
 class FitProblem:
-    """Put data, operator, layout and prior together.
+    """Data, operator, layout and prior of a fit.
 
     Attributes:
         data: values of the chosen cells.
         cells: the chosen cells.
-        operator: what the rig records of a lobe in them.
+        operator: record of a lobe by the rig in them.
         layout: order of the parameters.
-        prior: what is known of them.
+        prior: prior of the parameters.
         radius: radius of the sphere, px.
     """
 
@@ -167,7 +169,7 @@ class FitProblem:
         return np.array([p[layout.unit(u)][-1] if layout.diffuse else 0.0 for u in range(layout.units)])
 
     def model(self, p: np.ndarray, weight: np.ndarray) -> FitModel:
-        """Return the model at parameters. weight: (u, s, n), 1 / V, with which free strengths are solved."""
+        """Evaluate the model at parameters. weight: (u, s, n), 1 / V, with which free strengths are solved."""
         layout = self.layout
         orders = [self._records_and_slopes(index, p) for index in range(layout.lobes)]
         records = [np.stack([orders[index][n].record for index in layout.lobe_of]) for n in range(len(orders[0]))]
@@ -185,9 +187,9 @@ class FitProblem:
         return model._replace(derivative=derivative)
 
     def start_model(self, record: np.ndarray, weight: np.ndarray) -> FitModel:
-        """Return the model of free strengths without derivatives, to begin a search with.
+        """Evaluate the model with free strengths and without derivatives, for the start of a search.
 
-        F is the cell's own, in a near rig too: lobes of a lattice differ by more.
+        F is that of the cell, in a near rig too, because lobes of the lattice differ by more.
 
         record: of the lobe that all units have, (s, n).
         """
@@ -195,7 +197,8 @@ class FitProblem:
         return self._strengths(p, weight, [np.broadcast_to(record, (self.layout.units, *record.shape))])[0]
 
     def _strengths(self, p: np.ndarray, weight: np.ndarray, records: list[np.ndarray]) -> tuple[FitModel, np.ndarray]:
-        """Return the model without derivatives, and those by each unit's own Fresnel term, (u, parameters, s, n).
+        """Evaluate the model without derivatives, and its derivatives by the Fresnel term of each unit, (u, parameters,
+        s, n).
 
         records: of each unit's lobe at F = 1, (u, s, n), and in a near rig their moments.
         """
@@ -226,7 +229,7 @@ class FitProblem:
         return FitModel(value, np.zeros((0, *value.shape)), lobe, strength, std, log_slope), by_fresnel
 
     def _free_strengths(self, weight: np.ndarray, lobe: np.ndarray, body: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the likeliest strength of every unit and slice, and its standard deviation, all else exact."""
+        """Solve for the most probable strength of every unit and slice, with its standard deviation if all else is exact."""
         data = self.data
         wa = np.where(data.used, weight, 0.0) * lobe
         power = (wa * lobe).sum(-1)
@@ -239,7 +242,7 @@ class FitProblem:
         return StrengthSlopes(self.theta_d)
 
     def read(self, model: FitModel, of: Callable[[LobeOperator], np.ndarray]) -> np.ndarray:
-        """Return what is linear in the operator as it stands beside each unit's F, (u, ..., s, n).
+        """Evaluate a linear function of the operator with the slope of F of each unit, (u, ..., s, n).
 
         of: returns it for an operator, (..., s, n). model: whose F is meant.
         """
@@ -247,9 +250,9 @@ class FitProblem:
         return np.stack([_combined(parts, slope) for slope in model.log_slope])
 
     def _records_and_slopes(self, index: int, p: np.ndarray) -> list[RecordAndSlopes]:
-        """Return the record of a lobe, and in a near rig its moment, kept for the next call.
+        """Compute the record of a lobe, and in a near rig its moment; both are kept for the next call.
 
-        Weights change more often than lobes.
+        The weights change more often than the lobe.
         """
         q = np.concatenate([p[self.layout.lobe(index)], p[self.layout.rig]])
         key = q.tobytes()
@@ -258,13 +261,13 @@ class FitProblem:
         return self._last[index][1]
 
     def gain(self, noise: PixelNoise) -> float:
-        """Return the standard deviation of a slice's picture gain: infinite where strengths are free."""
+        """Return the standard deviation of the gain of a slice: infinite where strengths are free."""
         return np.inf if self.layout.fresnel == "free" else noise.picture_gain
 
     def whitening(self, model: FitModel, weight: np.ndarray, gain: float) -> Whitening:
-        """Return the whitening of the residuals.
+        """Build the whitening of the residuals.
 
-        Free strengths drop what lies along the lobe; a known picture gain shortens what lies along the slice.
+        Free strengths remove the component along the lobe; a known gain of the image reduces the component along the slice.
         """
         if self.layout.fresnel == "free":
             return whitening(self.data, weight, model.lobe, np.inf)
@@ -272,7 +275,7 @@ class FitProblem:
 
 
 def _combined(orders: list[np.ndarray], log_slope: np.ndarray) -> np.ndarray:
-    """Return a record and its moment, where it has one, as they stand beside F, (..., s, n). log_slope: of F, (..., s)."""
+    """Combine a record with its moment, if it has one, to the factor of F, (..., s, n). log_slope: of F, (..., s)."""
     if len(orders) == 1:
         return orders[0]
     record, moment = orders

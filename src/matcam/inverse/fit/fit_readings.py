@@ -19,23 +19,24 @@ from matcam.material.microfacet import Microfacet
 from matcam.material.reflectance import Conductor, Dielectric, Reflectance, Sampled, Schlick
 
 DETERMINED = 0.05
-"""Relative standard deviation of a roughness up to which it counts as determined."""
+"""Relative standard deviation of a roughness below which it is determined."""
 LINEAR = 0.15
-"""Relative standard deviation of a power up to which errors are those of the linearised fit: beyond, width and power trade
-along a curve, and the width's own error says too little."""
+"""Relative standard deviation of a power up to which the linearised errors hold. Beyond it width and power are
+correlated along a curve, and the standard deviation of the width is too small.
+"""
 
 _BOUND = 0.05
-"""ln of a width over the narrowest that is tried, below which the fit has run into its bound."""
+"""ln of a width over the narrowest that is tried, below which the fit is at its bound."""
 _UNSEEN = 2.0
 """Standard deviations of its square below which a width is compatible with 0."""
 
 
 class FitCoordinates(NamedTuple):
-    """Hold a fit's first lobe and its rig in the coordinates in which the fit is linear.
+    """First lobe and rig of a fit, in the coordinates in which the fit is linear.
 
     Attributes:
-        kind: what the lobe's coordinates mean.
-        lobe: (lobe coordinates,), logarithms of the family's parameters and then the splines' own.
+        kind: meaning of the coordinates of the lobe.
+        lobe: (lobe coordinates,), logarithms of the parameters of the family, then spline coefficients.
         axes: the rig's parameters that were fitted.
         rig: (axes,), coordinates along them; 0 is the rig's own value.
         covariance: of (lobe, rig).
@@ -49,7 +50,7 @@ class FitCoordinates(NamedTuple):
 
 
 class Strengths(NamedTuple):
-    """Hold F of every slice as fitted, free in each. Shapes: u units, s slices; NaN or 0 where nothing was seen.
+    """Fitted F of every slice, free in each. Shapes: u units, s slices; NaN or 0 where nothing was recorded.
 
     Attributes:
         value: (u, s), F.
@@ -65,15 +66,15 @@ class Strengths(NamedTuple):
 
 
 class LinearisedFit(NamedTuple):
-    """Hold a fit as the linear least-squares problem that it is at its solution.
+    """Linear least-squares problem of a fit at its solution.
 
     Attributes:
         solution: data, operator, model and derivatives at the solution.
         coordinates: of the first lobe and the rig.
         residual: (u, s, n), data - model; 0 where unused.
-        by_coordinates: (lobe and rig, u, s, n), derivatives by them.
+        by_coordinates: (lobe and rig, u, s, n), derivatives of the model by them.
         by_units: (the others, u, s, n), derivatives by the units' parameters.
-        rig_information: (axes, axes), what is known of the rig beside the data.
+        rig_information: (axes, axes), prior information on the rig.
     """
 
     solution: Solution
@@ -110,7 +111,7 @@ def strengths_with_covariance(solution: Solution) -> Strengths:
     """Return F of every slice and the two parts of its covariance."""
     own, slope = _strength_errors(solution)
     rig = solution.problem.layout.rig
-    # what the rig's own uncertainty adds, and the covariance if the rig were exact
+    # part from the uncertainty of the rig, and covariance for an exact rig
     cross = solution.covariance[:, rig]
     added = cross @ np.linalg.pinv(solution.covariance[rig, rig], hermitian=True) @ cross.T
     seen = solution.problem.data.used.any(-1)
@@ -123,7 +124,7 @@ def strengths_with_covariance(solution: Solution) -> Strengths:
 
 
 def strength_curves(solution: Solution) -> tuple[np.ndarray, np.ndarray]:
-    """Return F of every unit and slice and its standard deviation, the picture gain's share included where F is free."""
+    """Return F of every unit and slice and its standard deviation, which includes the gain of the image where F is free."""
     problem, layout = solution.problem, solution.problem.layout
     strength = solution.model.strength.copy()
     if layout.fresnel != "free":
@@ -140,7 +141,7 @@ def strength_curves(solution: Solution) -> tuple[np.ndarray, np.ndarray]:
 
 
 def fresnel_slope(solution: Solution, unit: int, theta: np.ndarray | float) -> tuple[np.ndarray, slice]:
-    """Return the derivatives of a unit's F at angles by its coordinates, and the coordinates' place."""
+    """Return the derivatives of F of a unit at angles by its coordinates, and the indices of the coordinates."""
     layout = solution.problem.layout
     first = layout.unit(unit).start
     inner = slice(first, first + layout.fresnel_size)
@@ -152,10 +153,11 @@ def fresnel_slope(solution: Solution, unit: int, theta: np.ndarray | float) -> t
 
 
 def _strength_errors(solution: Solution) -> tuple[np.ndarray, np.ndarray]:
-    """Return the parts of free strengths' errors; 0 where nothing was seen.
+    """Compute the parts of the errors of free strengths; 0 where nothing was recorded.
 
-    First their standard deviations with all else exact, (units, slices). Then how they fall when the fit's parameters rise,
-    (parameters, units, slices). The covariance of a unit's strengths is diag(own^2) + slope' covariance slope.
+    First their standard deviations with all else exact, (units, slices). Then minus their derivatives by the parameters
+    of the fit, (parameters, units, slices). The covariance of a unit's strengths is diag(own^2) + slope' covariance
+    slope.
     """
     data, model = solution.problem.data, solution.model
     weighted = np.where(data.used, solution.weight, 0.0) * model.lobe
@@ -166,18 +168,20 @@ def _strength_errors(solution: Solution) -> tuple[np.ndarray, np.ndarray]:
 
 
 def effective_parameters(solution: Solution) -> float:
-    """Count the parameters that the data determine, free strengths included; what the prior holds does not count."""
+    """Count the parameters that the data determine, free strengths included; parameters that the prior determines do
+    not count.
+    """
     prior = solution.problem.prior.rows(solution.problem.layout)
     by_prior = float(np.einsum("rp,pq,rq->", prior, solution.covariance, prior))
     return solution.p.size - by_prior + int(solution.problem.data.used.any(-1).sum())
 
 
 class LobeVerdict(NamedTuple):
-    """Say how well a fit knows its lobes.
+    """Verdict on the lobes of a fit.
 
     Attributes:
-        determined: whether every roughness is known to 5 %; of a lobe that is no family's, the half width.
-        resolved: whether the lobe is wider than the narrowest that the camera can tell from a point.
+        determined: whether every roughness is known to 5 %; of a lobe without a family, the half width.
+        resolved: whether the lobe is wider than the narrowest that the camera distinguishes from a point.
     """
 
     determined: bool
@@ -185,11 +189,11 @@ class LobeVerdict(NamedTuple):
 
 
 def lobe_verdict(solution: Solution) -> LobeVerdict:
-    """Judge how well the lobes are known."""
+    """Check whether the lobes are determined and resolved."""
     layout, std = solution.problem.layout, np.sqrt(np.diag(solution.covariance))
     narrowest = layout.kind.bounds(solution.problem.radius)[0][0]
     resolved = bool(float(solution.p[0]) - narrowest > _BOUND)
-    if not layout.kind.of_family:  # of such a lobe the half width is what is known or not
+    if not layout.kind.of_family:  # such a lobe is judged by its half width
         lobes = [layout.lobe(n) for n in range(layout.lobes)]
         angles = [half_maximum_angle(layout.kind, solution.p[at], solution.covariance[at, at]) for at in lobes]
         return LobeVerdict(resolved and all(error < DETERMINED * angle for angle, error in angles), resolved)
@@ -202,7 +206,7 @@ def lobe_verdict(solution: Solution) -> LobeVerdict:
 def fit_remarks(
     solution: Solution, camera: Camera | None, verdict: LobeVerdict, noise_given: bool
 ) -> tuple[Remark, ...]:
-    """Say what a reader should know of a fit."""
+    """List the remarks on a fit."""
     remarks = []
     prior, place, noise = solution.problem.prior, solution.problem.layout.rig, solution.noise
     if camera is None:
@@ -225,7 +229,7 @@ def fit_remarks(
         remarks.append(
             Remark(
                 "lobe-too-narrow",
-                "the lobe is narrower than this camera can tell, or than it could have recorded: the width is a bound; "
+                "the lobe is narrower than this camera can resolve or record: the width is a bound; "
                 "check that rig and data belong together",
             )
         )
@@ -245,10 +249,11 @@ def fit_remarks(
 
 
 class NamedParameters(NamedTuple):
-    """Hold a fit's parameters as users read them.
+    """Parameters of a fit as users see them.
 
     Attributes:
-        names: "alpha", "n[G]", "optics.sigma_px", ...; of a bent lobe what `lobe_readings` says instead of its coefficients.
+        names: "alpha", "n[G]", "optics.sigma_px", ...; of a spline-modified lobe, those of `lobe_readings` instead of
+            coefficients.
         values: in the parameters' own units.
         covariance: of the values.
         slopes: (names, coordinates), derivatives of the values.
@@ -296,7 +301,7 @@ def named_parameters(solution: Solution) -> NamedParameters:
 
 
 def fitted_materials(solution: Solution, strength: np.ndarray) -> tuple[Microfacet, ...]:
-    """Return the material of each table. strength: (units, slices), as from `strength_curves`."""
+    """Build the material of each table. strength: (units, slices), as from `strength_curves`."""
     problem = solution.problem
     return tuple(_material(solution, problem.data.units_of(table), strength) for table in range(problem.data.tables))
 
@@ -322,7 +327,7 @@ def _material(solution: Solution, units: list[int], strength: np.ndarray) -> Mic
 
 
 def fitted_camera(solution: Solution, camera: Camera) -> Camera:
-    """Return a camera as fitted, with its new uncertainty."""
+    """Build the camera as fitted, with its new uncertainty."""
     problem: FitProblem = solution.problem
     axes, place = problem.prior.axes, problem.layout.rig
     lens = [n for n, axis in enumerate(axes) if axis.name not in (*WIDTHS, *CHANGES)]

@@ -1,8 +1,8 @@
-"""The setup of a fit in one object: data, rig, model, prior and noise (docs/model.md 8).
+"""Setup of a fit: data, rig, model, prior and noise (docs/model.md 8).
 
-`FitSetup` is the only place where cells, operator, data, problem and search are put together. A fit can begin where another
-ended: in more slices, with a parameter of the rig left free, or with the lobe bent. It is
-`setup.with_(...).solve(start=found)`.
+`FitSetup` is the only place where cells, operator, data, problem and search are put together.
+`setup.with_(...).solve(start=found)` continues from another fit: in more slices, with a parameter of the rig free, or
+with a spline-modified lobe.
 """
 
 from __future__ import annotations
@@ -62,19 +62,19 @@ CameraParameters = Literal["fixed", "prior", "free"]
 CAMERA_PARAMETERS: tuple[CameraParameters, ...] = ("fixed", "prior", "free")
 
 AUTO = "auto"
-"""Family of the lobe where the user names none: the likelier of the candidates."""
+"""Family of the lobe where the user specifies none: the most probable of the candidates."""
 CANDIDATES = ("ggx", "epd")
 SEARCH_STEP = 6
-"""Spacing of the slices of theta_d in which a lobe is looked for before it is fitted to more."""
+"""Spacing of the slices of theta_d in which a lobe is searched before it is fitted to more."""
 _LOOK_STEP = 3 * SEARCH_STEP
-"""Spacing of the slices in which starts are compared and the better ones followed."""
+"""Spacing of the slices in which starts are compared."""
 _LOOK_ROUNDS = 2
-"""Rounds of weights there: the rest is done in all slices."""
+"""Rounds of weights in these slices; further rounds use all slices."""
 
 
 @dataclass(frozen=True)
 class FitSetup:
-    """Hold everything that determines a fit.
+    """Everything that determines a fit.
 
     Attributes:
         tables: tables of one rig, 1/sr, a material each.
@@ -84,21 +84,21 @@ class FitSetup:
         diffuse: whether to add a Lambertian part. Default: False.
         per_channel: whether each channel has a lobe of its own. Default: False.
         masking: the lobe's G. Default: "smith".
-        camera_parameters: how the rig's parameters are treated: "fixed", "prior" or "free". Default: None, "prior", unless
-            the camera is stated as exact. Where it states nothing, a tenth of the lens's width is assumed.
+        camera_parameters: how the rig's parameters are treated: "fixed", "prior" or "free". Default: None, "prior",
+            unless the camera is exact. If it gives no uncertainty, a tenth of the width of the lens is assumed.
         free: names of the rig's parameters that "free" fits. Default: the width of a Gaussian lens.
-        also: names of the rig's parameters that are fitted with nothing known, beside those with a prior. Default: ().
-        nearby: whether a lamp in `also` is followed about the rig's value alone. Default: False.
-        doubted: names of the rig's parameters that a later fit has in `also`, nearby: their rules are made with this one's.
-            Default: ().
-        lens_shape: whether the shape of the lens's kernel is fitted, too (`rig_axes.shape_axes`). Default: False.
-        bend: how far ln D may leave its family (no unit). Default: 0, not at all.
-        stiff_below: slope (no unit) below which a bend is ten times stiffer; below a pixel it always is. Default: 0.
-        learned_bend: as `bend`, of the slopes where it is not stiff, if the data said it. Default: None, as `bend`.
+        also: names of parameters of the rig that are fitted without a prior, beside those with one. Default: ().
+        nearby: whether a lamp in `also` is fitted only near the value of the rig. Default: False.
+        doubted: names of parameters that a later fit has in `also`, nearby; their rules are computed with those of this
+            fit. Default: ().
+        lens_shape: whether the shape of the kernel of the lens is fitted, too (`rig_axes.shape_axes`). Default: False.
+        bend: allowed departure of ln D from its family (no unit). Default: 0, not at all.
+        stiff_below: slope (no unit) below which the spline is ten times stiffer; below a pixel it always is. Default: 0.
+        learned_bend: as `bend`, estimated from the data for slopes where the spline is not stiff. Default: None, as `bend`.
         free_masking: whether G is any smooth function of the angle. Default: False.
         noise: noise of a pixel. Default: None, estimated from the residuals.
         slice_step: spacing of the slices of theta_d (no unit). Default: 1.
-        view: the sphere whose pixels are distinguished without a rig: its radius, px, and how near camera and lamp are.
+        view: sphere that defines the pixels without a rig: its radius, px, and the distances of camera and lamp.
             Default: 256 px, distant.
         pixels: real pixels in which cells are looked up without a rig. Default: None, each cell has its own.
         workspace: keeps what depends on the rig alone. Default: None, the process's own.
@@ -179,17 +179,17 @@ class FitSetup:
         """Find the best fit.
 
         Args:
-            start: a fit of these tables by another setup, from which the search goes on. Default: None, the search begins
-                anew. A start with the same parameters, as a fit of fewer slices has, needs a few linear steps only.
-            weights: robust weights to go on with: "data", each value's own variance, or "start", those of the start. Default:
+            start: a fit of these tables by another setup, from which the search continues. Default: None, a new search.
+                A start with the same parameters, as from a fit of fewer slices, requires only a few linear steps.
+            weights: robust weights: "data", from the variance of each value, or "start", those of the start. Default:
                 "data". "start" is for a start in the same cells.
 
         Returns:
             The material, its parameters with their errors, and remarks on the fit.
 
         Raises:
-            ArgumentError: the rig is not one that a fit can follow, or has not the parameters that are free.
-            FitError: the data hold nothing to fit.
+            ArgumentError: the rig is not one that a fit can follow, or lacks a parameter that is free.
+            FitError: there are no values to fit.
         """
         search = self._search
         if start is None:
@@ -208,13 +208,13 @@ class FitSetup:
         return Search(self.problem, self.noise, self.workspace or default_workspace())
 
     def _in_few_slices(self) -> Solution | None:
-        """Return the best fit to a few of the slices, where a search costs little; None where these are all there are."""
+        """Fit few of the slices, where a search is cheap; None if there are no more."""
         if self.slice_step >= _LOOK_STEP:
             return None
         few = self.with_(slice_step=_LOOK_STEP)
         try:
             return few._search.best(rounds=_LOOK_ROUNDS)
-        except FitError:  # the table's values lie in other slices
+        except FitError:  # the values of the table lie in other slices
             return None
 
     def _result(self, solution: Solution) -> MaterialFit:
@@ -222,7 +222,7 @@ class FitSetup:
         return material_fit(solution, camera, noise_given=self.noise is not None)
 
     def _vector(self, start: MaterialFit) -> np.ndarray:
-        """Return the parameters of a start in this setup's order; what the start has not is 0."""
+        """Return the parameters of a start in the order of this setup; 0 for parameters that it lacks."""
         layout, (problem, p, *_) = self.layout, start._solution
         before = problem.layout
         vector = np.zeros(layout.size)
@@ -234,13 +234,13 @@ class FitSetup:
         return vector
 
     def rule(self) -> tuple[ChosenCells, LobeOperator]:
-        """Return the chosen cells and their rule, which the workspace keeps.
+        """Return the chosen cells and their operator, which the workspace keeps.
 
         Returns:
-            The cells of the slices that are used, and the operator of what the rig's pixels see of a lobe there.
+            The cells of the slices that are used, and the operator from a lobe to their record.
 
         Raises:
-            ArgumentError: the rig is not one that a fit can follow, or has not the parameters that are free.
+            ArgumentError: the rig is not one that a fit can follow, or lacks a parameter that is free.
 
         Example:
             >>> cells, operator = setup.rule()  # doctest: +SKIP
@@ -260,12 +260,12 @@ class FitSetup:
 
     @property
     def axes_with_doubts(self) -> tuple[Axis, ...]:
-        """Return the rig's parameters that this fit or one of `doubted` changes."""
+        """Return the axes of this fit and of fits of `doubted`."""
         return self.with_(also=self.doubted, nearby=True).prior.axes
 
     @property
     def _whole(self) -> WholeRule:
-        """Return of which slices and axes the rule is made: those of a search, and of doubts, which follow in its slices."""
+        """Return the slices and axes that the rule is computed for: those of a search, and of later fits in its slices."""
         slice_step, axes = SEARCH_STEP if self.slice_step == _LOOK_STEP else self.slice_step, self.prior.axes
         doubted = self.axes_with_doubts if slice_step >= SEARCH_STEP else axes
         return WholeRule(slice_step, doubted if set(axes) <= set(doubted) else axes)
@@ -280,7 +280,7 @@ class FitSetup:
 
     @cached_property
     def prior(self) -> Prior:
-        """Return what is known of the parameters beside the data."""
+        """Return the prior of the parameters."""
         camera_parameters = self.camera_parameters
         if self.rig is None:
             if camera_parameters not in (None, "fixed"):
@@ -317,7 +317,7 @@ class FitSetup:
 
 
 def _stated_prior(rig: Rig, uncertainty: Uncertainty) -> tuple[tuple[Axis, ...], np.ndarray]:
-    """Return a camera's uncertainty as axes of its parameters and the root of the information on their coordinates."""
+    """Return the uncertainty of a camera as axes of its parameters, and the root of the information on their coordinates."""
     parameters = rig.camera.parameters()
     value = np.array([float(parameters[name]) for name in uncertainty.names])
     covariance = np.asarray(uncertainty.covariance)
@@ -352,9 +352,9 @@ def fit(
 ) -> MaterialFit:
     """Fit a microfacet material to a table through its camera.
 
-    All slices of theta_d are fitted jointly. The data are chosen cells, one of every pixel, so that their errors are
-    independent but for the picture gain. The stated covariance is the inverse of their Fisher information with the camera's
-    prior. Outliers beyond 3 standard deviations count less (Huber).
+    All slices of theta_d are fitted jointly. The data are chosen cells, one per pixel, so that their errors are
+    independent except for the gain of the image. The covariance is the inverse of their Fisher information, which
+    includes the prior of the camera. Outliers beyond 3 standard deviations count less (Huber).
 
     Args:
         brdf: table as from `read_merl`, 1/sr, or several tables of one rig (one camera, a material each).
@@ -367,15 +367,16 @@ def fit(
         diffuse: whether to add a Lambertian part. Default: False, as metals have none.
         per_channel: whether each channel has a lobe of its own. Default: False, one lobe for all.
         masking: the lobe's G: "smith", "smith-separable", "van-ginneken" or None. Default: "smith".
-        camera_parameters: how the rig's parameters are treated. "fixed": as the rig says. "prior": the camera's uncertain
-            parameters are fitted, with its covariance as their prior; where the camera states none, the lens's width is
-            assumed to be known to 10 %. "free": the parameters named in `free` are fitted with nothing known. Default: None,
-            "prior", or "fixed" if the camera states that it is exact (a standard deviation of 0).
-        free: names of the rig's parameters that "free" fits. A width ("optics.sigma_px", "jitter", "aperture", a sphere's
-            "lamp_radius") may come down to 0. Default: the width of a Gaussian lens.
-        bend: how far D may leave its family, smoothly (no unit). It is the standard deviation of the second differences of ln D
-            between knots that are half a power of e apart. Default: 0, not at all; 1 is as good as no family.
-        noise: noise of a pixel and of the picture gain. Default: None, estimated from the residuals, misfit and all.
+        camera_parameters: how the rig's parameters are treated. "fixed": as the rig says. "prior": the camera's
+            uncertain parameters are fitted, with its covariance as their prior; if the camera gives none, the width of
+            the lens is assumed to be known to 10 %. "free": the parameters named in `free` are fitted without a prior.
+            Default: None, "prior", or "fixed" if the camera is exact (a standard deviation of 0).
+        free: names of the rig's parameters that "free" fits. A width ("optics.sigma_px", "jitter", "aperture", a
+            sphere's "lamp_radius") may be as small as 0. Default: the width of a Gaussian lens.
+        bend: allowed smooth departure of D from its family (no unit): the standard deviation of the second differences
+            of ln D between knots that are half a power of e apart. Default: 0, not at all; 1 hardly constrains the lobe
+            to a family.
+        noise: noise of a pixel and of the picture gain. Default: None, estimated from the residuals, which include misfit.
         slice_step: spacing of the slices of theta_d that are used (no unit). Default: 1, all of them; more is quicker.
         workspace: keeps what depends on the rig alone for the next call. Default: None, the process's own.
 
@@ -384,7 +385,7 @@ def fit(
 
     Raises:
         ArgumentError: an argument is wrong, or the rig is not one that a fit can follow.
-        FitError: the data hold nothing to fit.
+        FitError: there are no values to fit.
 
     Source:
         docs/model.md sections 3 and 8; variable projection: Golub & Pereyra (1973), Kaufman (1975).
@@ -416,7 +417,7 @@ def free_setup(
     slice_step: int = SEARCH_STEP,
     workspace: Workspace | None = None,
 ) -> FitSetup:
-    """Return the setup that assumes least: F free in every slice, and a Lambertian part."""
+    """Return the setup with the fewest assumptions: F free in every slice, and a Lambertian part."""
     return FitSetup(
         tuple(tables), rig, fresnel="free", diffuse=True, masking=masking, camera_parameters=camera_parameters,
         noise=noise, slice_step=slice_step, workspace=workspace,
@@ -429,5 +430,5 @@ def candidate_fits(setup: FitSetup, ndf: str) -> list[MaterialFit]:
 
 
 def likeliest(fits: Sequence[MaterialFit]) -> MaterialFit:
-    """Return the fit whose family makes the data most probable."""
+    """Return the fit with the most probable family."""
     return max(fits, key=lambda found: found.log_likelihood)

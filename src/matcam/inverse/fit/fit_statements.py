@@ -1,4 +1,4 @@
-"""What a fit is told beside its data, and its readings: the sources of its uncertainty budget."""
+"""Sources of the uncertainty budget of a fit: prior knowledge and readings."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ RIG = "camera and rig, as stated"
 SMOOTH_LOBE = "smoothness of the lobe"
 """Source of the prior on the correction of a lobe."""
 _LEAST = 1e-3
-"""Information on a coordinate up to which nothing is stated of it: a standard deviation of 30, in logarithms of widths."""
+"""Information on a coordinate below which there is no prior: a standard deviation of 30, in logarithms of widths."""
 
 
 def rig_statements(axes: Sequence[Axis], information: np.ndarray, first: int, size: int) -> list[Statement]:
@@ -39,14 +39,14 @@ def rig_statements(axes: Sequence[Axis], information: np.ndarray, first: int, si
 
 
 def _slope(axis: Axis, information: float) -> float:
-    """Return d value / d coordinate, as a secant from one stated standard deviation below the base to one above."""
+    """Compute d value / d coordinate, as a secant from one standard deviation below the base to one above."""
     std = 1 / math.sqrt(max(information, _LEAST))
     low, high = max(-std, axis.low), min(std, axis.high)
     return (axis.value(high) - axis.value(low)) / (high - low)
 
 
 def fit_statements(solution: Solution) -> list[Statement]:
-    """Return all that a fit is told beside its data: the stated rig, and the smoothness of the lobe."""
+    """Collect the prior knowledge of a fit: the rig as specified, and the smoothness of the lobe."""
     problem, layout = solution.problem, solution.problem.layout
     prior = problem.prior
     found = rig_statements(prior.axes, prior.rig_information(), layout.rig.start, layout.size)
@@ -57,7 +57,7 @@ def fit_statements(solution: Solution) -> list[Statement]:
 
 
 def fit_readings_source(freedom: int, *, noise_given: bool) -> Readings:
-    """Return the readings of a fit as a source.
+    """Return the readings of a fit as a source of uncertainty.
 
     Args:
         freedom: degrees of freedom of the fit.

@@ -1,7 +1,7 @@
-"""What users read of a fitted lobe: its family's parameters, or what any lobe has.
+"""Parameters of a fitted lobe as users see them: those of its family, or those of any lobe.
 
-A bent lobe has no family's parameters, and the coefficients of its splines tell nobody anything. What it has is a half width,
-a tail that falls with some power of the angle, and a share of facets far from the peak, which shows as haze.
+A spline-modified lobe has no family parameters, and its coefficients have no direct meaning. It has a half width, a
+tail exponent, and a share of facets far from the peak, which is visible as haze.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ from matcam.material.ndf.free_lobe import shadow_basis
 HALF_WIDTH = "hwhm_rad"
 """Name of the half width at half maximum of a lobe, rad."""
 _NARROWEST_ANGLE, _WIDEST_ANGLE = 1e-9, 1.5
-"""rad; where half a lobe's maximum is looked for."""
+"""Range in which the angle of half the maximum is searched, rad."""
 _HALVINGS = 60
 _TAIL = (3.0, 10.0)
-"""Half widths between which a lobe's tail is judged."""
+"""Range of half widths over which the tail exponent is determined."""
 _TAIL_ENDS = np.pi / 4
-"""rad; the tail is judged up to here, as beyond most cells see the lobe at grazing angles only."""
+"""Largest angle of the tail, rad; most cells show the lobe beyond it at grazing angles only."""
 _TAIL_BEGINS = np.pi / 6
-"""rad; a lobe whose tail would begin beyond has none."""
+"""Angle beyond which a tail must not begin, rad; such a lobe has none."""
 _FARTHEST = 2e3
 """Slope beyond which there are no facets."""
 _NODES = np.polynomial.legendre.leggauss(60)
@@ -33,11 +33,11 @@ _GRAZING = np.radians(75.0)
 
 
 class LobeReadings(NamedTuple):
-    """Hold what users read of a lobe.
+    """Parameters of a lobe as users see them.
 
     Attributes:
-        names: of a family's lobe its own parameters; else "hwhm_rad", "tail_exponent" and "haze_share", the last two where
-            the lobe is narrow enough to have them, and "masking_75" where masking is free.
+        names: for a lobe of a family, its own parameters; otherwise "hwhm_rad", and "tail_exponent" and "haze_share" if
+            the lobe is narrow enough, and "masking_75" where masking is free.
         values: in the parameters' own units.
         slopes: (names, lobe coordinates), their derivatives.
     """
@@ -48,7 +48,7 @@ class LobeReadings(NamedTuple):
 
 
 def lobe_readings(kind: LobeKind, q: np.ndarray) -> LobeReadings:
-    """Return what users read of a lobe at coordinates."""
+    """Compute the parameters of a lobe at coordinates as users see them."""
     if kind.of_family:
         pairs = np.array([readable_value(name, one) for name, one in zip(kind.names, q, strict=True)])
         return LobeReadings(kind.names, pairs[:, 0], np.diag(pairs[:, 1]))
@@ -71,15 +71,15 @@ def lobe_readings(kind: LobeKind, q: np.ndarray) -> LobeReadings:
 
 
 def half_maximum_angle(kind: LobeKind, q: np.ndarray, covariance: np.ndarray) -> tuple[float, float]:
-    """Return the half width at half maximum of D, rad, and its standard deviation."""
+    """Compute the half width at half maximum of D, rad, and its standard deviation."""
     angle, by_q = half_maximum(kind, q)
     return angle, float(np.sqrt(by_q @ covariance @ by_q))
 
 
 def half_maximum(kind: LobeKind, q: np.ndarray) -> tuple[float, np.ndarray]:
-    """Return the half width at half maximum of D, rad, and its derivatives by the lobe's coordinates.
+    """Compute the half width at half maximum of D, rad, and its derivatives by the coordinates of the lobe.
 
-    The angle is found by bisection, its derivatives are implicit ones. Both are NaN where D never falls so far.
+    The angle is found by bisection, its derivatives are implicit ones. Both are NaN if D does not fall to half.
     """
     beyond, low, by_angle, by_lobe = (np.asarray(a) for a in _half_maximum(kind, placed(q)))
     if beyond > 0:
@@ -90,7 +90,9 @@ def half_maximum(kind: LobeKind, q: np.ndarray) -> tuple[float, np.ndarray]:
 
 @kept_program
 def _half_maximum(kind: LobeKind, q: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
-    """Return where D is half its maximum: ln(2 D / D(0)) at the widest angle, ln(angle), and the former's slopes there."""
+    """Solve for the angle where D is half its maximum: ln(2 D / D(0)) at the widest angle, ln(angle), and derivatives
+    of the former.
+    """
 
     def excess(log_angle: jax.Array, q: jax.Array) -> jax.Array:
         ndf = kind.ndf(q)
@@ -109,15 +111,15 @@ def _half_maximum(kind: LobeKind, q: jax.Array) -> tuple[jax.Array, jax.Array, j
 
 @kept_program
 def _tail(kind: LobeKind, q: jax.Array, angle: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Return (tail exponent, haze share), and their derivatives by coordinates and by the half width."""
+    """Compute (tail exponent, haze share), and their derivatives by coordinates and by the half width."""
 
     def both(q: jax.Array, angle: jax.Array) -> jax.Array:
         ends = jnp.stack([_TAIL[0] * angle, jnp.minimum(_TAIL[1] * angle, _TAIL_ENDS)])
-        # the integral of P22 beyond, in the logarithm of the slope
+        # integral of P22 beyond, in the logarithm of the slope
         first = jnp.log(jnp.tan(jnp.minimum(_TAIL[1] * angle, _WIDEST_ANGLE)))
         length = jnp.log(_FARTHEST) - first
         slope = jnp.concatenate([jnp.tan(ends), jnp.exp(first + length * (_NODES[0] + 1) / 2)])
-        p22 = kind.ndf(q).slope_density(slope**2)  # once for all: the program compiles in half the time
+        p22 = kind.ndf(q).slope_density(slope**2)  # computed once, which halves the compile time
         near, far = jnp.log(p22[:2]) - 4 * jnp.log(jnp.cos(ends))
         share = jnp.sum(np.pi * length * _NODES[1] * slope[2:] ** 2 * p22[2:])
         return jnp.stack([(near - far) / jnp.log(ends[1] / ends[0]), share])

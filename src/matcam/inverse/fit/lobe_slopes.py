@@ -14,7 +14,7 @@ from matcam.inverse.operator.lobe_operator import LobeOperator
 
 
 class RecordAndSlopes(NamedTuple):
-    """A lobe's record and how it changes.
+    """Record of a lobe and its derivatives.
 
     Attributes:
         record: (slices, cells), 1/sr at F = 1.
@@ -27,7 +27,7 @@ class RecordAndSlopes(NamedTuple):
 
 @kept_program
 def lobe_record(operator: LobeOperator, kind: LobeKind, q: jax.Array) -> jax.Array:
-    """Return the record of a lobe, (slices, cells). q: coordinates of the lobe, then of the rig."""
+    """Compute the record of a lobe, (slices, cells). q: coordinates of the lobe, then of the rig."""
     return operator.record(kind.ndf(q[: kind.size]), kind.masking, q[kind.size :])
 
 
@@ -37,6 +37,8 @@ def _record_and_slopes(operator: LobeOperator, kind: LobeKind, q: jax.Array) -> 
 
 
 def record_and_slopes(operator: LobeOperator, kind: LobeKind, q: np.ndarray) -> RecordAndSlopes:
-    """Return a lobe's record and slopes. q: coordinates of the lobe, then those along the operator's axes."""
+    """Compute the record of a lobe and its derivatives. q: coordinates of the lobe, then those along the axes of the
+    operator.
+    """
     value, slope = _record_and_slopes(operator, kind, placed(q))
     return RecordAndSlopes(np.asarray(value), np.asarray(slope))

@@ -1,4 +1,4 @@
-"""A fitted material: parameters with errors, the material itself, and how well it explains the data."""
+"""Result of a fit: parameters with errors, the material, and the misfit."""
 
 from __future__ import annotations
 
@@ -44,19 +44,20 @@ from matcam.numerics.fit_budget import posterior_budget
 
 @dataclass(frozen=True, repr=False)
 class MaterialFit(Summarised):
-    """Hold a material as `fit` found it, with its errors.
+    """Material as fitted, with its errors.
 
     Attributes:
         family: family of the lobe ("ggx", "epd", "sgd", "beckmann", "gaussian", or "student-t" and "two-lobes" as `correct`
             may find them).
-        params: value of each parameter by name ("alpha", "n[G]", "optics.sigma_px", ...), in the parameter's own unit. A lobe
-            that is bent, Student's, or two, has "hwhm_rad", "tail_exponent" and "haze_share" instead of its family's.
+        params: value of each parameter by name ("alpha", "n[G]", "optics.sigma_px", ...), in the parameter's own unit.
+            A spline-modified lobe, Student's t and two lobes have "hwhm_rad", "tail_exponent" and "haze_share" instead
+            of the parameters of a family.
         std: standard deviation of each parameter, by the same names and in the same units.
         covariance: covariance of all parameters (parameters, parameters), in the order of `params`.
-        hwhm: half width at half maximum of D, rad. It stays well determined where a width and a power trade for each other.
+        hwhm: half width at half maximum of D, rad. It stays well determined where a width and a power are correlated.
         hwhm_std: standard deviation of `hwhm`, rad.
         determined: whether the standard deviation of every roughness is under 5 %.
-        resolved: whether the lobe is wider than the narrowest that this camera can tell from a point.
+        resolved: whether the lobe is wider than the narrowest that this camera distinguishes from a point.
         materials: one `Microfacet` per table.
         camera: the camera as fitted, with its new uncertainty; None without a rig.
         curves: Dataset over (theta_d, channel) with `fresnel` and `fresnel_std`, no unit.
@@ -65,7 +66,7 @@ class MaterialFit(Summarised):
         misfit: sum of squared residuals per degree of freedom (no unit). It is about 1 where the model explains the data.
         log_likelihood: logarithm of the likelihood, for comparing families on the same data.
         freedom: degrees of freedom.
-        remarks: what a reader should know of the fit.
+        remarks: remarks on the fit.
         noise_given: whether `noise` was given; otherwise it is estimated from the residuals.
         _solution: the solved problem; for this package only.
 
@@ -130,17 +131,17 @@ class MaterialFit(Summarised):
 
     @property
     def is_bent(self) -> bool:
-        """Say whether the lobe may leave its family (`bend`)."""
+        """Check whether the lobe may depart from its family (`bend`)."""
         return bool(self.coordinates.kind.bends)
 
     @property
     def lobe_name(self) -> str:
-        """Name the lobe's family, and say whether it is bent."""
+        """Name the family of the lobe, and whether it is spline-modified."""
         return f"bent {self.family}" if self.is_bent else self.family
 
     @property
     def coordinates(self) -> FitCoordinates:
-        """Return the first lobe and the rig in the fit's coordinates.
+        """Return first lobe and rig in the coordinates of the fit.
 
         The fit is linear in these coordinates, and their covariance comes with them.
         """
@@ -240,7 +241,7 @@ class MaterialFit(Summarised):
     def strengths(self) -> Strengths:
         """Return F of every slice with its covariance.
 
-        It is for a fit with F free in every slice.
+        F must be free in every slice of the fit. The strengths are those of the lobe before normalisation.
 
         Returns:
             F of each channel and slice, and its covariance in two parts: of pixel noise, and of the rig's parameters.
@@ -248,7 +249,7 @@ class MaterialFit(Summarised):
         return strengths_with_covariance(self._solution)
 
     def log_slope(self, theta_d: np.ndarray) -> np.ndarray:
-        """Return the slope of ln F that near rigs record.
+        """Return the slope of ln F, which near rigs record.
 
         Args:
             theta_d: difference angles, rad (n,).
@@ -261,7 +262,7 @@ class MaterialFit(Summarised):
     def squared_width(self, name: str) -> tuple[float, float]:
         """Return the square of a fitted width of the rig.
 
-        Blurs add up in their squares, so the square is what to judge near a width of 0.
+        Blurs add in quadrature, so the square is the natural quantity near a width of 0.
 
         Args:
             name: name of the width, as in `params` ("optics.sigma_px", "lamp_radius", ...).
@@ -287,7 +288,8 @@ class MaterialFit(Summarised):
         """Count the parameters that the data determine.
 
         Returns:
-            The count (no unit). F of every slice counts where it is free. What a prior or smoothness holds does not count.
+            The count (no unit). F of every slice counts where it is free. Parameters that a prior or smoothness
+            determines do not count.
         """
         return effective_parameters(self._solution)
 
@@ -322,7 +324,7 @@ class MaterialFit(Summarised):
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Return everything that fits on a page, as plain numbers and texts.
+        """Return the result without arrays, as numbers and texts.
 
         Returns:
             A dictionary that `matcam fit --json` prints. Angles are in rad, and their names say so.

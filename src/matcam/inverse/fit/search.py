@@ -1,4 +1,4 @@
-"""The search for the best fit: a lattice of starts, then least squares with weights that follow the model (docs/model.md 8)."""
+"""Search for the best fit: a lattice of starts, then least squares with weights from the model (docs/model.md 8)."""
 
 from __future__ import annotations
 
@@ -29,20 +29,20 @@ _POWERS = {"epd": np.log([0.5, 1.0, 1.8]), "sgd": np.log([0.3, 0.8, 1.5])}
 _EXCESSES = np.log([0.7, 2.0, 6.0])
 _WIDER, _SHARES, _TAILS = np.log([3.0, 12.0, 45.0]), (-0.8, 0.8), ((0.1, 0.1), (0.9, 0.1), (0.1, 0.9))
 _FOLLOWED, _NO_RIVAL = 2, 1.5
-"""Starts that are followed, where a lattice has more than one valley, and misfit over the best one's from which none is."""
+"""Number of starts that are refined, and misfit over the best above which a start is dropped."""
 _ROUNDS = 6
 _STEPS = 12, 3
-"""Most steps of least squares, with the first weights and with later ones: these change the fit by less and less."""
+"""Most steps of least squares, with the first weights and with later ones, which change the fit less and less."""
 _LONGEST, _STEADY = 0.8, 0.3
-"""Largest share of a way that a round may leave, and by how much it may turn, for its end to be foretold."""
+"""Limits for extrapolation of a round: share of the last step that remains, and change of its direction."""
 _SETTLED = 0.02
-"""Change of the parameters, in standard deviations, below which weights need no further round."""
+"""Change of the parameters, in standard deviations, below which the weights have converged."""
 _STEEP = np.radians(80.0)
-"""theta_d from which strengths say little of a Fresnel term to begin with."""
+"""theta_d above which strengths hardly constrain the start of a Fresnel term."""
 
 
 def _lattice(family: str) -> np.ndarray:
-    """Return the coordinates of lobes to begin with, neighbours beside each other, (..., coordinates)."""
+    """Return the coordinates of the starts, neighbours beside each other, (..., coordinates)."""
     if family == TWO_LOBES:
         lobes: list = [
             [[[(q, q + wider, share, *tails) for tails in _TAILS] for share in _SHARES] for wider in _WIDER]
@@ -57,10 +57,10 @@ def _lattice(family: str) -> np.ndarray:
 
 
 class Solution(NamedTuple):
-    """Hold the best parameters of a problem, and everything at them.
+    """Best parameters of a problem, and the model at them.
 
     Attributes:
-        problem: what was solved.
+        problem: problem that was solved.
         p: (parameters,), in the fit's coordinates.
         model: the model there.
         covariance: (parameters, parameters), of the coordinates.
@@ -81,7 +81,7 @@ class Solution(NamedTuple):
 
 
 class Search:
-    """Search the best fit of a problem.
+    """Search for the best fit of a problem.
 
     noise: of a pixel; None: estimated from the residuals. workspace: keeps what the starts record.
     """
@@ -93,13 +93,13 @@ class Search:
         self.low, self.high = problem.bounds()
 
     def best(self, rounds: int = _ROUNDS) -> Solution:
-        """Try a lattice of starts, follow the best with the same weights, and the better of these to the end.
+        """Try a lattice of starts, and refine the best ones.
 
-        rounds: most rounds of weights; fewer are enough where the fit is a start for another.
+        rounds: most rounds of weights; fewer suffice for the start of another fit.
         """
         data = self.problem.data
         noise = self.given_noise or INITIAL_NOISE
-        # to begin with, each value's own variance; from then on the model's
+        # first, weights from the variance of each value; then from the model
         weight = 1 / cell_variance(data, np.abs(data.values), INITIAL_NOISE._replace(picture_gain=noise.picture_gain))
         tried = [self._least_squares(start, weight, noise, steps=_STEPS[0]) for start in self._starts(weight)]
         p, _ = min(tried, key=lambda pair: pair[1])
@@ -107,17 +107,21 @@ class Search:
         return self._refine(p, weight, noise, rounds)
 
     def resume(self, start: np.ndarray, weight: np.ndarray | None, noise: PixelNoise) -> Solution:
-        """Go on from the parameters of a fit of another model. weight: robust weights; None: each value's own variance."""
+        """Continue from the parameters of a fit of another model. weight: robust weights; None: from the variance of
+        each value.
+        """
         return self._refine(self._inside(start), self._weight(weight, noise), self.given_noise or noise, rounds=_ROUNDS)
 
     def widen(self, few: Solution) -> Solution:
-        """Go on from the best fit of the same model to some of the slices: it says what these values' weights are, too."""
+        """Continue from the best fit of the same model to some of the slices, which also gives the weights of the new
+        values.
+        """
         start, noise = self._inside(few.p), self.given_noise or few.noise
         model = self.problem.model(start, self._weight(None, noise))
         return self._refine(start, self._robust_weight(model, noise), noise, rounds=_ROUNDS)
 
     def adjust(self, start: np.ndarray, weight: np.ndarray | None, noise: PixelNoise) -> Solution:
-        """Go on from a fit of the same model to fewer slices: within its errors, a few linear steps are a fit."""
+        """Continue from a fit of the same model to fewer slices: within its errors, a few linear steps suffice."""
         return self._refine(start, self._weight(weight, noise), self.given_noise or noise, rounds=2, steps=(2, 2))
 
     def _weight(self, weight: np.ndarray | None, noise: PixelNoise) -> np.ndarray:
@@ -125,7 +129,7 @@ class Search:
         return 1 / cell_variance(data, np.abs(data.values), noise) if weight is None else weight
 
     def _weighed(self, p: np.ndarray, weight: np.ndarray, noise: PixelNoise) -> tuple[FitModel, np.ndarray, PixelNoise]:
-        """Return the model at parameters, and the weights and the noise that follow from it. weight: for free strengths."""
+        """Evaluate the model at parameters, and the weights and the noise that follow from it. weight: for free strengths."""
         model = self.problem.model(p, weight)
         if self.given_noise is None:
             noise = estimate_noise(self.problem.data, self.problem.residual(model), model.value, p.size, noise)
@@ -160,7 +164,7 @@ class Search:
         return [self._vector(lobes[index], models[best[0]]) for index in best]
 
     def _vector(self, lobe: np.ndarray, free: FitModel) -> np.ndarray:
-        """Return a whole start around a lobe; Fresnel terms come from the free strengths of a model."""
+        """Build a complete start from a lobe; Fresnel terms come from the free strengths of a model."""
         layout, theta_d = self.problem.layout, self.problem.theta_d
         p = np.zeros(layout.size)
         for index in range(layout.lobes):
@@ -178,9 +182,9 @@ class Search:
     def _refine(
         self, p: np.ndarray, weight: np.ndarray, noise: PixelNoise, rounds: int, steps: tuple[int, int] = _STEPS
     ) -> Solution:
-        """Alternate least squares with fixed weights and better weights until nothing moves.
+        """Alternate least squares with fixed weights and updates of the weights until convergence.
 
-        Each round leaves much the same share of the way: where two say so, the next begins where the way leads.
+        Convergence is linear, so after two rounds with the same ratio the next one starts from the extrapolated limit.
 
         steps: most steps of least squares, in the first round and in others.
         """
@@ -205,7 +209,9 @@ class Search:
                 _, weight, noise = self._weighed(p, weight, noise)
                 last = np.zeros_like(p)
         if not np.all(np.isfinite(p)):
-            raise FitError("the fit ran into numbers that are none: the data do not look like a lobe of this family")
+            raise FitError(
+                "the fit produced non-finite parameters: check that the table is linear and that the family suits its lobe"
+            )
         u = white(problem.residual(model))
         strengths = data.used.any(-1).sum() if problem.layout.fresnel == "free" else 0
         freedom = int(data.used.sum() - p.size - strengths)
@@ -215,14 +221,14 @@ class Search:
     def _least_squares(
         self, p: np.ndarray, weight: np.ndarray, noise: PixelNoise, steps: int
     ) -> tuple[np.ndarray, float]:
-        """Return the parameters at which the squares are least, and half of their sum."""
+        """Minimise the sum of squares; return the parameters and half of the sum."""
         problem, prior = self.problem, self.prior_rows
         start = problem.model(p, weight)
         fixed = None if problem.layout.fresnel == "free" else problem.whitening(start, weight, noise.picture_gain)
         last: dict[bytes, np.ndarray] = {}
 
         def triangle(p: np.ndarray) -> np.ndarray:
-            """Return R of slopes and residuals together: the same squares and products in few rows."""
+            """Compute R of the QR decomposition of derivatives and residuals: the same normal equations in few rows."""
             key = p.tobytes()
             if key not in last:
                 model = problem.model(p, weight)

@@ -1,15 +1,15 @@
-"""A lobe's record with its derivatives, by a chain rule that touches each node a few times instead of once a parameter.
+"""Record of a lobe with its derivatives, by a chain rule that uses each node a few times instead of once per parameter.
 
 The record is R = sum_n a_n D_n, where a_n is a node's weight w_n times its masking G_n. Its derivative by a parameter q is
 
     dR/dq = sum_n a_n dD_n/dq + sum_s e_s dLambda_s/dq,      e_s = sum_n w_n D_n dG_n/dLambda_s,
 
-and the e_s, one for each sample of the masking, do not depend on q. Of D only the family's own parameters, one or two, need
-the lobe's formula at every node. A bend multiplies D by exp(sum_k b_k B_k) / norm, so that its derivatives are sums of
-a_n D_n B_k and the derivative of one number. Lambda is differentiated in its table; it is linear in D, too. A parameter of
-the rig changes the weights alone, by a polynomial of few points.
+and the e_s, one for each sample of the masking, do not depend on q. Only the one or two parameters of the family
+require the formula of the lobe at every node. A spline modification multiplies D by exp(sum_k b_k B_k) / norm, so its
+derivatives are sums of a_n D_n B_k and the derivative of one number. Lambda, which is linear in D, is differentiated in
+its table. A parameter of the rig changes only the weights, by a polynomial through few points.
 
-Forward differentiation would make the derivatives of all nodes by all parameters, hundreds of MB, and read them again.
+Forward differentiation would store the derivatives of all nodes by all parameters, hundreds of MB.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ from matcam.material.ndf.free_lobe import BentNDF, bend_at, bend_sums
 from matcam.numerics.approximation import lagrange_basis
 
 _FEW = 2
-"""Coordinates of a lobe up to which Lambda in closed form is differentiated by each in turn."""
+"""Number of coordinates of a lobe up to which a closed-form Lambda is differentiated by each in turn."""
 
 
 def slopes_by_slice(operator: LobeOperator, kind: LobeKind, q: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Return a lobe's record, (slices, cells), and its derivatives by q, (parameters, slices, cells).
+    """Compute the record of a lobe, (slices, cells), and its derivatives by q, (parameters, slices, cells).
 
     q: coordinates of the lobe, then those along the operator's axes.
     """
@@ -45,15 +45,15 @@ def slopes_by_slice(operator: LobeOperator, kind: LobeKind, q: jax.Array) -> tup
 
 
 class _Lobe(NamedTuple):
-    """Hold what all slices share of a lobe.
+    """Quantities of a lobe that all slices share.
 
     Attributes:
-        kind: what its coordinates mean.
+        kind: meaning of its coordinates.
         q: (lobe coordinates,).
-        by_norm: derivative of a bent lobe's ln norm by q; None: the lobe is not bent.
-        masked_by: what Lambda is made of: the table, or the coordinates themselves.
+        by_norm: derivative of ln norm of a spline-modified lobe by q; None for other lobes.
+        masked_by: argument of Lambda: its table, or the coordinates.
         masked_slopes: its derivatives by q, (lobe coordinates, values).
-        tabulated: whether it is made of the table.
+        tabulated: whether the argument is the table.
     """
 
     kind: LobeKind
@@ -65,7 +65,7 @@ class _Lobe(NamedTuple):
 
     @classmethod
     def of(cls, kind: LobeKind, q: jax.Array) -> _Lobe:
-        """Return what all slices share."""
+        """Compute the quantities of a lobe that all slices share."""
         by_norm = _by_norm(kind, q) if kind.bends else None
         table, slopes = table_slopes(kind, q)
         if table is None or slopes is None:
@@ -77,14 +77,14 @@ class _Lobe(NamedTuple):
         return (operator.place_i, operator.place_o) if self.tabulated else (operator.cos_i, operator.cos_o)
 
     def lambda_of(self, by: jax.Array, direction: jax.Array) -> jax.Array:
-        """Return Lambda in directions. by: what it is made of."""
+        """Compute Lambda in directions. by: its argument."""
         return lambda_at(by, direction) if self.tabulated else self.kind.ndf(by).smith_lambda(direction)
 
 
 def table_slopes(kind: LobeKind, q: jax.Array) -> tuple[jax.Array | None, jax.Array | None]:
-    """Return the table of a lobe's Lambda, and its derivatives by q, (lobe coordinates, values).
+    """Compute the table of Lambda of a lobe, and its derivatives by q, (lobe coordinates, values).
 
-    None where nothing is masked, or Lambda needs no table.
+    None without masking, or if Lambda requires no table.
     """
     if kind.masking is not None and kind.bends and not kind.shadows:
         return _bent_table(kind, q)
@@ -93,7 +93,7 @@ def table_slopes(kind: LobeKind, q: jax.Array) -> tuple[jax.Array | None, jax.Ar
 
 
 def _bent_table(kind: LobeKind, q: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Return the table of a bent lobe and its derivatives: the sums of its integral, each with what changes D there."""
+    """Compute the table of Lambda of a spline-modified lobe and its derivatives from common sums."""
     ndf = kind.ndf(q)
     slope2, weight = smith_rule(ndf.roughness, jnp.asarray(COTS))
     light, by_own = _lifted(kind, q, slope2, lambda ndf: ndf.slope_density(slope2))
@@ -104,7 +104,7 @@ def _bent_table(kind: LobeKind, q: jax.Array) -> tuple[jax.Array, jax.Array]:
 
 
 def _by_norm(kind: LobeKind, q: jax.Array) -> jax.Array:
-    """Return the derivatives of ln norm of a bent lobe."""
+    """Compute the derivatives of ln norm of a spline-modified lobe."""
 
     def log_norm(q: jax.Array) -> jax.Array:
         bent = kind._replace(shadows=0).ndf(q)
@@ -117,9 +117,9 @@ def _by_norm(kind: LobeKind, q: jax.Array) -> jax.Array:
 def _lifted(
     kind: LobeKind, q: jax.Array, slope2: jax.Array, light_of: Callable[[NDF], jax.Array]
 ) -> tuple[jax.Array, list[jax.Array]]:
-    """Return light in proportion to D, and its derivatives by the family's own parameters, the norm's aside.
+    """Compute light in proportion to D, and its derivatives by the parameters of the family, without those of the norm.
 
-    light_of: the light of a lobe without a bend, at the squared slopes.
+    light_of: the light of a lobe without modification, at the squared slopes.
     """
     plain, own = kind._replace(bends=0, shadows=0), len(kind.family_names)
     pairs = [jax.jvp(lambda own: light_of(plain.ndf(own)), (q[:own],), (unit,)) for unit in np.eye(own)]
@@ -132,7 +132,7 @@ def _lifted(
 
 
 def _slice(operator: LobeOperator, lobe: _Lobe, bases: list[tuple[jax.Array, jax.Array]]) -> jax.Array:
-    """Return the record of one slice and below it its derivatives, (1 + parameters, cells)."""
+    """Compute the record of one slice and below it its derivatives, (1 + parameters, cells)."""
     kind, q = lobe.kind, lobe.q
     weight = operator.weight
     for (basis, _), differences in zip(bases, operator.along, strict=True):
@@ -146,7 +146,7 @@ def _slice(operator: LobeOperator, lobe: _Lobe, bases: list[tuple[jax.Array, jax
         pulled = pull(weight * light)
 
         def along(direction: jax.Array) -> jax.Array:
-            """Return the derivative of the record by way of its masking."""
+            """Compute the derivative of the record through its masking."""
             total = jnp.zeros(())
             for one, share in zip(directions, pulled, strict=True):
                 _, change = jax.jvp(lambda by, one=one: lobe.lambda_of(by, one), (lobe.masked_by,), (direction,))
@@ -157,7 +157,7 @@ def _slice(operator: LobeOperator, lobe: _Lobe, bases: list[tuple[jax.Array, jax
             by_logs = [share * (1 + own) for share, own in zip(pulled, lambdas, strict=True)]
             light_and_view = [by_entries(*pair).T for pair in zip(directions, by_logs, strict=True)]
             by_lambda = lobe.masked_slopes @ (light_and_view[0] + light_and_view[1])
-        elif kind.size > _FEW:  # each cell with coordinates of its own: one pass back for all
+        elif kind.size > _FEW:  # each cell with coordinates of its own: one reverse pass for all
 
             def of_cells(own: jax.Array) -> list[jax.Array]:
                 return [jax.vmap(lobe.lambda_of)(own, one) for one in directions]
@@ -186,6 +186,6 @@ def _over_nodes(values: jax.Array) -> jax.Array:
 
 
 def _basis(axis: Axis, shift: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Return Lagrange's polynomials through an axis's points at a shift, and their derivatives."""
+    """Evaluate Lagrange's polynomials through the points of an axis at a shift, and their derivatives."""
     points = np.array(axis.points)
     return jax.jvp(lambda at: jnp.stack(lagrange_basis(points, at)), (shift,), (jnp.ones_like(shift),))

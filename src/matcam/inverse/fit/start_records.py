@@ -1,4 +1,4 @@
-"""What a rig records of the lobes that a search begins with: it depends on the rig alone, so that it is computed once."""
+"""Records of the lobes that a search starts from. They depend on the rig alone, so they are computed once."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from matcam.inverse.operator.lobe_operator import LobeOperator
 
 @dataclass(frozen=True)
 class StartRecords:
-    """Keep the records of starts through an operator.
+    """Cache of the records of starts through an operator.
 
     Attributes:
-        operator: what the rig records of a lobe; its parameters are those that the rig states.
+        operator: operator of the rig at its specified parameters.
         workspace: keeps the records for the next material, and for the next process.
     """
 
@@ -28,7 +28,7 @@ class StartRecords:
     workspace: Workspace
 
     def of(self, kind: LobeKind, starts: np.ndarray) -> np.ndarray:
-        """Return the records at F = 1 of lobes at some coordinates, (starts, slices, cells). starts: (starts, coordinates)."""
+        """Return the records at F = 1 of lobes at coordinates, (starts, slices, cells). starts: (starts, coordinates)."""
         key = f"records of starts\n{self._name}\n{kind}\n{starts.tobytes().hex()}"
 
         def make() -> dict[str, np.ndarray]:
@@ -42,7 +42,7 @@ class StartRecords:
 
     @cached_property
     def _name(self) -> str:
-        """Name the operator by its numbers: whatever made them, the records follow from them."""
+        """Name the operator by a hash of its numbers, from which the records follow."""
         numbers = hashlib.sha256()
         for leaf in jax.tree.leaves(self.operator):
             numbers.update(np.ascontiguousarray(leaf).tobytes())
@@ -50,4 +50,4 @@ class StartRecords:
 
 
 _KEPT = 40
-"""Files of records, less than a megabyte each: a rig has five, for the families that are tried with its camera and without."""
+"""Number of stored files of records, less than a megabyte each. A rig has five: one per family, with and without camera."""

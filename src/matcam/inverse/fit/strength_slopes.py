@@ -1,9 +1,10 @@
-"""How steeply F rises with theta_d where its strength is free in every slice.
+"""Slope of F over theta_d where its strength is free in every slice.
 
-A near rig's record needs the slope of ln F (`lobe_operator.py`), and free strengths have none of their own. Differences of
-neighbours would have all of their noise. A mixture of Fresnel curves with shares above 0 (Lawson & Hanson 1974) follows metals,
-dielectrics and Schlick's polynomial, and cannot rise as no surface does. Up to 86 degrees its slope is known to 0.05 per rad,
-and to 0.2 from strengths of 1 % noise. In the nearest rigs that is 1e-4 and 3e-4 of a record at most.
+A near rig's record needs the slope of ln F (`lobe_operator.py`), and free strengths have none of their own. Differences
+of neighbours would amplify their noise. A mixture of Fresnel curves with shares above 0 (Lawson & Hanson 1974) follows
+metals, dielectrics and Schlick's polynomial, and cannot have slopes that no surface has. Up to 86 degrees its slope is
+known to 0.05 per rad, and to 0.2 from strengths of 1 % noise. In the nearest rigs that is 1e-4 and 3e-4 of a record at
+most.
 """
 
 from __future__ import annotations
@@ -16,19 +17,19 @@ from matcam.core.programs import kept_program
 from matcam.inverse.fit.fit_parameters import FRESNEL_LATTICE, reflectance_at
 
 _ALIKE = 0.01
-"""Relative standard deviation that strengths have at least: no mixture is a surface's own curve."""
+"""Smallest relative standard deviation of strengths, because no mixture equals the curve of a surface."""
 
 
 class StrengthSlopes:
-    """Find slopes of free strengths. theta_d: of the slices, rad."""
+    """Slopes of free strengths. theta_d: of the slices, rad."""
 
     def __init__(self, theta_d: np.ndarray):
         self._curves, self._rises = (np.asarray(a) for a in _lattice(placed(theta_d)))
 
     def log_slopes(self, strength: np.ndarray, std: np.ndarray) -> np.ndarray:
-        """Return the slope of ln F at the slices, 1/rad, (units, slices); 0 where no strength is above 0.
+        """Compute the slope of ln F at the slices, 1/rad, (units, slices); 0 where no strength is positive.
 
-        strength, std: of every unit and slice; std is infinite where nothing is seen.
+        strength, std: of every unit and slice; std is infinite where nothing was recorded.
         """
         return np.stack([self._of_unit(*unit) for unit in zip(strength, std, strict=True)])
 
@@ -41,7 +42,7 @@ class StrengthSlopes:
 
 @kept_program
 def _lattice(theta: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Return the curves of all models' lattices at angles, and their slopes, (curves, angles) each."""
+    """Return the curves of the lattices of all models at angles, and their slopes, (curves, angles) each."""
     pairs = []
     for model, points in FRESNEL_LATTICE.items():
 

@@ -1,7 +1,7 @@
-"""The rules of chosen cells as arrays: what they read of a lobe at each node, and how that changes along the rig's axes.
+"""Operators of chosen cells as arrays: weights of a lobe at nodes, and their changes along the axes of the rig.
 
-Before a near camera or under a near lamp each node has a theta_d of its own. Their differences from the cell's come as a second
-set of weights, the moments.
+In front of a near camera or under a near lamp each node has its own theta_d. The differences from that of the cell give
+a second set of weights, the moments.
 """
 
 from __future__ import annotations
@@ -38,14 +38,14 @@ from matcam.rigs import Rig
 
 
 class _Blurs(NamedTuple):
-    """Blurs of the rig, of points of its axes and of changes of its lens, and what lamp and focus add to each in the pixels.
+    """Blurs of a rig, of points of its axes and of changes of its lens, with the effects of lamp and focus in the pixels.
 
     Attributes:
         blurs: the rig's own first, if it is among them.
         spreads: for each, the variances along x and y, (pixels,), px^2.
-        reaches: for each, the half sides of what a pixel sees, (2, pixels), px along its axes.
-        discs: for each, the lamp's disc, where it is not in the spreads.
-        lamps: for each, the radius of the lamp's disc, rad.
+        reaches: for each, the half sides of the kernel's window, (2, pixels), px along the axes of the pixel.
+        discs: for each, the source disc, if it is not part of the spreads.
+        lamps: for each, the radius of the source disc, rad.
         columns: for each, its index among all blurs whose rules are computed.
     """
 
@@ -71,7 +71,7 @@ class _Blurs(NamedTuple):
 
 
 class _Found(NamedTuple):
-    """Nodes of pixels, their weights for each blur, and the samples of masking, arrays by name.
+    """Nodes of pixels with weights for each blur, and masking samples, arrays by name.
 
     moments: as the weights, of a near rig; empty of a distant one.
     """
@@ -83,9 +83,9 @@ class _Found(NamedTuple):
 
 
 def rule_arrays(rig: Rig, cells: ChosenCells, axes: tuple[Axis, ...]) -> dict[str, np.ndarray]:
-    """Return the nodes, weights and masking samples of cells by name; what changes along the axes is along0, along1 ...
+    """Compute nodes, weights and masking samples of cells by name; along0, along1 ... are the changes along the axes.
 
-    Of a near rig the same of the moments: moment, moment_along0, moment_along1 ...
+    A near rig has moments in addition: moment, moment_along0, moment_along1 ...
     """
     ways = cells.x.shape[-1]
     flat = np.flatnonzero(np.repeat(cells.valid.ravel(), ways))
@@ -112,7 +112,7 @@ def rule_arrays(rig: Rig, cells: ChosenCells, axes: tuple[Axis, ...]) -> dict[st
     columns: list[dict[str, np.ndarray]] = []
     widths: list[_Blurs] = []
     groups = [group.terms for group in groups_of(own, rig.sample)]  # type: ignore[arg-type]
-    if view.line and float(own.lamp_radius) and not view.distant:  # rows by the rule of one term
+    if view.line and float(own.lamp_radius) and not view.distant:  # grouped by the rule of one term
         groups = [(term,) for terms in groups for term in terms]
     for terms in groups:
         parts = [one._replace(blur=one.blur.only(terms)) for one in moved]
@@ -149,10 +149,10 @@ def _gaussian_blurs(
     pixels: tuple[np.ndarray, np.ndarray, np.ndarray],
     lenses: list[float],
 ) -> _Blurs:
-    """Return Gaussians of one width under a lamp's disc: it is one itself where they, or the lenses, are wide enough.
+    """Build Gaussians of one width under a source disc, which is approximated by a Gaussian where blurs are much wider.
 
     pixels: x, y and the lamp's angle. lenses: standard deviation of each blur's whole lens, px: its Gaussians may be
-    narrower, and of either sign, but what they add up to is no sharper.
+    narrower and of either sign, but their sum is not sharper.
     """
     x, y, lamp_angle = pixels
     blurs, rough, stretch = ([getattr(one, name) for one in moved] for name in MovedBlur._fields)
@@ -166,10 +166,9 @@ def _gaussian_blurs(
     if any(disc is not None for disc in discs) or (view.line and any(lamps)):
         blurs, chords = [blur if one else blur.of_point() for blur, one in zip(blurs, rough, strict=True)], 0
     elif view.azimuth and any(float(blur.lamp_radius) > 0 for blur in blurs):
-        chords = 0  # what a small lamp adds is a Gaussian along turned axes: so is what focus adds
-    if np.any(stretch) or any(
-        blur.varies for blur in exact
-    ):  # one program for all; one variance for all nodes takes half the time
+        chords = 0  # a small source disc and focus add Gaussians along turned axes
+    # one program for all; a common variance of all nodes halves the time
+    if np.any(stretch) or any(blur.varies for blur in exact):
         blurs = [dataclasses.replace(blur, varies=True, chords=chords) for blur in blurs]
     spreads = [_variances(view, rig, blur, pixels, more) for blur, more in zip(blurs, stretch, strict=True)]
     half_width = float(rig.camera.pixel.half_width)
@@ -178,21 +177,18 @@ def _gaussian_blurs(
         kernel_reach(half_width, np.sqrt(s**2 + np.maximum(*v))) + m + _widest_disc(view, blur, x, y, s)
         for s, v, m, blur in zip(widest, spreads, aside, blurs, strict=True)
     ]
-    if any(rough):  # they ask for no nodes of their own, on which others would be less exact
+    if any(rough):  # they get no nodes of their own, which would be less accurate for the others
         seen = np.max([reach for reach, one in zip(reaches, rough, strict=True) if not one], axis=0)
         reaches = [np.minimum(reach, seen) for reach in reaches]
     return _Blurs(blurs, spreads, reaches, discs, lamps, tuple(range(len(blurs))))
 
 
 def _rest_blurs(
-    view: SampleView,
-    rig: Rig,
-    moved: list[MovedBlur],
-    pixels: tuple[np.ndarray, np.ndarray, np.ndarray],
+    view: SampleView, rig: Rig, moved: list[MovedBlur], pixels: tuple[np.ndarray, np.ndarray, np.ndarray]
 ) -> _Blurs:
-    """Return the residuals of the lenses beyond their Gaussians. They are small: lamp and focus widen them as Gaussians.
+    """Build the residuals of the lenses beyond their Gaussians. They are small: lamp and focus widen them as Gaussians.
 
-    How those change along an axis is left out. pixels: x, y and the lamp's angle.
+    Their changes along an axis are neglected. pixels: x, y and the lamp's angle.
     """
     variances, reaches, blurs = [], [], [one.blur for one in moved]
     for blur in blurs:
@@ -211,23 +207,23 @@ def _variances(
     pixels: tuple[np.ndarray, np.ndarray, np.ndarray],
     more: tuple[float, float] = (0.0, 0.0),
 ) -> tuple[np.ndarray, ...]:
-    """Return the variances that lamp, focus and a stretch add along x and y, px^2. more: those of the stretch."""
+    """Compute the variances that lamp, focus and a stretch add along x and y, px^2. more: those of the stretch."""
     x, y, lamp_angle = pixels
     spread = blur.spread(rig.sample, view.normals(x, y)[2], lamp_angle, rig.lamp.nearness)  # type: ignore[arg-type]
     return tuple(np.broadcast_to(v, x.shape) + one for v, one in zip(spread[:2], more, strict=True))
 
 
 def _finest(view: SampleView, widths: list[_Blurs]) -> float:
-    """Return the angle at which nodes for terms of several widths become even, rad; infinite: there is one width."""
+    """Return the angle at which nodes for terms of several widths become even, rad; infinite for a single width."""
     return np.inf if len(widths) == 1 else on_highlight(view.radius, float(np.min(widths[0].reaches[0])))
 
 
 def _in_pieces(
     view: SampleView, pixels: tuple[np.ndarray, ...], widths: list[_Blurs], finest: float, count: int
 ) -> list[_Found]:
-    """Return the rules of pixels, piece by piece on all cores; a cylinder's are two.
+    """Compute the rules of pixels, piece by piece on all cores; a cylinder has two.
 
-    pixels: see `_rules`. count: of all blurs whose rules are computed; one that `widths` do not hold has no weight here.
+    pixels: see `_rules`. count: number of all blurs; the weights of those that are not in `widths` are 0.
     """
     pieces = [slice(first, first + PIECE) for first in range(0, pixels[0].size, PIECE)]
 
@@ -245,7 +241,7 @@ def _in_pieces(
 
 
 def _in_columns(arrays: Sequence[np.ndarray], columns: list[int], count: int) -> list[np.ndarray]:
-    """Return a list of all columns, 0 where there is no array of the column; without arrays nothing."""
+    """Arrange arrays by column, with 0 in columns without an array. Without arrays the list is empty."""
     if not arrays:
         return []
     by_column = dict(zip(columns, arrays, strict=True))
@@ -253,7 +249,7 @@ def _in_columns(arrays: Sequence[np.ndarray], columns: list[int], count: int) ->
 
 
 def _joined(parts: tuple[_Found, ...]) -> _Found:
-    """Return the rules of all pixels of some pieces."""
+    """Join the rules of all pixels of some pieces."""
     return _Found(
         np.concatenate([part.theta for part in parts]),
         [np.concatenate(weights) for weights in zip(*(part.weights for part in parts), strict=True)],
@@ -263,7 +259,7 @@ def _joined(parts: tuple[_Found, ...]) -> _Found:
 
 
 def _rules(view: SampleView, pixels: tuple[np.ndarray, ...], widths: list[_Blurs], finest: float) -> list[_Found]:
-    """Return the rules of pixels, given by x, y, theta_d, the lamp's angle, and the record's factor.
+    """Compute the rules of pixels, given by x, y, theta_d, the angle of the lamp, and the factor of the record.
 
     widths: blurs of one width; on a sphere of several, on one set of nodes.
     """
@@ -282,7 +278,7 @@ def _rules(view: SampleView, pixels: tuple[np.ndarray, ...], widths: list[_Blurs
 
 
 def _widest_disc(view: SampleView, blur: Blur, x: np.ndarray, y: np.ndarray, std: float) -> np.ndarray:
-    """Return the radius of the largest disc out of focus that a pixel sees anything of, px."""
+    """Compute the radius of the largest source disc outside the Gaussian approximation in the window of a pixel, px."""
     if not blur.chords:
         return np.zeros(x.shape)
 
@@ -296,7 +292,7 @@ def _widest_disc(view: SampleView, blur: Blur, x: np.ndarray, y: np.ndarray, std
 
 
 def _on_the_same_nodes(widths: list[_Blurs]) -> list[list[_Blurs]]:
-    """Divide the terms of a blur, from the narrowest: a lens's core, what surrounds it, and wide tails."""
+    """Divide the terms of a blur, from the narrowest: the core of a lens, its surroundings, and wide tails."""
     reach = np.array([np.max(through.reaches[0]) for through in widths])
     ends = np.searchsorted(reach, np.maximum(_SURROUNDINGS, reach[0]), side="right")
     return [widths[a:b] for a, b in zip([0, *ends], [*ends, len(widths)], strict=True) if b > a]
@@ -305,7 +301,7 @@ def _on_the_same_nodes(widths: list[_Blurs]) -> list[list[_Blurs]]:
 def _sphere_rules(
     view: SampleView, pixels: SpherePixels, theta_d: np.ndarray, widths: list[_Blurs], finest: float
 ) -> _Found:
-    """Return a rule on one set of nodes for terms of several widths. finest: see `ThetaRange`."""
+    """Compute a rule on one set of nodes for terms of several widths. finest: see `ThetaRange`."""
     own = finest if np.min(widths[0].reaches[0]) > _SURROUNDINGS[0] else np.inf
     largest = np.max([reach for through in widths for reach in through.reaches], axis=0)
     widest, onto = (one._replace(finest=finest) for one in sphere_range(view, pixels, largest))
@@ -316,7 +312,7 @@ def _sphere_rules(
         return sphere_rule(view, pixels, kernel, circles, onto, theta_d)
 
     def parts(through: _Blurs, n: int) -> list[SphereRule]:
-        """Return the rules whose sum is that of a blur: one for each part of its range that needs circles of its own."""
+        """Return the rules whose sum is that of a blur: one for each part of its range with circles of its own."""
         seen = sphere_range(view, pixels, through.reaches[n])[0]
         ranges = [seen._replace(finest=own)] if through.blurs[n].rest is None else seen.parts()
         return [rule(through, n, one, through.reaches[n]) for one in ranges]
@@ -324,7 +320,7 @@ def _sphere_rules(
     first = parts(widths[0], 0)
 
     def each(through: _Blurs) -> list[tuple[np.ndarray, ...]]:
-        """Return weights, and in a near rig moments, of all blurs of a width; those of one residual are the same."""
+        """Return weights, and in a near rig moments, of all blurs of a width; blurs of one residual share theirs."""
         main, rest = _summed(first if through is widths[0] else parts(through, 0)), through.blurs[0].rest
         others = enumerate(through.blurs[1:], start=1)
         return [
@@ -341,12 +337,12 @@ def _sphere_rules(
     ]
     weights, *moments = zip(*found, strict=True)
     if len(widths) == len(first) == 1 and own == finest and np.array_equal(widths[0].reaches[0], largest):
-        shown = first[0]  # its circles are those of the whole range
+        shown = first[0]  # the circles are those of the whole range
     else:
         by = widths[0] if len(widths) == 1 else _standing_for(widths)
         shown = rule(by, 0, widest, widths[-1].reaches[0])
     theta = onto.nodes()[0]
-    # without the symmetry of an aligned, distant rig no polynomial follows G close to the limb
+    # without the symmetry of an aligned, distant rig no polynomial fits G close to the limb
     at = SAMPLED if view.distant and not view.azimuth else np.arange(NODES[0].size)
     sampled = dict(zip(_MASKED, masking_samples(shown.circles, theta, at), strict=True))
     return _Found(theta, list(weights), sampled, *(tuple(one) for one in moments))
@@ -359,10 +355,10 @@ def _summed(rules: list[SphereRule]) -> tuple[np.ndarray, ...]:
 
 
 def _standing_for(widths: list[_Blurs]) -> _Blurs:
-    """Return a blur by which masking's azimuths are weighed: a Gaussian as wide as the rig's own blur by these terms.
+    """Return the Gaussian that weighs the azimuths of masking in place of a blur.
 
-    The blur itself has negative shares: means over it may lie anywhere. As wide: its transfer falls to a half with that of
-    the terms.
+    The blur itself has negative shares, so means over it may lie outside the range. The widths agree where the transfer
+    function of the terms is one half.
     """
     own = [through.blurs[0] for through in widths if through.columns[0] == 0]
     weights, stds = (np.concatenate([np.asarray(getattr(blur, name)) for blur in own]) for name in ("weights", "stds"))
@@ -372,7 +368,6 @@ def _standing_for(widths: list[_Blurs]) -> _Blurs:
 
 
 def _line_rules(radius: float, pixels: ImagePlaces, through: _Blurs) -> list[_Found]:
-    """Return the rules of a cylinder's two arms."""
     blurs, spreads, reaches, *_ = through
     terms = through.terms
     onto = np.max([along for along, _ in reaches], axis=0)
@@ -389,9 +384,9 @@ def _line_rules(radius: float, pixels: ImagePlaces, through: _Blurs) -> list[_Fo
 
 
 def _cylinder_rules(view: SampleView, pixels: LinePixels, through: _Blurs, theta_d: np.ndarray | None) -> list[_Found]:
-    """Return the rules of a cylinder's two arms where one line under one lamp does not do.
+    """Compute the rules of the two arms of a cylinder where a single line and lamp direction are insufficient.
 
-    theta_d: from which moments count, rad; None: none do.
+    theta_d: origin of the moments, rad; None: no moments.
     """
     blurs, spreads, reaches, _, lamps, _ = through
     widest = np.max([along for along, _ in reaches], axis=0)
@@ -422,7 +417,7 @@ def _cylinder_rules(view: SampleView, pixels: LinePixels, through: _Blurs, theta
 
 
 def _found(rules: list[CylinderRule]) -> _Found:
-    """Return the rules of all blurs on the same nodes."""
+    """Combine the rules of all blurs on the same nodes."""
     theta = np.asarray(rules[0].theta)
     circles = CircleSums(*(np.asarray(a) for a in rules[0].circles))
     samples = dict(zip(_MASKED, masking_samples(circles, theta, np.arange(NODES[0].size)), strict=True))
@@ -431,7 +426,7 @@ def _found(rules: list[CylinderRule]) -> _Found:
 
 
 def _pixel_nodes(blurs: list[Blur], n: int) -> int:
-    """Choose the number of nodes over a turned pixel for the n-th blur: more where a lens resolves the borders of the pixel."""
+    """Choose the number of nodes over a turned pixel for the n-th blur: more where a lens resolves the pixel's borders."""
     if not blurs[n].varies or not blurs[n].stds.size:
         return 1
     sharpest = min(float(np.min(np.asarray(blur.stds))) for blur in blurs)
@@ -440,14 +435,14 @@ def _pixel_nodes(blurs: list[Blur], n: int) -> int:
 
 
 MOMENT_ALONG = "moment_along"
-"""Name of what changes of the moments along each axis, before the axis's number."""
+"""Prefix of the changes of the moments along each axis, followed by the number of the axis."""
 _MASKED = "sample_theta", "sample_cos_psi", "sample_theta_d", "sample_share"
-"""Names of what `masking_samples` returns."""
+"""Names of the results of `masking_samples`."""
 _SURROUNDINGS = np.array([9.0, 45.0])
-"""Reach of the terms of a lens that count as its core, and as what surrounds it, px."""
+"""Support radii of the terms of a lens that count as its core and as its surroundings, px."""
 _RESOLVED = 10
-"""Reach of a blur over the least standard deviation that the azimuths of a rule resolve."""
+"""Support radius of a blur over the smallest standard deviation that the azimuths of a rule resolve."""
 _INSIDE = 1 - 1e-9
-"""Share of a sample's radius within which it is seen."""
+"""Share of the radius of a sample within which it is visible."""
 _PIXEL_NODES = ((1.7, 5), (5.0, 10), (np.inf, 20))
-"""(half width of the pixel over the lens's standard deviation, nodes); few counts, as each is a program."""
+"""(half width of the pixel over the standard deviation of the lens, nodes); few counts, as each requires a program."""

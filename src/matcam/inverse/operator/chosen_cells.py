@@ -1,9 +1,9 @@
-"""The cells of a table that a material is fitted to: few, far and near, and no two of them read from one pixel.
+"""Cells of a table that a material is fitted to: a small set, no two of which come from one pixel.
 
-Near the peak about 75 cells of a MERL table come from one pixel and share its noise; elsewhere a cell is a pixel. A fit wants
-data whose errors are independent, so of each pixel one cell is chosen. The likelihood of the chosen cells is then exact, slice
-by slice, with nothing counted twice. Two kinds of cells are left out. Neighbours in one pixel say the same again. On the
-smooth flanks hundreds of pixels would only tell better what is known to a fraction of a per cent.
+Near the peak about 75 cells of a MERL table come from one pixel and share its noise; elsewhere a cell is a pixel. A fit
+requires data with independent errors, so one cell is chosen per pixel. The likelihood of the chosen cells is then exact
+in each slice. Two kinds of cells are left out: neighbours in one pixel, which are redundant, and most of the pixels on
+the smooth flanks, which would improve values that are known to a fraction of a per cent.
 """
 
 from __future__ import annotations
@@ -27,11 +27,12 @@ from matcam.rigs import Rig
 
 NEAR_RINGS = 12
 NEAR_COSINE, FAR_COSINE = 0.06, 0.17
-"""Smallest cosine of light and view that is used, in the rings about the highlight and beyond them: closer to the ends of the
-light a cell hangs on the sphere's last pixels."""
+"""Smallest cosine of light and view that is used, in the rings about the highlight and beyond them: at smaller cosines
+a cell depends on the last pixels of the sphere.
+"""
 
 _CELLS = 112
-"""Most cells of a slice: one shape for all."""
+"""Largest number of cells of a slice, which gives all slices one shape."""
 _RINGS = np.concatenate([np.arange(12), np.arange(12, 26, 2), np.arange(26, 90, 5)])
 _MOST_IN_RING = 4
 
@@ -65,11 +66,11 @@ class ChosenCells(NamedTuple):
         valid: (s, n), False where a slice has fewer cells.
         x: (s, n, 2), the pixels' centres, px from the optical axis, the lamp towards +x.
         y: (s, n, 2), the same across.
-        cos_i: (s, n, 2), cosine of the light at each place.
+        cos_i: (s, n, 2), cosine of the light at each position.
         cos_o: (s, n, 2), cosine of the view.
-        one_pixel: (s, n), whether both ways fall into the same pixel.
-        real: where cells are looked up in real pixels, what these show; x, y and the cosines are the pixels' then, and their
-            last axis is over all pixels of a cell. None: each way is a pixel at the cell's place.
+        one_pixel: (s, n), whether both directions fall into the same pixel.
+        real: real pixels in which cells are looked up; x, y and the cosines are then those of the pixels, and their
+            last axis is over all pixels of a cell. None: each direction is a pixel at the position of the cell.
     """
 
     slices: np.ndarray
@@ -98,16 +99,16 @@ class ChosenCells(NamedTuple):
 
     @property
     def noise_share(self) -> np.ndarray:
-        """Return the variance of each cell over that of a pixel, (s, n): half, unless both ways are one pixel."""
+        """Return the variance of each cell over that of a pixel, (s, n): half, unless both directions share a pixel."""
         return np.where(self.one_pixel, 1.0, 0.5) if self.real is None else self.real.noise_share
 
 
 def chosen_cells(
     view: SampleView, sampling: Sampling, slice_step: int = 1, pixels: PixelGrid | None = None
 ) -> ChosenCells:
-    """Choose cells in every `every`-th slice of a table recorded from a sphere.
+    """Choose cells in every `slice_step`-th slice of a table recorded from a sphere.
 
-    pixels: the real grid that the cells are looked up in; None: each has pixels of its own.
+    pixels: the real grid in which cells are looked up; None: each cell has its own pixels.
     """
     grid = merl_grid(sampling)
     slices = np.arange(slice_step // 2, GRID_SHAPE[1], slice_step)
@@ -124,13 +125,13 @@ def chosen_cells(
         x, y, weight, noise_share = (np.stack(parts) for parts in zip(*(c.behind for c in columns), strict=True))
         at = pixel_angles(view.radius, theta_d[:, None, None], x, y)
         real = RealPixels(at.theta_h, at.psi, weight, noise_share)
-        # of cells that only fill up a slice, and of places that only fill up a cell
+        # padding of a slice and of a cell
         cos_i, cos_o = (np.where(valid[..., None] & (weight > 0), c, 1.0) for c in (at.cos_i, at.cos_o))
     return ChosenCells(slices, theta_d, i, k, theta_h, phi_d, valid, x, y, cos_i, cos_o, one_pixel, real)
 
 
 def peak_cells(view: SampleView, theta_d: np.ndarray) -> ChosenCells:
-    """Return one cell a slice, at its highlight. theta_d: of the slices, rad, (s,)."""
+    """Return one cell per slice, at its highlight. theta_d: of the slices, rad, (s,)."""
     none = np.zeros((theta_d.size, 1), dtype=int)
     places = places_in(view, 0.0 * none, theta_d[:, None], 0.0 * none)
     there = np.ones(none.shape, dtype=bool)
@@ -138,10 +139,11 @@ def peak_cells(view: SampleView, theta_d: np.ndarray) -> ChosenCells:
 
 
 def noise_shares(rig: Rig, sampling: Sampling) -> np.ndarray:
-    """Return the variance of every cell of a table over that of a pixel, (90, 90, 180).
+    """Compute the variance of every cell of a table over that of a pixel, (90, 90, 180).
 
-    It is half where the cell's two positions, on either side of the highlight of their image, surely show two pixels. Cells
-    that are means of pixels have one over their count, and interpolated cells the sum of the squared weights.
+    It is half where the cell's two positions, on either side of the highlight of their image, lie in two pixels for
+    certain. Cells that are means of pixels have one over their count, and interpolated cells the sum of the squared
+    weights.
     """
     grid, view = merl_grid(sampling), sample_view(rig)
     ways = [
@@ -163,7 +165,7 @@ def noise_shares(rig: Rig, sampling: Sampling) -> np.ndarray:
 
 
 def places_in(view: SampleView, theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray) -> CellPlaces:
-    """Return the two places that show each cell, each in the picture whose lamp does (docs/model.md 10)."""
+    """Compute the two positions that show each cell, each in the image of its lamp (docs/model.md 10)."""
     far = cell_places(view.radius, theta_h, theta_d, phi_d)
     if view.distant:
         return far
@@ -172,7 +174,7 @@ def places_in(view: SampleView, theta_h: np.ndarray, theta_d: np.ndarray, phi_d:
 
 
 def _azimuth(view: SampleView, pixels: PixelGrid | None) -> float:
-    """Return the azimuth of the lamp against the pixels' rows, rad."""
+    """Return the azimuth of the lamp relative to the rows of pixels, rad."""
     return view.azimuth if pixels is None else pixels.azimuth
 
 
@@ -182,8 +184,8 @@ class _SliceCells(NamedTuple):
     Attributes:
         i: indices of theta_h.
         k: indices of phi_d.
-        valid: False where they only fill up.
-        behind: the real pixels behind each; None: there are none.
+        valid: False for padding.
+        behind: the real pixels behind each; None: no real pixels.
     """
 
     i: np.ndarray
@@ -193,7 +195,7 @@ class _SliceCells(NamedTuple):
 
 
 def _slice_cells(view: SampleView, sampling: Sampling, slice_: int, pixels: PixelGrid | None) -> _SliceCells:
-    """Return the cells of one slice, rings from the highlight outwards.
+    """Choose the cells of one slice, rings from the highlight outwards.
 
     A cell is refused if one of its pixels belongs to another cell.
     """
@@ -204,12 +206,12 @@ def _slice_cells(view: SampleView, sampling: Sampling, slice_: int, pixels: Pixe
     x, y, cos_i, cos_o = places_in(view, theta_h[i], np.full(k.size, td), phi_d[k])
     seen = np.minimum(cos_i, cos_o).min(axis=-1) > np.where(i < NEAR_RINGS, NEAR_COSINE, FAR_COSINE)
     shift, behind = np.zeros(2), None
-    if pixels is not None:  # the pixels themselves must be there, too
+    if pixels is not None:  # the pixels themselves must be recorded, too
         shift = pixels.of_slices(np.array([slice_]))[0]
         behind = pixels_behind(pixels, radius, td, slice_, i, k)
         at = pixel_angles(radius, td, behind.x, behind.y)
         seen &= ((np.minimum(at.cos_i, at.cos_o) > NEAR_COSINE) | (behind.weight == 0)).all(axis=-1)
-        if pixels.rule == "mean":  # the pixels inside, which are not those of the cell's two places
+        if pixels.rule == "mean":  # the pixels inside, which differ from those of the two positions of the cell
             x, y = behind.x, behind.y
     numbers = pixel_numbers(x, y, shift, _azimuth(view, pixels)).tolist()
     occupied: set[float] = set()
@@ -217,7 +219,7 @@ def _slice_cells(view: SampleView, sampling: Sampling, slice_: int, pixels: Pixe
     first = 0
     for ring, azimuths in zip(_RINGS, rings, strict=True):
         wanted = 5 if ring < NEAR_RINGS else _MOST_IN_RING if ring < 26 else 3
-        # in an order that spreads over the ring even where not all cells fit
+        # in an order that spreads over the ring even if not all cells fit
         for n in first + np.argsort((np.arange(azimuths.size) * 0.618) % 1):
             own = set(numbers[n])
             if wanted and seen[n] and not own & occupied and len(chosen) < _CELLS:
@@ -233,8 +235,8 @@ def _slice_cells(view: SampleView, sampling: Sampling, slice_: int, pixels: Pixe
 
 
 def _ring_azimuths(ring: int, radius: float, theta_d: float, count: int) -> np.ndarray:
-    """Return the indices of phi_d, of `count`, that are looked at in a ring of `radius` px."""
-    # its half circumference in px, foreshortened in one direction
+    """Return the indices of phi_d, of `count`, that are considered in a ring of `radius` px."""
+    # half its circumference in px, foreshortened in one direction
     length = np.pi * radius * np.sqrt((1 + np.cos(theta_d) ** 2) / 2)
     places = int(np.clip(np.ceil(2 * length), 1, 24)) if ring < NEAR_RINGS else _MOST_IN_RING
     share = (np.arange(places) + (0.5 if ring % 2 else 0.2)) / places

@@ -22,7 +22,7 @@ _SHORTEST = 1e-14
 _TINY = 1e-300
 _TURN = 2 * np.pi
 _WHOLE = np.pi - 1e-9
-"""Half length of an interval, rad, that leaves nothing of a circle."""
+"""Half length of an excluded interval, rad, that covers a whole circle."""
 
 
 class SpherePixels(NamedTuple):
@@ -110,10 +110,11 @@ def _half_spaces(view: SampleView, pixels: SpherePixels, reach: np.ndarray) -> t
 def _gaps(
     axial: jax.Array, radial: jax.Array, azimuth: jax.Array, offset: jax.Array, circles: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    """Return start and length of what half-spaces leave of circles, (pixels, circles, half-spaces), rad; length 0: nothing.
+    """Return start and length of the gaps that half-spaces leave of circles, (pixels, circles, half-spaces), rad;
+    length 0: none.
 
-    On a circle a half-space excludes one interval. What remains begins at the end of an interval that no other one covers, and
-    ends at the next beginning of an interval.
+    On a circle a half-space excludes one interval. A gap starts at the end of an interval that no other interval
+    covers, and ends at the next start of an interval.
     """
     excess = offset[:, None] - jnp.cos(circles)[..., None] * axial[:, None]
     cosine = excess / jnp.maximum(jnp.sin(circles)[..., None] * radial[:, None], _TINY)
@@ -124,7 +125,7 @@ def _gaps(
     for other in range(half.shape[-1]):
         own = excludes[..., other, None]
         since = jnp.mod(end - begin[..., other, None], _TURN)
-        # its own beginning is a turn less its length away
+        # the start of the interval itself is a turn less its length away
         covered = own & (since < 2 * half[..., other, None]) & (np.arange(half.shape[-1]) != other)
         length = jnp.where(own, jnp.minimum(length, _TURN - since), length)
         length = jnp.where(covered | (own & (half[..., other, None] > _WHOLE)), 0.0, length)

@@ -1,12 +1,12 @@
-"""The record of an isotropic lobe in one pixel of a cylinder where light comes from a disc, or changes along the cylinder.
+"""Record of an isotropic lobe in one pixel of a cylinder under a source disc, or in a near rig.
 
-One line under one lamp does not do then (`line_rule.py`): points of a disc miss the line by different angles, and so do rows
-that a near camera or lamp shows. Both are samples of one kind. Each is a line of its own, under a lamp of its own, that misses
-its half vector by an angle of its own. Polynomials in asinh(theta_h / scale) carry the weights of all over to few nodes in
-theta_h, as in `theta_nodes.py`, and with them the moments of theta_d.
+A single line and lamp direction (`line_rule.py`) are insufficient in that case: the closest angle to the half vector
+differs between points of a disc, and between rows in a near rig. Both are samples of one kind: a line, under a lamp,
+with a smallest angle to its half vector. Polynomials in asinh(theta_h / scale) transfer the weights of all samples, and
+the moments of theta_d, to few nodes in theta_h, as in `theta_nodes.py`.
 
-A disc is cut into chords along which the half vector turns across the cylinder alone. Over a chord the kernel is integrated in
-closed form. Where a sample may meet the half vector itself, samples crowd.
+A disc is cut into chords along which the half vector turns across the cylinder alone. Over a chord the kernel is
+integrated in closed form. Samples are denser where a line may meet the half vector.
 """
 
 from __future__ import annotations
@@ -29,16 +29,16 @@ _ACROSS = np.polynomial.legendre.leggauss(10)
 _HALVES = np.array([0.5])
 _BLOCK = 8
 _LEAST = 1e-12
-"""Length of an arm of which nothing is seen, rad: its weights are 0."""
+"""Length of an arm outside the window, rad: its weights are 0."""
 _FINEST = 25.0
 _MEETS, _SLACK = 0.02, 0.02
-"""Share of the largest angle from the half vector below which the least one counts as none, and share added to their range."""
+"""Share of the largest angle from the half vector below which the smallest one counts as 0, and share added to their range."""
 _SHORT = 1e-3
-"""Length of a chord's image, in standard deviations of the blur, below which it is a point."""
+"""Length of the image of a chord, in standard deviations of the blur, below which it is a point."""
 
 
 class LinePixels(NamedTuple):
-    """Pixels on a cylinder at height 0, arrays of one shape, each under a lamp of its own.
+    """Pixels on a cylinder at height 0, arrays of one shape, each with its own lamp.
 
     Attributes:
         x: px from the axis.
@@ -59,7 +59,7 @@ class CylinderRule(NamedTuple):
     Attributes:
         theta: angle between normal and half vector, rad.
         weight: of each node.
-        circles: sums over nodes at about one turn from the place of the least angle.
+        circles: sums over nodes at about one turn from the position of the smallest angle.
         moment: weights of the difference of theta_d from the cell's, rad; None: not requested.
     """
 
@@ -70,13 +70,13 @@ class CylinderRule(NamedTuple):
 
 
 class _Samples(NamedTuple):
-    """Lines under lamps of their own, arrays (pixels, samples).
+    """Lines with their own lamps, arrays (pixels, samples).
 
     Attributes:
         light: their lamps.
         row: px.
         share: of the record.
-        shift: by how much the closest normals at a chord's two ends differ from that at its middle, rad, two arrays.
+        shift: differences of the closest normals at the two ends of a chord from that at its middle, rad, two arrays.
     """
 
     light: PlacedLamps
@@ -86,7 +86,7 @@ class _Samples(NamedTuple):
 
 
 def lamp_of(pixels: LinePixels, nearness: float) -> PlacedLamps:
-    """Return the lamps of pixels, (pixels, 1). nearness: inverse of their distance, 1/radii; 0: distant."""
+    """Build the lamps of pixels, (pixels, 1). nearness: inverse of their distance, 1/radii; 0: distant."""
     lamp = tuple(jnp.asarray(a)[:, None] for a in towards(pixels.lamp_angle, pixels.azimuth))
     near = jnp.full((pixels.x.size, 1), nearness) if nearness else None
     return PlacedLamps(lamp, near)  # type: ignore[arg-type]
@@ -95,9 +95,9 @@ def lamp_of(pixels: LinePixels, nearness: float) -> PlacedLamps:
 def line_window(
     cylinder: Cylinder, nearness: float, pixels: LinePixels, reach: np.ndarray, disc: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the least and the largest angle from the half vector that pixels see, rad; the least is 0 where it is small.
+    """Compute the smallest and the largest angle from the half vector in the window of pixels, rad; small ones count as 0.
 
-    reach: of the kernel, (pixels,), px. disc: angular radius of the lamp, rad.
+    reach: support radius of the kernel, (pixels,), px. disc: angular radius of the lamp, rad.
     """
     turns = np.linspace(-1, 1, 9)
     light, bound = lamp_of(pixels, nearness), jnp.asarray(reach)[:, None]
@@ -105,7 +105,7 @@ def line_window(
     ends = ends_of_light(cylinder, light)
     own = jnp.asarray(pixels.x)[:, None]
     first, last = (jnp.clip(cylinder.across(own + s * bound, jnp.zeros(())), *ends) for s in (-1, 1))
-    # chords turn the closest place across the cylinder, too
+    # chords turn the closest normal across the cylinder, too
     first, last = (jnp.clip(at + side * disc, *ends) for at, side in ((first, -1), (last, 1)))
     misses, aside, angles = [], [], []
     for part in turns if disc else np.zeros(1):
@@ -138,7 +138,7 @@ def cylinder_rule(
     discs: bool,
     theta_d: jax.Array | np.ndarray | None = None,
 ) -> CylinderRule:
-    """Return one arm's rule for some terms of a blur.
+    """Compute the rule of one arm for some terms of a blur.
 
     Args:
         cylinder: the cylinder.
@@ -147,12 +147,12 @@ def cylinder_rule(
         terms: of the blur.
         pixels: a multiple of the block, see `padded`.
         nearness: inverse of the lamp's distance, 1/radii; None: distant.
-        reach: half width of what a pixel sees, (pixels,), px.
+        reach: half width of the window of a pixel, (pixels,), px.
         disc: angular radius of the lamp's disc, rad.
         onto: least and largest theta_h between which the nodes lie, (pixels,), rad.
         arm: one of `line_rule.ARMS`.
         discs: whether the lamp has a disc.
-        theta_d: of the cells, (pixels,), rad, from which moments count; None: none do.
+        theta_d: of the cells, (pixels,), rad, origin of the moments; None: no moments.
     """
 
     def block(arguments):  # type: ignore[no-untyped-def]
@@ -203,7 +203,7 @@ def cylinder_rule(
         weight = onto_nodes(place, share)
         moment = None if cell is None else onto_nodes(place, share * rise_of(at.theta_d, cell[:, None, None]))
         nodes = scale * jnp.sinh(first + (last - first) * (NODES[0] + 1) / 2)
-        # nodes of all samples at about one turn are a circle
+        # nodes of all samples at about one turn form a circle
         cos_psi = (at.cos_i - at.cos_o) / jnp.maximum(2 * jnp.sin(at.theta_h) * jnp.sin(at.theta_d), 1e-300)
         cos_psi = jnp.clip(cos_psi, -1, 1)
         sums = [
@@ -228,7 +228,7 @@ def _samples(
     finest: jax.Array,
     disc: jax.Array | None,
 ) -> _Samples:
-    """Return lines under lamps of their own. finest: angle from the half vector on which they crowd, rad, (pixels, 1)."""
+    """Build lines with their own lamps. finest: angle from the half vector on which they become dense, rad, (pixels, 1)."""
     ends = ends_of_light(cylinder, light)
     half, zero = blur.pixel.half_width, jnp.zeros_like(reach)
     row, share = zero, jnp.ones_like(reach)
@@ -246,7 +246,7 @@ def _samples(
     middle, slope = _meeting(
         *(_miss(cylinder, _moved(light, disc, m * one, 0 * one)[0], row, ends) for m in (-1.0, 0.0, 1.0))
     )
-    # in angles whose sines are places: a chord's share is even in them
+    # in angles whose sines are positions, so that the share of a chord is even in them
     quarter = jnp.full_like(middle, jnp.pi / 2)
     flat = [a.reshape(-1, 1) for a in (jnp.arcsin(middle), quarter, finest / slope)]
     at, step = _crowded(flat[0], (-flat[1], flat[1]), flat[2])
@@ -265,7 +265,7 @@ def _beside(nearness, row):  # type: ignore[no-untyped-def]
 
 
 def _miss(cylinder: Cylinder, light: PlacedLamps, row: jax.Array, ends: tuple[jax.Array, jax.Array]) -> jax.Array:
-    """Return by which angle a row misses its half vector, above 0 where that lies higher, rad."""
+    """Compute the angle between a row and its half vector, positive where the latter is higher, rad."""
     u, miss = ridge_of(cylinder, light, row, *ends)
     element, lamp, _ = seen_at(cylinder, light, u, row)
     return jnp.where(lamp[1] + element.view[1] < 0, -miss, miss)
@@ -279,7 +279,7 @@ def _meeting(first: jax.Array, middle: jax.Array, last: jax.Array) -> tuple[jax.
 
 
 def _crowded(middle: jax.Array, borders: tuple[jax.Array, ...], scale: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Return nodes between the first and the last border that crowd towards a place on a scale, and their weights."""
+    """Return nodes between the first and the last border that are denser towards a position on a scale, and their weights."""
     cuts = jnp.concatenate([jnp.arcsinh((at - middle) / scale) for at in (*borders, middle)], axis=1)
     cuts = jnp.sort(cuts, axis=1)
     low, high = cuts[:, :-1, None], cuts[:, 1:, None]
@@ -289,15 +289,16 @@ def _crowded(middle: jax.Array, borders: tuple[jax.Array, ...], scale: jax.Array
 
 
 def _moved(light: PlacedLamps, disc: ArrayLike, place: jax.Array, along: jax.Array) -> tuple[PlacedLamps, jax.Array]:
-    """Return the lamp at a point of its disc, and the point's light over the middle's.
+    """Move the lamp to a point of its disc; return it with the light of the point over that of the middle.
 
-    place: in radii of the disc, in the direction in which the half vector turns along the cylinder. along: in the other.
+    place: position in radii of the disc, in the direction in which the half vector turns along the cylinder. along: in
+    the other.
     """
     x, y, z = light.towards
     across = jnp.maximum(jnp.hypot(x, z), 1e-12)
     first, second = (z / across, 0 * x, -x / across), (-x * y / across, across, -y * z / across)
     square = place**2 + along**2
-    if light.nearness is None:  # evenly over the disc's solid angle
+    if light.nearness is None:  # uniform over the solid angle of the disc
         sunk = square * 2 * jnp.sin(disc / 2) ** 2
         up, aside, length = 1 - sunk, np.sqrt(2) * jnp.sin(disc / 2) * jnp.sqrt(2 - sunk), jnp.ones_like(square)
     else:  # a flat disc that faces the centre
@@ -311,7 +312,7 @@ def _moved(light: PlacedLamps, disc: ArrayLike, place: jax.Array, along: jax.Arr
 
 
 def _angles(element, lamp) -> Directions:  # type: ignore[no-untyped-def]
-    """Return cosines and angles at pieces of surface."""
+    """Compute cosines and angles at surface elements."""
     half, apart = ([a + side * b for a, b in zip(lamp, element.view, strict=True)] for side in (1, -1))
     normal, tangent = element.normal, element.tangent
     cos_i, cos_o = (normal[0] * one[0] + normal[2] * one[2] for one in (lamp, element.view))
@@ -322,7 +323,7 @@ def _angles(element, lamp) -> Directions:  # type: ignore[no-untyped-def]
 
 
 def _kernel(cylinder, blur: Blur, terms, variance, at, shift, rows: bool):  # type: ignore[no-untyped-def]
-    """Return the kernel at nodes, 1/px or 1/px^2; shift: of a chord's ends, over which it is a mean; None: of a point."""
+    """Evaluate the kernel at nodes, 1/px or 1/px^2. shift: of the ends of a chord, over which it is averaged; None: a point."""
     x, u, row = at
     spread = Spread(variance, variance, jnp.abs(blur.defocus(cylinder.radius, jnp.cos(u))))
     offset = x - cylinder.surface(u, jnp.zeros(())).x

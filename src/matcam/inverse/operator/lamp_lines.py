@@ -1,14 +1,14 @@
-"""A lamp's disc in a pixel's rule: chords of the disc, over each of which the pixel's kernel is integrated in closed form.
+"""Source disc in the rule of a pixel: chords of the disc, over which the kernel of the pixel is integrated in closed form.
 
-A point of the lamp turns the half vector, and with it the lobe over the sphere. So a place that the lamp's centre shows at some
-angles from the half vector is shown turned by as much, and the kernel is asked for there (docs/model.md 3). That is exact for
-distant cameras and lamps, and at the highlight itself for near ones.
+A point of the lamp turns the half vector, and with it the lobe over the sphere. A normal at some angles from the half
+vector of the lamp's centre is therefore turned by the same rotation, and the kernel is evaluated at its new position
+(docs/model.md 3). That is exact for distant cameras and lamps, and at the highlight itself for near ones.
 
-Chords (`numerics/disc_chords.py`) run so that their images lie along the pixel's second axis. Where on a chord the pixel is met
-says how far the image bends aside there, and how densely it is run through.
+Chords (`numerics/disc_chords.py`) have images along the second axis of the pixel. The point of a chord that meets the
+pixel determines the sideways displacement of the image there, and its speed along the chord.
 
-An image that is small beside the blur is an ellipse, and takes a few Gaussians instead (`numerics/disc_gaussians.py`): a
-twentieth of the time.
+An image that is much smaller than the blur is an ellipse, and few Gaussians represent it (`numerics/disc_gaussians.py`)
+in a twentieth of the time.
 """
 
 from __future__ import annotations
@@ -27,20 +27,22 @@ from matcam.numerics.disc_gaussians import DISC_GAUSSIANS, LARGEST
 from matcam.sample.shape import highlight_between
 
 _GAUSSIAN = 0.45
-"""Radius of the lamp's image over the blur's standard deviation up to which a Gaussian of its variance is within 1e-3."""
+"""Radius of the image of the lamp over the standard deviation of the blur up to which a Gaussian of its variance is
+within 1e-3.
+"""
 DISC_RULE = (*CHORD_RULE, _GAUSSIAN, PIXELS_SHARE, LARGEST, len(DISC_GAUSSIANS))
 """Parameters that set the number of chords. A stored rule is valid only for the same parameters."""
 _SMALLEST = 1e-5
-"""Least angular radius of a disc, rad: that of a lamp which is a point."""
+"""Smallest angular radius of a disc, rad: that of a point source."""
 _SLACK = 1.1
-"""Share by which an image may be larger at the kernel's end than at its middle."""
+"""Factor by which an image may be larger at the end of the kernel than at its middle."""
 _ALIGNED = 1e-9
 """Sine of the angle between the pixel's axes and the plane of camera and lamp below which they are parallel."""
 _ROUND = np.pi * np.arange(16) / 8
 
 
 def _chords() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return distances from the centre, half lengths and shares of the light for each of `COUNTS`; without light at the end."""
+    """Return distances from the centre, half lengths and shares of the light for each of `COUNTS`; padding has no light."""
     at, half, share = np.zeros((3, len(COUNTS), COUNTS[-1]))
     half += 1.0
     for n, count in enumerate(COUNTS):
@@ -58,9 +60,9 @@ class LampDisc(NamedTuple):
         radius: (pixels,), angular radius of the disc, rad.
         lamp_angle: (pixels,), between the lamp's centre and the optical axis, rad.
         chord: (pixels, 2), direction of the chords along the plane of camera and lamp, and across it.
-        rule: (pixels,), which of `COUNTS`.
-        turn: (pixels, 2), cosine and sine of the plane of camera and lamp against the pixel's first axis.
-        image: (pixels, 2), how far the highlight moves with the lamp along and across its plane, px/rad.
+        rule: (pixels,), index into `COUNTS`.
+        turn: (pixels, 2), cosine and sine of the angle between the plane of camera and lamp and the first axis of the pixel.
+        image: (pixels, 2), motion of the highlight with the lamp along and across its plane, px/rad.
         relative: (pixels,), half of the image's larger width over the blur's standard deviation.
     """
 
@@ -76,10 +78,11 @@ class LampDisc(NamedTuple):
 def lamp_discs(
     view: SampleView, blurs: list[Blur], stds: list[float], lamp_angle: np.ndarray, x: np.ndarray, y: np.ndarray
 ) -> tuple[list[LampDisc | None], np.ndarray]:
-    """Return the discs of some blurs, and how far they move what pixels see, (blurs, 2, pixels), px along the pixels' axes.
+    """Compute the discs of some blurs, and their shifts of what pixels see, (blurs, 2, pixels), px along the axes of
+    the pixels.
 
-    All are None where Gaussians of the discs' variances do, and those of points always. stds: of Gaussians as sharp as the
-    blurs, px. lamp_angle, x, y: of the pixels.
+    All are None where Gaussians of the same variances suffice; those of points always are. stds: of Gaussians as sharp
+    as the blurs, px. lamp_angle, x, y: of the pixels.
     """
     half = float(blurs[0].pixel.half_width)
     turn = view.azimuth - np.pi / 2 * np.round(view.azimuth / (np.pi / 2))  # a square has four axes
@@ -108,22 +111,22 @@ def lamp_discs(
 def lamp_kernel(
     view: SampleView, blur: Blur, terms: tuple[int, ...], disc: LampDisc, normal: tuple, at: tuple, variances: tuple
 ) -> jax.Array:
-    """Return the kernel over the disc of a lamp at nodes, 1/px^2, (groups, nodes).
+    """Integrate the kernel over the disc of a lamp at nodes, 1/px^2, (groups, nodes).
 
     Differentiable in the disc's radius.
 
     Args:
-        view: how the sphere is seen and lit.
+        view: geometry of sphere, camera and lamp.
         blur: the blur under a point.
         terms: of the blur.
         disc: of the pixel of each group.
-        normal: normals where the lamp's centre shows them, (groups, nodes) each.
-        at: the pixel's place along the plane of camera and lamp and across it, (groups, 1) each, px.
+        normal: normals for the centre of the lamp, (groups, nodes) each.
+        at: position of the pixel along the plane of camera and lamp and across it, (groups, 1) each, px.
         variances: px^2, (groups, 1), that are added along x and y besides.
     """
     if not (is_concrete(view.camera) and is_concrete(view.lamp) and view.distant):
         return _by_chords(view, blur, terms, disc, normal, at, variances)
-    # an image along the pixel's axes that is small beside the blur is an ellipse
+    # an image along the axes of the pixel that is much smaller than the blur is an ellipse
     small = jnp.all((disc.relative <= LARGEST) & (jnp.abs(disc.turn[:, 1]) < _ALIGNED))
     return jax.lax.cond(
         small,
@@ -133,7 +136,7 @@ def lamp_kernel(
 
 
 def _by_gaussians(view, blur: Blur, terms, disc: LampDisc, normal, at, variances):  # type: ignore[no-untyped-def]
-    """Return the kernel over a disc that is small beside the blur, as a sum of Gaussians."""
+    """Integrate the kernel over a disc that is much smaller than the blur, as a sum of Gaussians."""
     widening = dataclasses.replace(blur, varies=True)
     offset = at[0] - view.radius * normal[0], at[1] - view.radius * normal[1]
     half_widths = [(disc.radius * scale)[:, None] for scale in disc.image.T]
@@ -150,13 +153,13 @@ def _by_gaussians(view, blur: Blur, terms, disc: LampDisc, normal, at, variances
 
 
 def _by_chords(view, blur: Blur, terms, disc: LampDisc, normal, at, variances):  # type: ignore[no-untyped-def]
-    """Return the kernel over chords of a disc, over each of which the pixel is integrated in closed form."""
+    """Integrate the kernel over chords of a disc, in closed form over each."""
     cosine, sine = (a[:, None] for a in disc.turn.T)
     own_x, own_y = _rotated(at[0], at[1], cosine, sine)
     radius, lamp = jnp.maximum(disc.radius, _SMALLEST), disc.lamp_angle
     peak, own_light = _highlights(view, 0.0, 0.0, radius, lamp)
     from_ = [a[:, None] for a in peak]
-    # its beginning, middle and end, and two places in between
+    # start, middle and end, and two points in between
     on_chord = np.array([-1.0, 0.0, 1.0, -0.5, 0.5])[:, None]
 
     def of_chord(total, chord):  # type: ignore[no-untyped-def]
@@ -167,14 +170,14 @@ def _by_chords(view, blur: Blur, terms, disc: LampDisc, normal, at, variances): 
         )
         to, light = _highlights(view, u, v, radius, lamp)
         run = _rotated(*_place(view, to), *disc.turn.T)[1]
-        # the image's y is a cubic of the place on the chord: less of it is linear than the whole chord says
+        # the image's y is a cubic of the position on the chord: its linear part holds on a shorter part of the chord
         less = ((4 - 8 * (run[4] - run[3]) / (run[2] - run[0])) / 3)[:, None]
         light = [(share * part / own_light)[:, None] for part in light[:3]]
         there = _turned(from_, [a[:3, :, None] for a in to], normal)
         x, y = _rotated(*_place(view, there), cosine, sine)
         x, (y_0, y_1, y_2) = x - own_x, y - own_y
         half, bend = (y_2 - y_0) / 2, (y_2 + y_0) / 2 - y_1
-        # where on the chord, in [-1, 1], the pixel is met
+        # position on the chord, in [-1, 1], that meets the pixel
         on = -y_1 / half
         on = jnp.clip(on - bend * on**2 / half - less * (on**3 - on), -1, 1)
         seen = sum(
@@ -227,14 +230,15 @@ def _image(view: SampleView, lamp_angle: np.ndarray) -> tuple[np.ndarray, np.nda
 
 
 def _highlights(view: SampleView, u: Any, v: Any, radius: Any, lamp_angle: Any) -> tuple[tuple, Any]:
-    """Return the normals at the highlights of points of the disc, and the points' light.
+    """Compute the normals at the highlights of points of the disc, and the light of the points.
 
-    u, v: of the points in radii of the disc, along the plane of camera and lamp, and across. The light is what a picture reads
-    of a point, but for a factor. Of NumPy's lamp angles all is NumPy's: JAX would compile each operation by itself.
+    u, v: of the points in radii of the disc, along the plane of camera and lamp, and across. The light is proportional
+    to the record of a point. For lamp angles of NumPy all operations are NumPy's, because JAX would compile each by
+    itself.
     """
     xp: Any = np if isinstance(lamp_angle, np.ndarray) else jnp
     square = u**2 + v**2
-    # a distant disc shines evenly over its solid angle; a near one is flat and faces the centre
+    # a distant disc is uniform over its solid angle; a near one is flat and faces the centre
     sunk, distant = square * 2 * xp.sin(radius / 2) ** 2, view.lamp == 0
     up = xp.where(distant, 1 - sunk, 1.0)
     aside = xp.where(distant, np.sqrt(2) * xp.sin(radius / 2) * xp.sqrt(2 - sunk), xp.tan(radius))
@@ -256,7 +260,7 @@ def _highlights(view: SampleView, u: Any, v: Any, radius: Any, lamp_angle: Any) 
 
 
 def _turned(one: Any, other: Any, normal: Any) -> tuple:
-    """Return a normal turned as the shortest turn takes one unit vector to another."""
+    """Rotate a normal by the shortest rotation from one unit vector to another."""
     axis = [one[j] * other[k] - one[k] * other[j] for j, k in ((1, 2), (2, 0), (0, 1))]
     cos = sum(a * b for a, b in zip(one, other, strict=True))
     part = sum(a * b for a, b in zip(axis, normal, strict=True)) / (1 + cos)
@@ -267,17 +271,17 @@ def _turned(one: Any, other: Any, normal: Any) -> tuple:
 
 
 def _rotated(x: Any, y: Any, cosine: Any, sine: Any) -> tuple[Any, Any]:
-    """Return places of the plane's axes in the pixel's."""
+    """Rotate positions from the axes of the plane to those of the pixel."""
     return x * cosine - y * sine, x * sine + y * cosine
 
 
 def _place(view: SampleView, normal: Any) -> tuple[Any, Any]:
     """Compute the image position of a normal, px."""
-    far = is_concrete(view.camera) and view.camera == 0  # the normal's z is not needed
+    far = is_concrete(view.camera) and view.camera == 0  # the z component of the normal is not required
     scale = view.stretch if far else view.stretch / (1 - view.camera * normal[2])
     return scale * normal[0], scale * normal[1]
 
 
 def _parabola(first: Any, middle: Any, last: Any, on: Any) -> Any:
-    """Return the parabola through values at -1, 0 and 1."""
+    """Fit the parabola through values at -1, 0 and 1."""
     return middle + on * ((last - first) / 2 + on * ((last + first) / 2 - middle))

@@ -1,9 +1,9 @@
-"""The record of an isotropic lobe in one pixel of a cylinder, which shows the normals of one line (docs/model.md 3).
+"""Record of an isotropic lobe in one pixel of a cylinder, which shows the normals of one line (docs/model.md 3).
 
-Each cell is seen under a lamp of its own, turned about the optical axis until the cell's normal lies across the cylinder's
-axis (`forward/cylinder_cells.py`). On the line the half vector's angle falls to a least value and rises again. Both arms have
-nodes of their own, at which the masking is exact. Nodes are even in asinh(turn / scale), where the turn is that from the place
-of the least angle: a lobe is smooth in it however far the line misses the half vector.
+Each cell has its own lamp, turned about the optical axis until the normal of the cell lies across the axis of the
+cylinder (`forward/cylinder_cells.py`). Along the line the angle to the half vector falls to a minimum and rises again.
+Both arms have their own nodes, at which the masking is exact. Nodes are even in asinh(turn / scale), where the turn is
+the angle from the minimum. A lobe is smooth in it for any distance of the line from the half vector.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ _PANEL = np.polynomial.legendre.leggauss(24)
 _HALVES = np.array([0.5])
 _BLOCK = 128
 _LEAST = 1e-12
-"""Length of an arm of which nothing is seen, rad: its weights are 0."""
+"""Length of an arm outside the window, rad: its weights are 0."""
 ARMS = (1.0, -1.0)
-"""Sides of the place that is closest to the half vector: away from the axis, and towards it."""
+"""Sides of the normal closest to the half vector: away from the axis, and towards it."""
 
 
 class ImagePlaces(NamedTuple):
-    """Places in the images of a sphere, whose distance from the axis is that on the cylinder; arrays of one shape.
+    """Positions in the images of a sphere, at the same distance from the axis as on the cylinder; arrays of one shape.
 
     Attributes:
         x: distance from the optical axis, the lamp towards +x, px.
@@ -67,7 +67,7 @@ def line_rule(
     onto: jax.Array,
     arm: float,
 ) -> LineRule:
-    """Return one arm's rule for some terms of a blur; differentiable in its parameters.
+    """Compute the rule of one arm for some terms of a blur; differentiable in its parameters.
 
     Args:
         radius: of the cylinder in the picture, px.
@@ -75,8 +75,8 @@ def line_rule(
         variance: px^2, (pixels,), that the blur's spread adds.
         terms: of the blur.
         pixels: places as on a sphere under a lamp towards +x; a multiple of the block, see `padded`.
-        reach: half width of what a pixel sees, (pixels,), px.
-        onto: the same of all that the nodes span.
+        reach: half width of the window of a pixel, (pixels,), px.
+        onto: the same of the range of all nodes.
         arm: one of `ARMS`.
     """
 
@@ -107,7 +107,7 @@ def line_rule(
         at = closest + arm * scale * jnp.sinh(t)
         offset = column - radius * jnp.sin(at)
         spread = Spread(variance, variance, jnp.abs(blur.defocus(radius, jnp.cos(at))))
-        # light is the same all along the axis: of each chord its column counts
+        # light is uniform along the axis, so only the column of each chord matters
         kernel = sum(blur.weights[j] * blur.through_disc(j, spread, lambda along, _: along(offset)) for j in terms)
         place = 2 * (t - first) / (last - first) - 1
         weight = onto_nodes(place, factor * radius / 4 * kernel * step)

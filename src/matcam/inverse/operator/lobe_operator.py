@@ -1,16 +1,16 @@
-"""The record of D G in chosen cells: one compiled function of lobe and camera for every material.
+"""Record of D G in chosen cells: one compiled function of lobe and camera for all materials.
 
-`record` is the integral of docs/model.md 3 without F. A table reads F(theta_d) times it, because a slice of a distant sphere
-under a distant lamp is one theta_d. What depends on the rig alone, the rule of each pixel, is made once (`sphere_rule`) and
-kept.
+`record` is the integral of docs/model.md 3 without F. The value of a table is F(theta_d) times it, because a slice of a
+distant sphere under a distant lamp is one theta_d. The rule of each pixel depends on the rig alone; it is computed once
+(`sphere_rule`) and kept.
 
-Before a near camera or under a near lamp every node has a theta_d of its own. There the table reads F A + F' B, A the record at
-F = 1 and B the record of D G times the difference of theta_d from the cell's (`rise_of`). `moment` is the operator that makes
-B: A's, with other weights. What a second order would add is 3e-5 of the value at most, in rigs whose lamp is at three radii.
+In front of a near camera or under a near lamp every node has its own theta_d. The value of the table is then F A + F'
+B, A the record at F = 1 and B the record of D G times the difference of theta_d from the cell's (`rise_of`). The
+operator `moment` of B is that of A with other weights. The second order is below 3e-5 of the value for lamps at three
+radii.
 
-Uncertain parameters of the rig change the weights of the rule. Each is followed along its own axis (`rig_axes`) through a few
-values, by the polynomial through them. How two of them act together beyond their sum is left out, as the product of two small
-errors.
+Uncertain parameters of the rig change the weights of the rule. Along the axis of each (`rig_axes`) a polynomial
+interpolates between few values. Interactions of two parameters are neglected, as products of two small errors.
 """
 
 from __future__ import annotations
@@ -48,22 +48,22 @@ from matcam.sample.curved import Cylinder, Sphere
 
 
 class LobeOperator(eqx.Module):
-    """Apply the rule of every chosen cell. Masking is taken at fewer samples than the lobe.
+    """Rule of all chosen cells. Masking is evaluated at fewer samples than the lobe.
 
     Attributes:
         slope2: (cells of all slices, ways, nodes), squared tangent of the angle from the half vector.
         weight: (cells, ways, nodes).
-        along: for each axis, (points, cells, ways, nodes): by how much the weights differ at the axis's points.
+        along: for each axis, (points, cells, ways, nodes): differences of the weights at the points of the axis.
         cos_i: (cells, ways, groups of nodes, samples, 2), cosine of the light.
         cos_o: the same of the view.
-        place_i: place of the light in the table of a Lambda (`lambda_table`), as `cos_i`.
+        place_i: position of the light in the table of a Lambda (`lambda_table`), as `cos_i`.
         place_o: the same of the view.
         azimuth: the same of the angle between the two, rad.
         through_samples: (nodes of a group, samples).
         axes: parameters of the rig that may change.
         shape: (slices, cells of each).
-        share: shares of the two azimuths at which masking is taken, as `cos_i`; None: halves.
-        moment: the operator whose weights are these times the difference of theta_d from the cell's, rad; None: there is none.
+        share: shares of the two azimuths at which masking is evaluated, as `cos_i`; None: halves.
+        moment: operator with these weights times the difference of theta_d from that of the cell, rad; None: no moment.
     """
 
     slope2: jax.Array
@@ -82,7 +82,7 @@ class LobeOperator(eqx.Module):
 
     @property
     def orders(self) -> tuple[LobeOperator, ...]:
-        """Return the operator, and that of its moment where there is one."""
+        """Return the operator, and that of its moment if it has one."""
         return (self,) if self.moment is None else (self, self.moment)
 
     def in_slices(self, part: slice) -> LobeOperator:
@@ -97,13 +97,13 @@ class LobeOperator(eqx.Module):
         return dataclasses.replace(self._of_cells(own, cells.shape[0]), moment=moment)
 
     def along_axes(self, axes: tuple[Axis, ...]) -> LobeOperator:
-        """Return the operator of a rig of which only some of the parameters may change."""
+        """Restrict the operator to some of the axes."""
         own = tuple(self.along[self.axes.index(axis)] for axis in axes)
         moment = None if self.moment is None else self.moment.along_axes(axes)
         return dataclasses.replace(self, along=own, axes=axes, moment=moment)
 
     def leaning(self, lean: np.ndarray) -> LobeOperator:
-        """Return the operator of an F that is 1 at the cells' theta_d, and rises. lean: slope of ln F, 1/rad, (slices,)."""
+        """Apply an F that is 1 at theta_d of the cells, with slope. lean: slope of ln F, 1/rad, (slices,)."""
         if self.moment is None:
             return self
         rise = jnp.repeat(jnp.asarray(lean), self.shape[1])[:, None, None]
@@ -116,7 +116,7 @@ class LobeOperator(eqx.Module):
         )
 
     def record(self, ndf: NDF, masking: Masking, shifts: jax.Array) -> jax.Array:
-        """Return the integral of D G through the camera over cos_i, 1/sr at F = 1, mean of both ways; shape (slices, cells).
+        """Integrate D G through the camera over cos_i, 1/sr at F = 1, mean of both directions; shape (slices, cells).
 
         shifts: (axes,), coordinates along them.
         """
@@ -130,11 +130,11 @@ class LobeOperator(eqx.Module):
         return self.slice_by_slice(one)
 
     def ways(self, ndf: NDF, masking: Masking, shifts: jax.Array) -> jax.Array:
-        """Return the record of each way by itself, (slices, cells, ways); `record` is their mean."""
+        """Compute the record of each direction, (slices, cells, directions); `record` is their mean."""
         return 2 * jnp.sum(self.weighted(ndf, masking, shifts), axis=-1).reshape(*self.shape, -1)
 
     def weighted(self, ndf: NDF, masking: Masking, shifts: jax.Array, table: jax.Array | None = None) -> jax.Array:
-        """Return D G at the nodes times their weights, (cells, ways, nodes). table: of Lambda, where it is at hand."""
+        """Evaluate D G at the nodes times their weights, (cells, directions, nodes). table: of Lambda, if it is available."""
         weight = self.weight
         for axis, differences, shift in zip(self.axes, self.along, shifts, strict=True):
             weight = weight + jnp.tensordot(jnp.stack(lagrange_basis(np.array(axis.points), shift)), differences, 1)
@@ -144,21 +144,21 @@ class LobeOperator(eqx.Module):
         return weight * light
 
     def lambdas(self, ndf: NDF, table: jax.Array | None) -> tuple[jax.Array, jax.Array]:
-        """Return Lambda of the light and of the view. table: of Lambda; None: it has a closed form."""
+        """Evaluate Lambda of the light and of the view. table: of Lambda; None: a closed form exists."""
         if table is None:
             return ndf.smith_lambda(self.cos_i), ndf.smith_lambda(self.cos_o)
         return lambda_at(table, self.place_i), lambda_at(table, self.place_o)
 
     def light(self, ndf: NDF) -> jax.Array:
-        """Return D at the nodes, 1/sr: P22 / cos^4."""
+        """Evaluate D at the nodes, 1/sr: P22 / cos^4."""
         return ndf.slope_density(self.slope2) * (1 + self.slope2) ** 2
 
     def joint_masking(self, masking: Masking, lambda_i: jax.Array, lambda_o: jax.Array) -> jax.Array:
-        """Return G at the nodes, from the Lambdas at its samples."""
+        """Evaluate G at the nodes, from the Lambdas at its samples."""
         both = g2(masking, lambda_i, lambda_o, self.azimuth)
         if self.share is None:
             mean = jnp.mean(both, axis=-1)
-        else:  # as jnp.sum over the pair XLA takes five times as long
+        else:  # XLA takes five times as long for jnp.sum over the pair
             mean = both[..., 0] * self.share[..., 0] + both[..., 1] * self.share[..., 1]
         joint = mean @ self.through_samples.T
         return joint.reshape(self.slope2.shape)
@@ -166,18 +166,17 @@ class LobeOperator(eqx.Module):
     def slice_by_slice(self, function: Callable[[LobeOperator], jax.Array]) -> jax.Array:
         """Apply a function to the operator of each slice, one slice after the other; shape (slices, ...).
 
-        What a function of all nodes holds would be hundreds of MB; of a slice it stays in the processor's cache.
+        A function of all nodes would require hundreds of MB; that of a slice fits into the cache of the processor.
         """
 
         def one(place: jax.Array) -> jax.Array:
             return function(self._in_slice(place))
 
         places = jnp.arange(self.shape[0])
-        # a GPU is wider than a slice
+        # a GPU is faster on all slices at once
         return jax.lax.map(one, places) if jax.default_backend() == "cpu" else jax.vmap(one)(places)
 
     def _in_slice(self, place: jax.Array) -> LobeOperator:
-        """Return the operator of one slice alone."""
         count = self.shape[1]
 
         def own(array: jax.Array, axis: int = 0) -> jax.Array:
@@ -186,9 +185,9 @@ class LobeOperator(eqx.Module):
         return self._of_cells(own, 1)
 
     def _of_cells(self, own: Callable[..., jax.Array], slices: int) -> LobeOperator:
-        """Return the operator of some of the cells, without its moment.
+        """Restrict the operator to some of the cells, without its moment.
 
-        own: takes an array and the axis of its cells, by default the first. slices: how many these cells make up.
+        own: selects from an array along the axis of its cells, by default the first. slices: number of slices of these cells.
         """
         return dataclasses.replace(
             self, slope2=own(self.slope2), weight=own(self.weight), along=tuple(own(one, 1) for one in self.along),
@@ -212,7 +211,7 @@ class _Rules(NamedTuple):
     moment_along: tuple[np.ndarray, ...] = ()
 
     def operator(self, cells: ChosenCells, through: np.ndarray, axes: tuple[Axis, ...]) -> LobeOperator:
-        """Return the operator, with the angles that masking needs."""
+        """Build the operator, with the angles that masking requires."""
         theta = self.sample_theta[..., None]
         theta_d = np.repeat(cells.theta_d, cells.valid.shape[1]).reshape(-1, *[1] * (theta.ndim - 1))
         if self.sample_theta_d is not None:
@@ -243,7 +242,7 @@ class _Rules(NamedTuple):
 
 
 class WholeRule(NamedTuple):
-    """Slices and axes of a rule of which a part is taken.
+    """Slices and axes of a rule from which a part is taken.
 
     Attributes:
         slice_step: spacing of the slices; those of the part are among them.
@@ -262,10 +261,10 @@ def lobe_operator(
     workspace: Workspace | None = None,
     whole: WholeRule | None = None,
 ) -> tuple[ChosenCells, LobeOperator]:
-    """Return the chosen cells of every `every`-th slice and their rule.
+    """Build the chosen cells of every `slice_step`-th slice and their rule.
 
-    rig: None is a camera that sees points. workspace: keeps the rule for the next call of the same rig. whole: of more slices
-    or axes, which will be asked for, too: this one is a part of it. Default: None, it is made by itself.
+    rig: None is a camera without blur. workspace: keeps the rule for the next call of the same rig. whole: a rule of
+    more slices or axes, of which this one is a part. Default: None, it is computed by itself.
     """
     if rig is None:
         return perfect_operator(sampling, slice_step, FAR_AWAY, workspace)
@@ -295,7 +294,7 @@ def lobe_operator(
 
 
 def rig_key(rig: Rig) -> tuple:
-    """Return all that a checked rig's pixels depend on, to the last digit."""
+    """Describe all properties of a checked rig that its pixels depend on, to the last digit."""
     check_rig(rig)
     camera = eqx.tree_at(lambda c: (c.uncertainty, c.sensor), rig.camera, (None, None), is_leaf=lambda x: x is None)
     parameters = {name: float(value) for name, value in camera.parameters().items()}
@@ -317,7 +316,7 @@ def check_rig(rig: Rig) -> None:
         checked_isotropic(rig.camera.optics, "a fit of a cylinder")
     if rig.cell_value in (*ON_REAL_PIXELS, "mean") and not sample_view(rig).distant:
         raise ArgumentError(
-            f"cells of '{rig.cell_value}' need a distant camera and lamp: before near ones each cell has a picture of its own; "
+            f"cells of '{rig.cell_value}' need a distant camera and lamp: with near ones each cell has its own picture; "
             "cell_value must be 'centre' or 'edge'"
         )
 
@@ -325,7 +324,7 @@ def check_rig(rig: Rig) -> None:
 def operator_in(
     rig: Rig, cells: ChosenCells, axes: tuple[Axis, ...], description: str, workspace: Workspace
 ) -> LobeOperator:
-    """Return the rule of any cells. description: of all that it depends on, under which the workspace keeps it on disk."""
+    """Return the rule of any cells. description: all that it depends on, under which the workspace keeps it on disk."""
     if float(rig.lamp_radius) > 0 or any(axis.name == LAMP for axis in axes):
         description = f"{description}, discs by {DISC_RULE}"
     if float(rig.aperture) > 0 or any(axis.name == APERTURE for axis in axes):
@@ -353,7 +352,7 @@ def perfect_operator(
     workspace: Workspace | None = None,
     pixels: PixelGrid | None = None,
 ) -> tuple[ChosenCells, LobeOperator]:
-    """Return the rule of a camera that sees points, in the cells that are chosen for a sphere.
+    """Build the rule of a camera without blur, in the cells that are chosen for a sphere.
 
     pixels: the real grid that the cells are looked up in.
     """
@@ -367,7 +366,7 @@ def perfect_operator(
 
 
 def point_operator(cells: ChosenCells) -> LobeOperator:
-    """Return the rule of a camera that sees points: one node, at the cell itself or at each of its pixels."""
+    """Build the rule of a camera without blur: one node, at the cell itself or at each of its pixels."""
     valid, ways = cells.valid[..., None], cells.x.shape[-1]
     weight = np.where(valid, cells.weight / (4 * np.where(valid, cells.cos_i * cells.cos_o, 1.0)), 0.0)
     if cells.real is None:

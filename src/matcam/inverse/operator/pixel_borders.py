@@ -1,7 +1,7 @@
-"""Where the values of neighbouring cells change near the highlight, and where a grid of pixels would make them change.
+"""Borders between values of neighbouring cells near the highlight, in a table and from a grid of pixels.
 
-Cells near the highlight lie a twentieth of a pixel apart. Those that were read from one pixel hold one value, to the last
-digit, so that borders between values are borders of pixels (`pixel_phase`).
+Cells near the highlight lie a twentieth of a pixel apart. Cells that were read from one pixel have one value, to the
+last digit, so borders between values are borders of pixels (`pixel_phase`).
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ RINGS = 16
 """Rings about the highlight whose cells are compared: up to 1.1 degrees, 5 px on the MERL rig's sphere."""
 SLICES = np.arange(3, 84, 6)
 UNKNOWN_STD = 0.3
-"""px; of a phase that may lie anywhere in a pixel."""
+"""Standard deviation of an unknown phase, px: it may lie anywhere in a pixel."""
 _LEAST_OUTWARDS = 0.1
 _EQUAL = 1e-9
 _SIGNATURES = np.random.default_rng(0).random((64, 64))
@@ -27,10 +27,11 @@ _SIGNATURES = np.random.default_rng(0).random((64, 64))
 
 
 class Repeats(NamedTuple):
-    """Pairs of neighbouring cells near the highlight that hold one value. Shapes: s slices, r rings, k azimuths.
+    """Pairs of neighbouring cells near the highlight with equal values. Shapes: s slices, r rings, k azimuths.
 
     Attributes:
-        outwards: (s, r - 1, k), 1 where a cell repeats its outer neighbour's, 0 where not, -1 where there is none.
+        outwards: (s, r - 1, k), 1 where a cell repeats the value of its outer neighbour, 0 where not, -1 where a value
+            is missing.
         around: (s, r, k - 1), the same along phi_d.
     """
 
@@ -39,7 +40,7 @@ class Repeats(NamedTuple):
 
     @property
     def share(self) -> float:
-        """Return the share of neighbours that hold one value; 0 where rings repeat alone, as smooth lobes do."""
+        """Return the share of neighbours with equal values; 0 if only rings repeat, as for smooth lobes."""
         known = np.concatenate([self.outwards.ravel(), self.around.ravel()])
         outwards = self.outwards[self.outwards >= 0]
         if not outwards.size or outwards.mean() < _LEAST_OUTWARDS:
@@ -48,7 +49,7 @@ class Repeats(NamedTuple):
 
 
 def repeats(table: xr.DataArray, slices: np.ndarray = SLICES) -> Repeats:
-    """Find the neighbouring cells near the highlight of a table that hold one value."""
+    """Find the neighbouring cells near the highlight of a table with equal values."""
     values = table.values[:RINGS][:, slices].transpose(1, 0, 2, 3)
 
     def same(a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -61,9 +62,9 @@ def repeats(table: xr.DataArray, slices: np.ndarray = SLICES) -> Repeats:
 
 
 class Borders:
-    """Count the borders between values of some slices that a grid of pixels does not have where the table has them.
+    """Borders between values of some slices that the borders of a grid of pixels do not explain.
 
-    azimuth: of the lamp against the grid's rows, rad.
+    azimuth: of the lamp relative to the rows of the grid, rad.
     """
 
     def __init__(self, radius: float, sampling: Sampling, slices: np.ndarray, shown: Repeats, azimuth: float = 0.0):
@@ -72,7 +73,7 @@ class Borders:
         self.count = int((shown.outwards == 0).sum() + (shown.around == 0).sum())
 
     def wrong(self, x: float, y: float) -> int:
-        """Return the count of a grid of this phase, px."""
+        """Count the unexplained borders for a grid of this phase, px."""
         values = self._values(x, y)
         total = 0
         for axis, one in ((1, self.shown.outwards), (2, self.shown.around)):
@@ -85,7 +86,7 @@ class Borders:
         return _signature(column, row).mean(axis=-1)
 
     def width(self, best: tuple[float, float], fewest: int, step: float) -> float:
-        """Return by how far a phase may be off before clearly more borders are missed."""
+        """Return the change of the phase that misses clearly more borders."""
         limit = fewest + 3 + np.sqrt(fewest)
         for size in step * 2.0 ** np.arange(10):
             turns = [(size, 0.0), (-size, 0.0), (0.0, size), (0.0, -size)]
@@ -95,7 +96,7 @@ class Borders:
 
 
 class MeanBorders(Borders):
-    """Count the same of cells that are means of the pixels inside."""
+    """The same for cells that are means of the pixels inside."""
 
     def __init__(self, radius: float, sampling: Sampling, slices: np.ndarray, shown: Repeats, azimuth: float = 0.0):
         super().__init__(radius, sampling, slices, shown, azimuth)
@@ -129,9 +130,9 @@ def _signature(column: np.ndarray, row: np.ndarray) -> np.ndarray:
 def shown_places(
     radius: float, sampling: Sampling, slices: np.ndarray, rings: np.ndarray, every: int, azimuth: float = 0.0
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the places of cells, (slices, rings, azimuths, 2), on the axes of the pixels.
+    """Compute the positions of cells, (slices, rings, azimuths, 2), along the axes of the pixels.
 
-    azimuth: of the lamp against the pixels' rows, rad.
+    azimuth: of the lamp relative to the rows of pixels, rad.
     """
     grid = merl_grid(sampling)
     theta_h, phi_d = np.meshgrid(grid.theta_h[rings], grid.phi_d[::every], indexing="ij")

@@ -1,14 +1,14 @@
-"""Where the pixels behind a table lie, found from the table alone (docs/correct.md, *Cells on real pixels*).
+"""Positions of the pixels behind a table, estimated from the table alone (docs/correct.md, *Cells on real pixels*).
 
-Cells that were read from the nearest pixel repeat its value, to the last digit. Where one value ends and the next begins is
-the border of a pixel. Near the highlight cells lie a twentieth of a pixel apart, so that the borders of a few slices give the
-grid's phase to some thousandths of a pixel, whatever the material and its noise.
+Cells that were read from the nearest pixel repeat its value, to the last digit. A border between values is a border of
+a pixel. Near the highlight cells lie a twentieth of a pixel apart, so the borders in few slices give the phase of the
+grid to some thousandths of a pixel, for any material and noise.
 
-Cells that are means of the pixels inside are mostly too small to hold one, and repeat the nearest as well; those that do hold
-one show it alone, of whichever side, and so have borders of their own.
+Cells that are means of the pixels inside are mostly too small to contain one, and repeat the nearest pixel as well. A
+cell that contains one pixel has its value, on either side, and therefore other borders.
 
-Cells that were interpolated are linear in the values of few pixels: a grid of the right phase explains hundreds of cells by
-a few dozen values, without any rest.
+Cells that were interpolated are linear in the values of few pixels: a grid of the right phase explains hundreds of
+cells by a few dozen values exactly.
 """
 
 from __future__ import annotations
@@ -39,14 +39,14 @@ from matcam.inverse.operator.sample_view import rig_behind, sample_view
 from matcam.rigs import ON_REAL_PIXELS, UNKNOWN, CellValue, PixelPhase, Rig
 
 _DIAGONAL = 1e-6
-"""Sine of four times an azimuth up to which it is a multiple of 45 degrees."""
+"""Sine of four times an azimuth below which it is a multiple of 45 degrees."""
 _LEAST_REPEATS = 0.3
-"""Share of neighbouring cells, in those rings, that repeat a value where they were read from the nearest pixel."""
+"""Share of neighbouring cells in these rings that repeat a value if cells were read from the nearest pixel."""
 _COMMON = 0.02
-"""Share of borders that a phase may miss that is common to all pictures; where it misses more each has its own."""
+"""Share of borders that a phase common to all images may miss; otherwise each image has its own."""
 _MOST_OF_A_SLICE = 0.5
 _COARSE, _FINE = 0.0625, 5e-4
-"""px; first and last step of the search."""
+"""First and last step of the search, px."""
 _MOST_REPEATS = 0.95
 _MOST_WRONG = 0.1
 """Share of the borders between values that a grid may miss."""
@@ -56,11 +56,11 @@ _SIGN_RINGS, _SIGN_AZIMUTHS = 11, 4
 _FLAT = 1e-10
 _CORNERS = np.array([[0.0, 0.0], [0.04, 0.0], [0.0, 0.04]])
 _FIRST_TRIES, _TRIES = 25, 90
-"""Phases that are tried to see whether a grid of pixels is there, and to find it."""
+"""Number of phases that are tried to detect a grid of pixels, and to locate it."""
 _FALLS = 0.2
-"""Share of what a start leaves that is left after the first tries where a grid is there."""
+"""Ratio of residuals after the first tries and at the start, below which a grid is detected."""
 _MOST_REST = 1e-6
-"""Share of the variance of interpolated cells that a grid may leave."""
+"""Share of the variance of interpolated cells that a grid may leave unexplained."""
 READ_FROM: dict[CellValue, str] = {
     "nearest": "read from the nearest pixel",
     "bilinear": "interpolated between pixels",
@@ -84,9 +84,7 @@ class FoundPhase(NamedTuple):
     def remark(self, rule: CellValue) -> Remark:
         """Return the remarks for the user."""
         how = READ_FROM[rule]
-        return Remark(
-            "real-pixels-found", f"cells were {how}, whose centres {self.words}, as the cells themselves show"
-        )
+        return Remark("real-pixels-found", f"cells were {how}, whose centres {self.words}, as the cells indicate")
 
     @property
     def words(self) -> str:
@@ -98,11 +96,11 @@ class FoundPhase(NamedTuple):
 
 
 class LocatedRig(NamedTuple):
-    """Rig whose meaning of a cell is known.
+    """Rig with a known cell rule.
 
     Attributes:
         rig: with the pixels' phase, where cells were looked up in real pixels.
-        std: standard deviation of a phase that the table had to tell, px; 0 where it was stated.
+        std: standard deviation of a phase that was estimated from the table, px; 0 where it was specified.
         remarks: findings from the table.
         unexplained: whether cells repeat values in a way that no grid of pixels explains.
     """
@@ -114,7 +112,7 @@ class LocatedRig(NamedTuple):
 
 
 def located_rig(rig: Rig, table: xr.DataArray) -> LocatedRig:
-    """Return the rig with its meaning of a cell and its lamp azimuth, as specified or as found from the table.
+    """Determine the cell rule and the lamp azimuth of a rig, as specified or from the table.
 
     FitError where the cells contradict the rig; ArgumentError where rig and table specify different azimuths.
     """
@@ -124,7 +122,7 @@ def located_rig(rig: Rig, table: xr.DataArray) -> LocatedRig:
         return LocatedRig(rig)
     if rig.cell_value == "mean" and repeats(table).share < _LEAST_REPEATS:  # pixels of any phase
         return LocatedRig(rig)
-    if not sample_view(rig).one_picture:  # each cell has a picture of its own
+    if not sample_view(rig).one_picture:  # each cell has its own image
         return LocatedRig(_with_cells(rig, sampling_of(table), None))
     radius = float(rig.sample.radius)  # type: ignore[attr-defined]
     rule = rig.cell_value
@@ -153,9 +151,9 @@ def _repeats_remark(repeated: float, radius: float) -> Remark:
 
 
 def nearest_phase(table: xr.DataArray, radius: float) -> FoundPhase:
-    """Return the phase of a table whose cells were read from the nearest pixel.
+    """Estimate the phase of a table whose cells were read from the nearest pixel.
 
-    Where no phase serves all pictures, each has its own: a sphere or a lamp that was not exactly where it was thought.
+    If no phase fits all images, each gets its own, because sphere or lamp were not exactly at their nominal positions.
     """
     shown = repeats(table)
     if shown.share < _LEAST_REPEATS:
@@ -189,7 +187,7 @@ def nearest_phase(table: xr.DataArray, radius: float) -> FoundPhase:
 
 
 def mean_phase(table: xr.DataArray, radius: float) -> FoundPhase:
-    """Return the phase of a table whose cells are means of the pixels inside; one for all pictures."""
+    """Estimate the phase of a table whose cells are means of the pixels inside; one for all images."""
     shown = repeats(table)
     found = _common_phase("mean", table, radius, shown)
     if shown.share < _LEAST_REPEATS or found.unexplained > _COMMON:
@@ -201,7 +199,7 @@ def mean_phase(table: xr.DataArray, radius: float) -> FoundPhase:
 
 
 def _common_phase(rule: CellValue, table: xr.DataArray, radius: float, shown: Repeats) -> FoundPhase:
-    """Return the phase that serves all pictures best."""
+    """Find the phase that fits all images best."""
     azimuth = azimuth_of(table) or 0.0
     found = _best_phase(_BORDERS[rule](radius, sampling_of(table), SLICES, shown, azimuth))
     return _upright(found, _near_cells(table, radius, SLICES[::3], _SIGN_RINGS, _SIGN_AZIMUTHS), azimuth)
@@ -211,7 +209,7 @@ _BORDERS: dict[CellValue, type[Borders]] = {"nearest": Borders, "mean": MeanBord
 
 
 def _best_phase(borders: Borders) -> FoundPhase:
-    """Return the phase that misses fewest borders: by a coarse grid, and ever finer steps about its best."""
+    """Find the phase that misses fewest borders: on a coarse grid, then in finer steps about the best."""
     line = np.arange(-8, 8) * _COARSE
     fewest, *best = min((borders.wrong(u, v), u, v) for u in line for v in line)
     step = _COARSE
@@ -224,10 +222,11 @@ def _best_phase(borders: Borders) -> FoundPhase:
 
 
 def _upright(found: FoundPhase, cells: list[_NearCells], azimuth: float) -> FoundPhase:
-    """Return a phase or its mirror image across the plane of light, whose borders are the same: by the values themselves.
+    """Choose by the values between a phase and its mirror image across the plane of light, which have the same borders.
 
-    A cell is the mean of two places on either side of that plane. Only one of the two makes all cells the means of few pixels.
-    Unless that plane lies along the pixels' rows, columns or diagonals, no grid is another's mirror image.
+    A cell is the mean of two positions on either side of that plane. Only one of the two makes all cells the means of
+    few pixels. Unless that plane lies along the pixels' rows, columns or diagonals, no grid is the mirror image of
+    another.
     """
     if abs(np.sin(4 * azimuth)) > _DIAGONAL:
         return found
@@ -260,12 +259,12 @@ def _near_cells(table: xr.DataArray, radius: float, slices: np.ndarray, rings: i
 
 
 def _rest(rule: CellValue, phase: tuple[float, float], cells: list[_NearCells]) -> float:
-    """Return the share of the cells' variance that the values of a grid's pixels leave, mean over slices."""
+    """Compute the share of the variance of cells that the values of the pixels of a grid leave, mean over slices."""
     return float(np.mean([_interpolation_rest(rule, one, phase) for one in cells])) if cells else 1.0
 
 
 def bilinear_phase(table: xr.DataArray, radius: float) -> FoundPhase:
-    """Return the phase of a table whose cells were interpolated between pixels."""
+    """Estimate the phase of a table whose cells were interpolated between pixels."""
     cells = _near_cells(table, radius, SLICES[::3], _FEW_RINGS, _FEW_AZIMUTHS)
 
     def log_rest(phase: Sequence[float]) -> float:
@@ -276,7 +275,7 @@ def bilinear_phase(table: xr.DataArray, radius: float) -> FoundPhase:
         return minimize(log_rest, corners[0], method="Nelder-Mead", options=options)
 
     def followed(before: float, u: float, v: float) -> OptimizeResult:
-        """Follow a start to its end, unless the first steps say that no grid is there. before: what it leaves."""
+        """Refine a start, unless the first steps detect no grid. before: residual of the start."""
         first = descended(np.array([u, v]) + _CORNERS, _FIRST_TRIES)
         return first if first.fun > before + np.log(_FALLS) else descended(first.final_simplex[0], _TRIES)
 
@@ -287,13 +286,13 @@ def bilinear_phase(table: xr.DataArray, radius: float) -> FoundPhase:
     if unexplained > _MOST_REST:
         raise FitError(
             f"no grid of pixels on a sphere of radius {radius:g} px interpolates to the cells near the highlight "
-            f"({unexplained:.1g} of their variance is left): state the sphere's radius, or another cell_value"
+            f"({unexplained:.1g} of their variance is unexplained): state the sphere's radius, or another cell_value"
         )
     return FoundPhase(_wrapped((found.x[0], found.x[1])), 1e-3, unexplained)
 
 
 def _interpolation_rest(rule: CellValue, cells: _NearCells, phase: tuple[float, float]) -> float:
-    """Return the share of a slice's variance that the values of a grid's pixels leave, at best."""
+    """Compute the smallest share of the variance of a slice that the values of the pixels of a grid leave."""
     values = cells.values
     found = looked_up(rule, np.asarray(phase), cells.x, cells.y)
     number = np.rint(found.x - phase[0]) * _STRIDE + np.rint(found.y - phase[1])
@@ -303,25 +302,25 @@ def _interpolation_rest(rule: CellValue, cells: _NearCells, phase: tuple[float, 
     matrix = np.bincount(entry.ravel(), found.weight.ravel() / 2, shape[0] * shape[1]).reshape(shape)
     best, *_ = lstsq(matrix, values, cond=1e-10, lapack_driver="gelsy", check_finite=False)
     left, own = values - matrix @ best, values - values.mean()
-    if (own**2).mean() <= _FLAT * values.mean() ** 2:  # anything interpolates a constant
+    if (own**2).mean() <= _FLAT * values.mean() ** 2:  # interpolation from any grid gives a constant
         return 1.0
     return float((left**2).sum() / (own**2).sum())
 
 
 def _wrapped(phase: tuple[float, float]) -> tuple[float, float]:
-    """Return the same grid's phase in [-0.5, 0.5] px."""
+    """Wrap the phase of a grid to [-0.5, 0.5] px."""
     x, y = (float(np.round(p - np.rint(p), 6)) for p in phase)
     return x, y
 
 
 class CellRule(NamedTuple):
-    """Determine how the cells of a table were read from pixels.
+    """Rule by which the cells of a table were read from pixels.
 
     Attributes:
-        rule: "nearest", "bilinear" or "mean"; None: nothing shows that cells share pixels.
+        rule: "nearest", "bilinear" or "mean"; None: there is no evidence that cells share pixels.
         found: the pixels' phase; None: no grid on a sphere of that radius fits.
         repeated: share of neighbouring cells near the highlight that hold one value.
-        values: distinct values near the highlight, mean over slices; of the nearest pixel, pairs of pixels.
+        values: distinct values near the highlight, mean over slices; for the nearest pixel, pairs of pixels.
     """
 
     rule: CellValue | None
@@ -331,12 +330,12 @@ class CellRule(NamedTuple):
 
 
 def cell_rule(table: xr.DataArray, radius: float) -> CellRule:
-    """Return the rule by which a table's cells were read from real pixels, as their values show it.
+    """Determine from the values the rule by which the cells of a table were read from real pixels.
 
     radius: of the sphere, px.
     """
     repeated, values = repeats(table).share, _distinct(table)
-    if repeated > _MOST_REPEATS:  # a constant is no highlight
+    if repeated > _MOST_REPEATS:  # a constant has no highlight
         return CellRule(None, None, repeated, values)
     rules: tuple[CellValue, ...] = ("bilinear",) if repeated < _LEAST_REPEATS else ("mean", "nearest")
     if repeated >= _LEAST_REPEATS and _common_phase("nearest", table, radius, repeats(table)).unexplained <= _COMMON:
@@ -346,7 +345,7 @@ def cell_rule(table: xr.DataArray, radius: float) -> CellRule:
             return CellRule(rule, _PHASES[rule](table, radius), repeated, values)
         except FitError:
             continue
-    # what repeats is read from pixels, whatever the sphere's radius is
+    # repeated values come from pixels for any radius of the sphere
     return CellRule("nearest" if "nearest" in rules else None, None, repeated, values)
 
 
@@ -356,7 +355,7 @@ _PHASES: dict[CellValue, Callable[[xr.DataArray, float], FoundPhase]] = {
 
 
 def _distinct(table: xr.DataArray) -> float:
-    """Return the number of distinct values near the highlight, mean over the slices that show any."""
+    """Count the distinct values near the highlight, mean over the slices that have any."""
     values = table.values[:RINGS][:, SLICES, :, 0].transpose(1, 0, 2).reshape(SLICES.size, -1)
     counts = [np.unique(np.round(np.log(row[row > 0]), 9)).size for row in values]
     return float(np.mean([count for count in counts if count] or [0]))

@@ -1,9 +1,9 @@
-"""The pixels behind the cells of one picture of a distant sphere, few of each cell (docs/model.md 3, *Cells on real pixels*).
+"""Pixels behind the cells of one image of a distant sphere, few for each cell (docs/model.md 3, *Cells on real pixels*).
 
-A fit reads a cell as a weighted mean over eight places of the picture at most, four on either side of the plane of light and
-view. Cells that are read from the nearest pixel, or interpolated between four, are such means. A cell that is the mean of the
-pixels inside holds from none to some dozens. Where it holds more than four on one side, four places with the same mean and the
-same covariance stand for them: the sum is right for all that is quadratic over the cell.
+A fit models a cell as a weighted mean over at most eight positions of the image, four on either side of the plane of
+light and view. Cells that are read from the nearest pixel, or interpolated between four, are such means. A cell that is
+the mean of the pixels inside has up to some dozens. More than four on one side are replaced by four positions with the
+same mean and covariance, which is exact for quadratic functions.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from matcam.forward.pixel_grid import PixelGrid, looked_up, phase_of_slices, sli
 from matcam.inverse.operator.sample_view import BOTH_WAYS
 
 _STRIDE = 1 << 16
-"""Pixels per row in a pixel's number."""
+"""Pixels per row in the number of a pixel."""
 _POINTS = 4
-"""Places that stand for the pixels of a cell on one side."""
+"""Positions that represent the pixels of a cell on one side."""
 _GAUSS = 0.5 + np.array([-1.0, 1.0]) / np.sqrt(12)
 """Two Gauss-Legendre points along a side of a cell."""
 
@@ -46,7 +46,7 @@ class PixelsBehind(NamedTuple):
     Attributes:
         x: centres, px from the sphere's centre, the lamp towards +x.
         y: the same across.
-        weight: share of each in its cell's value; 0 fills up.
+        weight: share of each in its cell's value; 0 for padding.
         noise_share: variance of a cell over that of a pixel, no last axis.
     """
 
@@ -57,7 +57,7 @@ class PixelsBehind(NamedTuple):
 
 
 def cell_places(radius: float, theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray) -> CellPlaces:
-    """Return the two places where a distant camera and lamp show each cell (docs/model.md 3)."""
+    """Compute the two positions at which a distant camera and lamp show each cell (docs/model.md 3)."""
     psi = np.pi - phi_d[..., None] + np.array([0.0, np.pi])
     th, td = theta_h[..., None], theta_d[..., None]
     mean, half = np.cos(th) * np.cos(td), np.sin(th) * np.sin(td) * np.cos(psi)
@@ -66,7 +66,7 @@ def cell_places(radius: float, theta_h: np.ndarray, theta_d: np.ndarray, phi_d: 
 
 
 def pixel_numbers(x: np.ndarray, y: np.ndarray, phase: np.ndarray, azimuth: float = 0.0) -> np.ndarray:
-    """Return numbers of the pixels in which places fall. azimuth: of the lamp against the pixels' rows, rad."""
+    """Number the pixels that contain positions. azimuth: of the lamp relative to the rows of pixels, rad."""
     x, y = turned(x, y, azimuth)
     return np.rint(x - phase[..., 0]) * _STRIDE + np.rint(y - phase[..., 1])
 
@@ -82,10 +82,10 @@ def pixel_counts(radius: float, theta_d: np.ndarray) -> np.ndarray:
 def pixels_behind(
     pixels: PixelGrid, radius: float, theta_d: float, j: int, i: np.ndarray, k: np.ndarray
 ) -> PixelsBehind:
-    """Return the pixels behind cells of a slice.
+    """Find the pixels behind cells of a slice.
 
     Args:
-        pixels: how cells are looked up.
+        pixels: lookup of cells in pixels.
         radius: of the sphere, px.
         theta_d: of the slice, rad.
         j: index of the slice.
@@ -108,7 +108,7 @@ def pixels_behind(
 
 
 def _anywhere_in(radius: float, theta_d: float, i: np.ndarray, k: np.ndarray, azimuth: float) -> PixelsBehind:
-    """Return places that stand for pixels of any phase inside cells: Gauss-Legendre points, by the area that shows them."""
+    """Represent pixels of any phase inside cells by Gauss-Legendre points, weighted by their area in the image."""
     n_h, _, n_p = GRID_SHAPE
     share = (i[:, None, None, None] + _GAUSS[:, None, None]) / n_h
     theta_h = share**2 * np.pi / 2
@@ -130,7 +130,7 @@ def _anywhere_in(radius: float, theta_d: float, i: np.ndarray, k: np.ndarray, az
 def _inside(
     phase: np.ndarray, radius: float, theta_d: float, i: np.ndarray, k: np.ndarray, azimuth: float
 ) -> PixelsBehind:
-    """Return the pixels of one grid inside cells, of the nearest where there are none."""
+    """Find the pixels of one grid inside cells, or the nearest if there are none."""
     n_p = GRID_SHAPE[2]
     whole = slice_pixels("mean", phase, radius, theta_d, azimuth=azimuth)
     rows = whole.share[i * n_p + k]
@@ -159,7 +159,7 @@ def _inside(
 def _same_moments(
     side: np.ndarray, x: np.ndarray, y: np.ndarray, share: np.ndarray, count: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return x, y and weight of four places for each side, (sides, 4), that have the mean and covariance of its pixels."""
+    """Compute x, y and weight of four positions per side, (sides, 4), with the mean and covariance of its pixels."""
     sides = count.size
     total = np.bincount(side, share, sides)
     safe = np.where(total > 0, total, 1.0)

@@ -1,8 +1,9 @@
-"""The parameters of a rig that a fit may change, each along an axis of its own, and their priors.
+"""Parameters of a rig that a fit may change, each along its own axis, and their priors.
 
-A width - of the lens, the lamp, the registration - acts through its square, which adds to the variance of all other blurs. Its
-coordinate is half the logarithm of that total variance: what a pixel records is smooth in it down to a width of 0. Where a
-parameter is known to a few per cent, and for parameters that are no widths, the coordinate is ln(value / rig's).
+A width - of the lens, the lamp, the registration - acts through its square, which adds to the variance of all other
+blurs. Its coordinate is half the logarithm of that total variance: the record of a pixel is smooth in it down to a
+width of 0. For parameters that are known to a few per cent or are not widths, the coordinate is ln(value / value of the
+rig).
 """
 
 from __future__ import annotations
@@ -26,38 +27,44 @@ LENS = "optics.sigma_px"
 """Name of the width of a Gaussian lens."""
 LAMP, APERTURE = "lamp_radius", "aperture"
 WIDTH = "lens_width"
-"""Name of the logarithm of the width of a lens that has no parameter of that kind: 0 as the rig says."""
+"""Name of the logarithm of the width of a lens that has no width parameter: 0 as in the rig."""
 SHAPE = "lens_shape"
-"""Name of the fourth moment of the lens's kernel, its variance unchanged: 0 as the rig says, -1 as flat as a disc, above 0 with
-longer tails."""
+"""Name of the fourth moment of the kernel of the lens at constant variance: 0 as in the rig, -1 as flat as a disc, above 0
+with longer tails.
+"""
 SIXTH, EIGHTH = "lens_sixth_moment", "lens_eighth_moment"
-"""Names of the next even moments of the lens's kernel, all lower ones unchanged. The three together describe a disc to 2 % of
-its difference from the Gaussian of its variance, at the limb, too, where a highlight is narrower than the lens."""
+"""Names of the next even moments of the kernel of the lens at constant lower moments. The three together describe a disc
+to 2 % of its difference from the Gaussian of its variance, also at the limb, where a highlight is narrower than the lens.
+"""
 STRETCH = "lens_stretch"
-"""Name of the variance of the lens's kernel along the plane of camera and lamp less that across it, over its variance."""
+"""Name of the stretch: variance of the kernel of the lens along the plane of camera and lamp less that across it, over the
+variance.
+"""
 WIDTHS = (LAMP, "jitter", APERTURE)
 """Fields of `Rig` that widen a highlight."""
 
 _FREE_RANGE = 0.5
-"""Half range of ln(value / rig's), for a free parameter that is no width."""
+"""Half range of ln(value / value of the rig), for a free parameter that is not a width."""
 _WIDEST_LENS, _WIDEST = 0.5, 0.2
-"""Largest coordinate of a free width: of the lens, and of the others, whose blur varies over the picture."""
+"""Largest coordinate of a free width: of the lens, and of the others, whose blur varies over the image."""
 _NEARBY = 0.03
-"""Largest coordinate of a lamp that is followed nearby."""
+"""Largest coordinate of a lamp that is fitted only near the value of the rig."""
 _SHARPEST = 0.1
-"""px; below this a lens makes the pixel's border a step, which the rule's nodes do not follow: extrapolated from here."""
+"""Width of a lens below which rules are extrapolated, px: the border of a pixel becomes a step that their nodes do not
+resolve.
+"""
 _NARROWEST = 1e-3
-"""px; the smallest width of a lens, whose logarithm must exist."""
+"""Smallest width of a lens, px, so that its logarithm exists."""
 _PRIOR_RANGE = 5.0
-"""Half range in standard deviations, where something is known."""
+"""Half range in standard deviations, for a parameter with a prior."""
 _GUESS = 0.25
-"""Relative standard deviation of a lens's width from which it is a guess, which may come down to 0."""
+"""Relative standard deviation of the width of a lens above which it is a guess, whose width may be 0."""
 _LENS_WIDTHS = ("sigma_px", "f_number", "blur_diameter_px")
 """Parameters of lenses that scale their kernel."""
 ASSUMED = 0.1
-"""Relative standard deviation of a lens's width of which its profile states none."""
+"""Relative standard deviation of the width of a lens if its profile gives none."""
 _STEP = 0.4
-"""Relative change of variance by which the kernels of a change of the lens differ: a smaller one amplifies their errors."""
+"""Relative difference in variance of the kernels of a change of the lens. A smaller step amplifies their errors."""
 _STRETCHED = 0.3
 """Relative change of variance of the two kernels whose difference changes the stretch: one is widened along, one across."""
 _COUNTS = ((0.03, 3), (0.15, 5), (np.inf, 9))
@@ -65,14 +72,14 @@ _COUNTS = ((0.03, 3), (0.15, 5), (np.inf, 9))
 
 
 class KernelChange(NamedTuple):
-    """Change of a lens's kernel, linear in its coordinate.
+    """Change of the kernel of a lens, linear in its coordinate.
 
     It is a sum of Gaussians. Their variances are multiples of the variance of the Gaussian that is as wide as the lens.
 
     Attributes:
         terms: (variance along the plane of camera and lamp, variance across it, share) of each Gaussian, no unit. The shares
             add up to 0.
-        std: standard deviation of the coordinate before the table is seen.
+        std: prior standard deviation of the coordinate.
         low: smallest coordinate.
         high: largest coordinate.
     """
@@ -84,13 +91,13 @@ class KernelChange(NamedTuple):
 
 
 def _difference(factor: float, *shares: int) -> tuple[tuple[float, float, float], ...]:
-    """Finite difference by the variance: round Gaussians at -2 to 2 steps, whose shares are given in units of a factor."""
+    """Build a finite difference in the variance: round Gaussians at -2 to 2 steps, with shares in units of a factor."""
     scales = (1 + step * _STEP for step in range(-2, 3))
     return tuple((scale, scale, factor * share) for scale, share in zip(scales, shares, strict=True) if share)
 
 
 CHANGES = {
-    # by the logarithm of a width the variance changes twice as fast
+    # the logarithm of the variance changes twice as fast as that of the width
     WIDTH: KernelChange(_difference(1 / (6 * _STEP), 1, -8, 0, 8, -1), ASSUMED, -0.5, 0.5),
     # a disc has the moments of a mixture of Gaussians whose relative variance has the second central moment -1/3
     SHAPE: KernelChange(_difference(1 / (18 * _STEP**2), 1, -1, 0, -1, 1), 1.0, -1.5, 4.0),
@@ -101,7 +108,7 @@ CHANGES = {
         ((1 + _STRETCHED, 1.0, 0.5 / _STRETCHED), (1.0, 1 + _STRETCHED, -0.5 / _STRETCHED)), 0.5, -1.5, 1.5
     ),
 }
-"""Changes of the lens's kernel by name. Of a disc, shape and sixth moment are -1 and 1, and the eighth is below 1."""
+"""Changes of the kernel of the lens by name. For a disc, shape and sixth moment are -1 and 1, and the eighth is below 1."""
 
 
 class Axis(NamedTuple):
@@ -133,12 +140,12 @@ class Axis(NamedTuple):
         return float(np.sqrt(self.square(coordinate, 0.0)[0]))
 
     def square(self, coordinate: float, std: float) -> tuple[float, float]:
-        """Return the parameter's square and its standard deviation: blurs add up in it, so it is what to judge near 0."""
+        """Return the square of the parameter and its standard deviation: blurs add in quadrature, so it is linear near 0."""
         total = float((self.base**2 + self.softening**2) * np.exp(2 * coordinate))
         return max(total - self.softening**2, 0.0), 2 * total * std
 
     def slope(self, coordinate: float, std: float) -> float:
-        """Return d value / d coordinate, as a secant to one standard deviation up.
+        """Compute d value / d coordinate, as a secant to one standard deviation up.
 
         At a width of 0 the derivative is infinite.
         """
@@ -149,16 +156,16 @@ class Axis(NamedTuple):
 
 
 def shape_axes(rig: Rig) -> tuple[tuple[Axis, ...], tuple[float, ...]]:
-    """Return the axes of what may be unknown of the lens's kernel at its variance, and their standard deviations.
+    """Return the axes of unknown shape of the kernel of a lens at its variance, and their standard deviations.
 
-    A cylinder's pictures show one direction of the kernel.
+    Images of a cylinder show one direction of the kernel.
     """
     names = (SHAPE, SIXTH, EIGHTH) if isinstance(rig.sample, Cylinder) else (SHAPE, SIXTH, EIGHTH, STRETCH)
     return tuple(map(change_axis, names)), tuple(CHANGES[name].std for name in names)
 
 
 def change_axis(name: str) -> Axis:
-    """Return the axis of a change of the lens's kernel."""
+    """Return the axis of a change of the kernel of the lens."""
     return Axis(name, 0.0, 0.0, CHANGES[name].low, CHANGES[name].high, (0.0, 1.0))
 
 
@@ -166,10 +173,10 @@ class KnownLens(NamedTuple):
     """Prior knowledge of a camera's lens.
 
     Attributes:
-        uncertainty: of the camera's parameters; None: there is none to state, or the lens has no parameter for its width.
+        uncertainty: of the camera's parameters; None: it has none, or the lens has no parameter for its width.
         words: the same, in words.
-        assumed: whether nothing was stated, so that a tenth of the width is assumed.
-        exact: whether the lens is stated as exact, or has no width to doubt.
+        assumed: whether no uncertainty was specified, so that a tenth of the width is assumed.
+        exact: whether the lens is specified as exact, or has no width.
     """
 
     uncertainty: Uncertainty | None
@@ -179,7 +186,7 @@ class KnownLens(NamedTuple):
 
 
 def known_lens(camera: Camera) -> KnownLens:
-    """Return the prior of a camera's lens: that of its profile, or a tenth of its width."""
+    """Return the prior of the lens of a camera: that of its profile, or a tenth of its width."""
     if camera.uncertainty is not None and camera.uncertainty.names:
         if any(std > 0 for std in camera.uncertainty.std().values()):
             return KnownLens(camera.uncertainty, "stated", assumed=False, exact=False)
@@ -200,37 +207,37 @@ def _is_lens_width(name: str) -> bool:
 
 
 def is_guess(name: str, relative: float) -> bool:
-    """Judge whether a relative standard deviation makes a width a guess, whose axis is `free_axis`."""
+    """Check whether a relative standard deviation makes a width a guess, whose axis is `free_axis`."""
     return name == LENS and relative >= _GUESS
 
 
 def guess_std(axis: Axis, relative: float) -> float:
-    """Return the standard deviation along a free axis of a width known to a relative one: the step upwards."""
+    """Return the standard deviation along a free axis of a width with a relative one: the step upwards."""
     wider = (axis.base * (1 + relative)) ** 2 + axis.softening**2
     return float(0.5 * np.log(wider / (axis.base**2 + axis.softening**2)))
 
 
 def prior_axis(name: str, base: float, std: float) -> Axis:
-    """Return the axis of a parameter that is known to a relative standard deviation."""
+    """Return the axis of a parameter with a relative standard deviation."""
     half = round(float(np.clip(_PRIOR_RANGE * std, 0.02, _FREE_RANGE)), 6)
     return Axis(name, base, 0.0, -half, half, _points(-half, half))
 
 
 def widths_of(rig: Rig) -> tuple[str, ...]:
-    """Name the widths that may be left free or doubted: before a cylinder a lamp's disc is as stated."""
+    """Name the widths that may be free. The source disc of a cylinder is fixed."""
     return tuple(name for name in WIDTHS if name != LAMP or not isinstance(rig.sample, Cylinder))
 
 
 def free_axis(name: str, rig: Rig, *, nearby: bool = False) -> Axis:
-    """Return the axis of a parameter of which nothing is known. ArgumentError for one that the rig has not.
+    """Return the axis of a parameter without a prior. ArgumentError for one that the rig lacks.
 
-    nearby: whether the lamp's radius is followed about the rig's value alone, and from a point on by its variance: where rig
-        and data agree nobody asks for more, and discs take long.
+    nearby: whether the radius of the lamp is fitted only near the value of the rig, a point source by its variance.
+    This suffices where rig and data agree, and discs are slow.
     """
     parameters = rig.camera.parameters()
     if name not in parameters and name not in widths_of(rig):
         raise ArgumentError(
-            f"free names {name!r}, which this camera has not; it has {', '.join(sorted(parameters))}; the rig has "
+            f"free names {name!r}, which this camera lacks; it has {', '.join(sorted(parameters))}; the rig has "
             f"{', '.join(widths_of(rig))}"
         )
     base = float(getattr(rig, name) if name in WIDTHS else parameters[name])
@@ -265,7 +272,7 @@ class MovedBlur(NamedTuple):
 
     Attributes:
         blur: the blur.
-        rough: whether a lamp's disc counts as a Gaussian, wherever it is. Default: False.
+        rough: whether a source disc counts as a Gaussian at all positions. Default: False.
         stretch: variances that are added to it along the plane of camera and lamp and across it, px^2. Default: none.
     """
 
@@ -275,8 +282,8 @@ class MovedBlur(NamedTuple):
 
 
 def blurs_along(rig: Rig, own: Blur, axes: Sequence[Axis]) -> list[MovedBlur]:
-    """Compute the blurs at the points of axes that move the rig's parameters. own: that of the rig."""
-    # how a residual changes with a lens's parameters is of second order and is neglected
+    """Compute the blurs at the points of the axes of parameters of the rig. own: that of the rig."""
+    # the dependence of the residual on lens parameters is second order and is neglected
     rest = own.rest if own.rest is not None and own.rest.even else None
     whole = own.rest is not None
     points = [(axis, point) for axis in axes if axis.name not in CHANGES for point in axis.points if point]
@@ -303,7 +310,7 @@ def _change_variances(axes: Sequence[Axis]) -> list[tuple[float, float]]:
 
 
 def along_axes(axes: tuple[Axis, ...], name: str, along: str, values: Sequence[np.ndarray]) -> dict[str, np.ndarray]:
-    """Return the rig's own values by name, and by how much they differ at every point of every axis.
+    """Return the values of the rig by name, and their differences at every point of every axis.
 
     values: of the rig, of each of `blurs_along`, and of each of `change_kernels`.
     """
@@ -323,12 +330,14 @@ def along_axes(axes: tuple[Axis, ...], name: str, along: str, values: Sequence[n
 
 
 def axis_selection(axes: Sequence[Axis], among: Sequence[Axis]) -> np.ndarray:
-    """Return the (axes, among) matrix that turns coordinates along some axes into those along more."""
+    """Return the (axes, among) matrix that maps coordinates along some axes to those along more."""
     return np.array([[axis == other for other in among] for axis in axes], dtype=float).reshape(len(axes), len(among))
 
 
 def _softening(name: str, rig: Rig) -> float:
-    """Return the root of the variance of all other blurs at the sphere's middle, in the parameter's unit; 0 for no width."""
+    """Compute the root of the variance of all other blurs at the middle of the sphere, in the unit of the parameter; 0
+    for no width.
+    """
     pixel = float(rig.camera.pixel.half_width) / np.sqrt(3)
     if name == LENS:
         return float(np.hypot(pixel, rig.jitter))
@@ -343,7 +352,7 @@ def _softening(name: str, rig: Rig) -> float:
 
 
 def _points(low: float, high: float) -> tuple[float, ...]:
-    """Return Chebyshev's points, the one next to 0 moved there."""
+    """Return Chebyshev's points, with the one next to 0 moved to 0."""
     half = (high - low) / 2
     count = next(count for largest, count in _COUNTS if half <= largest)
     points = (low + high) / 2 + half * np.cos(np.pi * np.arange(count) / (count - 1))

@@ -1,4 +1,4 @@
-"""A sphere or cylinder before a camera, under a lamp: how large its picture is, and how near both are (docs/model.md 10)."""
+"""Geometry of a sphere or cylinder, camera and lamp: size of the image and distances (docs/model.md 10)."""
 
 from __future__ import annotations
 
@@ -19,21 +19,22 @@ from matcam.sample.curved import Cylinder, Sphere
 from matcam.sample.shape import Place
 
 BOTH_WAYS = np.array([0.0, np.pi])
-"""What is added to phi_d: a picture shows a cell from the lamp's side, and opposite."""
+"""Angles that are added to phi_d: an image shows a cell on the side of the lamp and on the opposite side."""
 Normals = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
 class SampleView(NamedTuple):
-    """Geometry of a curved sample before a camera and under a lamp; numbers, so that views can be compared.
+    """Geometry of a curved sample, a camera and a lamp, as numbers, so that views can be compared.
 
     Attributes:
         radius: of the limb in the picture, px.
         camera: inverse of the camera's distance, 1/radii; 0: distant.
         lamp: inverse of the lamp's distance, 1/radii; 0: distant.
-        azimuth: of the plane of camera and lamp against the pixels' rows, rad; in [0, pi/2) for an isotropic lens, which a
-            quarter turn does not change, in [0, 2 pi) for any other.
-        line: whether the sample is a cylinder instead, which shows the normals of one line. Each cell has a lamp of its own
-            then (`forward/cylinder_cells.py`); its place is that on the sphere, whose distance from the axis is the column.
+        azimuth: of the plane of camera and lamp relative to the rows of pixels, rad; in [0, pi/2) for an isotropic
+            lens, which is invariant under a quarter turn, otherwise in [0, 2 pi).
+        line: whether the sample is a cylinder instead, which shows the normals of one line. Each cell then has its own
+            lamp (`forward/cylinder_cells.py`); its position is that on the sphere, whose distance from the axis is the
+            column.
     """
 
     radius: float
@@ -44,7 +45,7 @@ class SampleView(NamedTuple):
 
     @property
     def distant(self) -> bool:
-        """Check whether camera and lamp both are distant."""
+        """Check whether both camera and lamp are distant."""
         return self.camera == 0 and self.lamp == 0
 
     @property
@@ -59,32 +60,32 @@ class SampleView(NamedTuple):
 
     @property
     def sphere(self) -> Sphere:
-        """Return the sphere itself."""
+        """Return the sphere."""
         return Sphere(self.radius) if self.camera == 0 else Sphere(self.radius, 1 / self.camera)
 
     @property
     def cylinder(self) -> Cylinder:
-        """Return the cylinder of the sphere's size."""
+        """Return the cylinder of the size of the sphere."""
         return Cylinder(self.radius) if self.camera == 0 else Cylinder(self.radius, 1 / self.camera)
 
     def place(self, theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray) -> Place:
         """Compute the image position and the lamp of half and difference angles."""
         angles = np.broadcast_arrays(theta_h, theta_d, phi_d)
         count = angles[0].size
-        size = 1 << max(count - 1, 1).bit_length()  # few sizes: each is a program
+        size = 1 << max(count - 1, 1).bit_length()  # few sizes, because each is a program
         place = _place(self.sphere, *(np.resize(a, size) for a in angles), self.lamp)
         return Place(*(np.asarray(a)[:count].reshape(angles[0].shape) for a in place))  # type: ignore[arg-type]
 
     def lamp_angles(self, theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray) -> np.ndarray:
-        """Return the angle between lamp and optical axis at which each of a cell's two places shows it, rad."""
+        """Compute the angle between lamp and optical axis at which each of the two positions of a cell shows it, rad."""
         return self.place(theta_h[..., None], theta_d[..., None], phi_d[..., None] + BOTH_WAYS).lamp_angle  # type: ignore[return-value]
 
     def irradiance(self, cos_i: np.ndarray) -> np.ndarray:
-        """Return the irradiance across the light where its cosine is cos_i, over that at the sphere's centre."""
+        """Compute the irradiance across the light where its cosine is cos_i, over that at the centre of the sphere."""
         return 1.0 if self.lamp == 0 else np.asarray(closeness(self.lamp, jnp.asarray(cos_i))) ** 2  # type: ignore[return-value]
 
     def highlight(self, lamp_angle: np.ndarray) -> np.ndarray:
-        """Return the angle of the highlight's normal from the optical axis, rad."""
+        """Compute the angle between the normal of the highlight and the optical axis, rad."""
         return np.asarray(_highlight(self.sphere, lamp_angle, self.lamp))
 
     def from_highlight(
@@ -100,18 +101,18 @@ class SampleView(NamedTuple):
         return np.asarray(place.x) - self.at_highlight(np.asarray(place.lamp_angle)), np.asarray(place.y)
 
     def at_highlight(self, lamp_angle: np.ndarray) -> np.ndarray:
-        """Return the place of the highlight in the picture, px along x."""
+        """Compute the position of the highlight in the image, px along x."""
         return np.asarray(highlight_x(self.sphere, jnp.asarray(lamp_angle), jnp.asarray(self.lamp)))
 
     def highlight_area(self, theta_d: np.ndarray) -> np.ndarray:
-        """Return the flux of a highlight of F = 1 over that at the centre, times 4, px^2: radius^2 of a distant sphere."""
+        """Compute the flux of a highlight of F = 1 over that at the centre, times 4, px^2: radius^2 of a distant sphere."""
         if self.distant:
             return np.full(np.shape(theta_d), self.radius**2)
         along, across = (np.asarray(a) for a in self.sphere.px_per_rad(jnp.asarray(theta_d), self.lamp))
         return along * across * self.irradiance(np.cos(theta_d)) / np.cos(theta_d)
 
     def normals(self, x: np.ndarray, y: np.ndarray) -> Normals:
-        """Return the normals that places on the sphere's picture show."""
+        """Compute the normals at positions in the image of the sphere."""
         x, y, q = x / self.stretch, y / self.stretch, self.camera
         square = x**2 + y**2
         n_z = (square * q + np.sqrt(np.maximum(1 + square * (q**2 - 1), 0))) / (1 + square * q**2)
@@ -120,7 +121,7 @@ class SampleView(NamedTuple):
 
 
 _ONE_AZIMUTH = 1e-6
-"""Sine of half a difference up to which two azimuths are one."""
+"""Sine of half a difference below which two azimuths are equal."""
 _ALIGNED = 1e-9
 """Sine of a multiple of an azimuth below which the image has the axes of the plane of camera and lamp."""
 FAR_AWAY = SampleView(256.0)
@@ -128,11 +129,11 @@ FAR_AWAY = SampleView(256.0)
 
 
 def sample_view(rig: Rig | None) -> SampleView:
-    """Return the view of a rig's sphere or cylinder; without a rig, of the sphere of the MERL rig."""
+    """Build the view of the sphere or cylinder of a rig; without a rig, of the sphere of the MERL rig."""
     if rig is None:
         return FAR_AWAY
     sample, lamp, azimuth = rig.sample, rig.lamp.nearness, rig.lamp_azimuth or 0.0
-    # square pixels and an isotropic lens are the same after a quarter turn
+    # square pixels and an isotropic lens are invariant under a quarter turn
     alike = np.pi / 2 if rig.camera.optics.isotropic else 2 * np.pi
     turned = 0.0 if abs(np.sin(np.pi * azimuth / alike)) < _ALIGNED else float(np.mod(azimuth, alike))
     near = float(sample.nearness), 0.0 if lamp is None else float(lamp)  # type: ignore[attr-defined]
@@ -142,7 +143,7 @@ def sample_view(rig: Rig | None) -> SampleView:
 def rig_behind(table: xr.DataArray, rig: Rig) -> Rig:
     """Return the rig with the azimuth of the lamp in a table's images, as specified by the rig or by the table.
 
-    ArgumentError where they state different azimuths or samples.
+    ArgumentError where they specify different azimuths or samples.
     """
     kind = sample_of(table)
     if kind not in (None, rig.sample.kind):
@@ -161,9 +162,9 @@ def rig_behind(table: xr.DataArray, rig: Rig) -> Rig:
 def square_border(
     radius: float, x: np.ndarray, y: np.ndarray, reach: np.ndarray, rows: np.ndarray, azimuth: float = 0.0
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return points (..., 100) round rectangles about places, px; on the limb where they leave it.
+    """Return points (..., 100) along rectangles about positions, px; on the limb where they leave it.
 
-    reach, rows: half their sides, px. azimuth: of the axes against the first sides, rad.
+    reach, rows: half their sides, px. azimuth: of the axes relative to the first sides, rad.
     """
     t = np.linspace(-1, 1, 25)
     border = np.concatenate([np.stack([t, s + 0 * t], -1) for s in (-1, 1)])
@@ -175,7 +176,7 @@ def square_border(
 
 
 def angles_between(one: Normals, other: Normals) -> np.ndarray:
-    """Return the angles between unit vectors, rad, to all digits."""
+    """Compute the angles between unit vectors, rad, without loss of digits."""
     cross = [one[i] * other[j] - one[j] * other[i] for i, j in ((1, 2), (2, 0), (0, 1))]
     length = np.sqrt(cross[0] ** 2 + cross[1] ** 2 + cross[2] ** 2)
     return np.arctan2(length, one[0] * other[0] + one[1] * other[1] + one[2] * other[2])

@@ -1,13 +1,14 @@
-"""The record of an isotropic lobe in one pixel of a sphere, as a rule that is linear in the lobe.
+"""Record of an isotropic lobe in one pixel of a sphere, as a rule that is linear in the lobe.
 
 A pixel records the integral over the visible, lit part of the sphere, in polar coordinates about the normal of the highlight,
 
     R cos_i = 1/4 integral of  k(x - x(n)) F D(theta_h) G |v| |l|^-2 (1 - q n_z)^-3 s^2  over the solid angle of normals n  ,
 
-with the kernel k, the scale s of the image, the nearness q of the camera, and the lengths |v| and |l| of the vectors to camera
-and lamp in units of their distances (docs/model.md 3 and 10; all factors but s are 1 in a distant rig). Nodes lie on circles
-about the highlight, on the arcs that the pixel sees (`circle_arcs.py`). The weights of all nodes are carried over to few nodes
-in theta_h (`theta_nodes.py`), at which a lobe is evaluated. All else depends on the rig alone.
+with the kernel k, the scale s of the image, the nearness q of the camera, and the lengths |v| and |l| of the vectors to
+camera and lamp in units of their distances (docs/model.md 3 and 10; all factors but s are 1 in a distant rig). Nodes
+lie on arcs of circles about the highlight inside the window of the pixel (`circle_arcs.py`). Their weights are
+transferred to few nodes in theta_h (`theta_nodes.py`), at which a lobe is evaluated. Everything else depends on the rig
+alone.
 
 In a distant rig a circle has one theta_h. Near a camera or lamp each node has a theta_h, a theta_d and an irradiance of its
 own. Weights times the difference of theta_d from the cell's (`rise_of`) then give F at each node's theta_d.
@@ -38,17 +39,17 @@ from matcam.inverse.operator.theta_nodes import (
 from matcam.numerics.sine import sine
 
 _ARC = np.polynomial.legendre.leggauss(24)
-"""Nodes on an arc."""
+"""Gauss-Legendre nodes on an arc."""
 _ARC_OF_RINGS = np.polynomial.legendre.leggauss(48)
-"""Nodes on an arc that resolve the diffraction rings of a lens."""
+"""Gauss-Legendre nodes on an arc that resolve the diffraction rings of a lens."""
 _CALL, _BLOCK = 4096, 256
-"""Arcs of one call of the compiled program, and of the blocks that it works through: their arrays fit into a cache."""
+"""Arcs of one call of the compiled program, and of its blocks, whose arrays fit into a cache."""
 _REACH = 6.2
-"""How far a Gaussian is followed, in standard deviations: highlights are 1e6 times brighter than their surroundings."""
+"""Support radius of a Gaussian, in standard deviations: highlights are 1e6 times brighter than their surroundings."""
 _SLACK = 0.02
 """Share by which the range of angles on the border of a window is widened."""
 _OUTSIDE = 1.1
-"""Largest place beyond the nodes, in [-1, 1], at which a weight is kept."""
+"""Largest position beyond the nodes, in [-1, 1], at which a weight is kept."""
 
 
 class Kernel(NamedTuple):
@@ -60,7 +61,7 @@ class Kernel(NamedTuple):
         variances: added along the plane of camera and lamp and across it by lamp and focus, two arrays (pixels,), px^2.
         reach: half sides of the window along the pixel's axes, (2, pixels), px.
         disc: disc of the lamp; None: a point, or part of the variances.
-        pixel_nodes: nodes over a pixel that is turned against the plane, see `Blur.turned_kernel`; 0: it is not.
+        pixel_nodes: nodes over a pixel that is turned relative to the plane, see `Blur.turned_kernel`; 0: not turned.
     """
 
     blur: Blur
@@ -77,7 +78,7 @@ class Kernel(NamedTuple):
 
 
 def kernel_reach(half_width: float, stds: np.ndarray) -> np.ndarray:
-    """Return the half side of the square that a pixel sees through Gaussians of these standard deviations, px."""
+    """Compute the half side of the window of a pixel for Gaussians of these standard deviations, px."""
     return half_width + _REACH * stds
 
 
@@ -86,7 +87,7 @@ class SphereRule(NamedTuple):
 
     Attributes:
         weight: weights at the nodes of theta_h, (pixels, 40), no unit.
-        circles: sums over the circles, of which masking takes its azimuths.
+        circles: sums over the circles, which give the azimuths for masking.
         moment: weights of the difference of theta_d from the cell's, as `weight`, rad; None in a distant rig.
     """
 
@@ -96,7 +97,8 @@ class SphereRule(NamedTuple):
 
 
 def sphere_range(view: SampleView, pixels: SpherePixels, reach: np.ndarray) -> tuple[ThetaRange, ThetaRange]:
-    """Find the angles from the highlight's normal, and theta_h, that a window of half sides `reach` shows.
+    """Compute the ranges of the angle from the normal of the highlight, and of theta_h, in a window of half sides
+    `reach`.
 
     The extremes lie on the border of the window, or on the limb where it leaves the sphere.
     """
@@ -131,13 +133,13 @@ class Directions(NamedTuple):
 
 
 def directions(normal: Any, sin: Any, cos: Any, q: Any, w: Any) -> Directions:
-    """Compute the directions at normals of a sphere. sin, cos: of the lamp's angle. q, w: nearness of camera and lamp."""
+    """Compute the directions at normals of a sphere. sin, cos: of the angle of the lamp. q, w: nearness of camera and lamp."""
     xp: Any = np if isinstance(normal[0], np.ndarray) else jnp
     n_x, n_y, n_z = normal
     up = n_x * sin + n_z * cos
     view, light = xp.sqrt(1 + q**2 - 2 * q * n_z), xp.sqrt(1 + w**2 - 2 * w * up)
     cos_o, cos_i = (n_z - q) / view, (up - w) / light
-    # half vector x normal, which vanishes at the highlight without a loss of digits
+    # half vector x normal, which vanishes at the highlight without loss of digits
     cross = -n_y / view - cos * n_y / light, n_x / view + (cos * n_x - sin * n_z) / light, sin * n_y / light
     theta_h = xp.arctan2(xp.sqrt(cross[0] ** 2 + cross[1] ** 2 + cross[2] ** 2), cos_i + cos_o)
     v = -q * n_x / view, -q * n_y / view, (1 - q * n_z) / view
@@ -201,13 +203,13 @@ def sphere_rule(
 
 
 def _nothing(angle: np.ndarray, near: bool) -> SphereRule:
-    """Return the rule of pixels that see no part of the sphere."""
+    """Return the rule of pixels outside the image of the sphere."""
     zero = np.zeros_like(angle)
     return SphereRule(zero, CircleSums(zero, np.zeros((3, *angle.shape)), zero, zero, zero), zero if near else None)
 
 
 def _filled(array: np.ndarray) -> np.ndarray:
-    """Fill the arcs of a call up with copies of the last one."""
+    """Pad the arcs of a call with copies of the last one."""
     return np.pad(array, (0, _CALL - array.size), mode="edge")
 
 
@@ -247,14 +249,14 @@ def _arc_sums(
         out_of_focus = jnp.abs(blur.defocus(radius, normal[2]))
 
         def in_plane(x: jax.Array, y: jax.Array) -> tuple[jax.Array, jax.Array]:
-            """Return components along the plane of camera and lamp and across it."""
+            """Resolve vectors along the plane of camera and lamp and across it."""
             return x * cosine + y * sine_, y * cosine - x * sine_
 
         def through(term: int) -> jax.Array:
             if pixel_nodes and not blur.is_rest(term):
                 added = Spread(var_x, var_y, out_of_focus)
                 return blur.turned_kernel(*in_plane(*offset), term, added, (cosine, sine_), pixel_nodes)
-            # the residual of a lens is small: on a turned pixel what widens it counts as round
+            # the residual of a lens is small: on a turned pixel its widening counts as isotropic
             widths = ((var_x + var_y) / 2,) * 2 if pixel_nodes else (var_x, var_y)
             return blur.at(term, Spread(widths[0], widths[1], out_of_focus), *offset)
 
@@ -286,4 +288,4 @@ def _arc_sums(
 
 
 _arc_sums_of_disc = jax.jit(_arc_sums.__wrapped__, static_argnames=("terms", "near", "pixel_nodes"))  # type: ignore[attr-defined]
-"""The same, compiled with all passes: the Gaussians of a disc take a third of the time."""
+"""The same, compiled with all optimisation passes: the Gaussians of a disc take a third of the time."""

@@ -1,7 +1,8 @@
 """Nodes in the angle theta_h between normal and half vector, at which the rule of a pixel reads a lobe.
 
-Nodes are even in asinh(theta_h / scale), so that they resolve a lobe a thousandth of a radian wide as well as a broad one. The
-masking G varies slowly: it is taken at fewer nodes, at two azimuths of each, which stand for the azimuths that the pixel sees.
+Nodes are even in asinh(theta_h / scale), so that they resolve a lobe a thousandth of a radian wide as well as a broad
+one. The masking G varies slowly: it is evaluated at fewer nodes, at two azimuths of each, which represent the azimuths
+in the window of the pixel.
 """
 
 from __future__ import annotations
@@ -16,9 +17,9 @@ from matcam.numerics.approximation import lagrange_basis
 
 NODES = np.polynomial.legendre.leggauss(40)
 _LOCAL = 10
-"""Number of neighbouring nodes that share a weight that lies between them: further away the masking may differ."""
+"""Number of neighbouring nodes that share a weight between them; at more distant nodes the masking may differ."""
 NODE_RULE = f"weights on {_LOCAL} nodes"
-"""Name of the way in which weights are carried over to other nodes, for the description of a stored rule."""
+"""Name of the transfer of weights to other nodes, for the description of a stored rule."""
 _RING_WINDOWS = 4
 """Number of parts of a window whose nodes resolve the diffraction rings of a lens."""
 _FINEST = 25.0
@@ -30,10 +31,13 @@ _BLOCK = 128
 PIECE = 2 * _BLOCK
 """Number of pixels of one call: one program serves any number of them, and several cores share them."""
 SAMPLED = np.round(np.linspace(0, NODES[0].size - 1, 20)).astype(int)
-"""Nodes at which the masking of a distant rig is taken. Cubics keep the kink of G at the limb in its place."""
+"""Nodes at which the masking of a distant rig is evaluated.
+
+Cubics through them keep the kink of G at the limb in its position.
+"""
 _CUBIC = 4
 _STEEPNESS = 7.0
-"""Rate, 1/rad, of the exponential in theta_d that F follows towards grazing angles."""
+"""Rate, 1/rad, of the exponential in theta_d by which F rises towards grazing angles."""
 RISE = f"exp({_STEEPNESS:g} theta_d)"
 """Name of the function of theta_d in which F is taken as linear, for the description of a stored rule."""
 _LEAST_STD = 1e-7
@@ -87,10 +91,10 @@ class ThetaRange(NamedTuple):
         return scale * np.sinh(t), scale * np.cosh(t) * (last - first) / 2 * NODES[1]
 
     def carry(self, theta: np.ndarray, weight: np.ndarray) -> np.ndarray:
-        """Carry weights at angles over to the nodes, (pixels, nodes).
+        """Transfer weights at angles to the nodes, (pixels, nodes).
 
-        The sum is the same for all that polynomials through neighbouring nodes follow. So a kernel need not be smooth on
-        their scale; only the lobe has to be.
+        The sum is exact for polynomials through neighbouring nodes. Only the lobe must be smooth on their scale, not
+        the kernel.
         """
         return np.asarray(_carry(theta, weight, self.low, self.high, np.broadcast_to(self.finest, self.low.shape)))
 
@@ -116,12 +120,13 @@ def _carry(theta: Any, weight: Any, low: Any, high: Any, finest: Any) -> jax.Arr
 
 
 def stretched(low, high, finest=np.inf):  # type: ignore[no-untyped-def]
-    """Return (scale, first, last): nodes are even in asinh(theta / scale) between first and last. Arrays of NumPy or JAX.
+    """Compute (scale, first, last): nodes are even in asinh(theta / scale) between first and last. Arrays of NumPy or
+    JAX.
 
-    finest: see `ThetaRange`; further from the highlight than that, the distance from it.
+    finest: see `ThetaRange`; the distance from the highlight, if it is larger.
     """
     xp = np if isinstance(low, np.ndarray) else jnp
-    # the highlight itself is inside only where the range begins at 0
+    # the highlight itself is inside only if the range begins at 0
     scale = xp.where(low > 0, xp.maximum(high / _FINEST, 0.15 * (high - low)), high / _FINEST)
     scale = xp.minimum(scale, xp.maximum(low, finest))
     return scale, xp.arcsinh(low / scale), xp.arcsinh(high / scale)
@@ -133,12 +138,12 @@ def on_highlight(radius: float, reach: float) -> float:
 
 
 def onto_nodes(place: jax.Array, share: jax.Array) -> jax.Array:
-    """Return weights at Gauss's nodes that integrate polynomials as shares at places do, (pixels, nodes).
+    """Compute weights at Gauss nodes that integrate polynomials as shares at positions do, (pixels, nodes).
 
-    The polynomial through Gauss's nodes is a sum of Legendre's, whose coefficients are the nodes' own sums.
+    The polynomial through Gauss nodes is a sum of Legendre polynomials, whose coefficients are sums over the nodes.
 
     Args:
-        place: in [-1, 1], (pixels, ...).
+        place: positions in [-1, 1], (pixels, ...).
         share: their shares, of the same shape.
     """
     place, share = (a.reshape(a.shape[0], -1) for a in (place, share))
@@ -146,7 +151,7 @@ def onto_nodes(place: jax.Array, share: jax.Array) -> jax.Array:
 
 
 def legendre_sums(place: jax.Array, shares: tuple[jax.Array, ...]) -> tuple[jax.Array, ...]:
-    """Sum shares times Legendre's polynomials of the place over the last axis: arrays (degrees, ...)."""
+    """Sum shares times Legendre polynomials of the position over the last axis: arrays (degrees, ...)."""
 
     def next_degree(state, k):  # type: ignore[no-untyped-def]
         before, now = state
@@ -159,25 +164,25 @@ def legendre_sums(place: jax.Array, shares: tuple[jax.Array, ...]) -> tuple[jax.
 
 
 FROM_MOMENTS = NODES[1][:, None] * np.polynomial.legendre.legvander(NODES[0], NODES[0].size - 1)
-"""Matrix that turns sums of Legendre's polynomials into weights at the nodes, (nodes, degrees)."""
+"""Matrix that maps sums of Legendre polynomials to weights at the nodes, (nodes, degrees)."""
 FROM_MOMENTS *= np.arange(NODES[0].size) + 0.5
 
 
 def rise_of(theta_d: jax.Array, cell: jax.Array) -> jax.Array:
-    """Return the difference of theta_d from the cell's in which F is about linear, rad; small differences are themselves.
+    """Compute the difference of theta_d from that of the cell in a variable in which F is nearly linear, rad.
 
-    F rises as exp(7 theta_d) where it is steep, towards grazing angles.
+    F rises as exp(7 theta_d) towards grazing angles, where it is steep. Small differences stay themselves.
     """
     return jnp.expm1(_STEEPNESS * (theta_d - cell)) / _STEEPNESS
 
 
 class CircleSums(NamedTuple):
-    """Sums over what a pixel sees of circles about the highlight, arrays of shape (pixels, circles).
+    """Sums over the parts of circles about the highlight in the window of a pixel, arrays of shape (pixels, circles).
 
     Attributes:
         total: sum of the weights.
         cosine: of the weights times powers 1 to 3 of the cosine of the azimuth about the half vector, (3, pixels, circles).
-        place: of the weights times the place among the nodes, in [-1, 1].
+        place: of the weights times the position among the nodes, in [-1, 1].
         theta_d: of the weights times theta_d, rad.
         product: of the weights times theta_d times the cosine, rad.
     """
@@ -190,14 +195,14 @@ class CircleSums(NamedTuple):
 
 
 def masking_samples(circles: CircleSums, theta: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Return theta, cosine of the azimuth, theta_d and share of the two azimuths at which masking is taken.
+    """Compute theta, cosine of the azimuth, theta_d and share of the two azimuths at which masking is evaluated.
 
-    They come from the circles next to each node; where nothing is seen, from the nearest circle that is seen.
+    They come from the circles next to each node, or from the nearest circle inside the window.
 
     Args:
         circles: sums over circles.
         theta: nodes, (pixels, nodes), rad.
-        at: indices of the nodes at which masking is taken.
+        at: indices of the nodes at which masking is evaluated.
 
     Returns:
         Arrays (pixels, samples), and three of (pixels, samples, 2).
@@ -228,10 +233,10 @@ def masking_samples(circles: CircleSums, theta: np.ndarray, at: np.ndarray) -> t
 
 
 def skewed_pair(skew: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the two nodes, in standard deviations from the mean, and their shares, on a trailing axis.
+    """Compute two nodes, in standard deviations from the mean, and their shares, on a trailing axis.
 
-    They are Gauss's rule, exact to the third moment: close to the limb a circle is seen at two ends, of unequal light.
-    skew: skewness of the distribution that they stand for.
+    They are a Gauss rule, exact to the third moment: close to the limb a circle is visible at two ends, of unequal
+    light. skew: skewness of the distribution that they represent.
     """
     lean = np.clip(skew, -_MOST_SKEW, _MOST_SKEW) / 2
     root = np.sqrt(lean**2 + 1)

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 class Beckmann(SlopeNDF, MixtureNDF):
-    """Distribute slopes like a Gaussian.
+    """Beckmann distribution: Gaussian slopes.
 
     D = exp(-tan^2 theta_h / alpha^2) / (pi alpha^2 cos^4 theta_h), 1/sr.
 
@@ -67,7 +67,7 @@ class Beckmann(SlopeNDF, MixtureNDF):
 
 
 class AnisotropicBeckmann(StretchedSlopes):
-    """Stretch Beckmann's slopes: one roughness along the surface's first tangent, one across.
+    """Anisotropic Beckmann distribution with two roughnesses.
 
     Args:
         alpha_along: roughness along the first tangent, a slope, no unit, (0, 1].
@@ -95,6 +95,6 @@ class AnisotropicBeckmann(StretchedSlopes):
 
 
 def beckmann_lambda(nu: jax.Array) -> jax.Array:
-    """Return Lambda of Beckmann's slopes at nu = cot theta / alpha, to 16 digits of 1 / (1 + Lambda)."""
+    """Evaluate Lambda of Beckmann slopes at nu = cot theta / alpha, to 16 digits of 1 / (1 + Lambda)."""
     nu = xp.minimum(nu, 20.0)
     return xp.maximum(xp.exp(-(nu**2)) / (nu * xp.sqrt(xp.pi)) - special.erfc(nu), 0.0) / 2

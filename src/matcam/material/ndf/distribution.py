@@ -1,12 +1,12 @@
 """Normal distribution functions: the tilts of a rough surface's microfacets (docs/model.md 6).
 
-A facet's tilt is a slope: minus the gradient of the surface's height. P22 is the density of slopes, and
-D = P22 / cos^4 theta_h that of normals per solid angle, with the integral of D cos over the hemisphere 1. What a camera
-does to a lobe depends on the lobe as a function of a tangent-plane coordinate r,
+A facet's tilt is a slope: minus the gradient of the surface's height. P22 is the density of slopes, and D = P22 / cos^4
+theta_h that of normals per solid angle, where the integral of D cos over the hemisphere is 1. The record of a lobe by a
+camera depends on the lobe as a function of a tangent-plane coordinate r,
 
     D(theta_h) = D(0) flattening(theta_h) shape(r),     r = coordinate(theta_h),
 
-and has a closed form where the shape is a mixture of Gaussians (forward/peaks/lobe.py).
+and has a closed form if the shape is a mixture of Gaussians (forward/peaks/lobe.py).
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ if TYPE_CHECKING:
 
     from matcam.core.jax import jax
 
-_SMOOTHEST = 1e-60  # roughness: far below any surface, and powers of it are still numbers
-_FLAT = 1e-30  # squared sine of a direction that is the normal itself
+_SMOOTHEST = 1e-60  # roughness: far below that of any surface, with finite powers
+_FLAT = 1e-30  # squared sine below which a direction is the normal itself
 
 
 class SlopeDistribution(Module):
-    """Describe the facets of a microfacet material, isotropic or not."""
+    """Facets of a microfacet material, isotropic or not."""
 
     @abstractmethod
     def density(self, along: jax.Array, across: jax.Array) -> jax.Array:
@@ -47,7 +47,7 @@ class SlopeDistribution(Module):
         """Return Smith's Lambda of light and view.
 
         Args:
-            shading: light and view as the surface sees them, both above the horizon.
+            shading: directions of light and view, both above the horizon.
         """
 
     @property
@@ -62,7 +62,7 @@ class SlopeDistribution(Module):
 
 
 class NDF(SlopeDistribution):
-    """Describe an isotropic distribution of microfacet normals.
+    """Isotropic distribution of microfacet normals.
 
     Attributes:
         family: name of the family, as in `FAMILIES`.
@@ -110,7 +110,7 @@ class NDF(SlopeDistribution):
     def flattening(self, theta_h: jax.Array) -> jax.Array:
         """Return D over D(0) and the shape in r.
 
-        It is 1 at the peak. The tangent plane leaves this factor out.
+        It is 1 at the peak. The tangent plane neglects this factor.
 
         Args:
             theta_h: angle between half vector and surface normal, rad.
@@ -130,7 +130,7 @@ class NDF(SlopeDistribution):
         """First parameter, the scale of the facets' slopes."""
 
     def g1(self, theta: ArrayLike) -> jax.Array:
-        """Return Smith's masking: the share of facets that others do not hide.
+        """Return Smith's masking: the share of visible facets.
 
         Args:
             theta: angle of the direction to the normal, rad, [0, pi/2].
@@ -155,7 +155,7 @@ class NDF(SlopeDistribution):
 
 
 class SlopeNDF(NDF):
-    """Derive D and its coordinate from a density of slopes."""
+    """NDF that follows from a density of slopes."""
 
     def d(self, theta_h: ArrayLike) -> jax.Array:
         """Return D = P22 / cos^4 theta_h, 1/sr."""
@@ -176,7 +176,7 @@ class SlopeNDF(NDF):
 
 
 class MixtureNDF(NDF):
-    """Describe an NDF that is a mixture of Gaussians in its coordinate.
+    """NDF that is a mixture of Gaussians in its coordinate.
 
     shape(r) = sum_j weight_j exp(-r^2 / (2 width_j^2)). A camera's record of such a lobe has a closed form. `GaussianNDF`,
     `Beckmann`, `GGX` and `SGD` are such lobes.
@@ -198,7 +198,7 @@ class MixtureNDF(NDF):
 
 
 class StretchedSlopes(SlopeDistribution):
-    """Stretch an isotropic distribution of slopes by alpha_along and alpha_across.
+    """Isotropic distribution of slopes, stretched by alpha_along and alpha_across.
 
     Smith's masking of a stretched surface is that of the isotropic one at the roughness projected on the direction,
     alpha^2 = alpha_along^2 cos^2 phi + alpha_across^2 sin^2 phi (Heitz 2014).
@@ -257,15 +257,15 @@ class StretchedSlopes(SlopeDistribution):
 
 
 def checked_roughness(name: str, value: ArrayLike, largest: float = 1.0, unit: str = "") -> jax.Array:
-    """Return a roughness in (0, largest]; ArgumentError otherwise, and where its square is no number any more."""
+    """Check a roughness in (0, largest]; ArgumentError otherwise, and if its square is not a finite positive number."""
     checks.within(name, value, 0, largest, unit, open_low=True)
     return checks.scalar(name, checks.within(name, value, _SMOOTHEST, largest, unit))
 
 
 def _tangents(shading: Shading) -> tuple[tuple[jax.Array, jax.Array], tuple[jax.Array, jax.Array]]:
-    """Return (part, offset): light and view along the surface's tangents are offset + part and offset - part."""
+    """Return (part, offset): light and view along the tangents of the surface are offset + part and offset - part."""
     slope2 = shading.slope_along**2 + shading.slope_across**2
-    mirror = slope2 == 0  # there the half vector's azimuth counts as 0
+    mirror = slope2 == 0  # there the azimuth of the half vector counts as 0
     slope = xp.sqrt(xp.where(mirror, 1.0, slope2))
     cos_phi, sin_phi = (
         xp.where(mirror, 1.0, shading.slope_along / slope),

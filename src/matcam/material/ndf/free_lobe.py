@@ -1,8 +1,8 @@
-"""Lobes of a known family with freedom: a smooth factor that bends the lobe, and a masking that does not follow from it.
+"""Lobes of a family with spline modifications: a smooth factor of the lobe, and a free masking.
 
-A bend lets a lobe follow data of any family. A free masking is any smooth function of the angle instead of Smith's: Bagher,
-Snyder & Nowrouzezahrai (2016) explain measured materials by such "free shadowing", and a camera's loss at grazing angles has
-to be told from it.
+A spline-modified lobe can fit data of any family. A free masking is any smooth function of the angle instead of
+Smith's: Bagher, Snyder & Nowrouzezahrai (2016) explain measured materials by such "free shadowing", from which the loss
+by a camera at grazing angles must be distinguished.
 """
 
 from __future__ import annotations
@@ -17,28 +17,29 @@ from matcam.material.ndf.distribution import NDF, SlopeNDF
 from matcam.numerics.approximation import combined, cubic_basis, cubic_spline, cubic_sums, smoothness
 
 KNOTS = 17
-"""Parameters of a bend."""
+"""Number of parameters of a spline modification."""
 SHADOWS = 8
-"""Parameters of a free masking."""
+"""Number of parameters of a free masking."""
 STIFFER = 10.0
-"""How much stiffer a bend is where little or nothing shows its shape."""
-_STEEP = 0.9  # slope beyond which that is so
+"""Factor of the stiffness of a spline where the data hardly determine the shape."""
+_STEEP = 0.9  # slope above which this holds
 _FINEST, _LAST = 0.0015, 26.4  # slopes at which the knots become even in the logarithm, and at which they end
 _END = float(np.arcsinh(_LAST / _FINEST))
 _NODES = np.polynomial.legendre.leggauss(160)
 
 
 class BentNDF(SlopeNDF):
-    """Bend a lobe by a smooth factor of the slope.
+    """Lobe multiplied by a smooth factor of the slope.
 
     P22 of the base times exp(sum_k bends_k B_k), normalised again. B_k are cubic B-splines, evenly spaced in
-    asinh(slope / 0.0015); the first has slope 0 at the peak, and all are constant beyond a slope of 26 (88 degrees). Facets as
-    steep as that hide others: a lobe whose tail ended at 45 degrees would have its family's masking.
+    asinh(slope / 0.0015); the first has slope 0 at the peak, and all are constant beyond a slope of 26 (88 degrees).
+    The range is so large because steep facets mask others: with splines up to 45 degrees only, the masking would be
+    that of the family.
 
     Attributes:
-        base: the lobe that is bent.
-        bends: coefficients, no unit, shape (KNOTS,); 0 leaves the base as it is.
-        norm: integral of the bent density.
+        base: the lobe that is modified.
+        bends: coefficients, no unit, shape (KNOTS,); 0: the base itself.
+        norm: integral of the modified density.
     """
 
     base: NDF
@@ -71,7 +72,7 @@ class BentNDF(SlopeNDF):
 
 @kept_program
 def _norm(base: NDF, bends: jax.Array) -> jax.Array:
-    """Return the integral of the bent P22 over the plane of slopes, on a grid that is even in asinh(slope / scale)."""
+    """Integrate the modified P22 over the plane of slopes, on a grid that is even in asinh(slope / scale)."""
     scale = jnp.minimum(base.roughness, 0.3) / 4
     t = jnp.arcsinh(2e3 / scale) * (_NODES[0] + 1) / 2
     slope = scale * jnp.sinh(t)
@@ -80,33 +81,33 @@ def _norm(base: NDF, bends: jax.Array) -> jax.Array:
 
 
 def bend_basis(slope2: jax.Array) -> jax.Array:
-    """Return the functions B_k at squared slopes, (KNOTS, ...): cubic B-splines, mirrored at 0."""
+    """Evaluate the functions B_k at squared slopes, (KNOTS, ...): cubic B-splines, mirrored at 0."""
     return cubic_basis(_knot_at(slope2), KNOTS)
 
 
 def bend_sums(slope2: jax.Array, weights: jax.Array, axes: int = 1) -> jax.Array:
-    """Return sum weights B_k over the last `axes` axes, (KNOTS, ...)."""
+    """Compute sum weights B_k over the last `axes` axes, (KNOTS, ...)."""
     return cubic_sums(_knot_at(slope2), weights, KNOTS, axes)
 
 
 @jax.custom_jvp
 def bend_at(bends: jax.Array, slope2: jax.Array) -> jax.Array:
-    """Return sum_k bends_k B_k at squared slopes."""
+    """Compute sum_k bends_k B_k at squared slopes."""
     return cubic_spline(bends, _knot_at(slope2))
 
 
 def _knot_at(slope2: jax.Array) -> jax.Array:
-    """Return the place of squared slopes among the knots, counted from 0."""
+    """Compute the position of squared slopes among the knots, counted from 0."""
     small = slope2 < 1e-24  # the root's derivative at 0
     slope = jnp.where(small, 0.0, jnp.sqrt(jnp.where(small, 1.0, slope2)))
     return jnp.minimum(jnp.arcsinh(slope / _FINEST) / _END, 1.0) * (KNOTS - 1)
 
 
 def bend_smoothness() -> np.ndarray:
-    """Return the rows (rows, KNOTS) whose products with a bend's coefficients are small: `smoothness`, stiff beyond 45 degrees.
+    """Return the rows (rows, KNOTS) whose products with the coefficients are small: `smoothness`, stiff beyond 45 degrees.
 
-    Few cells show facets as steep, and the sphere's last pixels show them: the tail goes on as a power law, whatever its
-    exponent. Free there, a bend of white paper fell to nothing at 66 degrees.
+    Few cells, in the last pixels of the sphere, show such steep facets. There the tail continues as a power law of any
+    exponent.
     """
     rows = smoothness(KNOTS)
     steep = slope_of_knot(np.arange(1.0, KNOTS - 1)) > _STEEP
@@ -115,7 +116,7 @@ def bend_smoothness() -> np.ndarray:
 
 
 def slope_of_knot(place: np.ndarray) -> np.ndarray:
-    """Return the slope at a knot of the bend, counted from 0; between knots, too."""
+    """Return the slope at a knot, counted from 0; fractional knots are allowed."""
     return _FINEST * np.sinh(place / (KNOTS - 1) * _END)
 
 
@@ -123,24 +124,24 @@ def slope_of_knot(place: np.ndarray) -> np.ndarray:
 def _bend_slopes(
     values: tuple[jax.Array, jax.Array], changes: tuple[jax.Array, jax.Array]
 ) -> tuple[jax.Array, jax.Array]:
-    """Differentiate by the chain rule: the functions and their derivatives once, not along every direction asked for."""
+    """Differentiate by the chain rule: the functions and their derivatives are evaluated once, not for every direction."""
     bends, slope2 = values
     value, by_slope2 = jax.jvp(lambda at: cubic_spline(bends, _knot_at(at)), (slope2,), (jnp.ones_like(slope2),))
     return value, combined(changes[0], bend_basis(slope2)) + by_slope2 * changes[1]
 
 
 def shadow_basis(cos: ArrayLike) -> jax.Array:
-    """Return the functions B_k of a free masking at cosines to the normal, (SHADOWS, ...)."""
+    """Evaluate the functions B_k of a free masking at cosines to the normal, (SHADOWS, ...)."""
     return cubic_basis((1 - jnp.clip(cos, 0.0, 1.0)) * (SHADOWS - 1), SHADOWS)
 
 
 class ShadowedNDF(NDF):
-    """Give a lobe a free masking, for "smith-separable": ln G1 = -sum_k shadows_k B_k(1 - cos theta).
+    """Lobe with a free masking, for "smith-separable": ln G1 = -sum_k shadows_k B_k(1 - cos theta).
 
-    G1 may exceed 1: the strength of each slice is free, so that only the shape of G1 matters.
+    G1 may exceed 1: because the strength of each slice is free, only the shape of G1 matters.
 
     Attributes:
-        base: the lobe, whose D stays.
+        base: the lobe, whose D is kept.
         shadows: coefficients, no unit, shape (SHADOWS,).
     """
 

@@ -16,11 +16,11 @@ if TYPE_CHECKING:
 
     from matcam.core.jax import jax
 
-_SMALL = 1e-6  # squared slope below which its angle comes from a series: the root's slope is infinite at 0
+_SMALL = 1e-6  # squared slope below which its angle comes from a series, because the slope of the root is infinite at 0
 
 
 class GaussianNDF(MixtureNDF):
-    """Distribute normals like a Gaussian in angle: the paper's lobe.
+    """Gaussian in the angle of the normal, the lobe of the paper.
 
     D is proportional to exp(-theta_h^2 / (2 width^2)), normalised by quadrature of D cos over the hemisphere.
 
@@ -42,7 +42,7 @@ class GaussianNDF(MixtureNDF):
     width: jax.Array
 
     family = "gaussian"
-    largest = 0.5  # rad; beyond, a Gaussian in theta_h does not die out before the horizon
+    largest = 0.5  # rad; a wider Gaussian in theta_h does not vanish at the horizon
 
     def __init__(self, width: ArrayLike):
         self.width = checked_roughness("width", width, self.largest, "rad")

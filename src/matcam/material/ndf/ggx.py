@@ -19,7 +19,7 @@ _MIXTURE_NODES = 56
 
 
 class GGX(SlopeNDF, MixtureNDF):
-    """Distribute slopes with the long tails of GGX (Trowbridge-Reitz).
+    """GGX (Trowbridge-Reitz) distribution, with long tails.
 
     D = alpha^2 / (pi (cos^2 theta_h (alpha^2 - 1) + 1)^2), 1/sr: slopes of density alpha^2 / (pi (alpha^2 + slope^2)^2).
 
@@ -77,7 +77,7 @@ class GGX(SlopeNDF, MixtureNDF):
 
 
 class AnisotropicGGX(StretchedSlopes):
-    """Stretch GGX's slopes: one roughness along the surface's first tangent, one across.
+    """Anisotropic GGX distribution with two roughnesses.
 
     Args:
         alpha_along: roughness along the first tangent, a slope, no unit, (0, 1].
@@ -105,6 +105,6 @@ class AnisotropicGGX(StretchedSlopes):
 
 
 def ggx_lambda(nu: jax.Array) -> jax.Array:
-    """Return Lambda of GGX at nu = cot theta / alpha: t / (2 (1 + sqrt(1 + t))), t = nu^-2, which does not cancel."""
+    """Evaluate Lambda of GGX at nu = cot theta / alpha: t / (2 (1 + sqrt(1 + t))), t = nu^-2, without cancellation."""
     t = nu**-2
     return t / (2 * (1 + xp.sqrt(1 + t)))

@@ -1,4 +1,4 @@
-"""Lobes of a roughness and a power: sharp or flat peaks on broad flanks or narrow ones."""
+"""Lobes with a roughness and a power: sharp or flat peaks on broad or narrow flanks."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ if TYPE_CHECKING:
 _NORM_NODES = np.polynomial.legendre.leggauss(96)
 _MIXTURE_NODES = 96
 _LOWEST = -13.0  # ln of the finest difference of exponents that the mixture resolves
-_FADED = 40.0  # exp(-40) is nothing
+_FADED = 40.0  # exp(-40) is negligible
 
 
 class EPD(SlopeNDF):
-    """Distribute slopes by an exponential of their power.
+    """Exponential power distribution of slopes.
 
     D = p / (pi beta^2 Gamma(1/p)) exp(-(tan^2 theta_h / beta^2)^p) / cos^4 theta_h, 1/sr. p = 1 is Beckmann.
 
@@ -72,17 +72,17 @@ class EPD(SlopeNDF):
 
 
 class SGD(SlopeNDF, MixtureNDF):
-    """Distribute slopes by the shifted gamma distribution.
+    """Shifted gamma distribution of slopes.
 
     D = K exp(-x) / (pi x^p cos^4 theta_h), 1/sr, with x = alpha + tan^2 theta_h / alpha and
     K = 1 / (alpha Gamma(1 - p, alpha)); Gamma is the upper incomplete one.
 
-    The authors' BRDF has pi where a microfacet BRDF has 4: a `Microfacet` is `published_over_ours` times smaller than the
-    printed formula at equal F. They also fit a masking and a Fresnel term of their own.
+    The BRDF of the authors has pi where a microfacet BRDF has 4: a `Microfacet` is smaller than the printed formula by
+    `published_over_ours` at equal F. They also fit their own masking and Fresnel term.
 
     Args:
         alpha: no unit, (0, 1]. The core of the lobe is about alpha wide, as a slope, and its flanks sqrt(alpha).
-        power: p, no unit, (0, 2]. A larger one makes the core sharper against its flanks.
+        power: p, no unit, (0, 2]. Larger values make the core sharper relative to its flanks.
 
     Raises:
         ArgumentError: a parameter is out of range, or not a single number.
@@ -155,4 +155,4 @@ class SGD(SlopeNDF, MixtureNDF):
 
 
 _power = with_derivatives(lambda x, p: x**p, lambda dx, u, x, p: dx * u * p / x, lambda dp, u, x, p: dp * u * xp.log(x))
-"""x^p of x > 0. Its derivatives take no further power, which would cost as much again."""
+"""x^p of x > 0. Its derivatives require no further power."""

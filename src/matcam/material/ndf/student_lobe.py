@@ -13,14 +13,14 @@ if TYPE_CHECKING:
 
 
 class StudentLobe(SlopeNDF):
-    """Distribute slopes by Student's t in two dimensions (Ribardiere et al. 2017, STD).
+    """Student's t distribution of slopes in two dimensions (Ribardiere et al. 2017, STD).
 
-    P22 = (g - 1) / (pi g beta^2) (1 + slope^2 / (g beta^2))^-g. g = 2 is GGX of alpha^2 = 2 beta^2, and with g it becomes
-    Beckmann of roughness beta. Written so, beta hardly trades for g.
+    P22 = (g - 1) / (pi g beta^2) (1 + slope^2 / (g beta^2))^-g. g = 2 is GGX of alpha^2 = 2 beta^2, and for large g it
+    approaches Beckmann of roughness beta. In this form beta and g are hardly correlated.
 
     Attributes:
         beta: roughness, a slope, shape ().
-        excess: g - 1, above 0, no unit, shape (): half the power with which P22 falls, less the one that its integral needs.
+        excess: g - 1, above 0, no unit, shape (): half the power with which P22 falls, less 1.
     """
 
     beta: jax.Array

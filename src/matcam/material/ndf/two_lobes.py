@@ -1,4 +1,4 @@
-"""Two lobes in one: a coat over a base, or facets of two finishes. Each is anything from GGX to Beckmann."""
+"""Mixture of two lobes: a coat over a base, or facets of two finishes. Each is between GGX and Beckmann."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ if TYPE_CHECKING:
 
 
 class TwoLobes(SlopeNDF):
-    """Mix two lobes, each of which is itself a mixture of GGX and Beckmann of one roughness.
+    """Mixture of two lobes, each of which is itself a mixture of GGX and Beckmann of one roughness.
 
-    P22 is linear in the shares, and so is Smith's Lambda, which is an integral of P22: both have closed forms. Who tells the
-    tails of each lobe from data need not choose among families: the share of Beckmann says how fast they fall.
+    P22 is linear in the shares, and so is Smith's Lambda, an integral of P22: both have closed forms. Fitting the share
+    of Beckmann, which determines the tails of each lobe, replaces the choice of a family.
 
     Attributes:
         alpha: roughness of one lobe, a slope, shape ().
         other_alpha: roughness of the other, a slope, shape ().
-        other_share: share of the facets that are the other's, [0, 1].
-        beckmann: share of Beckmann in the one, [0, 1]; the rest is GGX.
+        other_share: share of the facets of the other lobe, [0, 1].
+        beckmann: share of Beckmann in the first, [0, 1]; the remainder is GGX.
         other_beckmann: share of Beckmann in the other, [0, 1].
     """
 
@@ -37,16 +37,16 @@ class TwoLobes(SlopeNDF):
     largest = 1.0
 
     def slope_density(self, slope2: jax.Array) -> jax.Array:
-        """Return the shares' P22."""
+        """Return P22 of the mixture."""
         return sum((share * lobe.slope_density(slope2) for share, lobe in self._parts()), xp.zeros(()))
 
     def smith_lambda(self, cos: jax.Array) -> jax.Array:
-        """Return the shares' Lambda."""
+        """Return Lambda of the mixture."""
         return sum((share * lobe.smith_lambda(cos) for share, lobe in self._parts()), xp.zeros(()))
 
     @property
     def roughness(self) -> jax.Array:
-        """Return the narrower lobe's roughness."""
+        """Return the roughness of the narrower lobe."""
         return xp.minimum(self.alpha, self.other_alpha)
 
     def _parts(self) -> list[tuple[jax.Array, GGX | Beckmann]]:

@@ -1,1 +1,1 @@
-"""Photographs of a cylinder: strips of material bent round it, each at its own angle."""
+"""Photographs of a cylinder: strips of material around it, each at its own angle."""

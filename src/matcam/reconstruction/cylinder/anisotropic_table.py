@@ -1,4 +1,4 @@
-"""The reconstructed anisotropic material as a table over half and difference angles and the half vector's azimuth."""
+"""Table of a reconstructed anisotropic material over half and difference angles and the azimuth of the half vector."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _SHAPE = (45, 24, 30, 12)
 
 
 def anisotropic_table(fit: SphereFit, curves: Sequence[ReflectanceCurve], units: Sequence[Known]) -> xr.Dataset:
-    """Return the table of a joint fit of a lobe with two roughnesses.
+    """Tabulate a joint fit of a lobe with two roughnesses.
 
     phi_h counts from the material's x axis. A turn by 180 degrees about the normal changes nothing, nor does exchanging light
     and view (phi_d + 180 degrees): half of either azimuth is tabulated.
@@ -27,8 +27,8 @@ def anisotropic_table(fit: SphereFit, curves: Sequence[ReflectanceCurve], units:
     Args:
         fit: lobe, strengths and diffuse parts.
         curves: F of each channel, in the fit's own unit.
-        units: of each channel, value per radiance under unit irradiance: what a strength is divided by to be F, with relative
-            standard deviation; NaN: F is relative.
+        units: of each channel, value per radiance under unit irradiance: divisor of strengths that gives F, with
+            relative standard deviation; NaN: F is relative.
 
     Returns:
         Dataset with `brdf` and `brdf_std` (1/sr), `supported`, over (theta_h, phi_h, theta_d, phi_d, channel).

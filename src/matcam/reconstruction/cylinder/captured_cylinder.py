@@ -1,4 +1,4 @@
-"""From a capture of a cylinder to what the joint fit needs: merged pictures, outline, strips, lamps of the table."""
+"""Input of the joint fit from a capture of a cylinder: merged images, outline, strips, lamps of the table."""
 
 from __future__ import annotations
 
@@ -33,15 +33,15 @@ from matcam.reconstruction.stated.stated_rig import (
 )
 
 _ROW_STD = 0.05
-"""Of a frame's height: how well its middle is the row that the camera looks at squarely."""
+"""Standard deviation of the row that the camera faces, as a share of the height of a frame."""
 _SHIFT = 0.3
-"""px; how far the axis may move between pictures."""
+"""Motion of the axis between images, px."""
 _STATED_STD = 0.05
-"""px; of a radius or an axis that is stated without a standard deviation."""
+"""Standard deviation of a radius or an axis that is stated without one, px."""
 
 
 class CapturedCylinder(NamedTuple):
-    """Hold what a capture's frames say before the joint fit.
+    """Data of a capture of a cylinder before the joint fit.
 
     Attributes:
         scene: merged pictures, what is known of the rig, directions to the lamps, radiometry, remarks.
@@ -66,7 +66,7 @@ def captured_cylinder(
         kept: where what was read is kept for a run that goes on. Default: None, nowhere.
 
     Raises:
-        ArgumentError: the capture does not state the lamps' directions.
+        ArgumentError: the capture does not give the directions of the lamps.
         FitError: there is no outline, or fewer than three lamp positions can be used.
     """
     remarks: list[Remark] = list(capture.problems)
@@ -129,7 +129,7 @@ LIST_NEEDS = "angle_deg and azimuth_deg of frames.csv must state where the lamp 
 
 
 def _strips(capture: Capture, height: int, first: int) -> tuple[Strip, ...]:
-    """Return the stated strips; without any, one of all rows that are read."""
+    """Return the stated strips, or one strip of all rows that are read."""
     sample = capture.settings["sample"]
     rows, turns = sample["strip_rows_px"], sample["strip_turn_deg"]
     if rows is None:
@@ -139,7 +139,7 @@ def _strips(capture: Capture, height: int, first: int) -> tuple[Strip, ...]:
 
 
 def _outline(capture: Capture, sigma: float, remarks: list[Remark]) -> StraightOutline:
-    """Return the outline before a bright field; without frames that show one, as it is stated.
+    """Measure the outline in front of a bright field; without such frames, use the stated one.
 
     Args:
         capture: of a cylinder.
@@ -164,7 +164,7 @@ def _outline(capture: Capture, sigma: float, remarks: list[Remark]) -> StraightO
 
 
 def _seen_outline(capture: Capture, sigma: float, remarks: list[Remark]) -> StraightOutline:
-    """Return the outline before a bright field."""
+    """Measure the outline in front of a bright field."""
     region: Region | None = capture.region
     reader = MosaicReader(capture)
     codes, clipped = mean_outline_frame(reader, capture, region, remarks)

@@ -1,4 +1,4 @@
-"""The joint fit of the pictures of a cylinder's strips: the sphere's likelihood, prior and solver, with profiles for pixels."""
+"""Joint fit of images of the strips of a cylinder: likelihood, prior and solver of the sphere, with profiles as pixels."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from matcam.rigs import Rig
 from matcam.sample.curved import Sphere
 
 _ROW_RULE = 3
-"""Rows of a strip at which the model is taken, Gauss's."""
+"""Number of Gauss-Legendre rows of a strip at which the model is evaluated."""
 
 
 def fit_cylinder(
@@ -39,8 +39,8 @@ def fit_cylinder(
 ) -> SphereFit:
     """Fit lobe, strengths, lens, outline, lamps and distances to all pictures of a cylinder.
 
-    The parameters are those of a sphere: a picture's centre is the column of the axis, and the row at which lamp and camera
-    are seen from it.
+    The parameters are those of a sphere: the centre of an image is the column of the axis, and the row in the plane of
+    lamp and camera.
 
     Args:
         pictures: merged pictures, one per lamp position.
@@ -53,7 +53,7 @@ def fit_cylinder(
     if stretched and family != "ggx":
         raise ArgumentError(f"family must be ggx for a lobe of two roughnesses, got {family}")
     if stretched and more.get("bend"):
-        raise ArgumentError("a lobe of two roughnesses is not bent: bend must be 0")
+        raise ArgumentError("a lobe of two roughnesses cannot be bent: bend must be 0")
     profiles = {picture.name: strip_profiles(picture, strips) for picture in pictures}
     lay = partial(_cylinder_problem, strips=strips, profiles=profiles)
     return fit_sphere(pictures, scene, family, stretched=stretched, lay=lay, **more)

@@ -1,7 +1,7 @@
-"""What the columns of a cylinder's strips record of a lobe, and how that changes with every parameter.
+"""Record of a lobe in the columns of the strips of a cylinder, with derivatives by every parameter.
 
-The cylinder's axis is the picture's y axis. Its section is that of the sphere of radius 1, so that its normals are the sphere's
-along the equator. Strips above or below are seen, and lit, from a little below or above where camera and lamp are near.
+The cylinder's axis is the picture's y axis. Its section is that of the sphere of radius 1, so that its normals are the
+sphere's along the equator. In a near rig the directions to camera and lamp differ slightly for strips above or below.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ from matcam.reconstruction.sphere_in_picture import light_and_view, normal_at, r
 
 
 class ProfileModel(eqx.Module):
-    """Evaluate the profiles of one scene, all by four compiled programs.
+    """Model of the profiles of one scene, with four compiled programs.
 
     Attributes:
         kind: the lobe's family, masking and splines.
-        channels: number of colours; all record the same of a unit strength.
+        channels: number of colours; all have the same record of a unit strength.
         blur: the camera's kernel, its lens a sum of Gaussians.
         places: places on the lamp's disc as turns of the lamp, rad, (points, 2).
         weights: of these places, (points,); their sum is 1.
@@ -48,13 +48,13 @@ class ProfileModel(eqx.Module):
     def window(
         self, p: np.ndarray, frame: LampFrame, window: ProfileWindow, *, slopes: bool
     ) -> tuple[Recorded, Recorded | None]:
-        """Return what the windows record, (channels x strips, WINDOW), and the derivatives, with a trailing (size,)."""
+        """Compute the records of the windows, (channels x strips, WINDOW), and the derivatives, with a trailing (size,)."""
         return _compiled("_window_slopes" if slopes else "_window_value")(self, p, frame, window)
 
     def pixels(
         self, p: np.ndarray, frame: LampFrame, column: np.ndarray, row: np.ndarray, *, slopes: bool
     ) -> tuple[Recorded, Recorded | None]:
-        """Return what single columns record, (columns,), and the derivatives; row: index of each one's strip."""
+        """Compute the records of single columns, (columns,), and the derivatives; row: index of the strip of each."""
         name = "_columns_slopes" if slopes else "_columns_value"
         return _compiled(name)(self, p, frame, column, row.astype(int))
 
@@ -112,7 +112,7 @@ class ProfileModel(eqx.Module):
     def _mean_over_rows(
         self, p: jax.Array, frame: LampFrame, out: jax.Array, depth: jax.Array, turn: jax.Array, rows: jax.Array
     ) -> tuple[jax.Array, jax.Array]:
-        """Return the radiance of both parts at places of the outline, the mean over a strip's rows. rows: (..., rule)."""
+        """Average the radiance of both parts at positions of the outline over the rows of a strip. rows: (..., rule)."""
         parts = self._radiance(p, frame, out[..., None], depth[..., None], turn[..., None], rows)
         lobe, lambert = (jnp.sum(part * self.row_weights, axis=-1) for part in parts)
         return lobe, lambert
@@ -120,7 +120,7 @@ class ProfileModel(eqx.Module):
     def _radiance(
         self, p: jax.Array, frame: LampFrame, out: jax.Array, depth: jax.Array, turn: jax.Array, row: jax.Array
     ) -> tuple[jax.Array, jax.Array]:
-        """Return the radiance of both parts at places of the outline, the mean over the lamp's own disc."""
+        """Average the radiance of both parts at positions of the outline over the source disc."""
         slopes = self.kind.slopes(p[: self.kind.size])
         normal, point, camera, lamp, (a, b) = self._surface(p, out, depth, row)
         tangent = jnp.cos(turn) * normal[2], jnp.sin(turn), -jnp.cos(turn) * normal[0]
@@ -143,7 +143,7 @@ class ProfileModel(eqx.Module):
         return jax.lax.scan(add, start, (jnp.asarray(self.places), jnp.asarray(self.weights)))[0]
 
     def _surface(self, p: jax.Array, out: jax.Array, depth: jax.Array, row: jax.Array) -> tuple[Any, ...]:
-        """Return normal, point, both nearnesses and the lamp's turn, where a line of sight meets the cylinder."""
+        """Compute normal, point, both nearnesses and the turn of the lamp where a line of sight meets the cylinder."""
         n = self.kind.size
         radius, camera, lamp = (p[n + SCENE.index(name)] for name in ("radius", "camera", "lamp"))
         centre_row, a, b = p[1 - len(OWN) :]
@@ -152,7 +152,7 @@ class ProfileModel(eqx.Module):
         return (x, jnp.zeros(()), z), (x, height, z), camera, lamp, (a, b)
 
     def _theta_d(self, p: jax.Array, frame: LampFrame, out: jax.Array, row: jax.Array) -> jax.Array:
-        """Return theta_d where the line of sight through a column's centre meets the cylinder, or passes closest."""
+        """Compute theta_d where the line of sight through the centre of a column meets the cylinder, or is closest to it."""
         out = jnp.clip(out, -0.9999, 0.9999)
         _, point, camera, lamp, (a, b) = self._surface(p, out, jnp.sqrt(1 - out**2), row)
         light, view, _ = light_and_view(point, tuple(turned_lamp(frame, a, b)), camera, lamp)
@@ -171,5 +171,5 @@ def _with_slopes(function: Callable[[jax.Array], Recorded], p: jax.Array) -> tup
 
 @cache
 def _compiled(method: str) -> Callable[..., tuple[Recorded, Recorded | None]]:
-    """Return a method of `ProfileModel`, compiled once for all scenes of one shape."""
+    """Compile a method of `ProfileModel` once for all scenes of one shape."""
     return jit_plainly(getattr(ProfileModel, method), runs="many")

@@ -1,6 +1,6 @@
-"""Where a profile across a cylinder is read and integrated: a window of columns about each strip's highlight, and others.
+"""Columns and nodes of a profile across a cylinder: a window of columns about the highlight of each strip, and others.
 
-Places on the outline are p = (column - axis) / radius = sin u. In u everything is smooth up to the limb.
+Positions on the outline are p = (column - axis) / radius = sin u. All functions are smooth in u up to the limb.
 """
 
 from __future__ import annotations
@@ -15,17 +15,17 @@ from matcam.reconstruction.observed_pixels import ObservedPixels
 from matcam.reconstruction.picture_rule import WINDOW, graded_nodes
 
 _MOST = 2048
-"""Columns beside the windows, of all strips and colours, that are fitted at most."""
-_LIMB = 3.0  # px from the outline within which a column's own rule does not follow the border
-_OUTSIDE = 1.5  # px beyond the outline up to which a window is read: what lies behind is not the sample
-_LIT = 0.1  # least cosine to the lamp: near the terminator a column's own rule meets a kink
+"""Largest number of fitted columns beside the windows, of all strips and colours."""
+_LIMB = 3.0  # px from the outline within which the rule of a single column does not resolve the border
+_OUTSIDE = 1.5  # px beyond the outline up to which a window is read: the background is not modelled
+_LIT = 0.1  # smallest cosine to the lamp: near the terminator the rule of a column is inaccurate
 _MARGIN = 4.5  # px about the columns of a window
 _TURNS = 40
 _NODES = 224
 
 
 class ProfileWindow(NamedTuple):
-    """Hold the nodes and columns about the highlight of each strip.
+    """Nodes and columns about the highlight of each strip.
 
     Attributes:
         u: nodes, rad, (strips, nodes).
@@ -39,11 +39,11 @@ class ProfileWindow(NamedTuple):
 
 
 class CylinderPlace(NamedTuple):
-    """Say how a cylinder stands in a picture, and where its lamp is.
+    """Position of a cylinder in an image, and its lamp.
 
     Attributes:
         axis: column of its axis, px.
-        row: at which lamp and camera are seen from the axis, px.
+        row: in the plane of lamp and camera, px.
         radius: half the width of its outline, px.
         camera: one over the camera's distance, in radii.
         lamp: one over the lamp's distance, in radii.
@@ -58,12 +58,12 @@ class CylinderPlace(NamedTuple):
     towards: np.ndarray
 
     def height(self, row: float, normal_z: float) -> float:
-        """Return how far a point of the surface is above the row of the lamp's angles, in radii."""
+        """Compute the height of a point of the surface above the row of the angles of the lamp, in radii."""
         stretch = self.radius * np.sqrt(1 - self.camera**2)
         return (self.row - row) / stretch * (1 - self.camera * normal_z)
 
     def brightest(self, strip: Strip, alphas: tuple[float, float]) -> float:
-        """Return the place p in (-1, 1) at which a strip's lobe has its largest density.
+        """Find the position p in (-1, 1) at which the lobe of a strip has its largest density.
 
         Args:
             strip: row and turn of the material.
@@ -94,15 +94,15 @@ def chosen_columns(
     plateau: float = 0.0,
     keep: ObservedPixels | None = None,
 ) -> ObservedPixels:
-    """Return the columns of a picture's profiles that are fitted, each as a pixel.
+    """Choose the columns of the profiles of an image that are fitted, each as a pixel.
 
     Args:
         profiles: of all strips and colours.
         strips: in the same order.
-        place: how the cylinder stands.
+        place: position of the cylinder.
         alphas: roughness along the material's x axis and across it.
         plateau: half the lamp's angular radius, rad. Default: 0.
-        keep: a choice whose columns stay where the highlight is still where it was. Default: None.
+        keep: earlier choice, whose columns are kept if the highlight has not moved. Default: None.
 
     Returns:
         The columns: those of the windows by colour, strip and place, then the others; `row` is the index of the strip.
@@ -124,7 +124,7 @@ def chosen_columns(
         return array[:, strip_index, near].reshape(-1)
 
     used = of_window(profiles.used) & np.tile((inside & ~outside).ravel(), count)
-    # the others: pixels of a mosaic's colour stand in every second column
+    # the others: pixels of one colour of a mosaic are in every second column
     anywhere: np.ndarray = np.any(profiles.used, axis=1, keepdims=True)
     candidates = np.flatnonzero(np.broadcast_to(anywhere, profiles.used.shape))
     step = int(np.ceil(candidates.size / _MOST))
@@ -166,13 +166,13 @@ def chosen_columns(
 def _window(
     strip: Strip, place: CylinderPlace, alphas: tuple[float, float], plateau: float, keep: np.ndarray | None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return nodes, weights and columns about a strip's highlight."""
+    """Compute nodes, weights and columns about the highlight of a strip."""
     peak = place.brightest(strip, alphas)
     column = np.round(place.axis + place.radius * peak)
     if keep is not None and abs(keep[WINDOW // 2] - column) <= 1:
         column = keep[WINDOW // 2]
     columns = column + np.arange(WINDOW) - WINDOW // 2
-    # the nodes reach as far as the columns and their kernel, wherever these stand
+    # the nodes cover the columns and their kernels
     low, high = (
         np.arcsin(np.clip((end - place.axis) / place.radius, -1, 1))
         for end in (columns[0] - 1 - _MARGIN, columns[-1] + 1 + _MARGIN)

@@ -1,7 +1,7 @@
-"""Strips of material round a cylinder, one above the other, and their profiles: what each column of a strip records.
+"""Strips of material around a cylinder, one above the other, and their profiles.
 
-Along the cylinder's generator the light hardly changes. So the rows of a strip are averaged, each colour by itself: a profile
-across the cylinder for every strip and colour.
+The light hardly changes along the cylinder. The rows of a strip are therefore averaged, separately for each colour, to
+a profile across the cylinder.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ from matcam.acquisition.merged_picture import MergedPicture
 from matcam.core.errors import FitError
 
 MARGIN = 4
-"""Rows at either end of a strip that are left out: the lens mixes the strips there."""
+"""Number of rows at either end of a strip that are left out, because the lens mixes adjacent strips."""
 _FEWEST = 4
 
 
 class Strip(NamedTuple):
-    """Say where a strip lies in the frame, and how its material lies on it.
+    """Position of a strip in the frame, and orientation of its material.
 
     Attributes:
         first: first row, px.
@@ -39,14 +39,14 @@ class Strip(NamedTuple):
 
 
 class StripProfiles(NamedTuple):
-    """Hold the profiles of one picture, arrays of shape (channels, strips, columns).
+    """Profiles of one picture, arrays of shape (channels, strips, columns).
 
     Attributes:
         column: px in the frame, (columns,).
-        values: mean over the strip's rows; where a pixel is clipped, a value that the truth exceeds. 0 where not used.
+        values: mean over the strip's rows; a lower bound if a pixel is clipped. 0 where not used.
         std: standard deviation of its noise; 1 where not used.
         clipped: where any of the pixels is clipped.
-        used: where there is a pixel of the colour.
+        used: where the strip has a pixel of the colour.
     """
 
     column: np.ndarray

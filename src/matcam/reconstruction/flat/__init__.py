@@ -1,1 +1,1 @@
-"""Photographs of a flat textured sample under several lights: maps of its texels, as far as the camera keeps them."""
+"""Photographs of a flat textured sample under several lights: maps of its texels, up to the resolution of the camera."""

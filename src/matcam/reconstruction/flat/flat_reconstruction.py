@@ -1,4 +1,4 @@
-"""The maps behind photographs of a flat textured sample, with their errors and what of them the camera has lost."""
+"""Maps of a flat textured sample from photographs, with their errors and the texture that the camera lost."""
 
 from __future__ import annotations
 
@@ -34,22 +34,22 @@ from matcam.reconstruction.stated.stated_rig import captured_lens, without_field
 MAPS = ("diffuse", "specular")
 _FEWEST = 3
 _THETA_D = np.radians(10.0)
-"""Range of theta_d from which the change of F over the stack is remarked."""
-_LOOSE = 0.05  # standard deviation of ln alpha from which it is remarked
+"""Range of theta_d above which the change of F over the stack is remarked."""
+_LOOSE = 0.05  # standard deviation of ln alpha above which it is remarked
 _MISFIT = 1.3
 
 
 @dataclass(frozen=True, repr=False)
 class FlatReconstruction(Summarised):
-    """Hold maps of a flat sample, and how well pictures determine them.
+    """Maps of a flat sample, with their accuracy.
 
     Attributes:
-        maps: Dataset over y and x (px of the sample seen head-on): `diffuse`, `specular` and their `_std`, relative; over
-            frequency_y and frequency_x (cycles/px): `diffuse_error`, the variance of each frequency, `diffuse_resolved`, the
-            share of its prior variance that the pictures take away, and the same of `specular`.
+        maps: Dataset over y and x (px of the sample seen head-on): `diffuse`, `specular` and their `_std`, relative;
+            over frequency_y and frequency_x (cycles/px): `diffuse_error`, the variance of each frequency,
+            `diffuse_resolved`, the share of its prior variance that the images remove, and the same of `specular`.
         parameters: `alpha`, mean of both maps: value and standard deviation.
         cutoffs: map -> frequency along the rows and across them up to which it is resolved, cycles/px.
-        mm_per_px: size of a texel, mm; None: not stated.
+        mm_per_px: size of a texel, mm; None: unknown.
         family: of the lobe.
         names: of the pictures that were used.
         gains: light of each of them, and its standard deviation, (pictures, 2).
@@ -100,17 +100,17 @@ class FlatReconstruction(Summarised):
 
     @property
     def complete(self) -> bool:
-        """Say whether every frame of the capture could be used."""
+        """Check whether every frame of the capture could be used."""
         return not self.left_out and not any(remark.code in INCOMPLETE for remark in self.remarks)
 
     @property
     def verdict(self) -> str:
-        """Say what came out, in plain words."""
+        """Summarise the result in plain sentences."""
         alpha, std = self.parameters["alpha"]
         resolved = "; ".join(f"{name} up to {self._resolution(name)}" for name in MAPS)
         return (
             f"{len(self.names)} pictures show a {self.family} lobe of roughness {alpha:.4g} +- {std:.1g} and two maps. "
-            f"Resolved: {resolved}. Finer texture is lost: the maps' errors contain it."
+            f"Resolved: {resolved}. Finer texture is lost; the errors of the maps include it."
         )
 
     def _summary(self) -> Summary:
@@ -131,7 +131,7 @@ class FlatReconstruction(Summarised):
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the result without its maps as plain numbers: the JSON file.
+        """Return the result without maps as numbers and texts, for JSON.
 
         Returns:
             The document described in docs/reconstruct.md.
@@ -196,7 +196,7 @@ def reconstruct_flat(
     camera = without_field(camera, "flat sample", remarks)
     tilts = _tilts(capture)
     reader = MosaicReader(capture)
-    for frame in capture.of("frames"):  # the first that can be read shows whether frames are of a mosaic
+    for frame in capture.of("frames"):  # the first readable frame shows whether the frames are mosaics
         with suppress(FileFormatError):
             reader.read(frame, capture.region)
             break
@@ -217,7 +217,7 @@ def reconstruct_flat(
         else:
             output, std = radiometry.lamp_output[one.name], float(capture.settings["lamp"]["gain_std"])
             if output.value > 0 and radiometry.reference_between < std:
-                # by the reference: the gain of each picture is then 1 within the reference's error
+                # by the reference: each gain is then 1 within the error of the reference
                 one = replace(one, values=one.values / output.value, std=one.std / output.value)
                 std = output.std / output.value
             pictures.append(FlatPicture(one, tilts[one.name], towards, std))
@@ -252,7 +252,7 @@ def reconstructed_flat(
         family: of the lobe, with a roughness alone. Default: "ggx".
         masking: the lobe's G. Default: "smith".
         lens_std: relative standard deviation of the lens's width. Default: 0, exact.
-        mm_per_px: size of a texel and its standard deviation, mm. Default: None, not known.
+        mm_per_px: size of a texel and its standard deviation, mm. Default: None, unknown.
         left_out: names of pictures that could not be used. Default: ().
         remarks: of the steps before. Default: ().
     """
@@ -290,7 +290,7 @@ def reconstructed_flat(
 
 
 def _budgets(fitted: FlatRoughness, mean: MeanMaps, alpha: float, unit: float) -> tuple[UncertaintyBudget, ...]:
-    """Return the budgets of the roughness and of the mean of both maps. unit: value that both maps are relative to."""
+    """Build the budgets of the roughness and of the mean of both maps. unit: value that both maps are relative to."""
     stated = [Statement("gains of the pictures, as stated", fitted.stated)]
     readings = Readings("pictures: texture of coarse frequencies", "A", fitted.freedom)
     by_alpha = np.zeros(len(fitted.covariance))
@@ -310,7 +310,9 @@ def _remarks(fitted: FlatRoughness, shares: LobeShares) -> list[Remark]:
     spread = float(np.sqrt(fitted.covariance[0, 0]))
     if spread > _LOOSE:
         found.append(
-            Remark("roughness-loose", f"the stack tells the roughness to {spread:.0%} only: vary the half angle more")
+            Remark(
+                "roughness-loose", f"the stack determines the roughness to {spread:.0%} only: vary the half angle more"
+            )
         )
     if np.ptp(shares.theta_d) > _THETA_D:
         low, high = np.degrees([shares.theta_d.min(), shares.theta_d.max()])
@@ -337,7 +339,7 @@ def _maps(
     unit: float,
     mm_per_px: tuple[float, float] | None,
 ) -> xr.Dataset:
-    """Return maps without their borders, and what is resolved of each frequency."""
+    """Build the maps without their borders, and the resolved share of each frequency."""
     height, width = stack.taper.shape
     inner = slice(MARGIN, height - MARGIN), slice(MARGIN, width - MARGIN)
     root = np.sqrt((stack.taper**2).sum())

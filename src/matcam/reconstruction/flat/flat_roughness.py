@@ -1,7 +1,7 @@
-"""The roughness that all texels of a flat sample share, and each picture's light, from the texture's coarse frequencies.
+"""Common roughness of all texels of a flat sample, and the light of each image, from the coarse frequencies of the texture.
 
-Whatever the maps are, a picture is a mixture of both with shares that roughness and light fix. So the roughness is the one
-whose mixtures leave the least behind, with both maps solved for at every frequency.
+An image is a mixture of both maps with shares that depend on roughness and light. The roughness minimises the residual
+of these mixtures, with both maps solved for at every frequency.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from matcam.reconstruction.flat.flat_stack import FlatStack
 _COARSE = 0.15  # cycles/px
 _WIDTHS = np.geomspace(0.01, 0.9, 46)
 _EXACT = 1e-4
-"""Relative error below which a picture's mean is not believed."""
+"""Smallest relative error of the mean of an image."""
 
 
 class FlatRoughness(NamedTuple):
-    """Hold what all texels share.
+    """Parameters that all texels share.
 
     Attributes:
         log_alpha: ln of the lobe's roughness.
@@ -35,7 +35,7 @@ class FlatRoughness(NamedTuple):
         weights: light of each picture's diffuse and specular part for a map of 1, gains included, (pictures, 2).
         weights_slope: derivatives of `weights` by log_alpha and gains, (pictures, 2, 1 + pictures).
         misfit: mean squared residual, in standard deviations of the noise.
-        stated: information of what is stated of the gains, as `covariance`.
+        stated: prior information on the gains, as `covariance`.
         freedom: degrees of freedom, no unit.
     """
 
@@ -50,7 +50,7 @@ class FlatRoughness(NamedTuple):
 
 
 class LobeShares:
-    """Say how bright each picture shows a lobe of F = 1, and a white Lambertian surface.
+    """Radiance of a lobe of F = 1 and of a white Lambertian surface in each image.
 
     Args:
         family: of the lobe, with a roughness alone.
@@ -74,7 +74,7 @@ class LobeShares:
         self._log_lobe = CubicSpline(np.log(_WIDTHS), np.log(np.maximum(np.array(lobes), 1e-300)))
 
     def lobe(self, log_alpha: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return the lobe's radiance in each picture and its derivative by log_alpha, (pictures,) each."""
+        """Compute the radiance of the lobe in each image and its derivative by log_alpha, (pictures,) each."""
         value = np.exp(self._log_lobe(log_alpha))
         return value, value * self._log_lobe(log_alpha, 1)
 
@@ -114,7 +114,7 @@ def fit_roughness(stack: FlatStack, shares: LobeShares, gain_std: np.ndarray) ->
     slopes = np.zeros((count, 2, 1 + count))
     slopes[:, 1, 0] = np.exp(p[1:]) * slope
     slopes[np.arange(count), :, 1 + np.arange(count)] = weights(p)
-    freedom = coarse.sum() * max(count - 2, 1)  # of a complex spectrum, each wave and its mirror image
+    freedom = coarse.sum() * max(count - 2, 1)  # each wave and its mirror image in a complex spectrum
     stated = np.diag(np.concatenate([[0.0], 1 / prior**2]))
     misfit = float(2 * found.cost / freedom)
     return FlatRoughness(float(p[0]), p[1:], covariance, weights(p), slopes, misfit, stated, int(freedom))
@@ -135,19 +135,19 @@ class MeanMaps(NamedTuple):
 
 
 def mean_maps(stack: FlatStack, fitted: FlatRoughness) -> MeanMaps:
-    """Return the mean of both maps with its errors."""
+    """Compute the mean of both maps with its errors."""
     std = np.hypot(stack.mean_std, _EXACT * np.abs(stack.mean))
     ways = fitted.weights / std[:, None]
     inverse = np.linalg.pinv(ways.T @ ways)
     reading = inverse @ ways.T / std
     means = reading @ stack.mean
-    # what a change of the shares does, with the means held against the pictures
+    # effect of a change of the shares on the means that fit the images
     by_shared = -np.einsum("ik,kjp,j->ip", reading, fitted.weights_slope, means)
     return MeanMaps(means, inverse, by_shared)
 
 
 def _left_behind(data: np.ndarray, transfer: np.ndarray, ways: np.ndarray) -> np.ndarray:
-    """Return what the best two maps leave of whitened data at each frequency, (pictures, frequencies)."""
+    """Compute the residual of whitened data after the best two maps at each frequency, (pictures, frequencies)."""
     scale = np.abs(ways).max(axis=0)
     unit = ways / scale
     share = transfer**2

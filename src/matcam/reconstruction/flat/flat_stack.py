@@ -1,7 +1,8 @@
 """Pictures of a flat sample on one grid of texels, and their Fourier transforms.
 
-The grid is that of the sample seen head-on, one texel a pixel. A tilt about the picture's vertical axis makes the picture
-narrower by its cosine: every picture is interpolated onto the grid by a windowed sinc, which keeps all that the pixels hold.
+The grid is that of the sample seen head-on, one texel a pixel. A tilt about the picture's vertical axis makes the
+picture narrower by its cosine: every image is interpolated onto the grid by a windowed sinc, which preserves the
+content of the pixels.
 """
 
 from __future__ import annotations
@@ -18,19 +19,19 @@ from matcam.core.errors import FitError
 from matcam.core.jax import jnp
 
 TAPER = 16
-"""Texels at the border over which a picture is faded out before its transform."""
+"""Width of the border, texels, over which an image is faded out before its transform."""
 MARGIN = 24
-"""Texels at the border that are not reported."""
-_REACH = 16  # px of the sinc on either side
-_BAND = 0.44  # cycles/px on the sensor, up to which the windowed sinc changes nothing
+"""Width of the border, texels, that is not reported."""
+_REACH = 16  # half width of the sinc, px
+_BAND = 0.44  # cycles/px on the sensor, up to which the windowed sinc is transparent
 _STEP = 1e-3
 _PASSED = 1e-3
-"""MTF of a lens below which its change is of no interest."""
+"""MTF of a lens below which its derivative is neglected."""
 _CLIPPED = 0.001  # share of clipped pixels up to which a picture is used
 
 
 class FlatPicture(NamedTuple):
-    """Hold one picture, and how it was taken.
+    """Image with its acquisition parameters.
 
     Attributes:
         picture: merged picture, grey.
@@ -46,7 +47,7 @@ class FlatPicture(NamedTuple):
 
 
 class FlatStack(NamedTuple):
-    """Hold the pictures' transforms over the grid of texels.
+    """Transforms of images over the grid of texels.
 
     Attributes:
         mean: of each picture, (pictures,).
@@ -78,17 +79,17 @@ class FlatStack(NamedTuple):
         return np.hypot(*self.frequency)
 
     def sensor_transfer(self, k: int, along: np.ndarray, across: np.ndarray) -> np.ndarray:
-        """Return the camera's transfer of texel frequencies in picture k, signed."""
+        """Compute the signed transfer of the camera at texel frequencies in image k."""
         return _transfer(self.camera, along / np.cos(self.tilts[k]), across)
 
 
 def usable(picture: MergedPicture) -> bool:
-    """Say whether a picture has hardly any clipped pixels: a clipped one has no value to transform."""
+    """Check whether an image has few clipped pixels, which have no value to transform."""
     return bool(picture.clipped.mean() <= _CLIPPED)
 
 
 def flat_stack(pictures: Sequence[FlatPicture], camera: Camera) -> FlatStack:
-    """Bring the pictures of a flat sample onto its texels.
+    """Resample the images of a flat sample onto its texels.
 
     Args:
         pictures: of one shape.
@@ -119,7 +120,7 @@ def flat_stack(pictures: Sequence[FlatPicture], camera: Camera) -> FlatStack:
         sensor = _transfer(camera, along / cosine, across)
         inside = (np.abs(along / cosine) < _BAND) & (np.abs(across) < 0.5)
         transfer = np.where(inside, sensor, 0.0)
-        # white noise of the sensor, denser by the tilt
+        # white noise of the sensor; the tilt raises its density
         noise = np.full((height, width), variance / cosine)
         slope = np.where(inside, _lens_slope(camera, np.hypot(along / cosine, across)), 0.0)
         stack.append((mean, np.sqrt(variance * area) / taper.sum(), spectrum, transfer, slope, noise))
@@ -133,7 +134,7 @@ def _transfer(camera: Camera, along: np.ndarray, across: np.ndarray) -> np.ndarr
 
 
 def _lens_slope(camera: Camera, frequency: np.ndarray) -> np.ndarray:
-    """Return d ln MTF / d ln width of the lens: a wider lens is the same at higher frequencies."""
+    """Compute d ln MTF / d ln width of the lens: scaling the width scales the frequencies."""
     here, beyond = (np.asarray(camera.optics.mtf(frequency * factor)) for factor in (1 - _STEP, 1 + _STEP))
     passed = (here > _PASSED) & (beyond > _PASSED)
     return np.where(passed, np.log(np.where(passed, beyond, 1.0) / np.where(passed, here, 1.0)) / (2 * _STEP), 0.0)
@@ -145,7 +146,7 @@ def _taper(count: int) -> np.ndarray:
 
 
 def _interpolation(count: int, cosine: float) -> np.ndarray:
-    """Return the matrix from pixels of a row to texels."""
+    """Return the interpolation matrix from pixels of a row to texels."""
     if cosine == 1:
         return np.eye(count)
     place = np.arange(count) - (count - 1) / 2
@@ -156,7 +157,7 @@ def _interpolation(count: int, cosine: float) -> np.ndarray:
 
 
 def _without_holes(values: np.ndarray) -> np.ndarray:
-    """Return values in which pixels without one have the mean of their neighbours."""
+    """Replace missing pixels by the mean of their neighbours."""
     holes = ~np.isfinite(values)
     if not holes.any():
         return values

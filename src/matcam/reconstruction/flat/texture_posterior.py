@@ -1,7 +1,8 @@
 """Diffuse albedo and specular strength of a flat sample, frequency by frequency of its texture.
 
-At each frequency the pictures are linear in both: spectrum_k = transfer_k (white_k diffuse + lobe_k specular) + noise. With the
-power of each as prior the posterior is Wiener's estimate. What the camera does not pass keeps the prior's variance: it is lost.
+At each frequency the pictures are linear in both: spectrum_k = transfer_k (white_k diffuse + lobe_k specular) + noise.
+With the power of each as prior the posterior is the Wiener estimate. Frequencies that the camera does not pass keep the
+variance of the prior.
 """
 
 from __future__ import annotations
@@ -14,15 +15,15 @@ import numpy as np
 from matcam.reconstruction.flat.flat_stack import FlatStack
 
 RESOLVED = 0.5
-"""Share of a frequency's prior variance that the pictures must take away for it to count as resolved."""
+"""Share of the prior variance of a frequency that the images must remove for it to be resolved."""
 _BINS = np.geomspace(0.02, 0.35, 13)
-_CLEAR = 3.0  # standard deviations by which a bin's power must exceed its noise
+_CLEAR = 3.0  # standard deviations by which the power of a bin must exceed its noise
 _STEEPEST, _FLATTEST = -5.0, 0.0
 _NOTHING = 1e-12
 
 
 class PowerLaw(NamedTuple):
-    """Hold the power of a texture: level times (frequency / 0.1)^slope, per texel frequency.
+    """Power of a texture: level times (frequency / 0.1)^slope, per texel frequency.
 
     Attributes:
         level: at 0.1 cycles/px.
@@ -33,12 +34,12 @@ class PowerLaw(NamedTuple):
     slope: float
 
     def at(self, radius: np.ndarray) -> np.ndarray:
-        """Return the power at frequencies, cycles/px."""
+        """Evaluate the power at frequencies, cycles/px."""
         return self.level * (np.maximum(radius, 0.005) / 0.1) ** self.slope
 
 
 class TexturePosterior(NamedTuple):
-    """Hold both maps' transforms with their errors, over the grid's frequencies; first axis: diffuse, specular.
+    """Transforms of both maps with their errors, over the frequencies of the grid; first axis: diffuse, specular.
 
     Attributes:
         estimate: posterior mean, (2, rows, columns).
@@ -56,11 +57,11 @@ class TexturePosterior(NamedTuple):
 
     @property
     def resolved(self) -> np.ndarray:
-        """Share of the prior variance that the pictures take away, (2, rows, columns): 1, known; 0, lost."""
+        """Share of the prior variance that the images remove, (2, rows, columns): 1, known; 0, lost."""
         return 1 - self.variance / np.maximum(self.prior, 1e-300)
 
     def cutoff(self, frequency: tuple[np.ndarray, np.ndarray], which: int) -> tuple[float, float]:
-        """Return the frequencies along the rows and across them up to which a map is resolved, cycles/px.
+        """Find the frequencies along the rows and across them up to which a map is resolved, cycles/px.
 
         Args:
             frequency: of the grid, along and across.
@@ -72,7 +73,7 @@ class TexturePosterior(NamedTuple):
 
 
 def texture_posterior(stack: FlatStack, weights: np.ndarray, lens_std: float = 0.0) -> TexturePosterior:
-    """Return the posterior of both maps; their power is estimated from the frequencies that the pictures show clearly.
+    """Compute the posterior of both maps, with their power estimated from frequencies above the noise.
 
     Args:
         stack: pictures on the texels.
@@ -88,13 +89,13 @@ def texture_posterior(stack: FlatStack, weights: np.ndarray, lens_std: float = 0
     laws = tuple(_power_law(estimate[i], free[i, i].real, radius) for i in range(2))
     prior = np.stack([law.at(radius) for law in laws])
     prior[:, 0, 0] = prior[:, 0, 1]
-    # frequencies beyond the sensor's own appear as others: unknown, they count as noise
+    # frequencies beyond the band of the sensor alias; they are unknown and count as noise
     noise = stack.noise + _folded(stack, ways, laws)
     information, projected = _normal(stack, ways, noise)
     covariance = _inverse(information, 1 / np.maximum(prior, _NOTHING * prior.max()))
     estimate = np.einsum("ijyx,jyx->iyx", covariance, projected)
     variance = np.stack([covariance[i, i].real for i in range(2)])
-    # a wider lens would have passed less: what the estimate would change by
+    # change of the estimate if the lens were wider
     doubt = np.einsum("kyx,ki,kj->ijyx", stack.transfer**2 * stack.lens_slope / noise, ways, ways)
     moved = lens_std * np.einsum("ijyx,jlyx,lyx->iyx", covariance, doubt, estimate)
     back = scale[:, None, None]
@@ -110,7 +111,7 @@ def _normal(stack: FlatStack, ways: np.ndarray, noise: np.ndarray) -> tuple[np.n
 
 
 def _inverse(information: np.ndarray, prior: np.ndarray) -> np.ndarray:
-    """Return the inverse of 2 x 2 matrices with the prior's information on their diagonal; huge where there is neither."""
+    """Invert 2 x 2 matrices with the information of the prior on their diagonal; huge where both vanish."""
     a, b = information[0, 0] + prior[0], information[1, 1] + prior[1]
     c = information[0, 1]
     floor = 1e-12 * max(float(a.max()), float(b.max()), 1e-300)
@@ -120,7 +121,7 @@ def _inverse(information: np.ndarray, prior: np.ndarray) -> np.ndarray:
 
 
 def _power_law(estimate: np.ndarray, variance: np.ndarray, radius: np.ndarray) -> PowerLaw:
-    """Fit a power law to what exceeds the noise, ring by ring."""
+    """Fit a power law to the power above the noise, ring by ring."""
     rings = []
     for low, high in pairwise(_BINS):
         ring = (radius >= low) & (radius < high)
@@ -142,7 +143,7 @@ def _power_law(estimate: np.ndarray, variance: np.ndarray, radius: np.ndarray) -
 
 
 def _folded(stack: FlatStack, ways: np.ndarray, laws: tuple[PowerLaw, ...]) -> np.ndarray:
-    """Return the power that frequencies beyond the sensor's Nyquist limit leave at each frequency of each picture."""
+    """Compute the aliased power from beyond the Nyquist limit of the sensor at each frequency of each image."""
     along, across = stack.frequency
     folded = np.zeros(stack.noise.shape)
     for k, tilt in enumerate(stack.tilts):

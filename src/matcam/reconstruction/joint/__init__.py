@@ -1,1 +1,1 @@
-"""All pictures of a sample fitted at once: what is fitted, and how."""
+"""Joint fit of all images of a sample: parameters and solver."""

@@ -1,7 +1,7 @@
-"""All pictures of a sample fitted at once: lobe, reflectance, lens, lamps and distances in one likelihood (docs/model.md 10).
+"""Joint fit of all images of a sample: lobe, reflectance, lens, lamps and distances in one likelihood (docs/model.md 10).
 
-A pixel that was clipped says that the truth is at least its value. What the noise does not explain enters as a share of the
-model, so that errors of any kind widen the stated uncertainty. Pictures are worked on side by side; sums are in their order.
+A clipped pixel is a lower bound. Residuals beyond the noise enter as a share of the model, so that errors of any kind
+widen the uncertainty. Images are processed in parallel, and summed in order.
 """
 
 from __future__ import annotations
@@ -22,31 +22,31 @@ from matcam.reconstruction.joint.unexplained import UnexplainedLight
 from matcam.reconstruction.observed_pixels import ObservedPixels
 
 T = TypeVar("T")
-_CLIPPED_OUT = 30.0  # standard deviations above which a clipped pixel says nothing more
+_CLIPPED_OUT = 30.0  # standard deviations above which a clipped pixel has no effect
 _HUBER = 4.0
 _STEPS, _ATTEMPTS = 25, 9
 _SETTLED = 1e-3  # of a standard deviation
 _SLIGHT, _LOOK_BACK = 10.0, 3
-"""A step that gains less, of what is enough, is the last where the cost is not below that of so many steps before."""
+"""Factor of the threshold below which a step is small, and number of steps without progress after which the iteration ends."""
 _NO_CHANGE, _ALL_LOST = 1e-12, 1e-6
-"""Of the largest change of information; and least share of it that is left."""
-_MOST_AT_ONCE = 8  # pictures; the derivatives of one take up to 12 MB
+"""Relative change of information that is neglected, and smallest share of information that remains."""
+_MOST_AT_ONCE = 8  # images at a time; the derivatives of one take up to 12 MB
 
 
 class JointSolution(NamedTuple):
-    """Hold the best fit.
+    """Best fit.
 
     Attributes:
-        problem: what was solved.
+        problem: problem that was solved.
         p: parameters.
-        covariance: of the parameters, with what the fit does not explain, and what nobody has stated.
-        fitted: the same without what nobody has stated: it weighs.
-        cost: minus twice the logarithm of likelihood and prior, but for a constant.
-        left: what the noise does not explain.
+        covariance: of the parameters, including unexplained residuals and unstated distortion.
+        fitted: the same without unstated distortion, for weights.
+        cost: minus twice the logarithm of likelihood and prior, up to a constant.
+        left: unexplained light.
         theta_d: angle of each picture's strengths, rad, (pictures,).
         theta_d_slope: derivatives of these angles, (pictures, parameters).
         chi2: mean squared residual of each picture, in standard deviations of photon and read noise, (pictures,).
-        left_out: pixels beyond 6 standard deviations in each picture, (pictures,).
+        left_out: number of pixels beyond 6 standard deviations in each image, (pictures,).
     """
 
     problem: JointProblem
@@ -66,15 +66,17 @@ class JointSolution(NamedTuple):
         return self.left.share
 
     def covariance_with(self, information: np.ndarray) -> np.ndarray:
-        """Return the covariance if there were this information besides, of low rank, (size, size)."""
+        """Compute the covariance with additional information of low rank, (size, size)."""
         return self._informed(self.covariance, information)
 
     def covariance_without(self, information: np.ndarray) -> np.ndarray:
-        """Return the covariance `fitted` if this information, of low rank, were missing, (size, size)."""
+        """Compute the covariance `fitted` without some information of low rank, (size, size)."""
         return self._informed(self.fitted, -information)
 
     def _informed(self, covariance: np.ndarray, change: np.ndarray) -> np.ndarray:
-        """Return a covariance after a change of information, by Woodbury's identity: two inversions would lose small parts."""
+        """Update a covariance for a change of information by Woodbury's identity, because two inversions would lose
+        small parts.
+        """
         judged = np.flatnonzero(self.problem.judged)
         inner = np.ix_(judged, judged)
         scale = np.sqrt(np.maximum(np.diag(covariance)[judged], 1e-300))
@@ -84,7 +86,7 @@ class JointSolution(NamedTuple):
         ways, sign = ways[:, some] * np.sqrt(np.abs(size[some])), np.sign(size[some])
         moved = old @ ways
         middle, turn = np.linalg.eigh(np.diag(sign) + ways.T @ moved)
-        if np.all(sign < 0):  # never is more taken away than there is, but for rounding
+        if np.all(sign < 0):  # rounding must not remove more information than exists
             middle = np.minimum(middle, -_ALL_LOST)
         moved = moved @ turn
         found[inner] = (old - (moved / middle) @ moved.T) * np.outer(scale, scale)
@@ -92,10 +94,10 @@ class JointSolution(NamedTuple):
 
 
 class Likelihood:
-    """Judge a model by its pixels, with a share of the model as noise.
+    """Likelihood of pixels, with a share of the model as noise.
 
     Args:
-        left: what the noise does not explain.
+        left: unexplained light.
     """
 
     def __init__(self, left: UnexplainedLight):
@@ -104,14 +106,14 @@ class Likelihood:
     def residual(
         self, pixels: ObservedPixels, value: np.ndarray, level: np.ndarray | None = None
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return standardised residuals, their derivatives by the model, and their robust weights, (pixels,).
+        """Compute standardised residuals, their derivatives by the model, and their robust weights, (pixels,).
 
-        A clipped pixel's residual is the root of minus twice the logarithm of the chance that it was clipped.
+        The residual of a clipped pixel is the root of minus twice the logarithm of the probability of clipping.
 
         Args:
-            pixels: what was observed.
+            pixels: observed pixels.
             value: the model, (pixels,).
-            level: what the unexplained noise is a share of, (pixels,). Default: None, `value`.
+            level: reference level of the unexplained noise, (pixels,). Default: None, `value`.
         """
         std = np.hypot(pixels.std, self.share * np.abs(value if level is None else level))
         z = (value - pixels.values) / std
@@ -128,30 +130,30 @@ class Likelihood:
         return np.where(used, residual, 0.0), np.where(used, slope, 0.0), np.where(used, weight, 0.0)
 
     def cost(self, pixels: ObservedPixels, value: np.ndarray, level: np.ndarray | None = None) -> float:
-        """Return Huber's cost of a picture. Arguments as of `residual`."""
+        """Compute Huber's cost of an image. Arguments as of `residual`."""
         residual, _, _ = self.residual(pixels, value, level)
         size = np.abs(residual)
         huber = np.where(size > _HUBER, 2 * _HUBER * size - _HUBER**2, size**2)
         return float(huber.sum())
 
     def surprise(self, pixels: ObservedPixels, value: np.ndarray) -> float:
-        """Return minus twice the logarithm of the likelihood per pixel, but for a constant: it compares lobes."""
+        """Compute minus twice the log likelihood per pixel, up to a constant, to compare lobes."""
         std = np.hypot(pixels.std, self.share * np.abs(value))
         measured = pixels.used & ~pixels.clipped
         return (self.cost(pixels, value) + 2 * float(np.log(std[measured]).sum())) / max(int(pixels.used.sum()), 1)
 
 
 def solve(problem: JointProblem, start: np.ndarray, left: UnexplainedLight, enough: float) -> np.ndarray:
-    """Return the parameters of least cost at a given share of unexplained noise.
+    """Minimise the cost at a given share of unexplained noise.
 
-    Steps of Levenberg and Marquardt with the noise of the model where they begin, mixed while that lowers the cost: real
-    pictures leave residuals from which each step alone would be too short.
+    Levenberg-Marquardt steps use the noise of the model at their start. They are combined while that lowers the cost,
+    because with the residuals of real images each step alone would be too short.
 
     Args:
-        problem: what is fitted.
+        problem: problem to fit.
         start: parameters, (size,).
-        left: what the noise does not explain.
-        enough: of the cost; a step that gains less is the last.
+        left: unexplained light.
+        enough: decrease of the cost below which the iteration ends.
     """
     judge = Likelihood(left)
     p = np.clip(start, problem.low, problem.high)
@@ -184,12 +186,12 @@ def solve(problem: JointProblem, start: np.ndarray, left: UnexplainedLight, enou
             break
         at = _assembled(problem, judge, p)
         costs.append(at.cost)
-        # the noise is the model's: near the end a step may gain what the noise that belongs to it takes back
+        # the noise depends on the model, so near the end the new noise may cancel the gain of a step
         if gained < _SLIGHT * enough and len(costs) > _LOOK_BACK and at.cost > costs[-1 - _LOOK_BACK] - enough:
             break
     if not np.all(np.isfinite(p)):
         raise FitError(
-            "the fit of the pictures ran into numbers that are none: they do not look like a sphere's highlights"
+            "the fit of the pictures produced non-finite parameters: check that they show the highlights of the sample"
         )
     return p
 
@@ -197,7 +199,7 @@ def solve(problem: JointProblem, start: np.ndarray, left: UnexplainedLight, enou
 def _damped_step(
     problem: JointProblem, at: _Assembled, scale: np.ndarray, free: np.ndarray, damping: float, p: np.ndarray
 ) -> np.ndarray:
-    """Return a step of the free parameters within all bounds, on which those stay that would leave them (Bertsekas 1982)."""
+    """Compute a step of the free parameters within all bounds, which holds those that would leave them (Bertsekas 1982)."""
     held = ((p <= problem.low) & (at.gradient > 0)) | ((p >= problem.high) & (at.gradient < 0))
     free = free[~held[free]]
     inner = np.ix_(free, free)
@@ -208,7 +210,7 @@ def _damped_step(
 
 
 def summed_up(problem: JointProblem, p: np.ndarray, left: UnexplainedLight) -> JointSolution:
-    """Return the solution at parameters: covariance, angles and how well each picture is explained."""
+    """Build the solution at parameters: covariance, angles and chi squared of each image."""
     judge = Likelihood(left)
     layout = problem.layout
     moving = replace(problem, changes=problem.unstated) if problem.unstated else problem
@@ -242,7 +244,9 @@ def summed_up(problem: JointProblem, p: np.ndarray, left: UnexplainedLight) -> J
 
 
 def _of_the_unstated(problem: JointProblem, normal: np.ndarray, covariance: np.ndarray) -> np.ndarray:
-    """Return what an unstated distortion adds to the covariance of what was fitted without it (as Schmidt 1966 "considers")."""
+    """Compute the contribution of an unstated distortion to the covariance of a fit without it ("consider" covariance,
+    Schmidt 1966).
+    """
     at, field = problem.layout.field.start, problem.unstated[0].field
     moved = -covariance @ normal[:, at]
     moved[at] = 1.0
@@ -250,7 +254,7 @@ def _of_the_unstated(problem: JointProblem, normal: np.ndarray, covariance: np.n
 
 
 class _Assembled(NamedTuple):
-    """Hold cost, half its gradient and half its curvature (Gauss and Newton), and the model of each picture."""
+    """Cost, half its gradient and half its Hessian (Gauss-Newton), and the model of each image."""
 
     cost: float
     gradient: np.ndarray
@@ -281,20 +285,20 @@ def _assembled(problem: JointProblem, judge: Likelihood, p: np.ndarray) -> _Asse
 
 
 def _of_pictures(work: Callable[[int], T], problem: JointProblem) -> Iterator[T]:
-    """Yield what `work` returns for each picture, in their order."""
+    """Yield the result of `work` for each image, in order."""
     return in_order(work, range(problem.layout.pictures), min(available_cores(), _MOST_AT_ONCE))
 
 
 def cost_at(
     problem: JointProblem, judge: Likelihood, p: np.ndarray, levels: Sequence[np.ndarray] | None = None
 ) -> float:
-    """Return minus twice the logarithm of likelihood and prior, but for a constant.
+    """Compute minus twice the logarithm of likelihood and prior, up to a constant.
 
     Args:
-        problem: what is fitted.
-        judge: of its pixels.
+        problem: problem to fit.
+        judge: likelihood of its pixels.
         p: parameters, (size,).
-        levels: what the noise is a share of in each picture. Default: None, the model.
+        levels: reference level of the noise in each image. Default: None, the model.
     """
 
     def share(k: int) -> float:

@@ -1,10 +1,10 @@
-"""What is fitted to all pictures of a sample: parameters, pixels, model with derivatives, and prior (docs/model.md 10).
+"""Problem of the joint fit of all images: parameters, pixels, model with derivatives, and prior (docs/model.md 10).
 
 The model of pixel i of channel c in picture k is
 
     exp(g_k) [F_kc (1 + slope (theta_i - theta_k)) lobe_i + diffuse_c lambert_i]
 
-with a strength F_kc that is free in every picture, and the gain g_k within what is known of it.
+with a strength F_kc that is free in every picture, and the gain g_k with its prior.
 """
 
 from __future__ import annotations
@@ -21,7 +21,8 @@ from matcam.reconstruction.rig.field_change import FIELD, STEP, FieldChange
 
 
 class JointLayout(NamedTuple):
-    """Order the vector of all parameters: lobe, scene, diffuse, field, then each picture's own, its gain and its strengths.
+    """Order of the vector of all parameters: lobe, scene, diffuse, field, then for each image its own, its gain and its
+    strengths.
 
     Attributes:
         lobe: number of the lobe's parameters.
@@ -37,60 +38,60 @@ class JointLayout(NamedTuple):
 
     @property
     def shared(self) -> int:
-        """Count the parameters of all pictures."""
+        """Number of parameters of all images."""
         return self.sample_radius + 1 + self.shape
 
     @property
     def each(self) -> int:
-        """Count the parameters of one picture."""
+        """Number of parameters of one image."""
         return len(OWN) + 1 + self.channels
 
     @property
     def size(self) -> int:
-        """Count all parameters."""
+        """Number of all parameters."""
         return self.shared + self.pictures * self.each
 
     @property
     def scene(self) -> slice:
-        """Place of lens, radius and nearnesses."""
+        """Indices of lens, radius and nearnesses."""
         return slice(self.lobe, self.lobe + len(SCENE))
 
     @property
     def diffuse(self) -> slice:
-        """Place of the diffuse parts."""
+        """Indices of the diffuse parts."""
         return slice(self.lobe + len(SCENE), self.lobe + len(SCENE) + self.channels)
 
     @property
     def field(self) -> slice:
-        """Place of what the lens's field differs by from its profile."""
+        """Indices of the differences of the lens's field from its profile."""
         return slice(self.diffuse.stop, self.diffuse.stop + len(FIELD))
 
     @property
     def sample_radius(self) -> int:
-        """Index of ln of the sample's radius in mm over the stated one: distances in mm count in it."""
+        """Index of ln of the radius of the sample in mm over the stated one, to which distances in mm are relative."""
         return self.field.stop
 
     @property
     def diffuse_shape(self) -> slice:
-        """Place of the terms of the diffuse part."""
+        """Indices of the terms of the diffuse part."""
         return slice(self.sample_radius + 1, self.shared)
 
     def own(self, k: int) -> slice:
-        """Place of a picture's centre and lamp."""
+        """Indices of the centre and the lamp of an image."""
         first = self.shared + k * self.each
         return slice(first, first + len(OWN))
 
     def gain(self, k: int) -> int:
-        """Place of a picture's gain."""
+        """Index of the gain of an image."""
         return self.own(k).stop
 
     def strengths(self, k: int) -> slice:
-        """Place of a picture's strengths, one per channel."""
+        """Indices of the strengths of an image, one per channel."""
         first = self.gain(k) + 1
         return slice(first, first + self.channels)
 
     def of_picture(self, k: int) -> np.ndarray:
-        """Return the places of the parameters that the picture model takes."""
+        """Return the indices of the parameters of the model of an image."""
         own, shape = self.own(k), self.diffuse_shape
         return np.concatenate(
             [np.arange(self.scene.stop), np.arange(shape.start, shape.stop), np.arange(own.start, own.stop)]
@@ -98,35 +99,35 @@ class JointLayout(NamedTuple):
 
 
 class PixelModel(Protocol):
-    """Say what pixels record of unit strengths, with derivatives by the parameters of one picture where asked for."""
+    """Model of pixels at unit strengths, with derivatives by the parameters of one image on request."""
 
     def window(self, p: np.ndarray, frame: LampFrame, window: Any, *, slopes: bool) -> tuple[Recorded, Recorded | None]:
-        """Return what the pixels about the highlight record; two axes, flattened in order."""
+        """Compute the record of the pixels about the highlight; two axes, flattened in order."""
 
     def pixels(
         self, p: np.ndarray, frame: LampFrame, column: np.ndarray, row: np.ndarray, *, slopes: bool
     ) -> tuple[Recorded, Recorded | None]:
-        """Return what the other pixels record; one axis."""
+        """Compute the record of the other pixels; one axis."""
 
 
 @dataclass(frozen=True)
 class JointProblem:
-    """Hold pictures, model and what is known beforehand.
+    """Images, model and prior of a joint fit.
 
     Attributes:
-        model: what pixels record.
+        model: model of the pixels.
         layout: order of the parameters.
         pixels: chosen pixels of each picture.
         frames: base direction of each picture's lamp.
         prior_rows: combinations of the parameters, (rows, size), that are
         prior_values: these values +- 1, (rows,).
-        prior_sources: where each row comes from: "lens", "outline", "lamp", "gain", ...
+        prior_sources: source of each row: "lens", "outline", "lamp", "gain", ...
         low: smallest value of each parameter.
         high: largest value of each parameter.
         slope: d ln F / d theta_d of each picture and channel, 1/rad, (pictures, channels).
-        fixed: parameters that stay as they are, (size,).
-        changes: what a change of the lens's field does to each picture; empty where the field is exact.
-        unstated: what a distortion that nobody has stated does to each picture; it is not fitted, but enters the covariance.
+        fixed: parameters that are constant, (size,).
+        changes: effect of a change of the lens's field on each image; empty if the field is exact.
+        unstated: effect of an unstated distortion on each image; it is not fitted, but enters the covariance.
     """
 
     model: PixelModel
@@ -145,25 +146,25 @@ class JointProblem:
 
     @property
     def judged(self) -> np.ndarray:
-        """Which parameters have an error: those that are fitted, and an unstated distortion."""
+        """Mask of the parameters with an error: fitted ones, and an unstated distortion."""
         judged = ~self.fixed
         judged[self.layout.field.start] |= len(self.unstated) > 0
         return judged
 
     def information_of(self, source: str) -> np.ndarray:
-        """Return the information matrix of what one source states, (size, size)."""
+        """Return the prior information matrix of one source, (size, size)."""
         rows = self.prior_rows[[one == source for one in self.prior_sources]]
         return rows.T @ rows
 
     def recorded(self, p: np.ndarray, k: int, *, slopes: bool) -> tuple[Recorded, Recorded | None]:
-        """Return what the chosen pixels of picture k record of unit strengths, window first, with derivatives."""
+        """Compute the record of the chosen pixels of image k at unit strengths, window first, with derivatives."""
         at, pixels, frame = p[self.layout.of_picture(k)], self.pixels[k], self.frames[k]
         window, column, row = pixels.window, pixels.column, pixels.row
         beside = at
         if self.changes:
             window = self.changes[k].window(window, p[self.layout.field])
             column, row = self.changes[k].places(p[self.layout.field])
-            # blur matters to pixels next to the highlight only: there it is the highlight's
+            # blur matters only near the highlight, so the blur at the highlight is used
             beside = at.copy()
             beside[self.layout.lobe] += np.log(window.widened)
         near, near_slopes = self.model.window(at, frame, window, slopes=slopes)
@@ -179,7 +180,7 @@ class JointProblem:
         return value, Recorded(*map(joined, near_slopes, far_slopes))
 
     def picture(self, p: np.ndarray, k: int, *, slopes: bool) -> PictureFit:
-        """Return the model of the chosen pixels of picture k, and its derivatives."""
+        """Compute the model of the chosen pixels of image k, and its derivatives."""
         layout, pixels = self.layout, self.pixels[k]
         recorded, derivative = self.recorded(p, k, slopes=slopes)
         channel = pixels.channel
@@ -218,7 +219,7 @@ class JointProblem:
                 + (strength * slope * recorded.lobe)[near] * (by_k1.theta_d - angle[of_k1])
                 + diffuse[near] * by_k1.lambert
             )
-            # a pixel read elsewhere is a sphere that has moved the other way
+            # a shift of a pixel is an opposite shift of the sphere
             far, centre = slice(near.stop, None), layout.own(k).start + np.arange(2)
             away = self.changes[k].places_slopes(change).T
             jacobian[far, of_k1] = -(jacobian[far][:, centre] * away).sum(axis=1)
@@ -230,12 +231,12 @@ class JointProblem:
 
 
 class PictureFit(NamedTuple):
-    """Hold the model of one picture's chosen pixels.
+    """Model of the chosen pixels of one image.
 
     Attributes:
         value: (pixels,).
-        jacobian: its derivatives, (pixels, parameters); None: not asked for.
-        theta_d: where its strengths are read, rad.
+        jacobian: its derivatives, (pixels, parameters); None: not requested.
+        theta_d: angle of its strengths, rad.
         theta_d_slope: derivatives of that angle, (parameters,).
     """
 

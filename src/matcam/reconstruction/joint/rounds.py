@@ -1,4 +1,4 @@
-"""Rounds of one joint fit: progress with the time left, and the end where another round explains no more."""
+"""Rounds of one joint fit: progress with the remaining time, and the end if another round does not improve the fit."""
 
 from __future__ import annotations
 
@@ -7,12 +7,14 @@ import time
 from collections.abc import Callable
 
 _STUCK = 0.1
-"""Unexplained share of the light up to which a rise is no reason to end: windows laid anew hold other pixels."""
+"""Unexplained share of the light up to which a rise does not end the rounds: new windows contain other pixels."""
 _RISE = 1.05
-"""Relative rise of the share, from its least, from which a round has explained no more."""
+"""Rise of the share, relative to its minimum, above which a round has not improved the fit."""
 
 _NOTHING, _FALL = 0.5, 0.95
-"""Unexplained share from which a round must lower it, and to what part of the least: beyond it the model explains nothing."""
+"""Unexplained share above which a round must lower it, and the required ratio to the minimum; otherwise the model is
+useless.
+"""
 
 
 class Rounds:
@@ -30,7 +32,7 @@ class Rounds:
         self._started = time.monotonic()
 
     def begin(self) -> None:
-        """Announce a round; after the first with the time that the rounds left take at most."""
+        """Announce a round; after the first, with an upper bound of the remaining time."""
         done = len(self.shares)
         line = f"round {done + 1} of at most {self.most}, {self.pictures} pictures"
         if done:
@@ -39,12 +41,12 @@ class Rounds:
         self.say(line)
 
     def end(self, share: float) -> None:
-        """Take note of the unexplained share that a round leaves."""
+        """Record the unexplained share after a round."""
         self.shares.append(share)
 
     @property
     def stuck(self) -> bool:
-        """Tell whether the last round explains no more of the light than one before it, and leaves much unexplained."""
+        """Check whether the last round did not improve the fit, and leaves much unexplained."""
         *before, share = self.shares
         least = min(before, default=math.inf)
         return share > max(_STUCK, _RISE * least) or share > max(_NOTHING, _FALL * least)

@@ -1,7 +1,7 @@
-"""What the noise does not explain of the pictures: its share of the light, and how alike it is in pixels near each other.
+"""Residuals of images beyond the noise: their share of the light, and their correlation between neighbouring pixels.
 
-A wrong lobe, dirt or a second reflection leave residuals that have one sign over many pixels. Such pixels say together what one
-of them says: counted as independent, they would push well-known quantities away from the truth, and state small errors.
+A wrong lobe, dirt or a second reflection leave residuals of one sign over many pixels. If such pixels counted as
+independent, they would bias well determined quantities and give too small errors.
 """
 
 from __future__ import annotations
@@ -16,21 +16,21 @@ from matcam.reconstruction.joint.joint_problem import JointProblem
 
 _CUT = 3.0
 _NORMAL = 0.9733
-"""The mean of a normal's square, cut at the square of `_CUT`."""
+"""Mean of the square of a normal variable, truncated at the square of `_CUT`."""
 _BRIGHT = 10.0
 _FEWEST = 50
 _LOOKED_AT = 12
-"""Pictures in which likeness is looked for."""
+"""Number of images in which the correlation is estimated."""
 _ALIKE_IN_VALUE = 15  # pixels
 _LEAST = 0.05
-"""Of a residual's variance: as small a part is not divided by."""
+"""Smallest share of the variance of a residual that is used as divisor."""
 
 
 class UnexplainedLight(NamedTuple):
-    """Say what the noise leaves unexplained.
+    """Unexplained share of the light and its correlation.
 
     Attributes:
-        share: of the model that, added to photon and read noise, makes the residuals of the bright pixels normal, no unit.
+        share: share of the model that, added to photon and read noise, explains the residuals of bright pixels, no unit.
         alike: number of pixels that share an unexplained residual. Default: 1, each has its own.
     """
 
@@ -39,24 +39,24 @@ class UnexplainedLight(NamedTuple):
 
     @property
     def noise(self) -> float:
-        """Share of the model that, taken as a noise of each pixel's own, weighs as these residuals do."""
+        """Independent noise per pixel, as a share of the model, with the same weight as these correlated residuals."""
         return float(self.share * np.sqrt(self.alike))
 
 
 def unexplained_share(problem: JointProblem, p: np.ndarray) -> float:
-    """Return the share of the light that the noise leaves unexplained at some parameters.
+    """Compute the unexplained share of the light at some parameters.
 
-    It is judged by squared residuals cut at `_CUT` standard deviations, so that dust on a few pixels does not decide.
+    It follows from squared residuals truncated at `_CUT` standard deviations, so that dust on few pixels has no effect.
 
     Args:
-        problem: what is fitted.
+        problem: problem of the fit.
         p: parameters, (size,).
     """
     return _share(_bright_pixels(problem, p))
 
 
 def unexplained_by(problem: JointProblem, p: np.ndarray) -> UnexplainedLight:
-    """Return that share, and how alike it is in pixels near each other. Arguments as of `unexplained_share`."""
+    """Compute that share, and the correlation between neighbouring pixels. Arguments as of `unexplained_share`."""
     bright = _bright_pixels(problem, p)
     share = _share(bright)
     if share == 0:
@@ -69,7 +69,7 @@ def unexplained_in(problem: JointProblem, p: np.ndarray, k: int) -> float:
     """Compute the unexplained share of the light of one picture.
 
     Args:
-        problem: what is fitted.
+        problem: problem of the fit.
         p: parameters, (size,).
         k: index of the picture.
     """
@@ -93,9 +93,9 @@ class _Bright(NamedTuple):
 
 
 def _expected_noise(value: np.ndarray, std: np.ndarray) -> np.ndarray:
-    """Return the noise of pixels of such values: a pixel's own follows its value, and is small where noise made that small.
+    """Estimate the noise of pixels as a smooth function of their values.
 
-    By it, of dim pixels those would be judged that lie below the model.
+    The noise estimate of a single pixel follows its value, which would select dim pixels below the model.
     """
     order = np.argsort(value)
     gain = uniform_filter1d(std[order] ** 2 / value[order], _ALIKE_IN_VALUE, mode="nearest")
@@ -127,7 +127,9 @@ def _share(pictures: list[_Bright]) -> float:
 
 
 def _alike(pictures: list[_Bright], share: float) -> float:
-    """Return the number of pixels that share a residual: the sum of its correlations up to where they end (Bartlett 1935)."""
+    """Compute the number of pixels that share a residual: the sum of its correlations up to their first zero (Bartlett
+    1935).
+    """
     together = np.zeros(1)
     total, count, unexplained = 0.0, 0, 0.0
     for one in pictures:
@@ -146,7 +148,7 @@ def _alike(pictures: list[_Bright], share: float) -> float:
         count += z.size
     if total <= 0:
         return 1.0
-    together[1] += together[0]  # pixels of one place in several colours
+    together[1] += together[0]  # pixels at one position in several colours
     ends = np.flatnonzero(together[1:] <= 0)
     shared = 2 * float(together[1 : 1 + (ends[0] if ends.size else together.size)].sum()) / total
     return 1 + shared / max(unexplained / count, _LEAST)

@@ -1,1 +1,1 @@
-"""What a rig brings to a reconstruction: its lens over the field, and what an earlier one found of it."""
+"""Rig of a reconstruction: its lens over the field, and results of an earlier reconstruction."""

@@ -1,7 +1,7 @@
-"""What an earlier reconstruction found of a rig as the prior of another one: lens, distances, lamps and distortion.
+"""Rig of an earlier reconstruction as a prior: lens, distances, lamps and distortion.
 
-Distances count in radii of the sphere: they are scaled where the other sphere is of another size. The outline is always the
-sample's own. Everything has one covariance: a lamp's direction errs with the lamp's distance.
+Distances are in radii of the sphere, and are scaled for a sphere of another size. The outline is always that of the
+sample. All parameters have one covariance, because errors of direction and distance of a lamp are correlated.
 """
 
 from __future__ import annotations
@@ -16,16 +16,16 @@ from matcam.core.remark import Remark
 from matcam.reconstruction.picture_model import SCENE, LampFrame, lamp_frame
 from matcam.reconstruction.rig.rig_document import SCENE_NAMES, EarlierRig
 
-_LEAST = 1e-12  # of a variance: below it a parameter was not fitted
+_LEAST = 1e-12  # variance below which a parameter was not fitted
 
 
 class KnownRig(NamedTuple):
-    """Hold what is known of the rig of some pictures.
+    """Prior knowledge of the rig of some images.
 
     Attributes:
         values: ln of the lens's width over its profile's, nearness of camera and of lamp, changes of k1 and of the blur's
             growth, (5,).
-        lamps: place of each picture's lamp among the directions; -1: not known, (pictures,).
+        lamps: index of the lamp of each image among the directions; -1: unknown, (pictures,).
         directions: unit vectors, (lamps, 3).
         covariance: of values, and of two turns of each lamp, rad.
     """
@@ -42,19 +42,19 @@ class KnownRig(NamedTuple):
 
     @property
     def lamp_std(self) -> np.ndarray:
-        """Return the standard deviation of each lamp's direction along a tangent, rad, (lamps,)."""
+        """Compute the standard deviation of each lamp's direction along a tangent, rad, (lamps,)."""
         variance = np.diag(self.covariance)[len(SCENE_NAMES) :].reshape(-1, 2)
         return np.sqrt(variance.mean(axis=1))
 
     def prior(
         self, size: int, places: Sequence[int], own: Sequence[int], frames: Sequence[LampFrame]
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return rows and values of the prior: combinations of the parameters that are a value +- 1.
+        """Build rows and values of the prior: combinations of the parameters that are a value +- 1.
 
         Args:
             size: number of all parameters.
-            places: of the five values among them.
-            own: place of the first of the two turns of each picture's lamp.
+            places: indices of the five values among them.
+            own: index of the first of the two turns of each picture's lamp.
             frames: of the pictures' lamps.
         """
         chosen, rows, values = [], [], []
@@ -89,17 +89,17 @@ def known_rig(
     sample_radius: float | None,
     sigma: float | None,
 ) -> tuple[KnownRig, tuple[Remark, ...]]:
-    """Return what an earlier reconstruction says of the rig of these pictures.
+    """Match an earlier reconstruction to the rig of these images.
 
     Args:
         rig: as from `read_rig`.
         names: of the lamp positions.
-        frame: width and height of the frames, px; None: not known.
-        sample_radius: of the sphere, mm; None: not stated.
-        sigma: of the lens by the profile, px; None: no Gaussian. The earlier lens then counts for nothing.
+        frame: width and height of the frames, px; None: unknown.
+        sample_radius: of the sphere, mm; None: unknown.
+        sigma: of the lens by the profile, px; None: not Gaussian. The earlier lens is then ignored.
 
     Raises:
-        ArgumentError: the frames are of another size, or no lamp position has a name that the rig knows.
+        ArgumentError: the frames are of another size, or no lamp position has a name of the rig.
     """
     if rig.frame is not None and frame is not None and rig.frame != frame:
         raise ArgumentError(
@@ -109,15 +109,13 @@ def known_rig(
     unknown = [name for name in names if name not in rig.lamps]
     if len(unknown) == len(names):
         raise ArgumentError(
-            f"{rig.file}: knows none of the lamp positions {', '.join(names[:4])}: it has {', '.join(rig.lamps[:4])}; "
+            f"{rig.file}: has none of the lamp positions {', '.join(names[:4])}: it has {', '.join(rig.lamps[:4])}; "
             "give the same names to the same positions"
         )
     remarks = []
     if unknown:
         remarks.append(
-            Remark(
-                "rig-lamp-unknown", f"{', '.join(unknown)}: not in {rig.file}; what frames.csv states of them is used"
-            )
+            Remark("rig-lamp-unknown", f"{', '.join(unknown)}: not in {rig.file}; their values in frames.csv are used")
         )
     ratio = 1.0
     if rig.sample_radius is not None and sample_radius is not None:
@@ -125,7 +123,8 @@ def known_rig(
     else:
         remarks.append(
             Remark(
-                "rig-radius-not-stated", f"{rig.file}: the spheres' radii are not both stated: they are taken as equal"
+                "rig-radius-not-stated",
+                f"{rig.file}: the radii of both spheres are not stated: they are assumed to be equal",
             )
         )
     covariance = rig.covariance.copy()
@@ -148,15 +147,15 @@ def rig_covariance(
     frames: Sequence[LampFrame],
     lamps: np.ndarray,
 ) -> np.ndarray:
-    """Return the covariance of a rig's parameters in the order of its document.
+    """Compute the covariance of the parameters of a rig in the order of its document.
 
     Args:
         covariance: of all parameters of a joint fit.
-        scene: place of lens, radius and nearnesses.
-        field: place of the changes of the lens's field.
-        own: place of the first of the two turns of each picture's lamp.
-        frames: in which these turns count.
-        lamps: directions that were found, (pictures, 3); the document's turns count from them.
+        scene: indices of lens, radius and nearnesses.
+        field: indices of the changes of the lens's field.
+        own: index of the first of the two turns of each picture's lamp.
+        frames: of these turns.
+        lamps: fitted directions, (pictures, 3), the origin of the turns in the document.
     """
     size = len(SCENE_NAMES) + 2 * len(lamps)
     pick = np.zeros((size, len(covariance)))

@@ -1,7 +1,8 @@
-"""The JSON document that `matcam reconstruct` writes: its schema, and reading a rig back from it.
+"""JSON document of `matcam reconstruct`: its schema, and reading of a rig from it.
 
-Its fields stand in docs/reconstruct.md; `json_schema()` is the published schema (docs/reconstruction-v1.schema.json). What
-belongs to the rig and not to the sample - lens, distances, lamps - is read as an `EarlierRig` with one covariance.
+docs/reconstruct.md describes its fields; `json_schema()` is the published schema (docs/reconstruction-v1.schema.json).
+The parts that belong to the rig and not to the sample - lens, distances, lamps - are read as an `EarlierRig` with one
+covariance.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ SCENE_NAMES = ("lens", "camera nearness", "lamp nearness", "distortion", "blur g
 """The rig's parameters before those of the lamps, in the order of the covariance."""
 _WHAT = "a reconstruction"
 
-# models have no docstrings: pydantic would put them into the published schema
+# models have no docstrings, because pydantic would include them in the published schema
 
 
 class _Strict(BaseModel):
@@ -114,15 +115,15 @@ class _Document(BaseModel):
 
 
 class EarlierRig(NamedTuple):
-    """Hold what an earlier reconstruction found of a rig.
+    """Rig of an earlier reconstruction.
 
     Attributes:
-        file: where it was read.
-        frame: width and height of its frames, px; None: not known.
-        sample_radius: of its sphere, mm; None: not stated. Distances count in it.
-        sigma: of the lens that was found, px; None: the lens is no Gaussian.
+        file: its file.
+        frame: width and height of its frames, px; None: unknown.
+        sample_radius: of its sphere, mm; None: unknown. It is the unit of distances.
+        sigma: of the fitted lens, px; None: the lens is not Gaussian.
         nearness: one over the distances of camera and lamp, in radii.
-        field: of the lens, as it was found; None: it is alike everywhere.
+        field: field of the lens; None: it is uniform.
         lamps: names of the lamp positions.
         directions: unit vectors to the lamps, (lamps, 3).
         covariance: of ln of the lens's width, both nearnesses, k1, the blur's growth, and two turns of each lamp, rad.
@@ -140,12 +141,12 @@ class EarlierRig(NamedTuple):
 
 
 def json_schema() -> dict[str, Any]:
-    """Return the JSON Schema of what `matcam reconstruct` writes."""
+    """Return the JSON Schema of the output of `matcam reconstruct`."""
     return _Document.model_json_schema()
 
 
 def check_document(document: Any, where: str | Path) -> None:
-    """Check a document against the schema; FileFormatError naming its first wrong field."""
+    """Check a document against the schema; raise FileFormatError that names its first wrong field."""
     _checked(document, where)
 
 
@@ -156,7 +157,7 @@ def read_rig(path: str | Path) -> EarlierRig:
         path: the JSON file that `matcam reconstruct` wrote.
 
     Raises:
-        FileFormatError: this is no reconstruction, or what it says of the rig contradicts itself.
+        FileFormatError: this is not a reconstruction, or its rig is inconsistent.
     """
     geometry = _checked(read_json(path, _WHAT), path).geometry
     names = tuple(lamp.name for lamp in geometry.lamps)
@@ -175,7 +176,7 @@ def read_rig(path: str | Path) -> EarlierRig:
     if not np.allclose(np.linalg.norm(directions, axis=1), 1, atol=1e-3):
         raise FileFormatError(f"{path}: field geometry.lamps: directions must be of length 1")
     if len(set(names)) != len(names):
-        raise FileFormatError(f"{path}: field geometry.lamps: a name stands twice")
+        raise FileFormatError(f"{path}: field geometry.lamps: a name occurs twice")
     try:
         field = None if geometry.field is None else field_from(geometry.field)
     except ArgumentError as error:

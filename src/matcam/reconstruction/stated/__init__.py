@@ -1,1 +1,1 @@
-"""What a capture states of its rig, as the prior of a fit: camera, lamps and their light, outline."""
+"""Stated values of a capture as the prior of a fit: camera, lamps and their light, outline."""

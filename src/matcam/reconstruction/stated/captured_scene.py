@@ -1,4 +1,4 @@
-"""From a capture to what the joint fit needs: merged pictures, outline, first lamp directions, and what is known of all."""
+"""Input of the joint fit from a capture: merged images, outline, first lamp directions, and prior knowledge."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ from matcam.reconstruction.stated.undistorted import undistorted_sphere
 Progress = Callable[[str, int, int], None]
 
 _SHIFT = 0.3
-"""px; how far the sphere may move between pictures where its limb does not say."""
+"""Assumed motion of the sphere between images, px, if the limb does not determine it."""
 INCOMPLETE = (
     "bad-flat",
     "bad-frame",
@@ -56,24 +56,24 @@ INCOMPLETE = (
     "reference-left-out",
     "picture-left-out",
 )
-"""Codes of the remarks on what could not be used."""
+"""Codes of the remarks on unusable inputs."""
 
 
 class CapturedScene(NamedTuple):
-    """Hold what a capture's frames say before the joint fit.
+    """Data of a capture before the joint fit.
 
     Attributes:
         pictures: merged pictures that can be fitted.
-        scene: what is known beforehand.
-        lamps: directions to the lamps from which the fit begins, mostly as the highlights say, (pictures, 3).
-        radiometry: what the codes mean.
-        outline: the sphere's outline; None: of another sample.
+        scene: prior knowledge of the scene.
+        lamps: directions to the lamps as the start of the fit, mostly from the highlights, (pictures, 3).
+        radiometry: meaning of the codes.
+        outline: the sphere's outline; None: another sample.
         left_out: names of the lamp positions that cannot be used.
         remarks: what a reader should know.
-        units: of each channel, value of the pictures per radiance under unit irradiance, with relative standard deviation;
-            None: there is no reference of known reflectance.
-        frame: width and height of the frames, px; None: none could be read. Default: None.
-        sample_radius: of the sphere, mm. Default: None, not stated.
+        units: of each channel, value of the pictures per radiance under unit irradiance, with relative standard
+            deviation; None: no reference of known reflectance.
+        frame: width and height of the frames, px; None: unknown. Default: None.
+        sample_radius: of the sphere, mm. Default: None, unknown.
     """
 
     pictures: list[MergedPicture]
@@ -101,7 +101,7 @@ def captured_scene(
     Args:
         capture: as from `read_capture`.
         progress: is called with a step's name, and how many of how many parts of it are done. Default: None.
-        earlier: the rig as another reconstruction found it. Default: None.
+        earlier: the rig of an earlier reconstruction. Default: None.
         workers: lamp positions that are read at a time. Default: 1.
         kept: where what was read is kept for a run that goes on. Default: None, nowhere.
 
@@ -177,7 +177,7 @@ def captured_scene(
         stated, stds = stated_lamps(capture, names, lamps, [])
         known = rig.lamps >= 0
         stated[known], stds[known] = rig.directions[rig.lamps[known]], rig.lamp_std[rig.lamps[known]]
-    order = [1, 0, 2]  # row, column, radius -> column, row, radius
+    order = [1, 0, 2]  # (row, column, radius) to (column, row, radius)
     lamps = first_lamps(lamps, covariances, stated, stds)
     light = gains_of(capture, radiometry, names, lamps, ball, with_radius(lamp_nearness, sample_radius), remarks)
     lamp_radius = lamp_radius_of(capture)
@@ -207,6 +207,6 @@ def captured_scene(
 
 
 def correlation(covariance: np.ndarray) -> np.ndarray:
-    """Return the correlations of a covariance."""
+    """Convert a covariance to correlations."""
     std = np.sqrt(np.diag(covariance))
     return np.asarray(covariance / np.outer(std, std))

@@ -1,4 +1,4 @@
-"""The light of each lamp position: from a table, a reference in the picture, or what is stated of the lamp's steadiness."""
+"""Light of each lamp position: from a table, a reference in the image, or the stated stability of the lamp."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from matcam.files.capture import Capture, Region, Stated
 from matcam.reconstruction.sphere_scene import Known
 
 _SEEN = float(np.radians(0.5))
-"""How well the highlights tell a lamp's direction where its light on a patch is not yet grazing, rad."""
+"""Standard deviation of the direction of a lamp from the highlights that suffices for its light on a patch, rad."""
 
 
 def under_one_light(pictures: Sequence[MergedPicture], capture: Capture) -> list[MergedPicture]:
-    """Divide the pictures by their lamps' light where a table states it; their mean over lamps and colours is kept."""
+    """Divide the images by the light of their lamps if a table gives it; their mean over lamps and colours is kept."""
     if capture.settings["lamp"]["intensity"] != "table":
         return list(pictures)
     stated = {one.name: np.array(capture.lamps[one.name].intensity) for one in pictures}
@@ -48,7 +48,9 @@ def gains_of(
     nearness: Known,
     remarks: list[Remark],
 ) -> PatchLight:
-    """Return each picture's light and the unit of values by the reference; where there is none, what is stated of the lamp."""
+    """Determine the light of each image and the unit of values from the reference; without one, use the stated
+    stability of the lamp.
+    """
     count, drift = len(names), max(float(capture.settings["lamp"]["gain_std"]), 1e-5)
     stated = PatchLight(np.ones(count), drift**2 * np.eye(count), None, np.zeros(count, bool))
     reference, region = capture.settings["reference"], capture.reference_place
@@ -77,7 +79,7 @@ def gains_of(
         return stated
     if radiometry.reference_between >= drift:
         text = f"the light changes by {radiometry.reference_between:.1%} between a picture of the reference and the sample's: "
-        remarks.append(Remark("reference-unsteady", f"{text}what lamp.gain_std states of it was kept"))
+        remarks.append(Remark("reference-unsteady", f"{text}the value of lamp.gain_std was kept"))
         return stated
     gain = np.array([one.value if good and one is not None else 1.0 for one, good in zip(output, known, strict=True)])
     std = np.array(
@@ -87,7 +89,7 @@ def gains_of(
 
 
 def _patch(capture: Capture, region: Region) -> ReferencePatch:
-    """Return the diffuse reference as the capture states it."""
+    """Return the diffuse reference of the capture."""
     reference, radius = capture.settings["reference"], capture.radius_mm
     patch = ReferencePatch(region, tilt_std=float(np.radians(reference["tilt_std_deg"])))
     if reference["reflectance"] is not None:

@@ -1,4 +1,4 @@
-"""The outline that a capture gives: of outline frames, of a mask, or stated; and the part of the frames about it."""
+"""Outline of a capture, from outline frames, from a mask, or as stated; and the part of the frames about it."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from matcam.files.capture import Capture, Region
 from matcam.files.capture_frames import CaptureFrame
 
 _MARGIN = 0.12
-"""Of the radius, about the outline: the part of a frame that is read."""
+"""Margin about the outline of the part of a frame that is read, as a share of the radius."""
 _LEAST_NOISE = 1e-4
-"""Standard deviation of a pixel over the bright field that is assumed at least: rounding of a field of 3000 codes."""
+"""Smallest relative standard deviation of a pixel over the bright field: rounding of a field of 3000 codes."""
 
 
 def about_disc(capture: Capture) -> Region | None:
-    """Return the part of the frames about the dark disc of the first outline frame that can be read; None: there is none."""
+    """Return the part of the frames about the dark disc of the first readable outline frame; None: no such frame."""
     reader = MosaicReader(capture)
     for frame in capture.of("outline"):
         try:
@@ -42,16 +42,15 @@ def about_disc(capture: Capture) -> Region | None:
 def found_outline(
     capture: Capture, sighting: Sighting, sigma: float, frame: tuple[int, int] | None, remarks: list[Remark]
 ) -> tuple[Outline | None, Region | None]:
-    """Return the outline that a capture gives, and the part of the frames about it; None: the lit limb must show it.
+    """Determine the outline of a capture, and the part of the frames about it; None: only the lit limb shows it.
 
-    A stated circle is taken before a mask, and a mask before outline frames. What cannot be used is remarked, and the next is
-    taken.
+    The order of preference is a stated circle, a mask, outline frames. Unusable ones get a remark.
 
     Args:
         capture: as from `read_capture`.
-        sighting: how the camera stands.
+        sighting: geometry of the camera.
         sigma: standard deviation of the lens's blur, px.
-        frame: width and height of the frames, px; None: not known.
+        frame: width and height of the frames, px; None: unknown.
         remarks: get what a reader should know.
     """
 
@@ -80,13 +79,13 @@ def found_outline(
 def backlit_outline(
     capture: Capture, sighting: Sighting, sigma: float, region: Region | None, remarks: list[Remark]
 ) -> Outline:
-    """Return the outline before a bright field, from the mean of the frames that show one.
+    """Measure the outline in front of a bright field, from the mean of such frames.
 
     Args:
         capture: as from `read_capture`.
-        sighting: how the camera stands.
-        sigma: standard deviation of the lens's blur, px; of effect where the field is clipped, whose edge looks sharper.
-        region: part of the frames that is read; None: all of it.
+        sighting: geometry of the camera.
+        sigma: standard deviation of the lens's blur, px; used if the field is clipped, because its edge then looks sharper.
+        region: part of the frames that is read; None: the whole frame.
         remarks: get what a reader should know.
     """
     reader = MosaicReader(capture)
@@ -94,7 +93,7 @@ def backlit_outline(
     # photon noise in codes, from the smoothest neighbourhoods: differences of pixels of one colour
     step = 1 if reader.cfa is None else 2
     difference = mean[step:] - mean[:-step]
-    # at least: a field of one code has no pixel above its own percentile
+    # at least that: a field of one code has no pixel above its percentile
     bright = mean >= np.percentile(mean, 60)
     pairs = bright[step:] & bright[:-step]
     noise = 1.4826 * float(np.median(np.abs(difference[pairs]))) / np.sqrt(2) if pairs.any() else 0.0
@@ -125,9 +124,9 @@ def backlit_outline(
 def mean_outline_frame(
     reader: MosaicReader, capture: Capture, region: Region | None, remarks: list[Remark]
 ) -> tuple[np.ndarray, bool]:
-    """Return the mean of the frames before a bright field, less dark, and whether the field is clipped.
+    """Average the frames in front of a bright field, less dark, and check whether the field is clipped.
 
-    Frames that cannot be used are remarked.
+    Unusable frames get a remark.
     """
     total: np.ndarray | None = None
     count, clipped = 0, False
@@ -152,7 +151,7 @@ def mean_outline_frame(
 
 
 def _dark(reader: MosaicReader, capture: Capture, frame: CaptureFrame, region: Region | None) -> np.ndarray | float:
-    """Return the mean dark code of a frame's exposure, or of any; 0 where there is none."""
+    """Return the mean dark code of the exposure of a frame, or of any exposure; 0 without dark frames."""
     frames = capture.of("dark", exposure=frame.exposure) or capture.of("dark")
     stack = []
     for one in frames[:8]:
@@ -166,7 +165,7 @@ def _dark(reader: MosaicReader, capture: Capture, frame: CaptureFrame, region: R
 
 
 def about_outline(outline: Outline, shape: tuple[int, ...]) -> Region:
-    """Return the part of a frame about an outline: first column and row even, so that a mosaic stays one."""
+    """Return the part of a frame about an outline, with even first column and row to preserve the mosaic."""
     return _box(outline.column, outline.row, outline.radius * (1 + _MARGIN) + 4, shape)
 
 

@@ -1,4 +1,4 @@
-"""Directions to the lamps as a capture states them, held against its highlights."""
+"""Stated directions to the lamps, compared with the highlights."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from matcam.files.capture import Capture
 from matcam.reconstruction.stated.stated_rig import FEWEST
 
 _FAR_OFF = float(np.radians(10.0))
-"""Angle between highlights and a lamp table from which no joint fit could begin with the table."""
+"""Angle between highlights and a lamp table above which the table is no start for a joint fit, rad."""
 _ALONE = 3.0
-"""Times the usual angle between highlights and table from which a highlight that is known badly is not believed."""
+"""Ratio to the typical angle between highlights and table above which a poorly known highlight is rejected."""
 _UNKNOWN = float(np.radians(20.0))
-"""Standard deviation of a lamp's direction that nothing is stated of."""
+"""Standard deviation of the direction of a lamp without a stated one, rad."""
 
 
 def stated_lamps(
     capture: Capture, names: Sequence[str], lamps: np.ndarray, remarks: list[Remark]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the stated directions, or those of the highlights where none is stated, and how well each is known, rad."""
+    """Return the stated directions, or those of the highlights, with their standard deviations, rad."""
     stated, stds = lamps.copy(), np.full(len(names), _UNKNOWN)
     for k, name in enumerate(names):
         direction = capture.lamps[name].direction
@@ -45,9 +45,11 @@ def stated_lamps(
 
 
 def first_lamps(lamps: np.ndarray, covariances: np.ndarray, stated: np.ndarray, stds: np.ndarray) -> np.ndarray:
-    """Return the directions from which a fit begins: the highlights', and the table's where a highlight contradicts it alone.
+    """Choose the directions that a fit starts from: of the highlights, or of the table for a single contradicting
+    highlight.
 
-    Near the limb a highlight narrower than a pixel says little of its lamp. A fit whose window lies beside it never finds it.
+    Near the limb a highlight narrower than a pixel hardly determines its lamp. A fit with its window beside the
+    highlight does not find it.
 
     Args:
         lamps: directions by the highlights, (pictures, 3).
@@ -63,7 +65,7 @@ def first_lamps(lamps: np.ndarray, covariances: np.ndarray, stated: np.ndarray, 
 
 
 def _table_mistake(lamps: np.ndarray, stated: np.ndarray, stds: np.ndarray, known: np.ndarray) -> Remark | None:
-    """Name what is wrong with a lamp table, and change `stated` and `stds` so that the fit does not rest on it."""
+    """Name the mistake in a lamp table, and change `stated` and `stds` so that the fit does not depend on it."""
     verdict = explain_lamp_table(lamps[known], stated[known])
     if verdict.mistake == "none":
         return None
@@ -73,8 +75,6 @@ def _table_mistake(lamps: np.ndarray, stated: np.ndarray, stds: np.ndarray, know
         return Remark(said.code, f"{said.text}; the highlights are used instead")
     usual = float(np.median(lamp_angles_apart(lamps[known], stated[known])))
     if usual < _FAR_OFF:
-        return None  # the joint fit tells whether the table, the outline or a distance is wrong
+        return None  # the joint fit determines whether the table, the outline or a distance is wrong
     stds[known] = np.maximum(stds[known], 1.5 * usual)
-    return Remark(
-        said.code, f"{said.text}; its standard deviation is taken as {np.degrees(1.5 * usual):.2g}°, not as stated"
-    )
+    return Remark(said.code, f"{said.text}; its standard deviation is enlarged to {np.degrees(1.5 * usual):.2g}°")

@@ -1,4 +1,4 @@
-"""What a capture states of camera and distances, or a guess that is remarked."""
+"""Stated camera and distances of a capture, or a guess with a remark."""
 
 from __future__ import annotations
 
@@ -14,17 +14,19 @@ from matcam.files.capture import Capture
 from matcam.reconstruction.sphere_scene import Known, lens_std
 
 FEWEST = 3
-"""Lamp positions that a reconstruction needs."""
+"""Number of lamp positions that a reconstruction requires."""
 _GUESSED_NEARNESS = Known(0.02, 0.02)
-"""One over a distance that is not stated, in radii."""
+"""Inverse of an unstated distance, in radii."""
 _EXACT = 1e-5
-"""Relative standard deviation of a length that is stated without one: no lab measures it better, and it can be found wrong."""
+"""Relative standard deviation of a length that is stated without one: better than any measurement, but it can be found
+wrong.
+"""
 
 
 def captured_lens(capture: Capture, remarks: list[Remark]) -> tuple[Camera, float]:
-    """Return a capture's camera and the relative standard deviation of its lens.
+    """Return the camera of a capture and the relative standard deviation of its lens.
 
-    Without a profile, or with one that cannot be read or is of another camera, they are a guess, which is remarked.
+    Without a profile, or with an unreadable one or one of another camera, they are a guess, with a remark.
     """
     value, std = GUESSED_LENS
     try:
@@ -39,7 +41,7 @@ def captured_lens(capture: Capture, remarks: list[Remark]) -> tuple[Camera, floa
 
 
 def frame_size(capture: Capture) -> tuple[int, int] | None:
-    """Return width and height of the first frame of the sample that can be read, px; None: none can."""
+    """Return width and height of the first readable frame of the sample, px; None: no such frame."""
     for frame in capture.of("frames"):
         try:
             height, width = capture.read(frame).values.shape[:2]
@@ -50,7 +52,7 @@ def frame_size(capture: Capture) -> tuple[int, int] | None:
 
 
 def without_field(camera: Camera, sample: str, remarks: list[Remark]) -> Camera:
-    """Return the camera alike everywhere, for a sample with which no field is allowed for; remarked."""
+    """Return the camera with a uniform lens, for a sample that does not support a field, with a remark."""
     if camera.field is None:
         return camera
     text = f"the profile's distortion and blur over the field are not allowed for on a {sample}: keep it in the middle"
@@ -59,21 +61,21 @@ def without_field(camera: Camera, sample: str, remarks: list[Remark]) -> Camera:
 
 
 def known_radius(capture: Capture) -> Known | None:
-    """Return the stated radius of the sample, mm; None: not stated."""
+    """Return the stated radius of the sample, mm; None: unknown."""
     radius = capture.radius_mm
     return None if radius is None else Known(radius.value, max(radius.std, _EXACT * radius.value))
 
 
 def with_radius(nearness: Known, radius: Known | None) -> Known:
-    """Return a nearness whose standard deviation contains that of the sample's radius."""
+    """Add the standard deviation of the radius of the sample to that of a nearness."""
     share = 0.0 if radius is None else radius.std / radius.value
     return Known(nearness.value, float(np.hypot(nearness.std, share * nearness.value)))
 
 
 def known_nearness(capture: Capture, of: str, remarks: list[Remark]) -> Known:
-    """Return one over a stated distance, in stated radii; of one that is not stated a guess, remarked.
+    """Return the inverse of a stated distance, in stated radii, or a guess with a remark.
 
-    The standard deviation is that of the distance alone: the radius errs in both distances alike.
+    The standard deviation is that of the distance alone, because the error of the radius is common to both distances.
     """
     stated, radius = capture.settings["distances"][f"{of}_mm"], capture.radius_mm
     if stated is None or radius is None:
@@ -86,6 +88,6 @@ def known_nearness(capture: Capture, of: str, remarks: list[Remark]) -> Known:
 
 
 def lamp_radius_of(capture: Capture) -> float:
-    """Return the lamp's angular radius, rad; 0 where its size or distance is not stated."""
+    """Return the angular radius of the lamp, rad; 0 if its size or distance is unknown."""
     radius, distance = capture.settings["lamp"]["radius_mm"][0], capture.settings["distances"]["lamp_mm"]
     return 0.0 if distance is None else float(radius / distance[0])

@@ -1,4 +1,4 @@
-"""Outline and highlights as a lens without distortion would show them."""
+"""Outline and highlights after removal of the distortion of the lens."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from matcam.camera.lens_field import LensField
 def undistorted_sphere(
     field: LensField | None, ball: MirrorBall, centres: np.ndarray | None, highlights: Sequence[Highlight | None]
 ) -> tuple[MirrorBall, np.ndarray | None, list[Highlight | None]]:
-    """Return sphere, centres and highlights as a lens without distortion would show them."""
+    """Remove the distortion of the lens from sphere, centres and highlights."""
     if field is None or (field.k1.value == 0 and field.k2.value == 0):
         return ball, centres, list(highlights)
     column, row, radius = field.true_circle(ball.column, ball.row, ball.radius)
@@ -27,7 +27,7 @@ def undistorted_sphere(
         if one is not None:
             column, row = map(float, field.true_place(one.column, one.row))
             normal = true.normals(row, column)
-            # on the limb itself rounding may put it beside the sphere
+            # on the limb itself rounding may move it off the sphere
             one = replace(one, row=row, column=column, normal=normal if np.isfinite(normal).all() else one.normal)
         moved.append(one)
     return true, centres, moved
