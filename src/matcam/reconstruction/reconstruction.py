@@ -276,7 +276,7 @@ class Reconstruction:
         return float(self.table["supported"].values[np.isfinite(self.table["brdf"].values)].mean())
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the result without its tables as numbers and texts: the JSON file.
+        """Return the content of the JSON file, without the tables.
 
         Returns:
             The document described in docs/reconstruct.md.

@@ -116,7 +116,10 @@ class MeasuredOptics(Optics):
         return self.frequency[-1]
 
     def rule_on(self, borders: np.ndarray) -> Rule:
-        """Return panels without a sample inside, because the third derivative is discontinuous there."""
+        """Return panels between neighbouring samples.
+
+        The third derivative is discontinuous at a sample.
+        """
         return split_rule(self.band() * borders, np.asarray(self.frequency))
 
     def components(self) -> tuple[tuple[jax.Array, Optics], ...]:

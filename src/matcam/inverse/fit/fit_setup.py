@@ -258,7 +258,7 @@ class FitSetup:
 
     @property
     def axes_with_doubts(self) -> tuple[Axis, ...]:
-        """Return the parameters of the rig that this fit or one of `doubted` changes."""
+        """Return the parameters of the rig that any fit changes."""
         return self.with_(also=self.doubted, nearby=True).prior.axes
 
     @property

@@ -137,7 +137,7 @@ class MaterialFit:
 
     @property
     def coordinates(self) -> FitCoordinates:
-        """Return the first lobe and the rig in the coordinates of the fit.
+        """Return the first lobe and the rig as fit coordinates.
 
         The fit is linear in these coordinates, and their covariance comes with them.
         """
@@ -235,7 +235,7 @@ class MaterialFit:
         return float(value), float(np.sqrt(slope @ self._solution.covariance[inner, inner] @ slope))
 
     def strengths(self) -> Strengths:
-        """Return F of every slice with its covariance, for a fit with F free in every slice.
+        """Return F of every slice with its covariance, if F is free.
 
         The strengths are those of the lobe before normalisation.
 

@@ -112,7 +112,7 @@ class FlatReconstruction:
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the result without its maps as numbers and texts: the JSON file.
+        """Return the content of the JSON file, without the maps.
 
         Returns:
             The document described in docs/reconstruct.md.
