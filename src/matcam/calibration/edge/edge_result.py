@@ -35,15 +35,15 @@ if TYPE_CHECKING:
     import xarray as xr
 
 SHARPENED = 0.02
-"""Overshoot, of the step, from which an edge is remarked on by itself."""
+"""Overshoot, relative to the step, above which an edge gets a remark of its own."""
 MISFIT = 0.002
-"""Misfit, of the step, from which an edge is remarked on."""
+"""Misfit, relative to the step, above which an edge gets a remark."""
 _LENGTH = 512
-_ROUGH = 0.03  # px, from which it is remarked on
+_ROUGH = 0.03  # px, roughness above which an edge gets a remark
 
 
 class EdgeSamples(NamedTuple):
-    """Picture as an edge response.
+    """Measured edge response of a picture.
 
     Values are means over n cells of pixels at nearly one distance from the edge.
 
@@ -68,7 +68,7 @@ class EdgeSamples(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class _EdgeNumbers(Generic[Number]):
-    """Numbers of one edge, or of a stack."""
+    """Numbers of one edge, or of a stack of edges."""
 
     frequency: np.ndarray
     mtf: np.ndarray
@@ -103,8 +103,8 @@ class _EdgeNumbers(Generic[Number]):
 class EdgeMTF(_EdgeNumbers[float]):
     """MTF of lens and pixel across one edge.
 
-    It stands here twice: free of a model, and as a lens model (`parametric`). Standard
-    deviations are those that repeated pictures with this noise would show.
+    It is estimated twice: free of a model, and as a lens model (`parametric`). The standard deviations are those of
+    repeated pictures with this noise.
 
     Attributes:
         frequency: frequencies (81,) along the normal, 0 to 1.25 cycles/px.
@@ -177,14 +177,14 @@ class EdgeMTF(_EdgeNumbers[float]):
 
     @property
     def glare_found(self) -> bool:
-        """Return whether there is glare."""
+        """Return whether glare was found."""
         return self.glare_fraction != 0
 
     @property
     def remarks(self) -> tuple[Remark, ...]:
-        """Return what a reader should know of this edge."""
+        """Return remarks on this edge."""
         remarks = list(self.given)
-        # where the levels are unsure, a lens may seem to overshoot them
+        # where the levels are uncertain, a lens may seem to overshoot them
         narrow = any(remark.code == "narrow-region" for remark in self.given)
         if self.overshoot > SHARPENED and not narrow:
             text = f"the edge overshoots by {self.overshoot:.1%}: a sharpened picture; this is not the lens alone"
@@ -355,7 +355,7 @@ class EdgeStack(_EdgeNumbers[np.ndarray]):
 
     @property
     def glare_found(self) -> np.ndarray:
-        """Return for each edge whether there is glare (n,)."""
+        """Return a mask (n,) of the edges with glare."""
         return self.glare_fraction != 0
 
     def to_dict(self) -> dict[str, Any]:
@@ -386,9 +386,9 @@ class EdgeStack(_EdgeNumbers[np.ndarray]):
 def stack_result(
     fits: EdgeFits, frame: RegionFrame, lens: LensModel, half_width: float, problems: tuple[Remark | None, ...]
 ) -> EdgeStack:
-    """Return the fits of a stack in the picture's own coordinates.
+    """Return the fits of a stack in the coordinates of the picture.
 
-    All arrays of `fits` are NumPy's.
+    All arrays of `fits` are NumPy arrays.
     """
     free = fits.free
     glare = free.even[..., GLARE]
@@ -419,7 +419,7 @@ def stack_result(
         glare_radius=numbers(np.where(glare != 0, free.shape.radius, np.nan)),
         angle=numbers(np.arctan2(ny, nx)),
         angle_std=numbers(np.asarray(fits.slope_std) / (1 + slope**2)),
-        # the middle lies below the chord by the curve's even powers at its ends, measured along x
+        # the centre is below the chord by the even powers of the curve at its ends, measured along x
         bow=numbers(-(curve[2] * half**2 + curve[4] * half**4) / np.hypot(1, slope)),
         place=(numbers(frame.x + x), numbers(frame.y + y)),
         dark=numbers(levels[0]),
@@ -440,7 +440,7 @@ def stack_result(
 
 
 def _of_one(value: Any, index: int) -> Any:
-    """Return one edge's part of a stack's attribute."""
+    """Return the part of an attribute of the stack that belongs to one edge."""
     if isinstance(value, tuple) and value and isinstance(value[0], np.ndarray):
         return tuple(_of_one(part, index) for part in value)
     if isinstance(value, np.ndarray):
