@@ -180,7 +180,7 @@ class Rig(Module):
         return quarter, quarter / xp.cos(theta_d)
 
     def description(self) -> dict[str, Any]:
-        """Return the rig as numbers and texts, as in a sidecar.
+        """Return the rig as in the sidecar of an image.
 
         Returns:
             Sections "camera", "sample" and "blur", the lamp's angular radius and its distance (None: infinite); units

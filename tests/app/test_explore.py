@@ -149,7 +149,7 @@ def test_a_runs_zarr_is_read_by_row(tmp_path, corrected):
     first, second = entries_of(tmp_path / "run.zarr")
     assert (first.label, second.label) == ("a", "b")
     np.testing.assert_array_equal(second.read().corrected, corrected["brdf"])
-    with pytest.raises(FileFormatError, match="not whole"):
+    with pytest.raises(FileFormatError, match="is incomplete"):
         first.read()
 
 

@@ -121,7 +121,7 @@ def test_photographs_that_have_gone_are_one_line(folder, tmp_path):
     other = fitted_pictures("chrome.nc", windows().assign(picture_name=("picture", ["X", "Y"])))[0]
     with pytest.raises(FileFormatError, match="no photograph of lamp position X"):
         shots_of(other, [capture])
-    with pytest.raises(FileFormatError, match="does not hold the fitted outline"):
+    with pytest.raises(FileFormatError, match="does not contain the fitted outline"):
         shots_of(picture, [capture])[1].about((500.0, 500.0, 40.0))
 
 

@@ -66,7 +66,7 @@ def test_a_link_in_a_run_s_folder(tables, tmp_path, name):
         ("material", {"shape": [1 << 40]}, "1099511627776 materials"),
         ("material", {"shape": [-1]}, "has the lengths [-1]"),
         ("material", {"zarr_format": 2, "codecs": None}, "not the Zarr of a run"),
-        ("material", {"chunk_key_encoding": {"name": "v2"}}, "other names than a run gives them"),
+        ("material", {"chunk_key_encoding": {"name": "v2"}}, "do not have the names of a run"),
         ("brdf", {"shape": [1, 90, 90, 180, 300]}, "(1, 90, 90, 180, 300) values of 'float64'"),
         ("brdf", {"data_type": "float32"}, "values of 'float32'"),
         (
@@ -108,7 +108,7 @@ def test_chunks_of_a_run_s_zarr_that_others_made(tables, tmp_path, monkeypatch):
         read_row(store, 0)
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 100e3  # KiB: nothing is decoded here
     for row in (-1, 1):
-        with pytest.raises(FileFormatError, match="is not whole"):
+        with pytest.raises(FileFormatError, match="is incomplete"):
             read_row(store, row)
 
 

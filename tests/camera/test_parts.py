@@ -99,7 +99,7 @@ def test_uncertainty_is_checked():
         Uncertainty(["a", "b"], [[1.0, 2.0], [2.0, 1.0]])
     with pytest.raises(ArgumentError, match="twice"):
         Uncertainty(["a", "a"], np.eye(2))
-    with pytest.raises(ArgumentError, match=r"'optics.sigma', which this camera has not; it has optics.sigma_px"):
+    with pytest.raises(ArgumentError, match=r"'optics.sigma', which this camera lacks; it has optics.sigma_px"):
         Camera(GaussianOptics(0.5), uncertainty=Uncertainty.of({"optics.sigma": 0.01}))
     with pytest.raises(ArgumentError, match="standard deviation of x"):
         Uncertainty.of({"x": -1})

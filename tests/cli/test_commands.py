@@ -232,7 +232,7 @@ BAD = [
     ("predict 0", "alpha must lie in (0, 1], got 0"),
     ("predict --radius -3", "--radius must lie in"),
     ("predict --lamp 80", "--lamp must lie in"),
-    ("inspect file", "none of what matcam reads"),
+    ("inspect file", "not a format that matcam reads"),
     ("figures short.binary", "truncated"),
     ("frensel", "No such command 'frensel'"),
     ("figures same.binary SAME", "two files of one name"),

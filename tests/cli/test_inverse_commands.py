@@ -117,7 +117,7 @@ def test_correct_refuses(merl_file, tmp_path):
     [
         (("--lamp-distance", 0.5), "--lamp-distance must lie in (1, inf) radii of the sample (the lamp is outside it)"),
         (("--lamp-distance", 20, "--sample-mm", 25), "--lamp-distance must lie in (1, inf) radii"),
-        (("--sample-mm", 25), "--sample-mm needs --lamp-distance"),
+        (("--sample-mm", 25), "--sample-mm sets the unit of --lamp-distance"),
         (("--distance", 1), "--distance must lie in (1, inf] radii"),
         (("--azimuth", 400), "--azimuth must lie in [-360, 360] degrees, got 400"),
     ],
@@ -134,7 +134,7 @@ def test_near_rigs_that_cannot_be_are_refused(command, options, words, merl_file
 
 def test_near_cells_of_real_pixels_are_refused(merl_file):
     said = str(run("fit", merl_file, "--lamp-distance", 20, "--cell", "nearest", "--phase", 0.1, 0.2).exception)
-    assert "before near ones each cell has a picture of its own" in said
+    assert "with near ones each cell has its own picture" in said
 
 
 def test_limits_speaks(monkeypatch):

@@ -90,7 +90,7 @@ def test_files_appear_together(tmp_path):
             write(tmp_path / "b.txt")
         assert not list(tmp_path.glob("[!.]*"))
         assert where_written(tmp_path / "a.txt").read_text() == "new"
-        with pytest.raises(OutputError, match="asked for twice"):
+        with pytest.raises(OutputError, match="is given twice"):
             write(tmp_path / "a.txt")
         write(tmp_path / "a.txt", "newer", force=True)
         with one_by_one():

@@ -34,7 +34,7 @@ def test_rules_are_kept_on_disk_and_made_again_when_broken(tmp_path, caplog):
     (file,) = tmp_path.glob("*.npz")
     file.write_bytes(b"not an archive")
     workspace.store("rig", make)
-    assert caplog.messages == [f"matcam: {file.name} in the cache is damaged: it is made again"]
+    assert caplog.messages == [f"matcam: {file.name} in the cache is damaged: it is computed again"]
     assert make.calls == 2
     workspace.store("another rig", make)
     assert make.calls == 3
@@ -104,7 +104,7 @@ def test_no_flipped_bit_of_a_compiled_function_is_run(tmp_path):
     again = run()
     assert again.stdout == first.stdout
     said = again.stderr.splitlines()
-    assert sorted(said) == sorted(f"matcam: {name} in the cache is damaged: it is made again" for name in whole)
+    assert sorted(said) == sorted(f"matcam: {name} in the cache is damaged: it is computed again" for name in whole)
     assert run().stderr == ""
 
 

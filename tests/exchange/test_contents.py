@@ -73,7 +73,7 @@ def test_a_camera_a_chart_and_a_sidecar(tmp_path):
     write_sidecar(tmp_path / "a.exr.json", exposure=None, material={}, **parts)
     assert read(tmp_path / "a.exr.json")["picture"]["file"] == "a.exr"
     for name in ("camera.json", "chart.json", "a.exr.json"):
-        with pytest.raises(FileFormatError, match="which holds no measurement"):
+        with pytest.raises(FileFormatError, match="which contains no measurement"):
             read_contents(tmp_path / name)
 
 
@@ -144,5 +144,5 @@ def test_a_table_is_read_by_any_name(tmp_path, suffix):
 
 def test_what_holds_no_table_is_refused(tmp_path):
     write(tmp_path / "a.nc", xr.Dataset({"raw": ("theta_d", np.arange(3.0))}))
-    with pytest.raises(FileFormatError, match=r"a\.nc: holds .*, no BRDF table on the MERL grid"):
+    with pytest.raises(FileFormatError, match=r"a\.nc: contains .*, not a BRDF table on the MERL grid"):
         read_table(tmp_path / "a.nc")

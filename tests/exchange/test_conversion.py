@@ -136,7 +136,7 @@ def test_nothing_is_destroyed(folder, tmp_path):
         convert(folder / "a.binary", tmp_path / "b.nc")
     with pytest.raises(OutputError, match="the input itself"):
         convert(folder / "a.binary", folder / "a.binary", force=True)
-    with pytest.raises(FileFormatError, match="holds no measurement"):
+    with pytest.raises(FileFormatError, match="contains no measurement"):
         convert(folder / "a.exr.json", tmp_path / "c.nc")
 
 

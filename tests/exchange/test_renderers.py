@@ -67,5 +67,5 @@ def test_what_renderers_do_not_have_is_refused():
     ):
         with pytest.raises(ArgumentError, match=words):
             export(material)
-    with pytest.raises(ArgumentError, match="name must hold"):
+    with pytest.raises(ArgumentError, match="name must not contain"):
         pbrt_material(Microfacet(GGX(0.1), METAL), 'a"b')

@@ -74,7 +74,7 @@ def test_one_photograph_a_lamp_is_the_rest(tmp_path):
     assert [row[:3] for row in rows(list_photographs(tmp_path))] == [
         (f"frames/chrome.{number}.tif", f"L{k:02d}", "E1") for k, number in enumerate((1, 2, 10), 1)
     ]
-    with pytest.raises(ArgumentError, match="holds no photograph"):
+    with pytest.raises(ArgumentError, match="contains no photograph"):
         list_photographs(tmp_path / "..")
     with pytest.raises(FileFormatError, match="no such folder"):
         list_photographs(tmp_path / "none")

@@ -90,7 +90,7 @@ class TestHDF5:
             ),
             (
                 "file.create_dataset('l', (2,), h5py.vlen_dtype('i4'))",
-                "holds lists or references",
+                "contains lists or references",
             ),
             (
                 "plan = h5py.h5p.create(h5py.h5p.DATASET_CREATE); plan.set_chunk((4,)); plan.set_deflate(9); "
@@ -260,7 +260,7 @@ class TestTexts:
 
     def test_lines_without_values(self, tmp_path):
         (tmp_path / "a.csv").write_text(self.HEAD + "\n" * 6_000_000)
-        refused(read_samples, tmp_path / "a.csv", "no line follows")
+        refused(read_samples, tmp_path / "a.csv", "there is no line after")
 
     @pytest.mark.parametrize(
         "content",
@@ -313,7 +313,7 @@ class TestTexts:
 
     def test_a_zemax_file_of_words(self, tmp_path):
         (tmp_path / "a.bsdf").write_text("SpectralContent " + "1 " * 5_000_000)
-        refused(read_zemax, tmp_path / "a.bsdf", "is no whole BSDF of Zemax")
+        refused(read_zemax, tmp_path / "a.bsdf", "is not a complete BSDF of Zemax")
 
     def test_a_zemax_file_without_an_end(self, tmp_path):
         with (tmp_path / "a.bsdf").open("wb") as file:
@@ -328,7 +328,7 @@ class TestTexts:
             ("i ../victim.png", "leads out of the descriptor's folder"),
             ("i C:\\victim.png", "leads out of the descriptor's folder"),
             ("i link/victim.png", "is a link out of the descriptor's folder"),
-            ("i " + "x" * 300, "has no name that is plain text"),
+            ("i " + "x" * 300, "has a name that is not plain text"),
             ("n " + "9" * 900 + " 1 1", "must be n BITS WIDTH HEIGHT"),
             ("i a.png\n" * 90_000, "a descriptor of exposures has at most 20000"),
         ],

@@ -53,7 +53,7 @@ def test_columns_of_a_csv_in_any_order(table, tmp_path, order):
     ("labels", "words"),
     [
         (["B", "G", "X"], "must label them R, G, B"),
-        (["R", "R", "B"], "each label must stand once"),
+        (["R", "R", "B"], "each label must occur once"),
         ([0, 1, 2], "R, G, B"),
     ],
 )

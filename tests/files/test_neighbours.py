@@ -123,7 +123,7 @@ def test_zemax_directions_are_about_the_mirror_direction(tmp_path):
         ("8 13 14\n", "8 13\n", "block 2 must hold 3 rows of 3 values"),
         ("ScatterRadial 3", "ScatterRadial x", "ScatterRadial must be a count and as many angles"),
         ("TIS 0.2\n8 9 10\n8 11 12\n8 13 14\n", "", "has 1 blocks of values; 2 angles of incidence"),
-        ("DataBegin", "", "is no whole BSDF of Zemax"),
+        ("DataBegin", "", "is not a complete BSDF of Zemax"),
     ],
 )
 def test_other_zemax_files_are_refused_by_name(tmp_path, old, new, message):

@@ -59,7 +59,7 @@ def test_what_is_wrong_is_said_with_its_line(tmp_path):
     cases = [
         ("", "line 1"),
         ("a,b\n1,2\n", "column 'a' is neither"),
-        (HEAD, "no line follows"),
+        (HEAD, "there is no line after"),
         (HEAD.replace("theta_d_rad,", ""), "line 1 must name"),
         (HEAD.replace("phi_d_rad", "theta_h_deg") + "1,1,1,1,1,1", "line 1 must name"),
         ("theta_h_rad,theta_d_rad,phi_d_rad\n1,1,1\n", "no channel"),
@@ -68,7 +68,7 @@ def test_what_is_wrong_is_said_with_its_line(tmp_path):
         (good + "0.1,0.2,0.3,1,2,3,4\n", "line"),
         (good + "0.1,1.6,0.3,1,2,3\n", "line 3: theta_d must lie in [0, 90] degrees, got 91.67"),
         (good + "0.1,,0.3,1,2,3\n", "line 3: theta_d"),
-        (good + "0.1,0.2,0.3,inf,2,3\n", "line 3 holds an infinite"),
+        (good + "0.1,0.2,0.3,inf,2,3\n", "line 3 has an infinite"),
         (HEAD + "0.1,0.2,0.3,,,\n", "every value is missing"),
         ("\xff\xfe\n", "line 1"),
     ]
@@ -85,7 +85,7 @@ def test_what_is_wrong_is_said_with_its_line(tmp_path):
 
 def test_scattered_samples_are_no_table(tmp_path):
     (tmp_path / "a.csv").write_text(HEAD + "0.1,0.2,0.3,1,2,3\n")
-    with pytest.raises(ArgumentError, match=r"sample 1 .* beside the MERL grid"):
+    with pytest.raises(ArgumentError, match=r"sample 1 .* is not on the MERL grid"):
         table_of(read_samples(tmp_path / "a.csv"))
     (tmp_path / "b.csv").write_text(HEAD + "0,0,0,1,2,3\n0,0,3.141592653589793,1,2,3\n")
     with pytest.raises(ArgumentError, match="several samples"):

@@ -249,7 +249,7 @@ def test_highlights_of_a_rig(camera, lamp, degrees, azimuth, by_rig):
         (lambda: rig_highlights(NEAR.camera, 0.01, 0.5), "rig must be a Rig"),
         (
             lambda: rig_highlights(Rig(NEAR.camera, Sphere(20, 5), NearLamp(5)), 0.01, [0.5, 0.0]),
-            "stands in the camera",
+            "is inside the camera",
         ),
     ],
 )

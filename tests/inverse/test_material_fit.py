@@ -141,7 +141,7 @@ def test_a_lobe_too_narrow_for_the_camera_is_said_to_be():
     table = noisy(oracle.GGX(2e-5), 8)
     found = fit(table, recorded.rig(), noise=recorded.NOISE, slice_step=EVERY)
     assert not found.determined
-    assert any("narrower than this camera can tell" in remark.text for remark in found.remarks)
+    assert any("narrower than this camera can resolve" in remark.text for remark in found.remarks)
 
 
 def test_bad_data_are_refused():
@@ -162,7 +162,7 @@ def test_bad_arguments_are_refused():
         ({"fresnel": "metal"}, "fresnel must be one of"),
         ({"camera_parameters": "guess"}, "camera_parameters must be one of"),
         ({"camera_parameters": "prior"}, "states an uncertainty"),
-        ({"camera_parameters": "free", "free": ["optics.f_number"]}, "which this camera has not"),
+        ({"camera_parameters": "free", "free": ["optics.f_number"]}, "which this camera lacks"),
         ({"slice_step": 0}, "slice_step must be"),
         ({"noise": PixelNoise(-1, 0)}, "noise.relative"),
         ({"masking": "none"}, "masking must be one of"),

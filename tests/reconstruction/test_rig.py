@@ -86,7 +86,7 @@ def test_a_rig_is_read_back(written):
     [
         ({"covariance": {"names": [], "matrix": [[1.0]]}}, "geometry.covariance: must be of 11 parameters"),
         ({"covariance": document()["geometry"]["covariance"] | {"matrix": (-covariance()).tolist()}}, "variances >= 0"),
-        ({"lamps": document()["geometry"]["lamps"][:1] * 3}, "a name stands twice"),
+        ({"lamps": document()["geometry"]["lamps"][:1] * 3}, "a name occurs twice"),
         ({"radius_px": "80"}, "field geometry.radius_px"),
         ({"other": 1}, "field geometry.other: extra"),
         ({"field": document()["geometry"]["field"] | {"unit_px": 0}}, "geometry.field: unit_px must lie in"),

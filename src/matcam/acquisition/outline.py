@@ -24,8 +24,8 @@ from matcam.core.remark import Remark
 
 LimbLight = Literal["lit", "backlit"]
 EXPONENTS: dict[str, tuple[float, ...]] = {"lit": (0, 0.5, 1), "coated": (0, 0.5, 1), "backlit": (0, 1)}
-"""Powers of the distance inside the limb in the model of its light. The cosine of the viewing angle is proportional to
-the root. "coated": they are multiplied with the transmittance of a clear coat. A lit sphere is fitted with and without."""
+"""Powers of the distance inside the limb in the model of its light: the cosine of the viewing angle is proportional to
+the root. "coated": times the transmittance of a clear coat, as on glossy plastic; a lit sphere is tried as both."""
 
 _SIGMAS = (0.05, 0.2, 0.5, 0.9, 1.6, 2.5)  # px, of an unmeasured lens
 _PIXELS_IN_SECTOR = 80

@@ -24,8 +24,8 @@ def command(
         typer.Option(
             "--host",
             metavar="ADDRESS",
-            help="Address to listen on. Any other than the default lets other machines in that know the token; nothing is "
-            "encrypted.",
+            help="Address to listen on. Any other than the default admits other machines that know the token, without "
+            "encryption.",
         ),
     ] = "127.0.0.1",
     port: Annotated[int, typer.Option("--port", metavar="PORT", help="Port to listen on. Default: 0, a free one.")] = 0,
@@ -49,8 +49,8 @@ def command(
     server = AppServer(files or (), host, port)
     if host not in ("127.0.0.1", "localhost", "::1"):
         show.remark(
-            f"--host {host}: every machine that reaches this one and knows the address below can use the app as you, "
-            "and all that passes can be read on the way"
+            f"--host {host}: every machine that can reach this one and knows the address below can use the app as "
+            "you, and the traffic is not encrypted"
         )
     show.say(server.address)
     if browser:

@@ -166,7 +166,7 @@ def print_fit(summary: dict[str, Any], name: str) -> None:
     )
     show.say(
         f"residuals: {math.sqrt(summary['misfit']):.2f} rms in units of this noise, which is estimated from them "
-        f"and so no test of the model; {summary['degrees_of_freedom']} degrees of freedom"
+        f"and thus no test of the model; {summary['degrees_of_freedom']} degrees of freedom"
     )
     for remark in summary["remarks"]:
         show.say(f"note: {remark['text']}")

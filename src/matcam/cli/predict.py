@@ -157,7 +157,7 @@ def _print_false_light(data: Any, false: list[Any], glare: float, radius: float)
             [f"{value:g}", f"{float(f['false_diffuse'][0]):.2g}", *(f"{_haze(f, a):.2g}" for a in (2, 5, 10))]
             for value, f in zip(data.roughness, false, strict=True)
         ],
-        f"{glare:g} of the light in a halo of {radius:g} px: albedo that is not there, and added / true BRDF "
+        f"{glare:g} of the light in a halo of {radius:g} px: false albedo, and added / true BRDF "
         "off the half vector, for a perfect mirror's Fresnel term",
     )
 

@@ -47,7 +47,7 @@ def picture(
     seed: Seed | None = None,
     time: float = 0.0,
 ) -> xr.DataArray:
-    """Simulate the image of a curved sample under a rig's lamp.
+    """Simulate the image of a sphere or cylinder in a rig.
 
     The lamp's irradiance is 1 at the sample's centre, on a surface that faces it. Row 0 is on top. Pixel centres lie on
     integers, and the optical axis at ((width - 1) / 2, (height - 1) / 2). For derivatives see `picture_values`.

@@ -71,7 +71,7 @@ class Rivals(NamedTuple):
 
     @property
     def difference(self) -> float:
-        """Return the difference in Akaike's criterion favouring the camera (no unit)."""
+        """Return the difference of Akaike's criterion in favour of the camera."""
         return self.shadowing.akaike - self.camera.akaike
 
     @property

@@ -132,7 +132,7 @@ class NearLamp(Lamp):
 
     @property
     def angular_radius(self) -> jax.Array:
-        """Return the angular radius, seen from the centre of the sample, rad."""
+        """Return the angular radius of the disc, rad."""
         return xp.arctan(self.radius / self.distance)
 
     def with_angular_radius(self, angular_radius: float) -> NearLamp:

@@ -286,7 +286,7 @@ class Reconstruction(Summarised):
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the result without tables as numbers and texts, for JSON.
+        """Return the content of the JSON file, without the tables.
 
         Returns:
             The document described in docs/reconstruct.md.

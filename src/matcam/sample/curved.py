@@ -260,7 +260,7 @@ class Cylinder(Curved):
         return element._replace(x=x, y=y, area=1 / xp.where(visible, cos_o, 1.0)), visible
 
     def coordinates(self, element: Element) -> tuple[jax.Array, jax.Array]:
-        """Return the angle of the normal, rad, and the position along the axis, radii."""
+        """Return angle of the normal, rad, and position along the axis, radii."""
         return xp.arctan2(element.normal[0], element.normal[2]), self.height(element)
 
     def height(self, element: Element) -> jax.Array:

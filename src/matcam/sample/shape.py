@@ -1,9 +1,8 @@
 """Shapes of samples: image positions of surface normals (docs/model.md 3).
 
-The x axis of the image lies in the plane of camera and lamp, y across it; both in px from the optical axis, which
-contains the centre of the sample. The lamp is in the plane of x and the axis, towards +x; a lamp at another azimuth
-turns these axes relative to the sensor. Distances are in radii of the sample. A lamp's nearness is 1 / its distance;
-None means a distant lamp.
+The x axis of the image lies in the plane of camera and lamp, y across it; both in px from the optical axis through the
+centre of the sample. The lamp is in the plane of x and the axis, towards +x; another azimuth turns these axes relative
+to the sensor. Distances are in radii of the sample. A lamp's nearness is 1 / its distance; None means a distant lamp.
 
 A flat sample shows one normal; a curved one (`Sphere`, `Cylinder`) shows many in one picture.
 """

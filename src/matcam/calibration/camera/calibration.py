@@ -34,7 +34,7 @@ from matcam.files.photographs import Photograph, open_photograph
 if TYPE_CHECKING:
     import xarray as xr
 
-_REFERENCE = "G"  # the colour whose picture has most sites
+_REFERENCE = "G"  # the colour with the most sites
 Picture = str | Path | ArrayLike | Photograph | LinearImage
 
 
@@ -66,7 +66,7 @@ class Calibration(Summarised):
 
     @property
     def channel(self) -> str:
-        """Return the channel that stands for all.
+        """Return the channel that represents the camera.
 
         It is green, luminance or grey, whichever there is, or else the first.
         """
@@ -83,7 +83,7 @@ class Calibration(Summarised):
         return {name: found.camera for name, found in self.channels.items()}
 
     def edges_dataset(self) -> xr.Dataset:
-        """Return every measured edge of every channel, one after the other.
+        """Return the measured edges of all channels in one data set.
 
         Returns:
             Place, direction, blur and MTF50 of each, with units.
@@ -158,7 +158,7 @@ def calibrate(
 ) -> Calibration:
     """Find a camera from pictures of slanted edges and other targets.
 
-    One bad picture among many is left out, and listed in `failed`.
+    A picture that cannot be used is left out, and listed in `failed`.
 
     Args:
         pictures: files (8 or 16 bit TIFF, PNG, JPEG; OpenEXR; camera raw), arrays (height, width[, 3]) of linear values, or
@@ -215,7 +215,7 @@ def calibrate(
     checks.flag("accept_sharpened", accept_sharpened)
     samples = checks.instances("samples", samples, MTFSamples)
     if not len(pictures) and not len(samples):
-        raise ArgumentError("there is nothing to calibrate from: no pictures, no samples")
+        raise ArgumentError("neither pictures nor samples were given")
     described = read_chart(chart) if isinstance(chart, str | Path) else chart
     plan = PicturePlan(tone, channels, half_width or 0.5, accept_sharpened, described, cfa)
     measured = _Pictures()
@@ -242,7 +242,7 @@ def calibrate(
 
 
 def _lateral_colours(fits: Mapping[str, CameraFit], shapes: set[tuple[int, int]]) -> dict[str, LateralColour]:
-    """Return by how much other colours are larger than green, where edges of pictures of one shape say so."""
+    """Compare the size of the other colours with green in pictures of equal shape that have enough edges."""
     green = fits[_REFERENCE].edges if _REFERENCE in fits else None
     if green is None or len(shapes) != 1:
         return {}
@@ -253,7 +253,7 @@ def _lateral_colours(fits: Mapping[str, CameraFit], shapes: set[tuple[int, int]]
 
 @dataclass
 class _Pictures:
-    """Hold what all pictures say, and what became of each.
+    """Measurements of all pictures, and the pictures that failed.
 
     Attributes:
         findings: one for each colour of each picture.
@@ -272,9 +272,9 @@ class _Pictures:
     cameras: dict[str, str] = field(default_factory=dict)
 
     def add(self, picture: Any, name: str, f_number: float | None, plan: PicturePlan) -> None:
-        """Measure a picture, or put it down as failed.
+        """Measure a picture, or record its error.
 
-        name: of a picture that is no file.
+        `name` is used for a picture that is not a file.
         """
         if isinstance(picture, str | Path):
             name = str(picture)
@@ -304,9 +304,9 @@ class _Pictures:
             self.remarks += [Remark(remark.code, f"{short}: {remark.text}") for remark in remarks]
 
     def check(self) -> None:
-        """Raise an error if the pictures cannot make one camera.
+        """Raise an error if the pictures cannot give one camera.
 
-        It is ArgumentError if they are of different cameras, and the first picture's error if none could be used.
+        ArgumentError: they are of different cameras. If none could be used, the error of the first picture is raised.
         """
         if len(self.cameras) > 1:
             listed = ", ".join(f"{camera} ({file})" for camera, file in self.cameras.items())
@@ -316,7 +316,7 @@ class _Pictures:
             raise first if count == 1 else FitError(f"none of {count} pictures can be used; the first: {first}")
 
     def provenance(self, summary: str) -> Provenance:
-        """Return where a profile comes from that was made of these pictures."""
+        """Return the provenance of a profile that is made from these pictures."""
         return Provenance(
             source=f"{len(self.used)} pictures ({', '.join(self.used)}), {summary}",
             created=datetime.datetime.now(datetime.UTC).date().isoformat(),
@@ -328,7 +328,7 @@ class _Pictures:
 def _checked_f_numbers(f_numbers: Any, count: int) -> list[float | None]:
     """Return one f-number for each picture.
 
-    None stands for the file's own.
+    None selects the f-number in the file.
     """
     if f_numbers is None:
         return [None] * count

@@ -1,4 +1,4 @@
-"""The camera of one colour: lens and pixel fitted to its evidence, judged, and refused where they cannot be known.
+"""The camera of one colour: lens and pixel, fitted to all measurements of the colour and checked.
 
 A lens of the family asked for is fitted to everything together. The edges' own mean MTF, which is free of a model, then judges
 the result, or becomes the lens itself ("measured"). A pixel that was fitted with the lens comes back with the lens as a curve,
@@ -37,19 +37,20 @@ from matcam.core.programs import kept_program
 from matcam.core.remark import Remark
 from matcam.core.results.summary import Quantity, Summarised, Summary, correlations, parameters
 
-_LARGEST_STD = 0.1  # relative, of lens and pixel where both are fitted
-_MISSED, _SIGNIFICANT = 0.005, 4.0  # of the MTF, standard deviations: beyond both the model does not explain the edges
-_SIGMA = 0.5  # px: where a fit without edges starts
+_LARGEST_STD = 0.1  # relative standard deviation; limit for lens and pixel if both are fitted
+# MTF, and standard deviations: if both are exceeded, the model does not describe the edges
+_MISSED, _SIGNIFICANT = 0.005, 4.0
+_SIGMA = 0.5  # px: start of a fit without edges
 _WAVELENGTHS, _PITCHES = (1e-9, 1e-3), (1e-8, 1e-2)  # m
-_PIXEL = 0.3  # least transfer of the pixel by which a curve is divided
-_STD = 0.03  # of the lens's MTF, beyond which a curve is not followed
-_TAIL, _END = 24, 1e-6  # samples of the Gaussian by which a curve goes on, and where that is called 0
+_PIXEL = 0.3  # smallest MTF of the pixel by which a curve is divided
+_STD = 0.03  # standard deviation of the lens MTF above which the curve is extrapolated
+_TAIL, _END = 24, 1e-6  # samples of the Gaussian that continues the curve, and the value that is set to 0
 _SAMPLES = 65
 
 
 @dataclass(frozen=True)
 class CameraRequest:
-    """Say what kind of camera is wanted; fields as in `calibrate`."""
+    """Requested kind of camera; fields as in `calibrate`."""
 
     model: str
     half_width: float | None
@@ -57,9 +58,9 @@ class CameraRequest:
     pixel_pitch: float | None
 
     def lens_at(self, channel: str, f_numbers: list[float | None]) -> LensAt:
-        """Return the family to be fitted, by a picture's f-number.
+        """Return the lens family to be fitted, as a function of the f-number.
 
-        ArgumentError if something is missing for it.
+        ArgumentError if an argument that it needs is missing.
         """
         wavelength = self.wavelength.get(channel) if isinstance(self.wavelength, Mapping) else self.wavelength
         both = wavelength is not None and self.pixel_pitch is not None
@@ -254,7 +255,7 @@ def fit_camera(evidence: Evidence, channel: str, request: CameraRequest) -> Came
     names = lens.names
     if request.model == "measured":
         if table is None:
-            raise FitError("a measured curve needs edges; there are none")
+            raise FitError("a measured curve needs edges, but there are none")
         camera, names = _measured_camera(found, table, curve), ("gaussian.sigma_px",)
         expected = np.abs(camera.mtf(jnp.asarray(FREQUENCIES), jnp.asarray(table.angle)[:, None]))
         curve = replace(curve, camera_mtf=(table.weights * expected).sum(0))
@@ -287,7 +288,8 @@ def fit_camera(evidence: Evidence, channel: str, request: CameraRequest) -> Came
 def _without_strangers(
     measurements: Measurements, unknowns: Unknowns, half_width: float, channel: str
 ) -> tuple[JointFit, dict[str, float]]:
-    """Fit without those targets of a chart that its edges contradict, and name them with the difference of their blur.
+    """Fit without the targets that the edges of their chart contradict, and list these with the difference of their
+    blur.
 
     half_width: px, of the pixel. FitError where edges do not decide which measurements are wrong; channel: for its message.
     """
@@ -306,7 +308,7 @@ def _without_strangers(
 
 
 class _FittedLens:
-    """Lens with its fitted parameters, and what follows from them.
+    """Fitted lens with parameters and covariance.
 
     Attributes:
         lens: the family.
@@ -324,7 +326,7 @@ class _FittedLens:
 
 
 def _within_the_pitch(parameters: np.ndarray, covariance: np.ndarray) -> np.ndarray:
-    """Return the best parameters whose pixel is no wider than the pitch."""
+    """Return the best parameters with a pixel no wider than the pitch."""
     over = parameters[1] - 0.5
     return parameters - covariance[:, 1] / covariance[1, 1] * over if over > 0 else parameters
 
@@ -337,16 +339,16 @@ def _refuse_unseparated(found: _FittedLens, table: EdgeTable | None) -> None:
     if relative[worst] > _LARGEST_STD:
         count = 0 if table is None else table.x.size
         raise FitError(
-            f"lens and pixel cannot be told apart: {count} edges know {names[worst]} to {relative[worst]:.0%} "
+            f"lens and pixel cannot be separated: {count} edges know {names[worst]} to {relative[worst]:.0%} "
             f"({found.values[worst]:.2f} px; at most {_LARGEST_STD:.0%} is accepted): give the fill (half_width, "
             "--half-width), or more edges of a sharper lens at several known apertures"
         )
 
 
 def _mean_curve(found: _FittedLens, edges: EdgeMeasurements | None, table: EdgeTable | None) -> MeanCurve:
-    """Return the mean MTF of the edges, and the fitted camera's.
+    """Return the mean MTF of the edges and of the fitted camera.
 
-    Its errors are those of the edges' scatter.
+    The standard deviation follows from the scatter of the edges.
     """
     theta, half = jnp.asarray(found.parameters), jnp.asarray(found.half)
     if table is None:
@@ -371,10 +373,9 @@ def _edge_curves(edges: Any, theta: jax.Array, half: jax.Array) -> jax.Array:
 
 
 def _measured_camera(found: _FittedLens, table: EdgeTable, curve: MeanCurve) -> Camera:
-    """Return a lens with the edges' mean MTF, freed of the pixel.
+    """Return a lens with the mean MTF of the edges, divided by that of the pixel.
 
-    It is followed as far as it is known.
-    Beyond, the curve goes on as that of the fitted Gaussian.
+    Where the standard deviation is too large, the curve continues as that of the fitted Gaussian.
     """
     mean, std = curve.mtf, curve.mtf_std
     c, s = np.abs(np.cos(table.angle))[:, None], np.abs(np.sin(table.angle))[:, None]
@@ -384,7 +385,7 @@ def _measured_camera(found: _FittedLens, table: EdgeTable, curve: MeanCurve) -> 
     last = int(np.argmin(known)) - 1 if not known.all() else FREQUENCIES.size - 1
     if last < 8:
         raise FitError(
-            f"the measured curve ends at {FREQUENCIES[max(last, 0)]:.2f} cycles/px: too many edges are lost in noise"
+            f"the measured curve ends at {FREQUENCIES[max(last, 0)]:.2f} cycles/px: too few edges are above the noise"
         )
     f, mtf, error = FREQUENCIES[: last + 1], (mean / box)[: last + 1], (std / box)[: last + 1]
     mtf = np.minimum(mtf / mtf[0], 1.0)
@@ -394,7 +395,8 @@ def _measured_camera(found: _FittedLens, table: EdgeTable, curve: MeanCurve) -> 
     tail = mtf[-1] * np.exp(-rate * (beyond**2 - f[-1] ** 2))
     tail[-1] = 0.0
     optics = MeasuredOptics(np.concatenate([f, beyond]), np.concatenate([mtf, tail]))
-    # neighbouring frequencies err together: what the edges' scatter says, not more directions than there are edges
+    # The errors at neighbouring frequencies are correlated: the covariance follows from the scatter of the edges, and
+    # its rank does not exceed their number.
     apart = (table.mtf - table.mtf.mean(0))[:, 1 : last + 1] / box[1 : last + 1]
     scatter = apart.T @ apart / max(table.x.size - 1, 1)
     scale = error[1:] / np.sqrt(np.maximum(np.diag(scatter), 1e-30))
@@ -406,7 +408,7 @@ def _measured_camera(found: _FittedLens, table: EdgeTable, curve: MeanCurve) -> 
 def _separated_camera(found: _FittedLens) -> Camera:
     """Return core and pixel as a camera.
 
-    Where the lens has an f-number, core and diffraction make one curve.
+    If the lens has an f-number, core and diffraction are combined in one curve.
     """
     lens, theta = found.lens, jnp.asarray(found.parameters)
     assert isinstance(lens, Separable)
@@ -428,5 +430,5 @@ def _separated_camera(found: _FittedLens) -> Camera:
 
 
 def _uncertainty(names: tuple[str, ...], covariance: np.ndarray) -> Uncertainty:
-    """Return the uncertainty of named values, freed of rounding's asymmetry."""
+    """Return the uncertainty of named values, with a symmetric covariance."""
     return Uncertainty(names, (covariance + covariance.T) / 2)

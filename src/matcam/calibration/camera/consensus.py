@@ -1,7 +1,8 @@
-"""Which edges speak for a camera, and whether there are enough of them.
+"""Selection of the edges that agree with each other, and the check that they are enough.
 
-Any picture has edges: a doll's, a page's, a shadow's. One of them is no camera. Edges that lie far from all others in their
-blur, or have impossible levels, are left out; what is left must be enough to know that they agree.
+Any picture has edges, for example of a printed page or a shadow. A single such edge does not determine a camera. Edges
+whose blur differs from that of all others, or whose levels are impossible, are left out. The remaining edges must be
+enough to check their agreement.
 """
 
 from __future__ import annotations
@@ -16,14 +17,15 @@ from matcam.core.errors import FitError
 from matcam.core.remark import Remark
 
 FEWEST_EDGES = 8
-_APART = np.radians(20.0)  # least angle between two directions
-_PROCESSED = 0.3  # share of sharpened, crushed or saturated edges, beyond which the rest is no sample of the lens
-_FAR, _LEAST = 5.0, 0.5  # standard deviations; of ln sigma: blur may vary by a half over a field
-_IMPOSSIBLE = 0.5  # of the step: a dark level below minus that is none
+_APART = np.radians(20.0)  # smallest angle between two directions
+# share of sharpened, crushed or saturated edges above which the others are not representative of the lens
+_PROCESSED = 0.3
+_FAR, _LEAST = 5.0, 0.5  # standard deviations of ln sigma: the blur may vary by a half over the field
+_IMPOSSIBLE = 0.5  # share of the step: a dark level below minus this value is impossible
 
 
 def in_consensus(stacks: Sequence[EdgeStack]) -> list[EdgeStack]:
-    """Return the stacks with problems for edges that no other edge agrees with."""
+    """Return the stacks, with a problem for each edge that agrees with no other edge."""
     good = [stack.good for stack in stacks]
     counts = [which.size for which in good]
     if not sum(counts):
@@ -46,9 +48,9 @@ def in_consensus(stacks: Sequence[EdgeStack]) -> list[EdgeStack]:
 
 
 def refuse_too_few(stacks: Sequence[EdgeStack], channel: str, *, accept_sharpened: bool) -> None:
-    """Raise FitError where edges alone are to make a camera, and are too few, too alike, or mostly processed.
+    """Raise FitError if edges are the only measurements and too few, too parallel, or mostly processed.
 
-    accept_sharpened: sharpened edges do not count against a picture.
+    If `accept_sharpened` is true, sharpened edges are counted as good.
     """
     codes = [problem.code if problem else "" for stack in stacks for problem in stack.problems]
     good, processed = codes.count(""), codes.count("saturated")
@@ -74,10 +76,10 @@ def refuse_too_few(stacks: Sequence[EdgeStack], channel: str, *, accept_sharpene
 
 
 def widest_angle(angle: np.ndarray) -> float:
-    """Return the widest angle between any two of n directions without a sign, rad: at most a quarter turn.
+    """Return the largest angle between any two of n axes, rad, at most a quarter turn.
 
-    It is found without comparing all pairs, which takes a second for 4,000 edges: what lies least like a direction is beside
-    the one at a right angle to it.
+    Not all pairs are compared, which would take a second for 4,000 edges: the axis at the largest angle to a given one
+    is next to the perpendicular.
     """
     turned = np.sort(angle % np.pi)
     beyond = np.searchsorted(turned, (angle + np.pi / 2) % np.pi)
@@ -90,7 +92,7 @@ def _relative_std(stack: EdgeStack, which: np.ndarray) -> np.ndarray:
 
 
 def strangers_remarks(strangers: Mapping[str, float], channel: str) -> tuple[Remark, ...]:
-    """Name the targets that were left out, one remark for each kind of target.
+    """Describe the targets that were left out, one remark for each kind of target.
 
     strangers: relative difference of the blur by name, which ends in the kind in brackets.
     """
@@ -111,7 +113,7 @@ def strangers_remarks(strangers: Mapping[str, float], channel: str) -> tuple[Rem
 
 
 def _as_share(difference: float) -> str:
-    """Write a relative difference as text; beyond 100 % its linear estimate has no meaning."""
+    """Format a relative difference; above 100 % its linear estimate is not valid."""
     return (
         f"{difference:+.0%}"
         if abs(difference) <= 1

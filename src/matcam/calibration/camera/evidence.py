@@ -1,4 +1,4 @@
-"""The evidence on a camera: what is measured in each photograph, colour by colour, and everything on one colour together."""
+"""The measurements for a camera: those of each photograph by colour, and all of one colour."""
 
 from __future__ import annotations
 
@@ -34,9 +34,9 @@ from matcam.files.photographs import Photograph
 LensAt = Callable[[float | None], LensModel]
 """The family of lenses in a picture taken at an f-number, None if that is not known."""
 
-_GAPS = 1.2  # px: width of the means by which edges are looked for in a plane of a mosaic
-_MARGIN = 6  # px about a grating or star, where its blur is
-_LEAST_STD = 1e-4  # of an MTF value: no edge outweighs the others by more
+_GAPS = 1.2  # px: width of the mean filter before edges are searched in a plane of a mosaic
+_MARGIN = 6  # px around a grating or star that its blur affects
+_LEAST_STD = 1e-4  # smallest standard deviation of an MTF value, so that no edge outweighs the others
 
 
 class EdgeTable(NamedTuple):
@@ -131,7 +131,7 @@ class MeanCurve:
 
 
 class Finding(NamedTuple):
-    """Hold what one picture, or one who calls, says of one colour.
+    """Measurements of one colour from one picture or from the caller.
 
     Attributes:
         channel: "R", "G", "B", "Y" or "grey".
@@ -156,7 +156,7 @@ class Finding(NamedTuple):
 
 @dataclass(frozen=True)
 class PicturePlan:
-    """Say how every photograph is measured; fields as in `calibrate`."""
+    """Options for measuring every photograph; fields as in `calibrate`."""
 
     tone: Tone
     channels: Sequence[str] | None
@@ -168,9 +168,9 @@ class PicturePlan:
     def measure(
         self, picture: Photograph | LinearImage, name: str, f_number: float | None
     ) -> tuple[list[Finding], list[Remark]]:
-        """Return what a picture says, colour by colour, and remarks on it.
+        """Measure a picture by colour, and return the findings and remarks.
 
-        FitError if it holds nothing that can be measured, or the chart is not in it.
+        FitError if nothing in it can be measured, or the chart is not in it.
         """
         mosaic = (self.cfa or picture.cfa) is not None
         if isinstance(picture, LinearImage):
@@ -189,7 +189,7 @@ class PicturePlan:
             refuse_unnamed_mosaic(plane)
             remarks = remarks or list(plane.remarks)
             if self.chart is not None and registration is None:
-                # colours only matter for blur: all of a mosaic's pixels know where the chart lies
+                # The colours matter only for the blur: all pixels of a mosaic are used to find the chart.
                 seen = balanced(values) if mosaic else plane.values
                 registration = register_chart(seen, self.chart)
                 edges = described_edges(seen, self.chart, registration)
@@ -221,7 +221,7 @@ class PicturePlan:
 
 
 def _without_waves(plane: LinearImage, chart: Chart | None, registration: Projection) -> LinearImage:
-    """Return a plane without gratings and stars: their finest waves look like noise on an even part."""
+    """Return a plane without gratings and stars: their finest waves would raise the noise estimate."""
     values, turn = plane.values.copy(), np.linspace(0, 2 * np.pi, 33)
     rim = np.stack([np.cos(turn), np.sin(turn)], axis=-1)
     for element in chart.elements if chart is not None else ():
@@ -233,7 +233,7 @@ def _without_waves(plane: LinearImage, chart: Chart | None, registration: Projec
 
 
 def _nothing_measured(chart: Chart, registration: Projection) -> FitError:
-    """Return why a chart that was found says nothing."""
+    """Explain why a chart that was found could not be measured."""
     width, height = chart.page
     ends = registration(np.array([[0.0, height / 2], [width, height / 2]]))
     across = float(np.hypot(*(ends[1] - ends[0])))
@@ -244,7 +244,7 @@ def _nothing_measured(chart: Chart, registration: Projection) -> FitError:
 
 
 def dot_places(chart: Chart, targets: Targets) -> tuple[DotPlaces, ...]:
-    """Return every measured dot of a picture with its place on the page, which the registration tells well enough."""
+    """Return the positions of all measured dots in the picture and on the page, from the registration."""
     printed = [np.array(one.centres, dtype=float) for one in chart.elements if isinstance(one, Dots)]
     if not printed or not targets.grids:
         return ()
@@ -258,7 +258,7 @@ def dot_places(chart: Chart, targets: Targets) -> tuple[DotPlaces, ...]:
 
 
 def _group(samples: MTFSamples) -> str:
-    """Return the name of a target and its kind."""
+    """Return the name of a target with its kind."""
     return f"{samples.source} ({samples.kind})" if samples.source else samples.kind
 
 
@@ -281,7 +281,10 @@ class Evidence:
         return [f_number for _, _, f_number in self._stacks] + [s.f_number for s in self._samples]
 
     def check(self, channel: str, *, accept_sharpened: bool) -> list[Remark]:
-        """Return remarks on edges that were left out; FitError where edges alone are not enough for a camera."""
+        """Return remarks on edges that were left out.
+
+        FitError if edges are the only measurements and too few for a camera.
+        """
         edges = [stack for stack, _, _ in self._stacks]
         if edges and not self._samples:
             refuse_too_few(edges, channel, accept_sharpened=accept_sharpened)
@@ -290,7 +293,7 @@ class Evidence:
         return [Remark("no-consensus", text)] if lost else []
 
     def measurements(self, lens_at: LensAt) -> Measurements:
-        """Return everything as the joint fit takes it."""
+        """Return all measurements in the form of the joint fit."""
         groups = [f"{source} (edges)" for edges, source, _ in self._stacks for _ in edges.good]
         groups += [_group(samples) for samples in self._samples]
         return Measurements(
@@ -301,24 +304,24 @@ class Evidence:
         )
 
     def _replaceable(self) -> frozenset[str]:
-        """Return the groups of a picture's targets whose picture has edges, too: these are believed."""
+        """Return the groups of targets in pictures that also have edges, which are more reliable."""
         seen = {source for edges, source, _ in self._stacks if edges.good.size}
         own = [s for f in self._findings if f.shape is not None and f.source in seen for s in f.samples]
         return frozenset(_group(s) for s in own)
 
     @property
     def software(self) -> list[Processed]:
-        """Return what software did to the pictures."""
+        """Return the processing that was found in the pictures."""
         return [f.software for f in self._findings if f.software is not None]
 
     def field(self) -> LensField | None:
-        """Return how the lens differs over the field, as edges and dots say; None where they do not."""
+        """Return the change of the lens over the field from edges and dots, or None if it is unknown."""
         shapes = {f.shape for f in self._findings if f.shape is not None}
         if len(shapes) != 1:
             return None
         dots = [one for f in self._findings for one in f.dots]
         edges, (shape,) = self.table(), shapes
-        # pictures of other apertures have other blurs
+        # Pictures with other apertures have another blur.
         blurs = [BlurPlaces(one.seen[:, 0], one.seen[:, 1], one.sigma, one.sigma_std) for one in dots]
         for source in () if edges is None else dict.fromkeys(edges.source.tolist()):
             assert edges is not None

@@ -1,9 +1,9 @@
 """The joint fit: one camera for many measurements, and whether they agree with one another.
 
-Edges enter with their own samples, everything else with its MTF values and their covariance. Every edge keeps its own levels,
-light and place. They are eliminated edge by edge (Schur's complement), so that the fit is one of the few parameters that all
-share. It goes by Fisher scoring: an edge adds its information and its score, which also say whether the measurements agree. The
-variance of a pixel is its model's (docs/model.md 8).
+Edges enter with their samples, all other targets with MTF values and covariance. Every edge has its own levels,
+illumination and position. They are eliminated edge by edge (Schur's complement), so that the fit is one of the few
+parameters that are common to all. It goes by Fisher scoring: an edge adds its information and its score, which also say
+whether the measurements agree. The variance of a pixel is its model's (docs/model.md 8).
 """
 
 from __future__ import annotations
@@ -25,17 +25,20 @@ from matcam.core.jax import AnyArray, jax, jnp
 from matcam.core.programs import kept_program
 from matcam.numerics.linalg import FLOOR, least_eigenvalue, scaled_inverse
 
-_ROUNDS, _DONE, _WORSE = 40, 1e-3, 1.05  # steps at most; standard deviations; of chi2, that a step may cost
-_AT_ONCE = 16  # edges side by side
+# largest number of steps; standard deviations; increase of chi2 that a step may cause
+_ROUNDS, _DONE, _WORSE = 40, 1e-3, 1.05
+_AT_ONCE = 16  # number of edges in one block
 
 
-_CLEAR, _LARGE = 5.0, 0.1  # standard deviations; relative: blurs that differ by more contradict each other
-_STRANGE = 0.03  # relative: a target of a chart whose blur differs by more from that of the chart's edges is spoilt
-_DOUBT = 1e-3  # probability below which noise alone does not explain the scatter
+# standard deviations and relative difference of the blur above which measurements contradict each other
+_CLEAR, _LARGE = 5.0, 0.1
+# relative: a target of a chart is rejected if its blur differs by more from that of the edges of the chart
+_STRANGE = 0.03
+_DOUBT = 1e-3  # probability below which noise does not explain the scatter
 
 
 class EdgeMeasurements(NamedTuple):
-    """Set of n edges as they enter the fit.
+    """Set of n edges in the form of the joint fit.
 
     All arrays have a leading axis of n.
 
@@ -94,7 +97,7 @@ class Measurements(NamedTuple):
     replaceable: frozenset[str] = frozenset()
 
     def without(self, names: Collection[str]) -> Measurements:
-        """Return the measurements with groups of values that weigh nothing."""
+        """Return the measurements with weight 0 for some groups."""
         if self.values is None or not names:
             return self
         out = np.array([group in names for group in self.groups[len(self.groups) - len(self.values.mtf) :]])
@@ -103,7 +106,7 @@ class Measurements(NamedTuple):
 
 
 class Unknowns(NamedTuple):
-    """Hold what the fit starts from, and what limits it.
+    """Start and limits of the fit.
 
     Attributes:
         start: (k,) parameters.
@@ -151,7 +154,7 @@ class Contradiction(NamedTuple):
 
 
 class JointFit(NamedTuple):
-    """Most likely parameters, and judge the measurements' agreement.
+    """Most probable parameters and the agreement of the measurements.
 
     The first parameter is the logarithm of the blur's scale: contradictions are looked for in it.
 
@@ -168,7 +171,7 @@ class JointFit(NamedTuple):
     precision: np.ndarray
 
     def excess(self) -> tuple[float, float]:
-        """Return the scatter of the blur's scale between measurements.
+        """Return the scatter of the blur between measurements.
 
         It is chi2 per degree of freedom, and the probability that noise makes as much.
         """
@@ -181,10 +184,9 @@ class JointFit(NamedTuple):
         return chi2 / degrees, float(chdtrc(degrees, chi2))
 
     def observed_covariance(self) -> np.ndarray:
-        """Return the parameters' covariance (k, k), as the measurements scatter.
+        """Return the parameters' covariance (k, k), from the scatter of the measurements.
 
-        It is the noise's where noise explains the scatter.
-        The sandwich estimator takes each measurement for one draw.
+        It is that of the noise if noise explains the scatter. The sandwich estimator treats each measurement as one draw.
         """
         _, probability = self.excess()
         count = len(self.shares.score)
@@ -193,13 +195,13 @@ class JointFit(NamedTuple):
         score = self.shares.score - self.shares.score.mean(0)
         spread = score.T @ score * count / (count - 1)
         wide = self.covariance @ (spread + np.diag(self.precision)) @ self.covariance
-        # never below the noise's
+        # the result is never smaller than that of the noise
         ratio = np.sqrt(np.maximum(np.diag(wide) / np.diag(self.covariance), 1.0))
         grown = wide if (ratio > 1).all() else self.covariance * np.outer(ratio, ratio)
         return (grown + grown.T) / 2
 
     def contradiction(self, groups: Sequence[str]) -> Contradiction | None:
-        """Find the group of measurements that contradicts the others most; None if none does.
+        """Find the group of measurements that contradicts the others most, or return None.
 
         groups: picture and kind of every measurement.
         """
@@ -207,7 +209,7 @@ class JointFit(NamedTuple):
         if len(names) < 2:
             return None
         members = [np.array([group == name for group in groups]) for name in names]
-        # the scatter between groups, which they cause themselves, is no excuse: each is judged by its members
+        # The groups themselves cause the scatter between them, so that each is judged by the scatter of its members.
         shift, error = (np.array(column) for column in zip(*map(self._of_group, members), strict=True))
         found = np.array([_difference(shift, error, i) for i in range(len(names))])
         worst = int(np.argmax(np.abs(found[:, 0])))
@@ -217,7 +219,7 @@ class JointFit(NamedTuple):
         return Contradiction(names[worst], difference, [name for i, name in enumerate(names) if i != worst])
 
     def strangers(self, groups: Sequence[str], candidates: Collection[str]) -> dict[str, float]:
-        """Return which candidates see another blur than all other groups together, and how far off it is (relative).
+        """Return the candidates whose blur differs from that of all other groups, with the relative difference.
 
         groups: picture and kind of every measurement.
         """
@@ -235,20 +237,20 @@ class JointFit(NamedTuple):
         return {names[i]: float(off[i]) for i in np.flatnonzero(far)}
 
     def _of_group(self, members: np.ndarray) -> tuple[float, float]:
-        """Return by how much a group sees the blur otherwise, and its standard deviation by noise and its own scatter."""
+        """Return the difference of the blur of a group, and its standard deviation from noise and the scatter in the group."""
         information = max(float(self.shares.information[members, 0, 0].sum()), 1e-300)
         shift = float(self.shares.score[members, 0].sum()) / information
         return shift, float(np.sqrt(self._excess_within(members, shift) / information))
 
     def _excess_within(self, members: np.ndarray, shift: float) -> float:
-        """Return chi2 per degree of freedom inside one group, at least 1."""
+        """Return chi2 per degree of freedom within one group, at least 1."""
         information = self.shares.information[members, 0, 0]
         residual = self.shares.score[members, 0] - shift * information
         return max((residual**2 / np.maximum(information, 1e-300)).sum() / max(members.sum() - 1, 1), 1.0)
 
 
 def fit_jointly(measurements: Measurements, unknowns: Unknowns, half_width: float) -> JointFit:
-    """Return the most likely parameters for all measurements.
+    """Fit the most probable parameters to all measurements.
 
     half_width: px, of the pixel where it is not among the parameters. FitError if the measurements do not determine the
     parameters, or no end is found.
@@ -270,7 +272,7 @@ def fit_jointly(measurements: Measurements, unknowns: Unknowns, half_width: floa
             parts.append(jax.tree.map(np.asarray, _value_shares(values, theta, half)))
         shares = jax.tree.map(lambda *a: np.concatenate(a), *parts)
         misfit = shares.chi2.sum() + prior @ theta**2
-        if not misfit <= _WORSE * lowest:  # too far: half of the last step
+        if not misfit <= _WORSE * lowest:  # step too large: halve it
             step = step / 2
             theta, edges = _after_step(*best, step, best_response)
             continue
@@ -281,7 +283,7 @@ def fit_jointly(measurements: Measurements, unknowns: Unknowns, half_width: floa
         theta, edges = _after_step(theta, edges, step, response)
         if (np.abs(wanted) <= _DONE * np.sqrt(np.diag(covariance))).all():
             return JointFit(theta, covariance, shares, prior)
-    raise FitError("the measurements do not determine the camera: no best fit was found")
+    raise FitError("the measurements do not determine the camera: the fit did not converge")
 
 
 def edge_measurements(stacks: Sequence[tuple[EdgeStack, LensModel]]) -> EdgeMeasurements | None:
@@ -309,17 +311,14 @@ def edge_measurements(stacks: Sequence[tuple[EdgeStack, LensModel]]) -> EdgeMeas
 
 
 def value_measurements(sets: Sequence[tuple[MTFSamples, LensModel]]) -> ValueMeasurements | None:
-    """Return sets of MTF values, each with its lens.
-
-    None if there are none.
-    """
+    """Return sets of MTF values, each with its lens, or None if there are none."""
     if not sets:
         return None
     most = program_size(max(samples.frequency.size for samples, _ in sets))
     weights = []
     for samples, _ in sets:
         std = samples.mtf_std
-        # a covariance of fewer independent errors than values has no inverse: directions that have none are left out
+        # A covariance with fewer independent errors than values has no inverse: directions without errors are left out.
         inverse = np.linalg.pinv(samples.covariance / np.outer(std, std), rcond=1e-6, hermitian=True)
         weights.append(np.pad(inverse / np.outer(std, std), (0, most - std.size)))
     frequency, direction, mtf = (
@@ -348,7 +347,7 @@ def _after_step(
 ) -> tuple[np.ndarray, EdgeMeasurements | None]:
     """Return the parameters and the edges after a step.
 
-    The edges' own parameters respond to it.
+    The parameters of each edge respond to the step.
     """
     if edges is not None and response is not None:
         edges = edges._replace(linear=edges.linear + response[0] - np.einsum("eij,j->ei", response[1], step))
@@ -357,10 +356,7 @@ def _after_step(
 
 @kept_program(returns=tuple[Shares, tuple[jax.Array, jax.Array]])
 def _edge_shares(edges: EdgeMeasurements, theta: Any, half_width: Any) -> tuple[Shares, tuple[jax.Array, jax.Array]]:
-    """Return shares, and how each edge's own parameters respond.
-
-    They move by themselves, and with the shared parameters.
-    """
+    """Return the shares of the edges, and the response of the parameters of each edge to the common parameters."""
 
     def one(edge: EdgeMeasurements) -> Any:
         profile = edge.lens.profile(jnp.asarray(edge.angle), half_width)
@@ -404,9 +400,11 @@ def _value_shares(values: ValueMeasurements, theta: Any, half_width: Any) -> Sha
 def _inverse(information: np.ndarray) -> np.ndarray:
     """Return the inverse of an information matrix; FitError if it has none."""
     if not np.isfinite(information).all() or (np.diag(information) <= 0).any():
-        raise FitError("the measurements do not determine the camera: they say nothing of one of its numbers")
+        raise FitError("the measurements do not determine the camera: one of its parameters has no effect on them")
     if least_eigenvalue(information) < FLOOR:
-        raise FitError("the measurements do not determine the camera: two of its numbers do the same to them")
+        raise FitError(
+            "the measurements do not determine the camera: two of its parameters have the same effect on them"
+        )
     return scaled_inverse(information)
 
 
@@ -416,10 +414,7 @@ def _stack_lenses(lenses: Sequence[LensModel]) -> LensModel:
 
 
 def _with_empty_edges(edges: EdgeMeasurements) -> EdgeMeasurements:
-    """Return edges filled up with empty ones.
-
-    Their number is then one that other calls have, too, so that one compiled program serves them all.
-    """
+    """Add empty edges up to a number that is used by other calls, so that one compiled program serves them all."""
     more = program_size(len(edges.angle)) - len(edges.angle)
     full = jax.tree.map(lambda a: np.concatenate([a, np.repeat(a[:1], more, axis=0)]), edges)
     if not more:

@@ -1,7 +1,7 @@
-"""Lateral colour: by how much a lens shows one colour larger than another, from where both see the same edges.
+"""Lateral colour: the difference in image size between two colours, from edges that were measured in both.
 
-An edge tells where it lies along its normal alone. Between colours it moves by a shift, and by a magnification that may change
-with the squared distance from the picture's middle.
+An edge determines its position along its normal only. Between colours it moves by a shift, and by a magnification that
+may change with the squared distance from the centre of the picture.
 """
 
 from __future__ import annotations
@@ -14,15 +14,15 @@ from scipy.spatial import cKDTree
 from matcam.calibration.camera.evidence import EdgeTable
 from matcam.core.remark import Remark
 
-_SAME = 2.0  # px: middles of one edge in two colours
-_ALIKE = np.radians(3.0)  # between their normals
-_FEWEST, _MANY = 12, 24  # edges for a magnification; for one that changes over the field
-_FAR, _ROUNDS = 4.0, 3  # standard deviations: of an edge that is left out
-_REMARKABLE, _SURE = 0.1, 5.0  # px in the corners; standard deviations
+_SAME = 2.0  # px: largest distance between the centres of one edge in two colours
+_ALIKE = np.radians(3.0)  # largest angle between their normals
+_FEWEST, _MANY = 12, 24  # fewest edges for a magnification, and for one that changes over the field
+_FAR, _ROUNDS = 4.0, 3  # standard deviations: an edge with a larger residual is left out
+_REMARKABLE, _SURE = 0.1, 5.0  # px in the corners, and standard deviations
 
 
 class LateralColour(NamedTuple):
-    """Hold how a colour's image differs in size from that of another.
+    """Size of the image in one colour relative to another.
 
     Attributes:
         corner: how far further out this colour lies in the picture's corners, px.
@@ -45,7 +45,7 @@ class LateralColour(NamedTuple):
 
 
 def lateral_colour(of: EdgeTable, reference: EdgeTable, shape: tuple[int, int]) -> LateralColour | None:
-    """Return how a colour's edges lie to those of another; None where too few are seen in both.
+    """Compare the edges of one colour with those of another, or return None if too few are seen in both.
 
     shape: height and width of the pictures, px.
     """
@@ -90,7 +90,7 @@ def lateral_colour(of: EdgeTable, reference: EdgeTable, shape: tuple[int, int]) 
 
 
 def lateral_remark(found: LateralColour, channel: str, reference: str) -> Remark | None:
-    """Return that two colours differ in size; None where they do not, by 0.1 px and 5 standard deviations."""
+    """Return a remark if two colours differ in size by more than 0.1 px and 5 standard deviations, else None."""
     if abs(found.corner) < max(_REMARKABLE, _SURE * found.corner_std):
         return None
     where = "further out" if found.corner > 0 else "further in"

@@ -1,7 +1,7 @@
-"""How a lens differs over the field, from what a calibration measures anyway: places of dots, and the blur of every edge.
+"""The change of the lens over the field, from the positions of dots and the blur of all edges.
 
-Dots lie on a plane page: what no pinhole's view of it explains is the lens's distortion. The blur of edges and dots grows with
-the square of the distance from the picture's middle, or it does not.
+Dots are on a plane page: a deviation from the pinhole projection of the plane is the distortion of the lens. The blur
+of edges and dots is modelled as a constant, or as a quadratic function of the distance from the centre of the picture.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from matcam.core.errors import FitError
 
 _UNKNOWN = 0.01
 """Standard deviation of k1 where no dots have been measured."""
-_FEWEST = 12  # widths of the lens
+_FEWEST = 12  # in widths of the lens
 _MODEL = 0.02
-"""Of k1: what a single coefficient about the picture's middle leaves of a lens's distortion."""
+"""Standard deviation of k1 from the approximation of the distortion by one coefficient about the centre of the picture."""
 
 
 class DotPlaces(NamedTuple):
-    """Hold where dots are on the page, any unit, and in the picture, px, (n, 2) each, with the blur at each, px."""
+    """Positions of dots on the page (in any unit) and in the picture (px), (n, 2) each, and the blur at each in px."""
 
     printed: np.ndarray
     seen: np.ndarray
@@ -32,7 +32,7 @@ class DotPlaces(NamedTuple):
 
 
 class BlurPlaces(NamedTuple):
-    """Lens's width at n places of the picture, and its standard deviation, px."""
+    """Width of the lens at n positions in the picture, and its standard deviation, px."""
 
     x: np.ndarray
     y: np.ndarray
@@ -41,7 +41,7 @@ class BlurPlaces(NamedTuple):
 
 
 def lens_over_field(dots: Sequence[DotPlaces], blurs: Sequence[BlurPlaces], shape: tuple[int, int]) -> LensField | None:
-    """Return distortion and growth of the blur over the field; None where neither has been measured.
+    """Return distortion and growth of the blur over the field, or None if neither was measured.
 
     Args:
         dots: of each picture of a page with dots.
@@ -69,14 +69,14 @@ def lens_over_field(dots: Sequence[DotPlaces], blurs: Sequence[BlurPlaces], shap
 
 
 def _growth(blurs: Sequence[BlurPlaces], middle: tuple[float, float], unit: float) -> tuple[Coefficient | None, float]:
-    """Return the growth of the blur with rho^2, and the distance from the middle at which its mean holds, px."""
+    """Return the growth of the blur with rho^2, and the distance from the centre that it refers to, px."""
     use = [one for one in blurs if len(one.x) >= _FEWEST]
     if not use:
         return None, 0.0
     rho2, relative, weight = [], [], []
     for one in use:
         here = ((one.x - middle[0]) ** 2 + (one.y - middle[1]) ** 2) / unit**2
-        # errors of like edges are alike: an edge's own would favour those that look sharp by chance
+        # Equal edges get equal standard deviations: that of a single edge would favour those that look sharp by chance.
         own = np.full(len(here), 1 / float(np.median(one.sigma_std / one.sigma)) ** 2)
         mean = float(np.median(one.sigma))
         rho2.append(here)

@@ -1,6 +1,6 @@
-"""Whether a whole photograph has been through software that leaves no lens to be measured.
+"""Detection of photographs whose processing prevents the measurement of the lens.
 
-The noise of all its even parts together tells it more surely than the few pixels beside one edge (`flat_noise.py`).
+The noise of all even areas of a picture is a better test than the few pixels next to one edge (`flat_noise.py`).
 """
 
 from __future__ import annotations
@@ -16,14 +16,15 @@ from matcam.calibration.photograph.linear_image import LinearImage
 from matcam.core.errors import FitError
 from matcam.core.remark import Remark
 
-_LARGEST = 1500  # px: so much of a picture is enough
-_SMOOTH, _WINDOW, _EVEN = 2.0, 9, 0.06  # px, px, of the range: smoothed light that varies by less over a window is even
-_LEAST_NOISE = 2e-4  # of the range
+_LARGEST = 1500  # px: so large a part of a picture is enough
+# px, px, share of the range: an area is even if the smoothed light varies by less over a window
+_SMOOTH, _WINDOW, _EVEN = 2.0, 9, 0.06
+_LEAST_NOISE = 2e-4  # share of the range
 _PIXEL = 1 / 12  # px^2
 
 
 class Processed(NamedTuple):
-    """Hold what software did to a picture.
+    """Processing that was found in a picture.
 
     Attributes:
         remarks: what was seen.
@@ -34,7 +35,7 @@ class Processed(NamedTuple):
     noise: FlatNoise | None
 
     def share(self, sigma: float) -> float:
-        """Return the relative standard deviation that this gives to the blur of lens and pixel.
+        """Return the relative standard deviation of the blur from the processing.
 
         sigma: px, of the lens.
         """
@@ -48,16 +49,17 @@ class Processed(NamedTuple):
 
 
 def processed(plane: LinearImage, *, accept: bool) -> Processed:
-    """Return what software did to a picture; FitError where its MTF is not the lens's.
+    """Detect the processing of a picture.
 
-    accept: the MTF of lens and software together is wanted. Camera raw is as the sensor saw it, and passes.
+    FitError if the MTF is not that of the lens. If `accept` is true, the MTF of lens and software together is accepted.
+    Camera raw is never processed.
     """
     if plane.cfa is not None:
         return Processed((), None)
     noise = picture_noise(plane.values)
     if noise.denoised or noise.compressed:
         what = "compressed as JPEG, and may have been denoised" if noise.compressed else "denoised"
-        text = f"neighbours err alike (by {noise.alike:.2f} of independent noise): it was {what}"
+        text = f"the noise of neighbouring pixels is correlated ({noise.alike:.2f} of independent noise): it was {what}"
         if not accept:
             raise FitError(
                 f"this is a processed picture; its MTF is not the lens's: {text}: use camera raw, or accept "
@@ -68,19 +70,21 @@ def processed(plane: LinearImage, *, accept: bool) -> Processed:
         )
     if noise.smoothed:
         text = (
-            f"neighbours err alike (by {noise.alike:.2f} of independent noise): demosaiced, which blurs; use camera raw"
+            f"the noise of neighbouring pixels is correlated ({noise.alike:.2f} of independent noise): "
+            "demosaiced, which blurs; use camera raw"
         )
         return Processed((Remark("demosaiced", text),), noise)
     if noise.bent:
         text = (
-            f"dark pixels err {noise.tilt:.1f} times as much as bright ones: a tone curve that was not undone (--tone)?"
+            f"the noise of dark pixels is {noise.tilt:.1f} times that of bright ones: "
+            "a tone curve that was not undone (--tone)?"
         )
         return Processed((Remark("tone-curve", text),), noise)
     return Processed((), None)
 
 
 def picture_noise(values: np.ndarray) -> FlatNoise:
-    """Return the noise of a picture's even parts; values: (height, width)."""
+    """Return the noise in the even areas of a picture; values: (height, width)."""
     top, left = (max(size - _LARGEST, 0) // 2 for size in values.shape)
     middle = values[top : top + _LARGEST, left : left + _LARGEST]
     known = np.isfinite(middle)
@@ -93,6 +97,6 @@ def picture_noise(values: np.ndarray) -> FlatNoise:
 
 
 def doubt_of(pictures: Iterable[Processed], sigma: float) -> float:
-    """Return the standard deviation, px, that what software did to pictures gives to a lens; sigma: px, of the lens."""
+    """Return the standard deviation of the lens width from the processing of the pictures, px; sigma: px, of the lens."""
     share = max((one.share(sigma) for one in pictures), default=0.0)
     return share * (sigma + _PIXEL / sigma)

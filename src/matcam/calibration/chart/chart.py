@@ -1,7 +1,8 @@
-"""Charts to photograph: what is printed where on the page, and how bright.
+"""Charts to photograph: the printed elements with their positions and levels.
 
-Places and lengths are in mm on the page, x right and y down from its upper left corner. Levels are linear reflectances relative
-to the bare paper, which is 1. The cosine of a pattern's phase is 1 where the pattern is brightest.
+Positions and lengths are in mm on the page, x right and y down from its upper left corner. Levels are linear
+reflectances relative to the bare paper, which is 1. The cosine of a pattern's phase is 1 where the pattern is
+brightest.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ PROFILES = ("sine", "bars", "lines")
 
 @dataclass(frozen=True)
 class Chart:
-    """Page and everything that is printed on it.
+    """Page and the elements that are printed on it.
 
     Attributes:
         page: width and height of the page, mm.
@@ -214,7 +215,7 @@ class Patch:
 
 @dataclass(frozen=True)
 class Fiducial:
-    """Mark to find the chart by.
+    """Mark that is used to find the chart.
 
     It is a dark disc inside dark rings.
     Rings and the gaps between them are as wide as the disc's radius.
@@ -239,7 +240,7 @@ Element = Square | Grating | Star | Dots | Patch
 
 
 def _problems(element: Element) -> Iterator[str]:
-    """Name what in an element contradicts itself."""
+    """List the contradictions between the values of an element."""
     levels = [getattr(element, f.name) for f in fields(element) if f.name in ("level", "dark", "bright")]
     if not all(0 <= level <= 1 for level in levels):
         yield f"levels must lie in [0, 1], got {', '.join(f'{level:g}' for level in levels)}"

@@ -1,4 +1,4 @@
-"""The description of a chart: a JSON file beside the page, which says what is printed where.
+"""The description of a chart: a JSON file beside the page, which lists the printed elements and their positions.
 
     {
       "format": "matcam chart",  "version": 1,  "software": "matcam 0.1.0",
@@ -126,7 +126,7 @@ def is_description_of(path: Path, chart: Chart) -> bool:
 
 
 def description_path(page: str | Path) -> Path:
-    """Return where the description of a printed page lies: "chart.pdf" -> "chart.json"."""
+    """Return the path of the description of a printed page: "chart.pdf" -> "chart.json"."""
     return Path(page).with_suffix(".json")
 
 

@@ -1,4 +1,4 @@
-"""The layout of a chart: panels on a page, sized by what one pixel of the camera will see of it."""
+"""The layout of a chart: panels on a page, whose elements are sized in pixels of the camera."""
 
 from __future__ import annotations
 
@@ -19,21 +19,17 @@ _DARK, _BRIGHT, _SINE_BRIGHT = 0.25, 1.0, 0.95
 _SLANT = math.radians(5)
 _SLANTED = np.array([[np.cos(_SLANT), -np.sin(_SLANT)], [np.sin(_SLANT), np.cos(_SLANT)]])
 _FREQUENCIES = (0.05, 0.08, 0.11, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.45)  # cycles per pixel of the intended camera
-_TILT = math.radians(7)  # of gratings: their pixels see all phases, and no harmonic falls on the grid's own
-_SQUARE, _PATCH, _GAP = (
-    80.0,
-    76.0,
-    1.4,
-)  # px: side of a square and of a grating; a grating with its paper over the grating
-_SPACING = 1.6  # sides of a square from one to the next
-_SMALLEST = (
-    0.5  # of a square or grating, to which it shrinks where a panel is small: still measured, with larger errors
-)
-_DOT, _PITCH = 1.3, 14.0  # px: radius and distance of dots; nothing of a neighbour's blur is left half way
+# for gratings: their pixels sample all phases, and no harmonic coincides with that of the pixel grid
+_TILT = math.radians(7)
+# px: side of a square and of a grating; a grating with the paper around it, relative to the grating
+_SQUARE, _PATCH, _GAP = 80.0, 76.0, 1.4
+_SPACING = 1.6  # distance between neighbouring squares, in sides
+_SMALLEST = 0.5  # relative size to which a square or grating shrinks in a small panel; its errors are then larger
+_DOT, _PITCH = 1.3, 14.0  # px: radius and distance of dots; half way between them the blur of a neighbour is negligible
 _LINES = 0.25  # bright share of a period
 _STEPS = (0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.6, 0.75, 0.9)
 _CYCLES = (144, 108, 72, 48, 36, 24)
-_LARGEST = 200_000  # elements of a page: more is a mistake
+_LARGEST = 200_000  # elements of a page: a larger number is a mistake
 
 
 def design_chart(
@@ -78,7 +74,7 @@ def design_chart(
         raise ArgumentError(f"page must be one of {', '.join(PAGES)}, or (width, height) in mm, got {size!r:.60}")
     width, height = (float(checks.within("page", side, 50, 5000, "mm")) for side in size)
     pixel = width / float(checks.within("pixels_across", pixels_across, 300, 100_000))
-    # fiducials of less than 2.6 px in radius are lost where a lens blurs by 1 px
+    # fiducials with a radius below 2.6 px are not found if the lens blurs by 1 px
     margin = max(0.045 * min(width, height), 17 * pixel)
     radius = margin / 6.5
     fiducials = tuple(_fiducials(width, height, margin, radius))
@@ -104,16 +100,16 @@ def design_chart(
 
 
 def _shorter_side(columns: int, count: int, room: Point) -> float:
-    """Return the shorter side of a panel in so many columns, mm."""
+    """Return the shorter side of a panel in a layout of that many columns, mm."""
     rows = math.ceil(count / columns)
     return min(room[0] / columns, room[1] / rows)
 
 
 def _fiducials(width: float, height: float, margin: float, radius: float) -> Iterator[Fiducial]:
-    """Yield the fiducials, all round the page.
+    """Yield the fiducials along the border of the page.
 
-    The one with two rings stands in the upper left corner.
-    Those between the corners stand where neither a mirror image nor any turn looks like the page seen from aside.
+    The one with two rings is in the upper left corner. The positions between the corners are not symmetric, so that
+    neither a mirror image nor a rotated view looks like the page in perspective.
     """
     near, far = (margin, margin), (width - margin, height - margin)
     places = [near, (0.4 * width, near[1]), (far[0], near[1]), (far[0], 0.4 * height), far, (0.6 * width, far[1])]
@@ -134,7 +130,7 @@ def _patches(left: float, top: float, width: float, height: float) -> Iterator[P
 def _places(corner: Point, size: Point, pitch: float) -> Iterator[tuple[int, int, float, float]]:
     """Yield row, column and centre of as many cells as fit.
 
-    All are of one pitch and centred in the panel.
+    All have the same pitch, and are centred in the panel.
     """
     columns, rows = (int(side / pitch + 1e-9) for side in size)
     if columns * rows > _LARGEST:
@@ -146,9 +142,10 @@ def _places(corner: Point, size: Point, pitch: float) -> Iterator[tuple[int, int
 
 
 def _fitting_side(size: Point, usual: float, pitch: float, least: int) -> float:
-    """Return the side of squares in a panel: the usual one where at least so many fit, else the largest of which two do.
+    """Return the side of the squares in a panel: the usual one if enough squares fit, else the largest with which two
+    fit.
 
-    pitch: in sides, from one to the next.
+    `pitch`: distance between neighbours, in sides.
     """
     if math.prod(int(side / (pitch * usual)) for side in size) >= least:
         return usual
@@ -173,13 +170,13 @@ def _gratings(profile: str) -> Callable[[Point, Point, float], Iterator[Grating]
         side = _fitting_side(size, _PATCH * pixel, _GAP, 2)
         places = list(_places(corner, size, _GAP * side))
         count = min(len(places) // 2, len(_FREQUENCIES))
-        # a single one is best where blur shows
+        # a single one is placed at the frequency that is most sensitive to blur
         first = 0 if count > 1 else len(_FREQUENCIES) // 2 - 1
         chosen = [_FREQUENCIES[i] for i in np.linspace(first, len(_FREQUENCIES) - 1, count).round().astype(int)]
         wanted = [(f, angle) for f in chosen for angle in (_TILT, _TILT + math.pi / 2)]
         for (_, _, x, y), (frequency, angle) in zip(places, wanted, strict=False):
             period = pixel / frequency
-            across = max(1, round(side / period)) * period  # whole ones: the mean is that of one
+            across = max(1, round(side / period)) * period  # a whole number of periods: the mean is that of one period
             yield Grating(profile, (x, y), (across, side), angle, period, 0.0, _DARK, bright, duty)
 
     return panel
@@ -188,7 +185,7 @@ def _gratings(profile: str) -> Callable[[Point, Point, float], Iterator[Grating]
 def _star(corner: Point, size: Point, pixel: float) -> Iterator[Star]:
     """Put one star into a panel, if there is room."""
     outer = min(size) / 2
-    # as many cycles as still are wide at the rim: the more, the more nearly a ring is a plane wave
+    # as many cycles as are wide enough at the rim: the more there are, the better a ring approximates a plane wave
     for cycles in _CYCLES:
         if cycles / (2 * math.pi * outer / pixel) < 0.07 or (cycles == _CYCLES[-1] and outer > 40 * pixel):
             centre = (corner[0] + size[0] / 2, corner[1] + size[1] / 2)
@@ -198,7 +195,7 @@ def _star(corner: Point, size: Point, pixel: float) -> Iterator[Star]:
 
 def _dots(corner: Point, size: Point, pixel: float) -> Iterator[Dots]:
     """Fill a panel with dots, if at least nine fit."""
-    # turned a little, so that its dots fall differently on the pixels
+    # rotated a little, so that the pixels sample the dots at different phases
     middle = np.array(corner) + np.array(size) / 2
     inner = tuple(s / (np.cos(_SLANT) + np.sin(_SLANT) * max(size) / min(size)) for s in size)
     points = [

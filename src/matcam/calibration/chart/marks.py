@@ -1,4 +1,4 @@
-"""The fiducials of a chart in a picture: dark discs in dark rings that share their centre, as nothing else in a photograph."""
+"""Detection of the fiducials of a chart in a picture: dark discs in concentric dark rings."""
 
 from __future__ import annotations
 
@@ -13,15 +13,17 @@ from scipy.spatial import cKDTree
 from matcam.calibration.photograph.linear_image import local_mean
 from matcam.core.arrays import FloatArray
 
-_SMOOTH, _SMOOTH_GAPS = 0.7, 1.2  # px; of pictures without and with gaps
-_DARK = (0.6, 0.78, 0.45)  # of the paper around: where small discs run into their rings, another level parts them
-_CONCENTRIC = 0.35  # radii of the disc
-_RING, _SECOND = (2.5, 9.0), (4.5, 16.0)  # areas of the rings over the disc's: 5 and 9, in all sorts of light and blur
-_SMALLEST, _LARGEST = 4, 0.01  # px; of the picture: area of a disc
+_SMOOTH, _SMOOTH_GAPS = 0.7, 1.2  # px, for pictures without and with gaps
+# share of the paper level: if small discs merge with their rings, another level separates them
+_DARK = (0.6, 0.78, 0.45)
+_CONCENTRIC = 0.35  # in radii of the disc
+# area of the rings relative to that of the disc (5 and 9), with margins for light and blur
+_RING, _SECOND = (2.5, 9.0), (4.5, 16.0)
+_SMALLEST, _LARGEST = 4, 0.01  # px, and share of the picture: area of a disc
 
 
 class Mark(NamedTuple):
-    """Place of a fiducial, px, its rings, and its disc's radius, px."""
+    """Position of a fiducial, px, the number of its rings, and the radius of its disc, px."""
 
     x: float
     y: float
@@ -39,12 +41,12 @@ def balanced(mosaic: ArrayLike) -> FloatArray:
 
 
 def find_marks(picture: FloatArray, enough: int) -> list[Mark]:
-    """Find all concentric dark discs and rings of a picture (height, width), NaN where there are no data.
+    """Find all concentric dark discs and rings in a picture (height, width) with NaN for missing data.
 
-    enough: marks, one of them with two rings, that are not added to.
+    The search stops at `enough` marks if one of them has two rings.
     """
     smooth = local_mean(picture, _SMOOTH if np.isfinite(picture).all() else _SMOOTH_GAPS)
-    # the paper's level nearby: the brightest there is, of means that noise does not reach
+    # the level of the paper nearby: the maximum of local means, which suppress noise
     cell = max(4, round(min(picture.shape) / 60))
     coarse = ndimage.uniform_filter(smooth, 3)[::cell, ::cell]
     paper = ndimage.uniform_filter(ndimage.maximum_filter(coarse, 9), 5)
@@ -83,7 +85,7 @@ def _marks_below(share: FloatArray, dark: float) -> list[Mark]:
             continue
         ring = near[first][np.argmin(sizes[first])]
         second = (sizes > max(_SECOND[0], 1.3 * area[ring] / area[i])) & (sizes < _SECOND[1])
-        # the disc's own place is that of all its dark, ring included
+        # the position of the disc is that of all dark pixels, rings included
         parts = [i, ring]
         weight = area[parts] / area[parts].sum()
         found.append(Mark(float(x[parts] @ weight), float(y[parts] @ weight), 1 + int(second.any()), float(radius)))

@@ -18,19 +18,20 @@ from matcam.calibration.chart.chart import Chart, Patch, Square
 from matcam.calibration.chart.marks import Mark
 from matcam.core.arrays import FloatArray
 
-_BARREL = (0.0, 0.06, 0.13, -0.03)  # of the undistorted radius: r (1 + d r^2), r in half diagonals
-_NEAR = 0.03  # of the chart's size in the picture: how far a mark may lie from where four others put it
-_CLOSE = 0.005  # of the chart's size: mean distance at which no other lens is tried
-_MOST_MARKS = (24, 9)  # of alike discs, that are tried with a known beginning, and without
-_CANDIDATES = 40  # of equal rank, that are compared with the picture
-_ALIKE = 2.5  # sizes of discs in one picture
-_CLEAR = 0.5  # of the expected steps between dark and bright, where four marks are all there is
-_LEVEL = 0.5  # squares and patches darker than this are looked for
+_BARREL = (0.0, 0.06, 0.13, -0.03)  # relative to the undistorted radius: r (1 + d r^2), r in half diagonals
+# relative to the size of the chart in the picture: tolerance for a mark in the view that four others define
+_NEAR = 0.03
+_CLOSE = 0.005  # relative to the size of the chart: mean distance below which no other lens is tried
+_MOST_MARKS = (24, 9)  # number of discs of equal size that are tried with a known first mark, and without
+_CANDIDATES = 40  # number of views of equal rank that are compared with the picture
+_ALIKE = 2.5  # ratio of the sizes of discs in one picture
+_CLEAR = 0.5  # share of the expected steps between dark and bright, if only four marks are found
+_LEVEL = 0.5  # squares and patches darker than this are compared
 _MOST_PLACES = 150
 
 
 class Match(NamedTuple):
-    """Pair fiducials of the chart with marks of the picture.
+    """Pairs of a fiducial of the chart and a mark in the picture.
 
     Attributes:
         pairs: indices of fiducial and mark.
@@ -42,7 +43,7 @@ class Match(NamedTuple):
 
 
 class _Views(NamedTuple):
-    """Pinholes' views of the page, and which marks they explain.
+    """Pinhole views of the page, and the marks that they explain.
 
     Attributes:
         matrix: (n, 3, 3) from mm to undistorted px from the picture's middle.
@@ -59,14 +60,14 @@ class _Views(NamedTuple):
     off: FloatArray
 
     def agree(self, marks: int) -> bool:
-        """Return whether a view explains so many marks closely."""
+        """Check whether a view explains so many marks closely."""
         return bool((self.off[self.explained >= marks] < _CLOSE).any())
 
 
 def match_marks(chart: Chart, marks: list[Mark], smooth: FloatArray) -> Match:
-    """Return the match of most marks, and of these the one that the picture bears out.
+    """Return the match with most marks that agrees best with the picture.
 
-    smooth: (height, width) picture without gaps or noise.
+    `smooth`: (height, width) picture without gaps or noise.
     """
     alike_marks = _most_alike(marks)
     places = np.array([fiducial.centre for fiducial in chart.fiducials])
@@ -75,7 +76,7 @@ def match_marks(chart: Chart, marks: list[Mark], smooth: FloatArray) -> Match:
     tops = [i for i, j in enumerate(alike_marks[: _MOST_MARKS[0]]) if marks[j].rings == 2]
     first = next(i for i, fiducial in enumerate(chart.fiducials) if fiducial.rings == 2)
     best: list[tuple[int, float, FloatArray, float, np.ndarray]] = []
-    # with the mark that says where to begin, where there is one; else, or where that explains little, without
+    # First with the mark that has two rings, if there is one; if that fails or explains few marks, without it.
     marks_used: list[int] = []
     for begin, most in zip(([first] if tops else [], list(range(len(places)))), _MOST_MARKS, strict=True):
         if not begin:
@@ -99,17 +100,17 @@ def match_marks(chart: Chart, marks: list[Mark], smooth: FloatArray) -> Match:
     top = best[0][0]
     alike = best if top < 5 else best[:_CANDIDATES]
     scores = [_shown(chart, one[2], one[3], smooth, middle, unit) for one in alike]
-    # the picture decides among four; among more it only breaks ties between close ones
+    # The picture decides between matches of four marks; with more marks it only decides between close ones.
     order = np.array([one[1] for one in alike]) - (np.array(scores) if top < 5 else 0.01 * np.array(scores))
     chosen = int(np.argmin(order))
     pairs = [(i, marks_used[int(j)]) for i, j in enumerate(alike[chosen][4]) if j >= 0]
-    # marks that are not explained, while fiducials are missing, may be those of another chart
+    # Marks that are not explained while fiducials are missing may be those of another chart.
     astray = top < len(places) and len(marks) > top + 1
     return Match(pairs, scores[chosen] > _CLEAR if top < 5 or astray else True)
 
 
 def _most_alike(marks: list[Mark]) -> list[int]:
-    """Return the indices of marks that may be of one chart: of like sizes, the most usual first."""
+    """Return the indices of marks that may be of one chart: the largest group of similar size first."""
     radii = np.array([mark.radius for mark in marks])
     near = np.array([(np.maximum(radii / r, r / radii) < _ALIKE).sum() for r in radii])
     middle = radii[near == near.max()]
@@ -118,7 +119,7 @@ def _most_alike(marks: list[Mark]) -> list[int]:
 
 
 def _quads(places: FloatArray, begin: list[int]) -> np.ndarray:
-    """Return fours of points that follow one another in a turn (n, 4), the first of them one of `begin`."""
+    """Return quadruples of points in cyclic order (n, 4); the first of each is one of `begin`."""
     rows = [(start, *three) for start in begin for three in itertools.combinations(_in_turn(places, start), 3)]
     return np.array(rows, dtype=int).reshape(-1, 4)
 
@@ -126,13 +127,14 @@ def _quads(places: FloatArray, begin: list[int]) -> np.ndarray:
 def _views(
     places: FloatArray, quads: np.ndarray, seen: FloatArray, starts: list[int], barrel: float, *, pinned: bool
 ) -> _Views:
-    """Return the views that fours of marks and of fiducials fix.
+    """Return the views that quadruples of marks and of fiducials define.
 
-    pinned: the first of a four is known; else each four needs to be tried from one of its beginnings only.
+    If `pinned`, the first point of a quadruple is known; else each needs to be tried from one of its starting points
+    only.
     """
     fours = _quads(seen, starts)
     if not pinned:
-        # the fours of marks stand still, those of the page turn
+        # the quadruples of marks are kept, those of the page are rotated
         fours = fours[fours[:, 0] == fours.min(1)]
     to_page, to_picture = _bases(places[quads]), _bases(seen[fours])
     to_page, to_picture = (maps[np.isfinite(maps).all((1, 2))] for maps in (to_page, to_picture))
@@ -146,7 +148,7 @@ def _views(
     size = np.ptp(expected, axis=1).max(1)
     nearest, least = off.argmin(2), off.min(2) / np.maximum(size, 1e-9)[:, None]
     nearest = np.where(least < _NEAR, nearest, -1)
-    # a mark is one fiducial only
+    # each mark belongs to one fiducial only
     ordered = np.sort(nearest, axis=1)
     twice = ((np.diff(ordered, axis=1) == 0) & (ordered[:, 1:] >= 0)).any(1)
     count = np.where(twice, 0, (nearest >= 0).sum(1))
@@ -155,7 +157,7 @@ def _views(
 
 
 def _best(found: list[_Views]) -> list[tuple[int, float, FloatArray, float, np.ndarray]]:
-    """Return count, mean distance, view, barrel and marks of the views that explain most, the closest first."""
+    """Return count, mean distance, view, distortion and marks of the views that explain most marks, the closest first."""
     top = max((int(views.explained.max(initial=0)) for views in found), default=0)
     if top < 4:
         return []
@@ -164,7 +166,7 @@ def _best(found: list[_Views]) -> list[tuple[int, float, FloatArray, float, np.n
         which = np.flatnonzero(views.explained == top)
         which = which[np.argsort(views.off[which], kind="stable")][:1000]
         rows += [(top, float(views.off[i]), views.matrix[i], views.barrel, views.nearest[i]) for i in which]
-    # the same marks in the same places are one match
+    # the same marks at the same positions are one match
     unique: dict[tuple[int, ...], tuple[int, float, FloatArray, float, np.ndarray]] = {}
     for row in sorted(rows, key=lambda row: row[1]):
         unique.setdefault(tuple(row[4].tolist()), row)
@@ -172,7 +174,7 @@ def _best(found: list[_Views]) -> list[tuple[int, float, FloatArray, float, np.n
 
 
 def _shown(chart: Chart, view: FloatArray, barrel: float, smooth: FloatArray, middle: FloatArray, unit: float) -> float:
-    """Return how far the picture shows what is printed: 1 where every dark element stands on bright paper, 0 by chance."""
+    """Return the agreement of a view with the picture: 1 if all dark elements are on bright paper, about 0 by chance."""
     dark = [e for e in chart.elements if isinstance(e, Square | Patch) and e.level < _LEVEL]
     dark = dark[:: max(1, len(dark) // _MOST_PLACES)]
     if not dark:
@@ -190,7 +192,7 @@ def _shown(chart: Chart, view: FloatArray, barrel: float, smooth: FloatArray, mi
         inside = ((at >= 0) & (at <= np.array(smooth.shape[::-1]) - 1)).all(1)
         level = ndimage.map_coordinates(smooth, at[:, ::-1].T, order=1, mode="nearest")
         steps.append(np.where(inside, level, np.nan).reshape(points.shape[:2]))
-    # all round a square there is paper; patches stand side by side, and two of theirs see it
+    # Squares have paper on all sides; patches are in a row, and have paper on two sides.
     ordered = np.sort(np.where(np.isfinite(steps[1]), steps[1], -np.inf), axis=1)
     bright = np.where([isinstance(element, Square) for element in dark], ordered[:, 0], ordered[:, 2])
     there = np.isfinite(steps[0][:, 0]) & (bright > 0)
@@ -201,14 +203,14 @@ def _shown(chart: Chart, view: FloatArray, barrel: float, smooth: FloatArray, mi
 
 
 def _in_turn(points: FloatArray, start: int) -> list[int]:
-    """Return the other points' indices in a turn from `start` on."""
+    """Return the indices of the other points in cyclic order from `start` on."""
     turn = np.arctan2(*(points - points.mean(0)).T[::-1])
     after = np.mod(turn - turn[start], 2 * np.pi)
     return [int(i) for i in np.argsort(after) if i != start]
 
 
 def _bases(points: FloatArray) -> FloatArray:
-    """Return the maps (n, 3, 3) from the projective basis to four points each (n, 4, 2); NaN where three lie in line."""
+    """Return the maps (n, 3, 3) from the projective basis to four points each (n, 4, 2); NaN if three are collinear."""
     whole = np.concatenate([points, np.ones((*points.shape[:2], 1))], axis=2).transpose(0, 2, 1)
     first = whole[:, :, :3]
     size = np.ptp(points, axis=1).prod(1)

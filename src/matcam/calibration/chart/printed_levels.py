@@ -1,8 +1,8 @@
-"""What a printer made of a chart's levels, read off the chart's own patches.
+"""The levels of a chart as they were printed, from the patches of the chart.
 
-A patch over the paper beside it is a level as it was printed: light and vignetting drop out. Printers make greys too dark or
-too bright, and smoothly so: ln(printed) over ln(described) is nearly straight, and is interpolated. Contrasts of stars and
-gratings follow from it.
+A patch over the paper beside it is a level as it was printed: illumination and vignetting cancel. Printers make greys
+too dark or too bright, and the deviation is smooth: ln(printed) as a function of ln(described) is nearly linear, and is
+interpolated. Contrasts of stars and gratings follow from it.
 """
 
 from __future__ import annotations
@@ -19,19 +19,17 @@ from matcam.core.arrays import FloatArray
 from matcam.core.remark import Remark
 
 _FEWEST = 4  # patches
-_CLEAR = 3.0  # px from a patch's border, which blur reaches
-_INSIDE = (0.3, 0.6)  # of half a patch's size: so much is left out at least, and at most where a patch is small
-_BESIDE = (
-    0.2,
-    0.45,
-)  # of the same: so far beyond the border begins the paper, where the brighter of two pairs of sides is
-_PAPER = 0.15  # of the same: how far it reaches
-_GRID = 16  # places along each side
-_KNOWN = 24  # pixels of a patch, and of the paper beside it
-_UNEVEN = 0.05  # of a patch's level: between its quarters, beyond noise
-_OFF = 0.12  # of ln(printed) from the straight line through most patches
-_CONTRAST_STD = 0.004  # relative: light that changes between patch and paper
-_MIDDLE, _REMARKABLE = 0.3, 0.05  # level; change of its logarithm
+_CLEAR = 3.0  # px from the border of a patch, which is affected by blur
+_INSIDE = (0.3, 0.6)  # share of half the size of a patch: smallest margin, and largest margin if the patch is small
+# in the same unit: distance from the border at which the paper begins; the brighter of two pairs of sides is used
+_BESIDE = (0.2, 0.45)
+_PAPER = 0.15  # in the same unit: width of the paper area
+_GRID = 16  # number of positions along each side
+_KNOWN = 24  # fewest pixels of a patch, and of the paper next to it
+_UNEVEN = 0.05  # share of the level of a patch: largest difference between its quarters, beyond noise
+_OFF = 0.12  # largest distance of ln(printed) from the straight line through most patches
+_CONTRAST_STD = 0.004  # relative: standard deviation from light that changes between patch and paper
+_MIDDLE, _REMARKABLE = 0.3, 0.05  # level, and change of its logarithm
 _TURN = 2 * np.pi * np.arange(256) / 256
 
 
@@ -50,7 +48,7 @@ class PrintedLevels:
     std: FloatArray
 
     def __call__(self, level: FloatArray | float) -> FloatArray:
-        """Return what described levels became (no unit)."""
+        """Return the printed levels for described levels (no unit)."""
         at, known = np.log(np.append(self.described, 1.0)), np.log(np.append(self.printed, 1.0))
         wanted = np.log(np.maximum(np.asarray(level, float), 1e-4))
         curve = PchipInterpolator(at, known, extrapolate=False)
@@ -59,15 +57,15 @@ class PrintedLevels:
         return np.minimum(np.exp(inside + slope * np.minimum(wanted - at[0], 0.0)), 1.0)
 
     def remark(self, *, assumed: bool = False) -> Remark | None:
-        """Return that the print is not what the chart describes; None where it is.
+        """Return a remark if the print differs from the description, else None.
 
-        assumed: the tone curve was not stated, and may be what is wrong.
+        `assumed`: the tone curve was not stated, and may be wrong instead.
         """
         was, became = _MIDDLE, float(self(_MIDDLE))
         if abs(np.log(became / was)) < _REMARKABLE:
             return None
         either = ", or the tone curve is not as assumed (--tone)" if assumed else ""
-        text = f"the print is not as described{either}: level {was:g} became {became:.2f}; contrasts follow from the "
+        text = f"the print differs from the description{either}: level {was:g} became {became:.2f}; contrasts follow from the "
         text += "tone patches"
         return Remark("printed-levels", text)
 
@@ -77,9 +75,9 @@ class PrintedLevels:
         return float(np.hypot(_CONTRAST_STD, np.median(self.std)))
 
     def of(self, element: Element) -> Element:
-        """Return a target with the levels that it was printed with.
+        """Return a target with its printed levels.
 
-        Those of a sine are its first harmonic's, which is what is measured; its dark may then lie below 0.
+        Those of a sine follow from its first harmonic, which is measured; the dark level may then be below 0.
         """
         if isinstance(element, Grating) and element.profile != "sine":
             return replace(element, dark=float(self(element.dark)), bright=float(self(element.bright)))
@@ -92,9 +90,9 @@ class PrintedLevels:
 
 
 def printed_levels(values: FloatArray, chart: Chart, projection: Projection) -> PrintedLevels | None:
-    """Read the levels of a chart's patches; None where too few are to be seen.
+    """Measure the levels of the patches of a chart, or return None if too few are visible.
 
-    values: (height, width) linear, NaN where there are no data. projection: from the page, mm, to the picture, px.
+    `values`: (height, width) linear, NaN for missing data. `projection`: from the page, mm, to the picture, px.
     """
     rows = []
     for patch in checks.instance("chart", chart, Chart).elements:
@@ -105,7 +103,7 @@ def printed_levels(values: FloatArray, chart: Chart, projection: Projection) -> 
     if len(rows) < _FEWEST:
         return None
     level, printed, std = np.array(sorted(rows)).T
-    # a print is smooth: what lies far from the line through most patches was covered, or not lit as its paper
+    # The levels of a print change smoothly: a patch far from the line was covered, or not lit like its paper.
     x, y = np.log(level), np.log(printed)
     slopes = [y[i] / x[i] for i in range(len(x)) if level[i] < 1]
     slope = float(np.median(slopes))
@@ -117,7 +115,7 @@ def printed_levels(values: FloatArray, chart: Chart, projection: Projection) -> 
 
 
 def _over_paper(values: FloatArray, patch: Patch, projection: Projection) -> tuple[float, float] | None:
-    """Return a patch's level over the paper's, and its relative standard deviation; None where it is not even."""
+    """Return the level of a patch relative to the paper, and its relative standard deviation, or None if it is not even."""
     corners = np.array(patch.corners)
     centre, across, along = corners.mean(0), (corners[1] - corners[0]) / 2, (corners[3] - corners[0]) / 2
     line = np.linspace(-1, 1, _GRID)
@@ -143,7 +141,7 @@ def _over_paper(values: FloatArray, patch: Patch, projection: Projection) -> tup
     uneven = [abs(part[0] - own[0]) - 3 * part[1] for part in parts if part is not None]
     if max(uneven, default=0.0) > _UNEVEN * own[0]:
         return None
-    # what lies beyond a shorter side is as far away as beyond a longer one
+    # the paper beyond a shorter side is as far away as that beyond a longer one
     ratio = float(np.hypot(*across) / np.hypot(*along))
     reach = 1 + np.clip(_CLEAR / shortest, *_BESIDE) + np.linspace(0, _PAPER, _GRID // 2)
     beside_u = 1 + (reach - 1) * min(1.0, 1 / ratio)

@@ -1,8 +1,8 @@
-"""The registration of a photograph: where the page of a chart lies in it.
+"""The registration of a photograph: the map from the page of a chart to the picture.
 
-Fiducials are found first, and any four of them place the chart. A pinhole camera with a distorting lens, which sees a page that
-may be bent, is then fitted to their places, and to the sides of the squares that it finds with them. The fit only has to lead
-each target's own estimator to its place: estimators find their geometry to 0.01 px themselves.
+Fiducials are found first, and any four of them locate the chart. A pinhole camera with distortion, and a page that may
+be curved, are then fitted to the positions of the fiducials and of the sides of the squares. The accuracy only needs to
+suffice for each estimator to find its target: the estimators determine their geometry to 0.01 px.
 """
 
 from __future__ import annotations
@@ -27,17 +27,17 @@ Projection = Callable[[FloatArray], FloatArray]
 """A map from places on the page (n, 2), mm, to places in the picture (n, 2), px: a `Registration`, or anything like it."""
 
 _FEWEST_PLACES = 12
-_WORST = 3.0  # px in a picture of 1000 px: root mean square of what the fit may leave
-_MARK_STD, _SIDE_STD = 0.2, 0.3  # px: as a pinhole's view of a bent page explains places of marks and of sides
-_MANY_SIDES = 100  # places of sides, beyond which more do not outweigh the fiducials
-_CURL = 0.02  # height of a page's border over the eye's: what pages that lie on a table do
-_FEWEST_SIDES = 0.3  # of all places of sides
-_ROUNDS = 2  # of looking for sides
+_WORST = 3.0  # px in a picture of 1000 px: largest root mean square residual
+_MARK_STD, _SIDE_STD = 0.2, 0.3  # px: residual of a pinhole model of a curved page, for marks and for sides
+_MANY_SIDES = 100  # number of side positions above which more do not outweigh the fiducials
+_CURL = 0.02  # height of the border of a page relative to the height of the camera: typical of pages on a table
+_FEWEST_SIDES = 0.3  # share of all side positions
+_ROUNDS = 2  # number of searches for sides
 
 
 @dataclass(frozen=True, eq=False)
 class Registration:
-    """Map points of a chart's page to places in a photograph.
+    """Map from points of a chart's page to positions in a photograph.
 
     Calling it with points (n, 2) on the page returns their places (n, 2), with pixel centres on whole numbers.
 
@@ -47,8 +47,8 @@ class Registration:
         shape: height and width of the picture, px.
         residual: root mean square distance that the fit leaves at the fiducials, px.
         found: number of fiducials found.
-        curl: how a page that is not plane stands off: heights by x^2, xy and y^2 over the eye's, and the eye's foot (x, y), all
-            in widths of the page from its middle (no unit). Default: plane.
+        curl: shape of a page that is not plane: heights by x^2, xy and y^2 over the eye's, and the eye's foot (x, y),
+            all in widths of the page from its middle (no unit). Default: plane.
         page: width and height of the page, mm. Default: not needed for a plane page.
 
     Example:
@@ -146,7 +146,7 @@ def register_chart(image: ArrayLike | LinearImage, chart: Chart, *, mosaic: bool
     found = _registration_through(places, seen, shape, chart.page)
     for _ in range(_ROUNDS):
         sides = seen_sides(smooth, chart, found)
-        # where most squares are hidden, what is found instead is not theirs
+        # if most squares are hidden, other structures may be found instead
         if sides is None or sides.found.mean() < _FEWEST_SIDES:
             break
         found = _registration_through(places, seen, shape, chart.page, sides)
@@ -154,7 +154,7 @@ def register_chart(image: ArrayLike | LinearImage, chart: Chart, *, mosaic: bool
 
 
 def radial_distortion(places: FloatArray, seen: FloatArray, shape: tuple[int, ...]) -> tuple[float, float]:
-    """Return a of the distorted radius r (1 + a r^2), and its standard deviation by the scatter of the places.
+    """Return a of the distorted radius r (1 + a r^2), and its standard deviation from the scatter.
 
     Args:
         places: (n, 2) on a plane page, any unit.
@@ -165,16 +165,14 @@ def radial_distortion(places: FloatArray, seen: FloatArray, shape: tuple[int, ..
         FitError: fewer than 12 places, or they do not determine a pinhole's view.
     """
     if len(places) < _FEWEST_PLACES:
-        raise FitError(f"{len(places)} places do not tell the distortion; at least {_FEWEST_PLACES} are needed")
+        raise FitError(f"{len(places)} places do not determine the distortion; at least {_FEWEST_PLACES} are needed")
     middle, spread = places.mean(0), max(float(np.ptp(places, axis=0).max()), 1e-300)
     at, used = (places - middle) / spread, np.ones(len(places), bool)
     for _ in range(3):
         try:
             start = np.append(_homography(at[used], _from_middle(seen[used], shape)).ravel()[:8], 0.0)
         except np.linalg.LinAlgError:
-            raise FitError(
-                "the places do not determine how the page stands to the camera: give dots that span it"
-            ) from None
+            raise FitError("the places do not determine the pose of the page: give dots that span it") from None
         size = np.append(np.maximum(np.abs(start[:8]), 1e-6), 0.01)
 
         def off(p: FloatArray, at: FloatArray = at, size: FloatArray = size) -> FloatArray:
@@ -201,9 +199,9 @@ def check_projection_given(name: str, element: Element | None, projection: Proje
 
 
 def pixel_box(points: FloatArray, shape: tuple[int, int], margin: int) -> tuple[int, int, int, int]:
-    """Return the region (x, y, width, height) that holds points, px.
+    """Return the region (x, y, width, height) that contains points, px.
 
-    points: (n, 2) px. shape: (height, width) of the picture. margin: px around the points.
+    `points`: (n, 2) px. `shape`: (height, width) of the picture. `margin`: px around the points.
     """
     low = np.maximum(np.floor(points.min(0)).astype(int) - margin, 0)
     high = np.minimum(np.ceil(points.max(0)).astype(int) + margin + 1, shape[::-1])
@@ -213,12 +211,12 @@ def pixel_box(points: FloatArray, shape: tuple[int, int], margin: int) -> tuple[
 def _registration_through(
     places: FloatArray, seen: FloatArray, shape: tuple[int, int], page: tuple[float, float], sides: Sides | None = None
 ) -> Registration:
-    """Return the camera and the page's curl that put places, mm, where they were seen, px.
+    """Fit the camera and the curvature of the page to the positions of points, mm and px.
 
-    sides: what else is known, across itself only. FitError if no camera does.
+    `sides`: further positions, known across the side only. FitError if no camera agrees with them.
     """
     start = np.append(_homography(places, _from_middle(seen, shape)).ravel()[:8], np.zeros(7))
-    # what is not known stays near 0: a lens's distortion, a page's curl, and whence it is seen
+    # parameters that are not determined stay near 0: distortion, curvature, and the viewpoint
     prior = np.concatenate([[0.1, 0.1], np.full(3, _CURL), [1.0, 1.0]])
     size = np.append(np.maximum(np.abs(start[:8]), 1e-6), prior)
     along = None
@@ -235,7 +233,7 @@ def _registration_through(
             parts.append(off / along[3])
         return np.concatenate(parts)
 
-    # one that is covered in part lies anywhere: far ones count less
+    # a position on a side that is partly covered may be anywhere: distant ones have less weight
     fit = least_squares(residual, start / size, x_scale="jac", loss="soft_l1", f_scale=3.0)
     whole = fit.x * size
     left = np.hypot(*(_project(whole, places, shape, page) - seen).T)
@@ -271,15 +269,14 @@ def _project(
 
 
 def _from_middle(points: FloatArray, shape: tuple[int, ...]) -> FloatArray:
-    """Return px counted from the picture's middle."""
+    """Return px relative to the centre of the picture."""
     return points - (np.array(shape[1::-1]) - 1) / 2
 
 
 def _homography(source: FloatArray, target: FloatArray) -> FloatArray:
-    """Return the homography (3, 3) from points (n >= 4, 2) to points.
+    """Return the homography (3, 3) from points (n >= 4, 2) to points by least squares.
 
-    It is that of least squares, with 1 as its last entry.
-    LinAlgError if they do not determine it.
+    Its last entry is 1. LinAlgError if the points do not determine it.
     """
     scale = np.abs(source).max()
     rows = []

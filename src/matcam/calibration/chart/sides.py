@@ -1,4 +1,4 @@
-"""Where the sides of a chart's squares lie in a picture, a few px from where a first registration puts them."""
+"""The positions of the sides of a chart's squares in a picture, within a few px of the first registration."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from matcam.calibration.chart.chart import Chart, Square
 from matcam.calibration.photograph.linear_image import local_mean
 from matcam.core.arrays import FloatArray
 
-_SMOOTH, _SMOOTH_GAPS = 0.8, 1.2  # px; of pictures without and with gaps
-_ALONG = np.linspace(-0.32, 0.32, 9)  # of a side, from its middle: places where it is looked for
-_REACH, _FARTHEST = 0.22, 30  # of the shorter side in the picture; px
+_SMOOTH, _SMOOTH_GAPS = 0.8, 1.2  # px, for pictures without and with gaps
+_ALONG = np.linspace(-0.32, 0.32, 9)  # share of a side, from its centre: search range along it
+_REACH, _FARTHEST = 0.22, 30  # share of the shorter side in the picture, and px
 _STEP = 0.5  # px between samples
-_LEAST = 0.35  # of the described step over the paper: what must be left of it, in any print and light
-_CORE = 3.0  # px about the steepest place that tell where it is
+_LEAST = 0.35  # share of the described step that must be found, in any print and light
+_CORE = 3.0  # px around the steepest point that are used for the position
 
 
 class Sides(NamedTuple):
-    """Set of n sides of squares as they are seen, each at m places.
+    """Measured sides of n squares, each at m positions.
 
     Attributes:
         square: (n,) index of the element.
@@ -41,19 +41,19 @@ class Sides(NamedTuple):
 
     @property
     def found(self) -> np.ndarray:
-        """Return at which places a side was found (n, m)."""
+        """Return a mask (n, m) of the positions at which a side was found."""
         return np.asarray(np.isfinite(self.seen).all(2))
 
 
 def smoothed(picture: FloatArray) -> FloatArray:
-    """Return a picture without gaps, and with less noise, in which sides are looked for."""
+    """Return a picture without gaps and with less noise, in which sides are searched."""
     return local_mean(picture, _SMOOTH if np.isfinite(picture).all() else _SMOOTH_GAPS)
 
 
 def seen_sides(smooth: FloatArray, chart: Chart, projection: Callable[[FloatArray], FloatArray]) -> Sides | None:
-    """Find the sides of all squares; None for a chart without squares.
+    """Find the sides of all squares, or return None for a chart without squares.
 
-    smooth: (height, width) picture, `smoothed`. projection: from the page, mm, to the picture, px.
+    `smooth`: (height, width) picture from `smoothed`. `projection`: from the page, mm, to the picture, px.
     """
     which = [i for i, element in enumerate(chart.elements) if isinstance(element, Square)]
     if not which:
@@ -85,7 +85,7 @@ def seen_sides(smooth: FloatArray, chart: Chart, projection: Callable[[FloatArra
 
 
 def _steepest(profile: FloatArray, steps: FloatArray, level: FloatArray) -> FloatArray:
-    """Return where profiles (n, m, k) rise most, px; NaN where no rise is as high as a side's."""
+    """Return the positions of the steepest rise of profiles (n, m, k), px; NaN if no rise is as high as that of a side."""
     slope = np.diff(profile, axis=2)
     between = (steps[1:] + steps[:-1]) / 2
     best = np.nan_to_num(slope, nan=-np.inf).argmax(2)

@@ -32,23 +32,23 @@ from matcam.core.remark import Remark
 from matcam.files.photographs import Photograph
 
 AT_ONCE = 10
-"""Edges that run side by side: they fit into the processor's cache."""
+"""Number of edges that are processed together: their data fit into the processor's cache."""
 _MANY = 500
-"""Edges from which on a program that runs faster is worth the four times longer that it takes to compile."""
+"""Number of edges above which a faster program is worth its compile time, which is four times as long."""
 Fit = Callable[[EdgeRegions], EdgeFits]
 """Fit the edges of n regions; arrays of its result have a leading axis of n."""
 _WIDEST = 0.1
-"""Largest blur, in units of the region's width, beside which there is a flat side to see light on."""
+"""Largest blur relative to the region's width with which a flat side remains to measure the illumination."""
 _BRIGHTEST = 0.2
-"""Standard deviation of light over a region, relative, above which it is no light but a pattern of the scene."""
+"""Relative standard deviation of the light over a region above which it is a pattern of the scene."""
 _GHOST_REACH = 3.5
-"""Blurs from an edge at which a side is taken for flat."""
-_WHOLE = 0.5  # px: half width of a pixel that is sensitive all over
+"""Distance from an edge, in widths of the blur, beyond which a side is flat."""
+_WHOLE = 0.5  # px: half width of a pixel that is sensitive over its whole area
 
 
 @dataclass(frozen=True)
 class EdgeSettings:
-    """Say how edges are measured.
+    """Settings for the measurement of edges.
 
     Attributes:
         lens: family of the parametric estimate.
@@ -223,8 +223,8 @@ def edge_stack(
     """Measure the edges in regions of one shape.
 
     Args:
-        regions: at most `AT_ONCE` regions in each item, and what is known beforehand to be wrong with each of them.
-        settings: how edges are measured.
+        regions: at most `AT_ONCE` regions in each item, and the problem of each, if one is known.
+        settings: settings of the measurement.
         fit: regions and a function that fits their edges -> regions as they were fitted, and the fits. Default: as they are.
     """
     half, few = np.float64(settings.half_width), len(regions) * AT_ONCE < _MANY
@@ -234,13 +234,14 @@ def edge_stack(
 
     def fitted(rows: EdgeRegions) -> EdgeFits:
         count = len(rows.value)
-        # always as many at once, so that one compiled program serves every stack; what is repeated is thrown away
+        # always the same number at once, so that one compiled program serves every stack; the results of the padding
+        # are discarded
         y, start = (np.broadcast_to(a, (count, a.shape[-1])) for a in (rows.y, rows.start))
         value, y, start = (
             np.concatenate([a, np.repeat(a[:1], AT_ONCE - count, axis=0)]) for a in (rows.value, y, start)
         )
         fits = edge_fits_of_stack(value, y, start, settings.noise, half, step=rows.step, turns=rows.turns, few=few)
-        # one after the other: programs that are queued on a processor compete for its threads
+        # in sequence: programs that are queued on a processor compete for its threads
         return tuple_map(lambda a: np.asarray(a)[:count], fits)
 
     for given, known in regions:
@@ -285,7 +286,7 @@ def _in_even_light(rows: EdgeRegions, fits: EdgeFits) -> tuple[EdgeRegions, list
         fits: their edges, NumPy arrays with a leading axis of n.
 
     Returns:
-        The regions in even light, and the light of each; None where two levels and a plane explain it.
+        The regions in even light, and the light of each; None if two levels and a plane describe it.
     """
     value, fields = np.array(rows.value), list[LightField | None]()
     columns = rows.step * np.arange(value.shape[2])
@@ -299,9 +300,9 @@ def _in_even_light(rows: EdgeRegions, fits: EdgeFits) -> tuple[EdgeRegions, list
             distance = np.asarray(edge_distance(curve, x, across))
             gain, read = (float(np.asarray(part)[i]) for part in fits.noise)
             glare = bool(fits.free.even[i, GLARE] != 0)
-            if (fits.free.even[i, GHOSTS] != 0).any():  # a ghost is no light
+            if (fits.free.even[i, GHOSTS] != 0).any():  # a ghost is not uneven light
                 blur = max(blur, float(shape.apart[i]) / _GHOST_REACH + blur)
-            # light along the edge is divided out of the rows anyway
+            # light along the edge is divided out of the rows in any case
             aligned = aligned_rows(Rows(region, y, start, rows.step), curve)
             by_row = np.asarray(in_even_rows(aligned, half_length(Rows(region, y, start, rows.step))).light)[:, None]
             field = light_field(region / by_row, x, across, distance, (gain, read), blur=blur, glare=glare)
@@ -314,9 +315,9 @@ def _in_even_light(rows: EdgeRegions, fits: EdgeFits) -> tuple[EdgeRegions, list
 
 
 def _stacked(images: ArrayLike | Sequence[LinearImage]) -> tuple[np.ndarray, np.ndarray]:
-    """Return regions (n, height, width) and their places.
+    """Return regions (n, height, width) and their positions.
 
-    A place (n, 2) is that of the first pixel in the photograph.
+    A position (n, 2) is that of the first pixel in the photograph.
     """
     planes = list(images) if isinstance(images, list | tuple) else []
     if planes and all(isinstance(plane, LinearImage) for plane in planes):
@@ -340,7 +341,7 @@ def _settings(
     model: str, wavelength: float | None, pixel_pitch: float | None, half_width: float, gain: float | None,
     read_noise: float | None, accept_sharpened: bool,
 ) -> EdgeSettings:  # fmt: skip
-    """Return the public functions' arguments, checked, as one object."""
+    """Check the arguments of the public functions and return them as one object."""
     checks.choice("model", model, tuple(PARAMETRIC_LENSES))
     checks.flag("accept_sharpened", accept_sharpened)
     if model in ("diffraction", "defocus"):

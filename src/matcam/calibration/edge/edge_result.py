@@ -35,24 +35,24 @@ if TYPE_CHECKING:
     from matcam.core.jax import AnyArray
 
 SHARPENED = 0.02
-"""Overshoot, of the step, from which an edge is remarked on by itself."""
+"""Overshoot, relative to the step, above which an edge gets a remark of its own."""
 MISFIT = 0.002
-"""Misfit, of the step, from which an edge is remarked on."""
+"""Misfit, relative to the step, above which an edge gets a remark."""
 _NAMES = {
     "mtf": "MTF of lens and pixel", "mtf_std": "standard deviation of mtf", "core_mtf": "MTF without glare",
     "core_mtf_std": "standard deviation of core_mtf", "parametric_mtf": "MTF of the fitted model",
     "parametric_mtf_std": "standard deviation of parametric_mtf",
 }  # fmt: skip
 _LENGTH = 512
-_ROUGH = 0.03  # px, from which it is remarked on
+_ROUGH = 0.03  # px, roughness above which an edge gets a remark
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class EdgeMTF(Summarised, EdgeValues[float]):
     """MTF of lens and pixel across one edge.
 
-    It stands here twice: free of a model, and as a lens model (`parametric`). Standard
-    deviations are those that repeated pictures with this noise would show.
+    It is estimated twice: free of a model, and as a lens model (`parametric`). The standard deviations are those of
+    repeated pictures with this noise.
 
     Attributes:
         frequency: frequencies (81,) along the normal, 0 to 1.25 cycles/px.
@@ -125,14 +125,14 @@ class EdgeMTF(Summarised, EdgeValues[float]):
 
     @property
     def glare_found(self) -> bool:
-        """Return whether there is glare."""
+        """Return whether glare was found."""
         return self.glare_fraction != 0
 
     @property
     def remarks(self) -> tuple[Remark, ...]:
-        """Return what a reader should know of this edge."""
+        """Return remarks on this edge."""
         remarks = list(self.given)
-        # where the levels are unsure, a lens may seem to overshoot them
+        # where the levels are uncertain, a lens may seem to overshoot them
         narrow = any(remark.code == "narrow-region" for remark in self.given)
         if self.overshoot > SHARPENED and not narrow:
             text = f"the edge overshoots by {self.overshoot:.1%}: a sharpened picture; this is not the lens alone"
@@ -336,7 +336,7 @@ class EdgeStack(Summarised, EdgeValues[np.ndarray]):
 
     @property
     def glare_found(self) -> np.ndarray:
-        """Return for each edge whether there is glare (n,)."""
+        """Return a mask (n,) of the edges with glare."""
         return self.glare_fraction != 0
 
     def _summary(self) -> Summary:
@@ -375,9 +375,9 @@ class EdgeStack(Summarised, EdgeValues[np.ndarray]):
 def stack_result(
     fits: EdgeFits, frame: RegionFrame, lens: LensModel, half_width: float, problems: tuple[Remark | None, ...]
 ) -> EdgeStack:
-    """Return the fits of a stack in the picture's own coordinates.
+    """Return the fits of a stack in the coordinates of the picture.
 
-    All arrays of `fits` are NumPy's.
+    All arrays of `fits` are NumPy arrays.
     """
     free = fits.free
     glare = free.even[..., GLARE]
@@ -408,7 +408,7 @@ def stack_result(
         glare_radius=numbers(np.where(glare != 0, free.shape.radius, np.nan)),
         angle=numbers(np.arctan2(ny, nx)),
         angle_std=numbers(np.asarray(fits.slope_std) / (1 + slope**2)),
-        # the middle lies below the chord by the curve's even powers at its ends, measured along x
+        # the centre is below the chord by the even powers of the curve at its ends, measured along x
         bow=numbers(-(curve[2] * half**2 + curve[4] * half**4) / np.hypot(1, slope)),
         place=(numbers(frame.x + x), numbers(frame.y + y)),
         dark=numbers(levels[0]),
@@ -429,7 +429,7 @@ def stack_result(
 
 
 def _of_one(value: Any, index: int) -> Any:
-    """Return one edge's part of a stack's attribute."""
+    """Return the part of an attribute of the stack that belongs to one edge."""
     if isinstance(value, tuple) and value and isinstance(value[0], np.ndarray):
         return tuple(_of_one(part, index) for part in value)
     if isinstance(value, np.ndarray):

@@ -2,8 +2,8 @@
 
     E(d) = P(d) + sum of c_k [B_k(d) - P(d)] + sum of o_k O_k(d)
 
-P is the best Gaussian lens through the exact pixel; what it gets wrong is free. Lengths are in units of s, the standard
-deviation of P's line spread function, so that one setting serves every blur:
+P is the best Gaussian lens through the exact pixel; its deviation from the edge is free. Lengths are in units of s, the
+standard deviation of P's line spread function, so that one setting serves every blur:
 
 - core: pairs of Gaussian bumps of the line spread function, 0.6 s wide and 0.6 s apart, to 3.9 s on both sides. Their even
   combinations B_k carry the MTF, their odd ones O_k a lens that is not symmetric (coma). The last O_k moves the edge.
@@ -11,8 +11,8 @@ deviation of P's line spread function, so that one setting serves every blur:
 - tail: a Cauchy line spread function, which falls as 1/d^2 as that of every lens with an edge to its pupil does;
 - glare: a wide Gaussian, used where it is found.
 
-All are Gaussian or rational, so that ESF, LSF and MTF are closed forms at any distance and frequency, and the spread of a
-cell's distances is one more blur. There are no bins and no windows.
+All are Gaussian or rational, so that ESF, LSF and MTF are closed forms at any distance and frequency, and the spread of
+a cell's distances is one more blur. Neither bins nor windows are used.
 """
 
 from __future__ import annotations
@@ -39,17 +39,17 @@ GHOST_STEP, GHOST_WIDTH = 0.6, 0.7
 EVEN = PAIRS + GHOSTS.size + 2
 """Strengths that shape the MTF: the core's, the ghosts', the tail's, the glare's."""
 GLARE = EVEN - 1
-"""Index of the last of them."""
+"""Index of the glare in the even strengths."""
 ODD = PAIRS + GHOSTS.size + 1
 FREQUENCIES = np.arange(81) / 64
-"""cycles/px, at which an MTF is tabulated."""
+"""Frequencies at which an MTF is tabulated, cycles/px."""
 _WIDTH = 0.6  # s
 _TAIL = 1.5  # s, half width at half maximum of the Cauchy
-_FINE = 11  # samples within an interval of `FREQUENCIES`: over 1.6e-3 cycles/px a curve bends by 1e-6
+_FINE = 11  # samples within an interval of `FREQUENCIES`: over 1.6e-3 cycles/px a curve deviates from a straight line by 1e-6
 
 
 class EdgeSamples(NamedTuple):
-    """Picture as an edge response.
+    """Measured edge response of a picture.
 
     Values are means over n cells of pixels at nearly one distance from the edge.
 
@@ -73,7 +73,7 @@ class EdgeSamples(NamedTuple):
 
 
 class CoreShape(NamedTuple):
-    """Hold what the basis is made of: scalars.
+    """Parameters of the basis: scalars.
 
     Attributes:
         sigma: px, of the pilot P.
@@ -124,9 +124,9 @@ class SampledCurve(NamedTuple):
 
 
 def line_width(shape: CoreShape) -> jax.Array:
-    """Return s, px.
+    """Return the unit of length s, px.
 
-    A square's variance along any direction is that along its side.
+    The variance of a square along any direction is that along its side.
     """
     return xp.sqrt(shape.sigma**2 + shape.half_width**2 / 3)
 
@@ -142,7 +142,7 @@ def edge_basis(shape: CoreShape, distance: jax.Array, spread: jax.Array) -> Basi
     wide = xp.sqrt(width[:, None] ** 2 + spread)
     right, left = (_step((distance - sign * places[:, None]) / wide) for sign in (1, -1))
     reach = _TAIL * line_width(shape)
-    # no Gaussian: for the spread its second derivative has to do
+    # this function is not Gaussian: the spread is included through its second derivative
     bend = -2 * distance * reach / (xp.pi * (distance**2 + reach**2) ** 2)
     tail = 0.5 + xp.arctan(distance / reach) / xp.pi + spread / 2 * bend
     moved = line_width(shape) * line
@@ -204,7 +204,7 @@ def line_response(curve: FreeCurve, distance: jax.Array) -> SampledCurve:
 def transfer(curve: FreeCurve, f: jax.Array) -> tuple[SampledCurve, SampledCurve]:
     """Return the MTF along the normal, with and without glare.
 
-    f: cycles/px. The modulus of a noisy number is too large by its noise: the noise's power is subtracted.
+    f: cycles/px. Noise increases the modulus of a number: the power of the noise is subtracted.
     """
     basis = transfer_basis(curve.shape, f)
     towards = basis.even - basis.pilot
@@ -219,7 +219,7 @@ def transfer(curve: FreeCurve, f: jax.Array) -> tuple[SampledCurve, SampledCurve
 
 
 class Ghost(NamedTuple):
-    """Hold what one side of an edge has of a second, weaker one beyond what the other side has: numbers, or (n,).
+    """Second, weaker step that one side of an edge has and the other has not: numbers, or (n,).
 
     Attributes:
         share: of the step.
@@ -235,7 +235,7 @@ class Ghost(NamedTuple):
 
 
 def ghost_of(curve: FreeCurve) -> Ghost:
-    """Return the ghost of a fitted curve, or of n of them; its share is 0 where none was found."""
+    """Return the ghost of a fitted curve, or of n curves; its share is 0 if none was found."""
     odd, at = -np.asarray(curve.odd)[..., GHOSTS], EVEN + GHOSTS
     share, covariance = odd.sum(-1), np.asarray(curve.covariance)[..., at[:, None], at]
     step = GHOST_STEP * np.asarray(line_width(curve.shape))[..., None] * np.arange(GHOSTS.size)
@@ -247,9 +247,9 @@ def ghost_of(curve: FreeCurve) -> Ghost:
 def half_frequency(value: AnyArray, response: Callable[[jax.Array], SampledCurve]) -> SampledCurve:
     """Return the lowest frequency at which an MTF is one half.
 
-    It is in cycles/px, and NaN where there is none. value: the MTF at `FREQUENCIES`. response: value and standard deviation
-    at any frequencies. The interval in which the MTF falls through one half is divided once more, so finely that a straight
-    line does for the rest.
+    It is in cycles/px, and NaN where there is none. value: the MTF at `FREQUENCIES`. response: value and standard
+    deviation at any frequencies. The interval in which the MTF falls through one half is divided once more, so finely
+    that linear interpolation is accurate enough.
     """
     below = changed(value < 0.5, 0, False)
     i = xp.argmax(below)

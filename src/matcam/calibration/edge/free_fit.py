@@ -1,15 +1,15 @@
-"""The free curve fitted to the cells: one linear solve, veiling glare where there is any, and what noise does to the result.
+"""The free curve fitted to the cells: one linear solve, veiling glare if there is any, and the covariance from noise.
 
-Normal priors keep what the cells do not determine near the pilot: 10 % of the step on a strength in the middle of the core,
-falling off with the distance, because that is where a lens that is not Gaussian differs most. The covariance is that of the
-estimator under noise, A^-1 X W V W X' A^-1 with A = X W X' + prior, not the wider one of a belief: it is what repeated pictures
-show. What the priors bias stands in docs/edge.md, by test.
+Normal priors keep what the cells do not determine near the pilot: 10 % of the step on a strength in the middle of the
+core, less at a distance, because lenses differ most from Gaussians in the core. The covariance is that of the estimator
+under noise, A^-1 X W V W X' A^-1 with A = X W X' + prior, not the wider posterior covariance: it is the scatter of
+repeated pictures. The bias of the priors was tested, and is given in docs/edge.md.
 
-A ghost is a second, weaker edge. Pairs of bumps are tried at a row of distances on what the free curve leaves; where they raise
-the likelihood enough, they join the fit. So does a lens's wing that the core does not reach.
+A ghost is a second, weaker edge. Pairs of bumps are tried at a row of distances on the residual of the free curve; if
+they raise the likelihood enough, they are added to the fit. So is a wing of the lens beyond the core.
 
-Glare is a wide Gaussian. A row of radii is tried on what the free curve leaves; where one raises the likelihood by 5 sigma,
-the radius is refined and joins the fit. Free glare that is not there would cost every MTF50 half of its accuracy.
+Glare is a wide Gaussian. A row of radii is tried on the residual of the free curve; if one raises the likelihood by 5
+sigma, glare with a refined radius is added. To fit glare that is absent would halve the accuracy of every MTF50.
 """
 
 from __future__ import annotations
@@ -41,24 +41,25 @@ if TYPE_CHECKING:
     from matcam.core.jax import jax
 
 FOUND = 25.0
-"""Rise of 2 ln likelihood, 5 sigma, that glare must bring to be believed."""
+"""Rise of 2 ln likelihood (5 sigma) above which glare is accepted."""
 GHOST_FOUND = 24.0
-"""Rise of 2 ln likelihood that the six strengths of a ghost must bring: at one place once in 2,000 by chance."""
-_PRIOR, _REACH = 0.1, 1.6  # of the step, on strengths of the core; falls off as a Gaussian of 1.6 s
-_PRIOR_ODD = 0.03  # of the step, at most
-_PRIOR_TAIL = 0.3  # of the step
-_PRIOR_GLARE = 0.1  # of the step
-_PRIOR_GHOST = 0.3  # of the step
-_FIRST_GHOST, _LAST_GHOST, _FURTHEST = 2.2, 6.0, 8.0  # s; s and px, whichever is more: where ghosts are looked for
-_GHOST_PLACES, _GHOST_ROOM = 24, 0.3  # of the region's width
-_MISFIT = 2e-4  # of the step: what bumps of 0.6 s cannot describe; weighs only in pictures with less noise than that
+"""Rise of 2 ln likelihood above which a ghost is accepted: by chance once in 2,000 at one position."""
+_PRIOR, _REACH = 0.1, 1.6  # relative to the step, prior of the strengths of the core; falls off as a Gaussian of 1.6 s
+_PRIOR_ODD = 0.03  # relative to the step, largest value
+_PRIOR_TAIL = 0.3  # relative to the step
+_PRIOR_GLARE = 0.1  # relative to the step
+_PRIOR_GHOST = 0.3  # relative to the step
+# s, and s and px (the larger of both): range in which ghosts are searched
+_FIRST_GHOST, _LAST_GHOST, _FURTHEST = 2.2, 6.0, 8.0
+_GHOST_PLACES, _GHOST_ROOM = 24, 0.3  # relative to the width of the region
+_MISFIT = 2e-4  # relative to the step: deviation that bumps of 0.6 s cannot describe; matters only in pictures with less noise
 VEIL = 0.25
-"""Of a region's width, beyond which glare and uneven light look alike."""
-_VEIL_COST = 4.0  # of 2 ln likelihood: by so much such glare is cheaper than the light that looks like it
-_LEAST_COST = 10.8  # 2 ln likelihood that a parameter of the light must bring at least: once in 1,000 by chance
+"""Radius of glare, relative to the width of the region, above which it cannot be distinguished from uneven light."""
+_VEIL_COST = 4.0  # 2 ln likelihood by which such glare is preferred to the light that looks like it
+_LEAST_COST = 10.8  # smallest rise of 2 ln likelihood for a parameter of the light: by chance once in 1,000
 _LEVELS = SHIFT
 _COLUMN = _LEVELS + GLARE
-"""Where glare stands among the columns; 0 until it is looked for."""
+"""Index of the glare among the columns, which are 0 there until it is searched."""
 _PRIOR_RADIUS = 1.0  # of ln radius
 _NARROWEST, _NARROWEST_OF_SCALE, _WIDEST = 4.0, 3.0, 110.0  # px, s, px: radii that are tried
 _CANDIDATES, _REFINEMENTS = 9, 3
@@ -110,7 +111,7 @@ class LinearFit(NamedTuple):
 
 
 class Structure(NamedTuple):
-    """Hold what the free curve finds in another fit's residuals.
+    """Result of the free curve for the residuals of another fit.
 
     Attributes:
         found: rise of 2 ln likelihood.
@@ -188,7 +189,7 @@ def linear_fit(
             strength,
         )
 
-    # light is a factor: where the pilot has got it wrong, the second pass starts from the right one
+    # light is a factor: if the pilot has an error in it, the second pass starts from the corrected light
     levels, step, columns, normal, inverse, residual, strength = last_of(solved, state.linear * used, np.arange(2))
     left = residual - strength @ columns
     degrees = xp.maximum((cells.pixels > 0).sum() - xp.trace(inverse @ normal), 1.0)
@@ -213,9 +214,9 @@ def linear_fit(
 
 
 def ghost_found(fit: LinearFit, known: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Return whether there is a ghost, and its likeliest place, px from the edge.
+    """Check for a ghost, and return its most probable position, px from the edge.
 
-    known: whether the noise is; else it is what the fit leaves. What glare explains is no ghost.
+    `known`: whether the noise is known; else it follows from the residual. Structure of glare is not a ghost.
     """
     glare = glare_candidate(fit)
     beside = _with_glare(fit, _column(fit, glare.log_radius))
@@ -239,7 +240,7 @@ def ghost_found(fit: LinearFit, known: jax.Array) -> tuple[jax.Array, jax.Array]
 
 
 def _with_glare(fit: LinearFit, column: jax.Array) -> LinearFit:
-    """Return the fit with glare, what it is asked for by `ghost_found`."""
+    """Return the fit with the glare that `ghost_found` needs."""
     columns = changed(fit.columns, _COLUMN, column)
     normal = (columns * fit.weight) @ columns.T
     inverse = lifted_inverse(normal + xp.diag(_PRECISIONS))
@@ -250,7 +251,7 @@ def _with_glare(fit: LinearFit, column: jax.Array) -> LinearFit:
 
 
 def _ghosts(fit: LinearFit, place: jax.Array) -> jax.Array:
-    """Return what ghosts of full strength would change (4, n): even pairs, odd pairs."""
+    """Return the changes from ghosts of full strength (4, n): even pairs, odd pairs."""
     s = line_width(fit.shape)
     at = place + GHOST_STEP * s * xp.arange(GHOSTS.size)[:, None]
     right, left = (glare_edge(GHOST_WIDTH * s, fit.cells.distance - sign * at, fit.cells.spread) for sign in (1, -1))
@@ -258,23 +259,23 @@ def _ghosts(fit: LinearFit, place: jax.Array) -> jax.Array:
 
 
 def _width(cells: EdgeCells) -> jax.Array:
-    """Return how far the region reaches across the edge, px."""
+    """Return the width of the region across the edge, px."""
     distance = xp.where(cells.pixels > 0, cells.distance, 0.0)
     return distance.max() - distance.min()
 
 
 def structure(fit: LinearFit, tested: EdgeModel) -> Structure:
-    """Return what the free curve finds in the residuals of another model."""
+    """Apply the free curve to the residuals of another model."""
     return _structure(fit.columns, fit.weight, fit.inverse, fit.normal, fit.cells.value - tested.value, tested.design)
 
 
 def _chosen_light(
     full: _Columns, linear: jax.Array, cells: EdgeCells, weight: jax.Array, pilot: jax.Array, shape: CoreShape
 ) -> jax.Array:
-    """Return which linear parameters (LINEAR,) the data ask for.
+    """Select the linear parameters (LINEAR,) that are free.
 
-    It is the one of `LIGHTS` that Schwarz's criterion (1978) prefers, with glare or without: a light that bends and a lens
-    that glares look alike, and neither may be taken for the other.
+    The selection is the one of `LIGHTS` that Schwarz's criterion (1978) prefers, with glare or without: uneven light
+    and glare look alike, and neither may be taken for the other.
     """
     radii = _radii(shape)
     unlikely = xp.where(xp.exp(radii) > VEIL * _width(cells), _VEIL_COST, 0.0)
@@ -290,12 +291,12 @@ def _chosen_light(
     unit = xp.where(size > 0, 1 / xp.sqrt(xp.where(size > 0, size, 1.0)), 0.0)
 
     def judged(used: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Return chi2, and by how much glare lowers it."""
+        """Return chi2, and its decrease by glare."""
         free = xp.concatenate([used[:_LEVELS], xp.ones(EVEN + ODD)])
-        # what is not free is 0: in everything linear this adds to the residual
+        # parameters that are not free are 0: in everything linear this adds to the residual
         given = xp.concatenate([(linear * (1 - used))[:_LEVELS], xp.zeros(EVEN + ODD)])
         towards = full.normal @ given
-        # in units in which the diagonal is 1; what is not free stands alone in it
+        # in units in which the diagonal is 1; a parameter that is not free is decoupled
         precise = (full.normal + xp.diag(_PRECISIONS)) * free * free[:, None] * unit * unit[:, None]
         root = linalg.cholesky(precise + xp.diag(xp.where(free * unit > 0, FLOOR, 1.0)))
         mine, shared = (score + towards) * free * unit, cross * free * unit
@@ -307,9 +308,9 @@ def _chosen_light(
         rise = xp.max(xp.maximum(left, 0.0) ** 2 / (alone - (shared**2).sum(0)) - unlikely)
         return chi2, xp.maximum(rise, 0.0)
 
-    lights = xp.asarray(LIGHTS) + 0 * before  # an array of JAX where the cells are
+    lights = xp.asarray(LIGHTS) + 0 * before  # an array of JAX if the cells are
     chi2, rise = each(judged, lights)
-    # what no light and no glare explains is as much noise as any
+    # structure that neither light nor glare explains counts as noise
     scatter = xp.maximum(xp.min(chi2 - rise) / degrees, 1.0)
     chi2, rise = chi2 / scatter, rise / scatter
     cost = (
@@ -327,7 +328,7 @@ def curve_without_glare(fit: LinearFit) -> FreeCurve:
 
 
 def glare_candidate(fit: LinearFit) -> GlareCandidate:
-    """Return the likeliest glare of a row of radii."""
+    """Return the most probable glare of a row of radii."""
     radii = _radii(fit.shape)
     rises = _rises(fit, radii)
     best = xp.argmax(rises)
@@ -352,7 +353,7 @@ def curve_with_glare(fit: LinearFit, seen: GlareCandidate) -> FreeCurve:
     strength = lifted_inverse((full * fit.weight) @ full.T + xp.diag(_PRECISIONS)) @ (
         full @ (fit.weight * fit.residual)
     )
-    # at its best already: it only takes its part of the covariance
+    # already at the optimum: the step only provides the covariance of the radius
     full = xp.concatenate([full, strength[_COLUMN] * slope[None]])
     inverse = lifted_inverse((full * fit.weight) @ full.T + xp.diag(xp.append(_PRECISIONS, _PRIOR_RADIUS**-2)))
     return _per_step(fit, strength, inverse @ ((full * fit.noisy) @ full.T) @ inverse, xp.exp(log_radius))
@@ -379,9 +380,9 @@ def _per_step(fit: LinearFit, strength: jax.Array, covariance: jax.Array, radius
 def _structure(
     columns: jax.Array, weight: jax.Array, inverse: jax.Array, normal: jax.Array, residual: jax.Array, design: jax.Array
 ) -> Structure:
-    """Return the scores' quadratic form s' A^-1 s and its moments.
+    """Return the quadratic form s' A^-1 s of the scores and its moments.
 
-    Under noise the covariance of the scores is the information less what the tested fit has absorbed.
+    Under noise the covariance of the scores is the information minus the part that the tested fit has absorbed.
     """
     score = columns @ (weight * residual)
     shared = (columns * weight) @ design.T
@@ -393,7 +394,7 @@ def _structure(
 def _rises(fit: LinearFit, log_radii: jax.Array) -> jax.Array:
     """Return the rise of 2 ln likelihood by glare of each radius.
 
-    All else is refitted. There is no glare of negative strength.
+    All other parameters are refitted. Negative strengths are excluded.
     """
     columns = each(lambda r: _column(fit, r), log_radii)
     weighted = columns * fit.weight
@@ -403,7 +404,7 @@ def _rises(fit: LinearFit, log_radii: jax.Array) -> jax.Array:
 
 
 def _column(fit: LinearFit, log_radius: jax.Array) -> jax.Array:
-    """Return what glare of full strength would change."""
+    """Return the change from glare of full strength."""
     return (glare_edge(xp.exp(log_radius), fit.cells.distance, fit.cells.spread) - fit.pilot) * fit.step
 
 
@@ -418,9 +419,9 @@ def _radii(shape: CoreShape) -> jax.Array:
 
 
 def _lights() -> np.ndarray:
-    """Return how light may vary, from least to most (6, LINEAR).
+    """Return the models of the light, from the fewest to the most parameters (6, LINEAR).
 
-    Its factor is of order 1, 2 or 3, what it adds of order 0, 1 or 2. A level on both sides, and the edge's shift, are
+    The factor has order 1, 2 or 3, the added light order 0, 1 or 2. A level on both sides and the shift of the edge are
     always free.
     """
     factor, addend = {1: 2, 2: 4, 3: 7}, {0: 0, 1: 2, 2: 4}
@@ -432,13 +433,13 @@ def _lights() -> np.ndarray:
 
 
 LIGHTS = _lights()
-"""Which linear parameters are free in each kind of light (6, LINEAR)."""
+"""Masks of the linear parameters that are free in each model of the light (6, LINEAR)."""
 
 
 def _precisions() -> np.ndarray:
-    """Return the priors' precisions (p,).
+    """Return the precisions of the priors (p,).
 
-    Levels, light and the edge's place have none.
+    Levels, light and the position of the edge have none.
     """
     core, ghosts = _PRIOR * np.exp(-((PLACES / _REACH) ** 2) / 2), np.full(GHOSTS.size, _PRIOR_GHOST)
     odd = np.minimum(core, _PRIOR_ODD)

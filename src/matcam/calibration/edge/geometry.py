@@ -1,12 +1,12 @@
-"""Where the edge runs, every pixel's distance to it, and the cells that gather pixels at nearly one distance.
+"""The curve of the edge, the distance of every pixel from it, and the cells of pixels at nearly one distance.
 
 The edge is a curve x0(y), a polynomial of order 5, in the region's own coordinates: px from the region's centre, x along the
 rows, y down. The bright side lies at larger x.
 
-A cell holds the pixels of one aligned column whose rows put the edge into the same eighth of a px. It keeps their exact mean
-distance AND the spread of their distances, so that nothing is lost and no bin width has to be corrected for. A model's mean
-over the cell is the model at the mean distance, blurred by the spread (right to 1e-6 of the step). Far from the edge, where
-nothing varies quickly, half a column is one cell.
+A cell holds the pixels of one aligned column whose rows put the edge into the same eighth of a px. It stores their
+exact mean distance AND the spread of their distances, so that no correction for a bin width is needed. A model's mean
+over the cell is the model at the mean distance, blurred by the spread (with an error of 1e-6 of the step). Far from the
+edge, where nothing varies quickly, half a column is one cell.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ if TYPE_CHECKING:
     from matcam.core.jax import AnyArray, jax
 
 CURVE = 6
-"""Coefficients of an edge's curve: bow, S and more, of a lens's distortion over a long region."""
+"""Number of coefficients of the curve of an edge: the distortion of a lens bends a long edge."""
 _PHASES = 8  # cells to a px
-_NEAR = 7  # px to both sides of the edge in which columns are split by phase
+_NEAR = 7  # px on both sides of the edge in which columns are split by phase
 
 
 class Rows(NamedTuple):
@@ -97,7 +97,7 @@ class EdgeCells(NamedTuple):
     """Means over the pixels of n cells.
 
     Attributes:
-        pixels: (n,) how many there are; 0 where a cell is empty (its means are then meaningless).
+        pixels: (n,) number of pixels; 0 if the cell is empty (its means are then meaningless).
         value: (n,).
         distance: (n,) px from the edge, along its normal.
         spread: (n,) px^2, variance of the distances in the cell.
@@ -126,9 +126,9 @@ def edge_slope(curve: jax.Array, y: AnyArray) -> jax.Array:
 def edge_distance(curve: jax.Array, x: AnyArray, y: AnyArray) -> jax.Array:
     """Return the distance to the curve, px, to second order.
 
-    It is positive on the bright side. For a parabola of second derivative k and local slope t, with e the distance along
-    the row, it is the straight edge's e c, c = 1 / sqrt(1 + t^2), less what the curve bends away below the foot of the
-    normal, k e^2 t^2 c^5 / 2.
+    It is positive on the bright side. For a parabola of second derivative k and local slope t, with e the distance
+    along the row, the distance is that of a straight edge, e c with c = 1 / sqrt(1 + t^2), less what the curve bends
+    away below the foot of the normal, k e^2 t^2 c^5 / 2.
     """
     slope = edge_slope(curve, y)
     bend = edge_place(curve[2:] * xp.array([k * (k - 1) for k in range(2, CURVE)]), y)
@@ -138,14 +138,14 @@ def edge_distance(curve: jax.Array, x: AnyArray, y: AnyArray) -> jax.Array:
 
 
 def half_length(rows: Rows) -> jax.Array:
-    """Return the largest |y| of a row that holds anything, px."""
+    """Return the largest |y| of a row that is not empty, px."""
     return xp.maximum(xp.max(xp.where(xp.isfinite(rows.value).any(1), xp.abs(rows.y), 0.0)), 1.0)
 
 
 def to_mean_slope(length: jax.Array) -> jax.Array:
-    """Return what turns a curve's coefficients (CURVE,) into its mean slope.
+    """Return the vector by which the coefficients of a curve (CURVE,) give its mean slope.
 
-    It is that of the straight line that fits the curve best over -length to length.
+    The mean slope is that of the best straight line from -length to length.
     """
     return xp.array([0.0, 1.0, 0.0, 3 / 5, 0.0, 3 / 7]) * length ** xp.array([0.0, 0.0, 0.0, 2.0, 0.0, 4.0])
 
@@ -159,7 +159,7 @@ def legendre(t: AnyArray, terms: int) -> jax.Array:
 
 
 def aligned_rows(rows: Rows, curve: jax.Array) -> AlignedRows:
-    """Shift rows so that the edge stands in the middle column."""
+    """Shift rows so that the edge is in the middle column."""
     width = rows.value.shape[1]
     half = width // 2
     first = as_index(xp.round((edge_place(curve, rows.y) - rows.start) / rows.step)) - half
@@ -173,7 +173,7 @@ def aligned_rows(rows: Rows, curve: jax.Array) -> AlignedRows:
 
 
 def phased_rows(rows: AlignedRows, curve: jax.Array) -> PhasedRows:
-    """Return all pixels' distances to a curve, and all rows' phases."""
+    """Return the distances of all pixels from a curve, and the phases of all rows."""
     middle = rows.value.shape[1] // 2
     offset = (rows.x[:, middle] - edge_place(curve, rows.y)) / rows.step + 0.5
     count = _PHASES * rows.step
@@ -193,31 +193,31 @@ def edge_cells(phased: PhasedRows) -> EdgeCells:
         quantities = [apart, apart**2, dim, *light_terms(x, y, apart, aligned.length)]
         return [valid, aligned.value[:, part], *(valid * q for q in quantities)]
 
-    # one product for all channels: many small ones cost three times as much
+    # one product for all channels: many small ones take three times as long
     width = near.stop - near.start
     inside = channels(near)
     summed = (phased.member @ xp.concatenate(inside, 1)).reshape(-1, len(inside), width).swapaxes(0, 1)
-    # two cells to a column far from the edge, upper and lower rows, for the sake of light that varies along the edge
+    # two cells per column far from the edge, upper and lower rows, to resolve light that varies along the edge
     half = aligned.y.size // 2
     far = zip(channels(slice(None, near.start)), channels(slice(near.stop, None)), strict=True)
     outside = [[part.sum(0) for side in both for part in (side[:half], side[half:])] for both in far]
     sums = (xp.concatenate([i.ravel(), *o]) for i, o in zip(summed, outside, strict=True))
     count = next(sums)
-    # an empty cell stands at 0, where every model is finite; it has no weight
+    # an empty cell is at distance 0, where every model is finite; it has weight 0
     value, mean, square, dim, *terms = (total / xp.where(count > 0, count, 1.0) for total in sums)
     dim = xp.where(count > 0, dim, 1.0)
     return EdgeCells(count, value, mean, xp.maximum(square - mean**2, 0.0), dim, xp.stack(terms))
 
 
 def light_terms(x: AnyArray, y: AnyArray, distance: AnyArray, length: AnyArray) -> list[jax.Array]:
-    """Return the terms of which the light of a region is made: TERMS arrays.
+    """Return the terms of the light in a region: TERMS arrays.
 
-    They are x and y (px), then products of the distance d from the edge and y, each in units of `length`, to third order.
-    What depends on y alone has been divided out of the rows, or is too little to be seen.
+    They are x and y (px), then products of the distance d from the edge and y, each in units of `length`, to third
+    order. Terms in y alone have been divided out of the rows, or are negligible.
     """
     d, v = distance / length, y / length
     return [xp.broadcast_to(t, distance.shape) for t in (x, y, d * d, d * v, d * d * d, d * d * v, d * v * v)]
 
 
 TERMS = 7
-"""Terms of the light."""
+"""Number of terms of the light."""

@@ -7,10 +7,10 @@ variance is the MODEL's, gain * value + read^2, held fixed within a step (iterat
 point is the maximum of the Poisson likelihood where variance and mean are one, and nothing is biased by noise in weights,
 docs/model.md 8).
 
-Fisher scoring, a fixed number of steps: every step is the same small program, so that a thousand edges run side by side
-under `vmap`, which a search with its own stopping rule (Optimistix) would hold up for its slowest member. Profile and levels
-see the cells; the curve sees the pixels near the edge. The curve's shift is fitted along with the profile, its slope and
-bow are orthogonal to everything else by symmetry, so that the two may take turns.
+Fisher scoring uses a fixed number of steps: every step is the same small program, so that a thousand edges run in
+parallel under `vmap`. A search with a stopping rule (Optimistix) would wait for the slowest edge. Profile and levels
+are fitted to the cells, the curve to the pixels near the edge. The curve's shift is fitted along with the profile, its
+slope and bow are orthogonal to everything else by symmetry, so that the two fits may alternate.
 """
 
 from __future__ import annotations
@@ -37,11 +37,11 @@ if TYPE_CHECKING:
     from matcam.core.jax import AnyArray, jax
 
 ADDED = 4
-"""Terms of the light that may be added to the scene: the first so many."""
+"""Number of terms of the light that may be added to the scene: the first terms."""
 SHIFT = 2 + TERMS + ADDED
-"""Where the edge's shift stands among the linear parameters, last of them."""
+"""Index of the shift of the edge in the linear parameters, the last of them."""
 LINEAR = SHIFT + 1
-"""Parameters that every profile has: dark, bright, light that multiplies, light that adds, shift."""
+"""Number of parameters that every profile has: dark, bright, multiplied light, added light, shift."""
 
 Profile = Callable[[EdgeCells, "jax.Array"], tuple["jax.Array", "jax.Array", "jax.Array"]]
 """(cells, parameters (k,)) -> means over the cells of E, of dE/dd, and of dE/dparameters (k, n)."""
@@ -59,9 +59,9 @@ class Noise(NamedTuple):
     read: AnyArray | np.float64
 
     def variance(self, value: AnyArray, dim: AnyArray | float = 1.0) -> jax.Array:
-        """Return the variance of a pixel expected to read `value`.
+        """Return the variance of a pixel with the expected value `value`.
 
-        dim: by which it was multiplied, to make the light even.
+        `dim`: factor that made the light even.
         """
         return xp.asarray(self.gain * xp.maximum(value, 0.0) * dim + (self.read * dim) ** 2)
 
@@ -84,7 +84,7 @@ class State(NamedTuple):
 
 
 class EdgeModel(NamedTuple):
-    """Hold what every cell should read, and its derivatives.
+    """Model of all cells, and its derivatives.
 
     Attributes:
         state: the parameters.
@@ -102,20 +102,23 @@ class EdgeModel(NamedTuple):
 
 
 class Light(NamedTuple):
-    """Hold what light does to a scene: `factor` times it, and `addend` more."""
+    """Effect of the light on a scene: `factor` times the scene plus `addend`."""
 
     factor: jax.Array
     addend: jax.Array
 
 
 def light_of(linear: jax.Array, terms: jax.Array) -> Light:
-    """Return the light where its terms are `terms` (TERMS, ...). linear: as in `State`."""
+    """Return the light for its terms `terms` (TERMS, ...).
+
+    `linear`: as in `State`.
+    """
     factor = 1 + xp.tensordot(linear[2 : 2 + TERMS], terms, 1)
     return Light(factor, xp.tensordot(linear[2 + TERMS : SHIFT], terms[:ADDED], 1))
 
 
 def edge_model(cells: EdgeCells, state: State, profile: Profile) -> EdgeModel:
-    """Return what the cells should read."""
+    """Return the model values of the cells."""
     dark, bright, shift = state.linear[0], state.linear[1], state.linear[SHIFT]
     edge, line, slopes = profile(cells._replace(distance=cells.distance + shift), state.profile)
     light = light_of(state.linear, cells.terms)
@@ -144,7 +147,7 @@ def scoring_step(cells: EdgeCells, state: State, profile: Profile, noise: Noise,
 
 
 class CurveStep(NamedTuple):
-    """Hold what the pixels near the edge say of its curve.
+    """Step of the curve of the edge from the pixels near it.
 
     Attributes:
         curve: (CURVE,) coefficients.
@@ -159,18 +162,19 @@ class CurveStep(NamedTuple):
     roughness: jax.Array
 
 
-_CLEAR = 4.0  # standard deviations, beyond which an edge is called rough
-_STIFF = 0.3  # px: standard deviation of what is believed of a change of a curve's higher orders
-_BOWS = 3  # orders of a straight edge with a bow; those above are an S, dirt or a torn border
-_BENT = 16.3  # 2 ln likelihood that the orders above must bring together: once in 1,000 by chance
+_CLEAR = 4.0  # standard deviations above which an edge is rough
+_STIFF = 0.3  # px: standard deviation of the prior for a change of the higher orders of a curve
+_BOWS = 3  # orders of a straight edge with a bow; higher orders describe an S, dirt or a torn border
+_BENT = 16.3  # smallest rise of 2 ln likelihood for all higher orders together: by chance once in 1,000
 
 
 def curve_step(phased: PhasedRows, cells: EdgeCells, at: EdgeModel, noise: Noise, length: jax.Array) -> CurveStep:
     """Return the curve after a step of Fisher scoring, from single pixels.
 
     A pixel's model is its cell's, moved along the slope: within a cell the distances differ by a sixteenth of a px, and
-    what the second order leaves is even in the distance, which tells nothing of position. The orders beyond the bow are free
-    where the rows show them: fitted to the noise of few rows, they make an edge sharper or more blurred than it is.
+    the residual of second order is even in the distance, and does not affect the position. The orders beyond the bow
+    are free if they are significant: if they are fitted to the noise of few rows, the edge seems sharper or more
+    blurred than it is.
     """
     aligned, curve, state = phased.rows, phased.curve, at.state
     near = aligned.near
@@ -185,7 +189,7 @@ def curve_step(phased: PhasedRows, cells: EdgeCells, at: EdgeModel, noise: Noise
     scene = of_row((at.value - of_cell.addend) / at.light)
     expected = scene * light.factor + light.addend + slope * (distance - of_row(cells.distance))
     weight = aligned.valid[:, near] / noise.variance(expected, 1 / aligned.light[:, None])
-    # moving the curve by +1 px along x brings the bright side c px nearer
+    # moving the curve by +1 px along x moves the bright side by c px
     tilt = 1 / xp.sqrt(1 + edge_slope(curve, aligned.y) ** 2)
     by_row = -slope * tilt[:, None]
     information = (weight * by_row**2).sum(1)
@@ -199,7 +203,7 @@ def curve_step(phased: PhasedRows, cells: EdgeCells, at: EdgeModel, noise: Noise
     change = xp.clip(change, -1.0, 1.0)
     rms = xp.sqrt((residual**2).sum() / xp.maximum(aligned.valid[:, near].sum(), 1.0))
     by = xp.stack([to_coefficients(unit, length) for unit in xp.eye(CURVE)])
-    # each row's own place, about the new curve
+    # the position in each row, relative to the new curve
     shift = score / xp.where(information > 0, information, 1.0) - powers.T @ change
     count = xp.maximum((information > 0).sum() - orders, 1.0)
     weight = information / xp.maximum(information.sum(), 1e-300) * ((information > 0).sum() / count)
@@ -212,17 +216,16 @@ def curve_step(phased: PhasedRows, cells: EdgeCells, at: EdgeModel, noise: Noise
 def _of_seen_orders(
     normal: jax.Array, score: jax.Array, strengths: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Return the covariance of a curve's strengths, their change, and how many are free.
+    """Return the covariance of the strengths of a curve, their change, and the number of free ones.
 
-    Those beyond the bow are not free, and become 0, where noise makes as much of them.
-
-    normal: (CURVE, CURVE) information. score: (CURVE,) of the present `strengths`.
+    The strengths beyond the bow are 0 if noise explains them. `normal`: (CURVE, CURVE) information. `score`: (CURVE,)
+    of the present `strengths`.
     """
     free = linalg.inv(normal)
     change = free @ score
     beyond = (strengths + change)[_BOWS:]
     seen = beyond @ linalg.solve(free[_BOWS:, _BOWS:], beyond) > _BENT
-    # towards a course that has none of them
+    # towards a curve without them
     without = xp.where(xp.arange(CURVE) < _BOWS, 0.0, -strengths)
     bow = xp.pad(linalg.inv(normal[:_BOWS, :_BOWS]), (0, CURVE - _BOWS))
     bowed = without + bow @ (score - normal @ without)

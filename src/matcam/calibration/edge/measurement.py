@@ -1,4 +1,4 @@
-"""From rows of samples to both estimates: the one program that runs on every edge, alone or by the thousand."""
+"""Both estimates from rows of samples: one program for every edge, for a single one or for thousands."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ if TYPE_CHECKING:
 
 _START = -0.5  # ln px: sigma 0.6
 _STEPS, _MODEL_STEPS = 3, 12
-_LAST_LIGHT = 3  # of `LIGHTS`, with which the edge's profile and place take their last turn
-_EXPECTED = 1.4  # chi2 per degree of freedom of some 200 cells: 4 sigma
+_LAST_LIGHT = 3  # index in `LIGHTS` of the model of the light in the last fits of profile and position
+_EXPECTED = 1.4  # chi2 per degree of freedom of about 200 cells: 4 sigma
 
 
 _Fits = TypeVar("_Fits", bound=tuple[Any, ...])
@@ -119,7 +119,7 @@ class EdgeFits(NamedTuple):
 
 
 class _Pilot(NamedTuple):
-    """Hold what has been found of an edge before ghosts and glare are considered."""
+    """Results for an edge before ghosts and glare are considered."""
 
     crossing: jax.Array
     known: jax.Array
@@ -136,7 +136,7 @@ class _Pilot(NamedTuple):
 
 
 class _Stage(NamedTuple):
-    """Hold what has been found of an edge before glare is considered."""
+    """Results for an edge before glare is considered."""
 
     pilot: _Pilot
     model: EdgeModel
@@ -147,12 +147,12 @@ class _Stage(NamedTuple):
 
     @property
     def glares(self) -> jax.Array:
-        """Say whether glare was found."""
+        """Return whether glare was found."""
         return self.glare.rise > free_fit.FOUND * self.scatter
 
 
 class _Turn(NamedTuple):
-    """One turn of the fits of profile and curve."""
+    """One iteration of the fits of profile and curve."""
 
     curve: jax.Array
     cells: EdgeCells
@@ -170,7 +170,7 @@ def edge_fits(
     step: int,
     turns: int,
 ) -> EdgeFits:
-    """Return both estimates for the edge in one region.
+    """Compute both estimates for the edge in one region.
 
     value, y, start, step: as in `geometry.Rows`. The parametric estimate is Gaussian. noise: NaN where it is to be
     estimated. turns: of profile and curve, each fitted while the other stays.
@@ -192,7 +192,7 @@ def edge_fits_of_stack(
 ) -> EdgeFits:
     """Return `edge_fits` of many regions, side by side.
 
-    value: (n, rows, columns). y and start: (n, rows). few: whether it is not asked often enough to be worth a long compilation.
+    value: (n, rows, columns). y and start: (n, rows). few: whether there are too few calls for a long compilation.
     """
     return _program(_fits_of_stack, "once" if few else "some")(values, y, start, noise, half_width, step, turns)
 
@@ -218,7 +218,10 @@ def _lens_fit_of(found: EdgeFits, half_width: AnyArray | np.float64, lens: LensM
 
 @cache
 def _program(function: Callable[..., EdgeFits], runs: Literal["once", "some"]) -> Callable[..., EdgeFits]:
-    """Return a compiled function, of which little or much is asked. A command keeps it: to trace it takes seconds."""
+    """Return a compiled function for few or many regions.
+
+    It is cached, because it takes seconds to trace.
+    """
     from matcam.core.jax import jit_plainly, program_folder
     from matcam.core.programs import kept_program
 
@@ -255,7 +258,7 @@ def _fits_of_stack(
         return _where(pilots.ghost, jax.vmap(_with_ghost)(pilots), pilots.free)
 
     pilots = jax.vmap(of_one)(values, y, start)
-    # under vmap both sides of a condition are computed: ask once for all of them
+    # under vmap both branches of a condition are computed: test once for all edges
     frees = jax.lax.cond(xp.any(pilots.ghost), with_ghosts, lambda pilots: pilots.free, pilots)
     stages = jax.vmap(_stage)(pilots, frees)
     found = stages.glares
@@ -272,12 +275,12 @@ def _fits_of_stack(
 
 
 def _where(which: jax.Array, some: _Fits, others: _Fits) -> _Fits:
-    """Return some of n fits, and others."""
+    """Select n fits from two alternatives by a condition."""
     return tuple_map(lambda a, b: xp.where(which.reshape(-1, *[1] * (a.ndim - 1)), a, b), some, others)
 
 
 def _pilot(rows: Rows, noise: Noise, half_width: jax.Array, rounds: int) -> _Pilot:
-    """Fit curve, Gaussian lens and free curve, and look for a ghost."""
+    """Fit curve, Gaussian lens and free curve, and search for a ghost."""
     length = geometry.half_length(rows)
     to_slope = geometry.to_mean_slope(length)
     first_curve, crossing = start.first_curve(rows)
@@ -307,7 +310,7 @@ def _pilot(rows: Rows, noise: Noise, half_width: jax.Array, rounds: int) -> _Pil
     even = free_fit.LIGHTS[0]
     levels = xp.append(xp.stack([dark.mean(), bright.mean()]), np.zeros(even.size - 2))
     first = State(levels, xp.array([_START]), even)
-    # the last turn sees light of most orders: what it takes from the levels, the curve must not
+    # the last iteration fits light of most orders: the curve must not compensate for the levels
     uses = free_fit.LIGHTS[np.where(np.arange(rounds) < rounds - 1, 0, _LAST_LIGHT)]
     curve, cells, at, moved = last_of(turn, (first_curve, first), uses)
     seen = seen_along(curve)
@@ -319,29 +322,30 @@ def _pilot(rows: Rows, noise: Noise, half_width: jax.Array, rounds: int) -> _Pil
 
 
 def _with_ghost(pilot: _Pilot) -> free_fit.LinearFit:
-    """Fit the free curve again, with the ghost: if nobody knows of it, it passes for light."""
+    """Fit the free curve again with the ghost, which would otherwise be fitted as light."""
     shape = pilot.free.shape._replace(apart=pilot.place)
     return free_fit.linear_fit(pilot.cells, pilot.model, pilot.noise, shape, 1.0)
 
 
 def _stage(pilot: _Pilot, free: free_fit.LinearFit) -> _Stage:
-    """Fit the Gaussian lens in the light that was chosen, and look for glare."""
+    """Fit the Gaussian lens in the selected light, and search for glare."""
     seen = LensAtEdge(Gaussian(), free.shape.angle, free.shape.half_width)
     chosen = pilot.model.state._replace(linear=pilot.model.state.linear * free.used, used=free.used)
     state = _climb(pilot.cells, chosen, seen, pilot.noise, _STEPS)
     at = edge_model(pilot.cells, state, seen.profile)
     structure = free_fit.structure(free, at)
     candidate = free_fit.glare_candidate(free)
-    # glare is judged by what is left with it
+    # glare is tested by the residual with glare
     left = (free.weight * free.left**2).sum() - candidate.rise
     scatter = xp.where(pilot.known, 1.0, xp.maximum(left / free.degrees, 1.0))
     return _Stage(pilot, at, free, structure, candidate, scatter)
 
 
 def _edge_fits(stage: _Stage, free: FreeCurve, half_width: jax.Array) -> EdgeFits:
-    """Read everything off the fits."""
+    """Compute all results from the fits."""
     pilot = stage.pilot
-    # noise that was estimated from neighbours may not be all: then the cells' scatter about the free curve speaks
+    # noise that was estimated from neighbours may be incomplete: then the scatter of the cells about the free curve is
+    # used
     by_glare = xp.where(stage.glares, stage.glare.rise, 0.0)
     scatter = (stage.free.chi2 - by_glare) / stage.free.degrees
     excess = xp.where(scatter < _EXPECTED, 1.0, scatter)
@@ -405,7 +409,7 @@ def _lens_fit(
     excess: jax.Array,
     doubt: Unexplained,
 ) -> LensFit:
-    """Read everything off a fitted family of lenses."""
+    """Compute all results from a fitted family of lenses."""
     parameters = at.state.profile
     weight = cells.pixels / noise.variance(at.value, cells.dim)
     covariance = excess * lifted_inverse((at.design * weight) @ at.design.T)

@@ -20,7 +20,7 @@ from matcam.core.results.summary import Quantity, Summarised, Summary, correlati
 if TYPE_CHECKING:
     from matcam.core.jax import AnyArray
 
-_WRONG = 1e-3  # probability below which a model is called wrong
+_WRONG = 1e-3  # probability below which a model is rejected
 
 Number = TypeVar("Number", float, np.ndarray)
 """A float of one edge; an array (n,) of a stack."""
@@ -61,7 +61,7 @@ class EdgeValues(Generic[Number]):
 
 @dataclass(frozen=True, eq=False)
 class _LensNumbers(Generic[Number]):
-    """Parametric estimate of one edge, or of a stack."""
+    """Parametric estimate of one edge, or of a stack of edges."""
 
     model: str
     names: tuple[str, ...]
@@ -202,8 +202,8 @@ def parametric_stack(
 ) -> ParametricStack:
     """Return the fits of a stack as a result.
 
-    All arrays are NumPy's. Numbers of bad edges (n,) become NaN. free: MTF and MTF50 without a model; where the model is
-    wrong, its difference from them is part of its errors.
+    All arrays are NumPy's. Numbers of bad edges (n,) become NaN. free: MTF and MTF50 without a model; if the model is
+    wrong, its difference from them is added to its errors.
     """
     probability = _misfit_probability(*map(np.asarray, fit.structure))
     wrong = ~(probability > _WRONG)
@@ -236,12 +236,13 @@ def with_nan(values: AnyArray | np.float64, bad: np.ndarray) -> np.ndarray:
 
 
 def _misfit_probability(found: np.ndarray, mean: np.ndarray, variance: np.ndarray) -> np.ndarray:
-    """Return how often a quadratic form exceeds `found`.
+    """Return the probability that a quadratic form exceeds `found`.
 
-    It is a form of normal numbers with this mean and variance, taken for a scaled chi-square (Satterthwaite 1946).
+    It is a form of normal variables with this mean and variance, approximated by a scaled chi-square (Satterthwaite
+    1946).
     """
-    from scipy.special import chdtrc  # needed here only
+    from scipy.special import chdtrc  # imported here because no other function needs it
 
-    known = (variance > 0) & (mean > 0)  # not where there was nothing to be fitted
+    known = (variance > 0) & (mean > 0)  # NaN if nothing was fitted
     mean, variance = np.where(known, mean, 1.0), np.where(known, variance, 1.0)
     return np.where(known, chdtrc(2 * mean**2 / variance, np.maximum(found, 0.0) * 2 * mean / variance), np.nan)

@@ -1,8 +1,9 @@
-"""What software has done to a picture of an edge, as far as its pixels show it, and how wrong that may make an MTF.
+"""Traces of processing in a picture of an edge, and their effect on an MTF.
 
-Nobody can measure a lens behind a denoiser. But its traces can be found: in the noise of the flat sides (`flat_noise.py`), in
-levels that many pixels share, in an overshoot. Each trace is named, with what it may do to the MTF, and adds to the stated
-errors: as an unknown scale of frequency, relative, which leaves an MTF of 1 at frequency 0 alone.
+A lens cannot be measured behind a denoiser, but the traces of the denoiser can be found: in the noise of the flat sides
+(`flat_noise.py`), in levels that many pixels share, in an overshoot. Each trace is named with its possible effect on
+the MTF, and adds to the stated errors: as an unknown relative scale of frequency, which only leaves an MTF of 1 at
+frequency 0 unchanged.
 """
 
 from __future__ import annotations
@@ -38,48 +39,50 @@ from matcam.calibration.photograph.uneven_light import LightField
 from matcam.core.arrays import FloatArray, tuple_map
 from matcam.core.remark import Remark
 
-_REACH, _MORE = 3.0, 2.0  # of the blur, px: beyond both a side is flat
+_REACH, _MORE = 3.0, 2.0  # multiple of the blur, and px: beyond both a side is flat
 _BOX = 0.29  # px: standard deviation of a pixel
 _GAMMA = 2.2
 _TRANSFORM = 8192
 """Samples of the transform of a line spread function, whose frequencies are then 2.4e-3 cycles/px apart."""
 _TONE_BEND, _TONE_PROBABILITIES, _RAISED = 0.3, (0.02, 0.5), 1.15
-"""Standard deviation of a tone curve's bend; its probabilities where the noise of the dark is that of photons, and where it is
-higher; and from which multiple on it is higher.
+"""Standard deviation of the curvature of a tone curve; its probabilities if the noise of the dark side is photon noise,
+and if it is higher; and the ratio above which it is higher.
 """
 _SURE_TONE, _NO_TONE = 0.99, 0.01
-"""Probabilities of a tone curve from which it is remarked on, and below which its effect is not computed."""
-_PER_OVERSHOOT = 12.0  # of MTF50, by the overshoot that an unsharp mask leaves
-_OVERSHOOT, _SURE = 0.003, 3.5  # of the step; standard deviations of both signs of sharpening together
-_CRUSHED = 0.01  # of MTF50, at least
+"""Probabilities of a tone curve above which it is reported, and below which its effect is not computed."""
+_PER_OVERSHOOT = 12.0  # of MTF50, per overshoot of an unsharp mask
+_OVERSHOOT, _SURE = 0.003, 3.5  # relative to the step; standard deviations of both signs of sharpening together
+_CRUSHED = 0.01  # of MTF50, smallest value
 _MOST_LEVELS = 2000
-"""Different values above which a picture is not a picture of coarse codes."""
+"""Number of different values above which a picture does not have coarse codes."""
 _PER_LEVEL = 0.2
-"""Relative error of MTF50 by the distance of two levels in units of the step: rms of 12 to 512 levels without noise."""
+"""Relative error of MTF50 per distance of two levels in units of the step: rms of 12 to 512 levels without noise."""
 _NEAR_LEVELS = 4
-"""Levels to both sides of a flat side among which the least distance is that of all: a picture without noise misses some."""
+"""Number of levels on both sides of that of a flat side whose smallest distance is used: a picture without noise lacks
+some levels.
+"""
 _SMALL_DOUBT = 1e-3
-"""Relative error of MTF50 below which it is not remarked on."""
-_TAILS, _FADING = 0.08, 0.6  # of MTF50, where the blur reaches the border; blurs over which that fades
-_SURER = 0.1  # of that, of a lens model
+"""Relative error of MTF50 below which it is not reported."""
+_TAILS, _FADING = 0.08, 0.6  # of MTF50, if the blur extends to the border; widths of the blur over which it falls to 0
+_SURER = 0.1  # share of it for a lens model
 _SURE_GLARE = 0.005
-"""Relative error of MTF50 below which a doubt on glare is not remarked on."""
+"""Relative error of MTF50 below which an uncertain glare is not reported."""
 _PER_STEP = 1.5
 """Relative error of MTF50 by a step of the light across the edge, in units of the step: penumbrae of tests/oracle."""
-_BY_GLARE = 0.72  # of MTF50 by the share of glare, where the MTF is one half
-_PER_BORDER, _HARMLESS, _MOST_BY_BLOCKS = 0.006, 3.0, 0.05  # of MTF50 by how much JPEG's borders stand out
-_LEAST_NOISE = 2e-4  # of the step
-_GHOST, _SURE_GHOST = 0.01, 4.0  # of the step; standard deviations, from which a ghost is remarked on
+_BY_GLARE = 0.72  # of MTF50 per share of glare, at an MTF of one half
+_PER_BORDER, _HARMLESS, _MOST_BY_BLOCKS = 0.006, 3.0, 0.05  # of MTF50 per strength of the JPEG block borders
+_LEAST_NOISE = 2e-4  # relative to the step
+_GHOST, _SURE_GHOST = 0.01, 4.0  # relative to the step, and standard deviations, above which a ghost is reported
 
 
 class Traces(NamedTuple):
-    """Hold what software has left in one picture.
+    """Traces of processing in one picture.
 
     Attributes:
-        remarks: what was seen, and what it may do.
-        share: standard deviation of MTF50 by it, relative.
+        remarks: the traces, and their possible effects.
+        share: relative standard deviation of MTF50 from the traces.
         free: the same, of the free estimate alone.
-        glare: the same, of what contains glare.
+        glare: the same, for curves with glare.
     """
 
     remarks: tuple[Remark, ...]
@@ -89,11 +92,10 @@ class Traces(NamedTuple):
 
 
 def with_traces(stack: EdgeStack, regions: Iterable[EdgeRegions], lights: Sequence[LightField | None]) -> EdgeStack:
-    """Add to results what light and software may have done to their pictures: remarks, and wider errors.
+    """Add the effects of light and processing to the results of a stack: remarks, and larger errors.
 
-    Where glare and light cannot be told apart, the MTF is that of the lens without glare.
-
-    stack: results of n edges. regions: their rows, in even light. lights: uneven light of each, None where there is none.
+    If glare and light cannot be distinguished, the MTF is that of the lens without glare. `stack`: results of n edges.
+    `regions`: their rows, in even light. `lights`: uneven light of each, or None.
     """
     shares, given = np.zeros((3, len(stack))), list(stack.given or [()] * len(stack))
     first = 0
@@ -113,9 +115,10 @@ def with_traces(stack: EdgeStack, regions: Iterable[EdgeRegions], lights: Sequen
 
 
 def _traces(stack: EdgeStack, i: int, rows: EdgeRegions, k: int, clear: float, light: LightField | None) -> Traces:
-    """Return what is found in the region of edge i, the k-th of its regions.
+    """Find the traces in the region of edge i, the k-th of its regions.
 
-    clear: how far it stands off the borders, in standard deviations of its blur. light: uneven light that was found in it.
+    `clear`: its distance from the borders, in standard deviations of its blur. `light`: uneven light that was found in
+    it.
     """
     value, fits = rows.value[k], stack.fits
     y, start = (np.broadcast_to(a, (len(rows.value), value.shape[0]))[k] for a in (rows.y, rows.start))
@@ -149,13 +152,11 @@ def _traces(stack: EdgeStack, i: int, rows: EdgeRegions, k: int, clear: float, l
 
 
 def _narrow(clear: float, blur: float) -> tuple[Remark | None, float]:
-    """Return what a blur that reaches the region's border leaves unsure of the free estimate."""
+    """Estimate the error of the free estimate if the blur extends to the border of the region."""
     share = _TAILS * float(np.clip((CLEAR - clear) / _FADING, 0.0, 1.0))
     if not share:
         return None, 0.0
-    text = (
-        f"the blur ({blur:.1f} px) reaches the region's border, {clear:.1f} of it away, so that the levels are unsure"
-    )
+    text = f"the blur ({blur:.1f} px) extends to the region's border, {clear:.1f} of it away, so that the levels are uncertain"
     return Remark(
         "narrow-region", f"{text}: MTF50 free of a model may be wrong by {share:.0%}; take a wider region"
     ), share
@@ -183,7 +184,7 @@ def _veiled(stack: EdgeStack, i: int, width: float, light: LightField | None) ->
 
 
 def _ghost(stack: EdgeStack, i: int) -> Remark | None:
-    """Return that there is a second, weaker edge, which is part of what was measured."""
+    """Describe a second, weaker edge, whose effect is part of the measured MTF."""
     ghost = ghost_of(tuple_map(lambda a: a[i], stack.fits.free))
     if ghost.share < max(_GHOST, _SURE_GHOST * ghost.std):
         return None
@@ -193,16 +194,16 @@ def _ghost(stack: EdgeStack, i: int) -> Remark | None:
 
 
 def _smoothed(noise: FlatNoise, blur: float) -> list[tuple[Remark | None, float]]:
-    """Return what noise says that neighbours share.
+    """Estimate the error of MTF50 from smoothing, by the correlation of the noise.
 
-    blur: px. The wider it is, the less a smoothing of so many px changes it.
+    `blur`: px. The wider it is, the less it is changed by smoothing over a given number of px.
     """
     if not noise.smoothed:
         return []
-    seen = f"neighbours err alike (by {noise.alike:.2f} of independent noise)"
+    seen = f"the noise of neighbouring pixels is correlated ({noise.alike:.2f} of independent noise)"
     if noise.compressed and not noise.denoised:
         text = (
-            f"{seen} and there are borders every 8 px: JPEG; whether it was denoised or sharpened before does not show"
+            f"{seen} and there are borders every 8 px: JPEG; it is unknown whether it was denoised or sharpened before"
         )
         share = float(np.clip(_PER_BORDER * (noise.grid - _HARMLESS), 0.0, _MOST_BY_BLOCKS))
         more = f"; MTF50 may be wrong by {share:.1%}" if share else ""
@@ -218,19 +219,19 @@ def _smoothed(noise: FlatNoise, blur: float) -> list[tuple[Remark | None, float]
 
 
 def _bent(stack: EdgeStack, i: int, noise: FlatNoise) -> list[tuple[Remark | None, float]]:
-    """Return what noise says that is larger in the dark."""
+    """Describe noise that is larger in dark areas."""
     if not noise.bent:
         return []
     share = max(BENT_DOUBT, abs(_effect_of_gamma(stack, i)))
-    text = f"dark pixels err {noise.tilt:.1f} times as much as bright ones: a tone curve that was not undone (--tone)"
+    text = f"the noise of dark pixels is {noise.tilt:.1f} times that of bright ones: a tone curve that was not undone (--tone)"
     return [(Remark("tone-curve", f"{text}? MTF50 may be wrong by {share:.0%}"), share)]
 
 
 def _sharpened(stack: EdgeStack, i: int, noise: FlatNoise) -> list[tuple[Remark | None, float]]:
-    """Return what overshoot and noise say together."""
+    """Estimate the error of MTF50 from sharpening, by overshoot and noise."""
     over, std = float(stack.overshoot[i]), max(float(stack.overshoot_std[i]), 1e-4)
     apart = 0.0 if noise.smoothed else noise.apart
-    # beside an edge JPEG rings
+    # JPEG causes ringing next to an edge
     if over < (SHARPENED if noise.compressed else _OVERSHOOT) or (over / std + apart) / np.sqrt(2) < _SURE:
         return []
     share = _PER_OVERSHOOT * over
@@ -241,14 +242,14 @@ def _sharpened(stack: EdgeStack, i: int, noise: FlatNoise) -> list[tuple[Remark 
 def _slightly_sharpened(
     stack: EdgeStack, i: int, noise: FlatNoise, value: FloatArray | None, sides: tuple[np.ndarray, np.ndarray]
 ) -> list[tuple[Remark | None, float]]:
-    """Return what an unsharp mask explains of edge and noise together, where no overshoot shows it.
+    """Estimate the error of MTF50 from an unsharp mask without visible overshoot.
 
-    value: of the region; None for a mosaic, which is sharpened after it has been filled in. sides: its flat parts.
+    `value`: the region; None for a mosaic, which is sharpened after interpolation. `sides`: its flat areas.
     """
     if value is None or noise.smoothed:
         return []
     apart = noise_score(value, sides)
-    if apart < APART:  # 1 in 50 of slightly sharpened pictures; it spares half of all others the fits
+    if apart < APART:  # misses 1 in 50 of slightly sharpened pictures, and avoids the fits for half of all others
         return []
     gain = noise_gain(apart, int(sides[0].sum() + sides[1].sum()))
     edge = _bare(tuple_map(lambda a: np.asarray(a)[i], stack.fits))
@@ -257,8 +258,8 @@ def _slightly_sharpened(
         return []
     share = effect_on_half(stack.frequency, stack.mtf[i])
     text = (
-        f"neighbours err apart and the edge overshoots as behind an unsharp mask of {AMOUNT:.0%} (2 ln likelihood "
-        f"{gain:.0f} more): a sharpened picture? MTF50 may be too high by {share:.1%}"
+        "the noise of neighbouring pixels is anticorrelated and the edge overshoots as behind an unsharp mask of "
+        f"{AMOUNT:.0%} (2 ln likelihood {gain:.0f} more): a sharpened picture? MTF50 may be too high by {share:.1%}"
     )
     return [(Remark("sharpened", text), share)]
 
@@ -270,7 +271,8 @@ def _filtered(
     sides: tuple[np.ndarray, np.ndarray],
     others: tuple[list[tuple[Remark | None, float]], list[tuple[Remark | None, float]]],
 ) -> list[tuple[Remark | None, float]]:
-    """Estimate the error of MTF50 by a linear filter, from the correlation of the noise; other traces of filters count once.
+    """Estimate the error of MTF50 by a linear filter, from the correlation of the noise; the other traces of filters
+    are not counted twice.
 
     value: of the region. sides: its flat parts. others: remarks and errors that were found for smoothing, and for sharpening.
     """
@@ -285,7 +287,7 @@ def _filtered(
 
 
 def _bare(fits: EdgeFits) -> BareEdge:
-    """Return an edge's cells, free of a lens."""
+    """Return the cells of an edge without lens effects."""
     cells, used = fits.cells, fits.cells.pixels > 0
     terms, levels, free = cells.terms[:, used], fits.free.levels, fits.state.used
     # `light_of` and `Noise.variance` would be compiled for every number of cells
@@ -306,7 +308,7 @@ def _bare(fits: EdgeFits) -> BareEdge:
 
 
 def _crushed(stack: EdgeStack, i: int, piled: float) -> list[tuple[Remark, float]]:
-    """Return what a dark side of one value says."""
+    """Estimate the error of MTF50 if the dark side has one value."""
     if not piled:
         return []
     share = max(_CRUSHED, _effect_of_crushing(stack, i))
@@ -331,7 +333,7 @@ def _coarse(
     for side, variance in zip(sides, noise.variance, strict=True):
         at = int(np.searchsorted(levels, np.median(value[side])))
         apart = float(gaps[max(at - _NEAR_LEVELS, 0) : at + _NEAR_LEVELS].min())
-        # rounding has a variance of its own, and noise that reaches a third level can be told from it
+        # rounding adds its own variance, and noise that extends to a third level can be separated from it
         count = np.sort(np.unique(value[side], return_counts=True)[1])
         beyond = float(np.clip(count[:-2].sum(), 0.5, None) / count.sum())
         noisy = min(max(variance - apart**2 / 12, 0.0), (apart / ndtri(beyond / 2)) ** 2)
@@ -344,7 +346,7 @@ def _coarse(
 
 
 def _effect_of_gamma(stack: EdgeStack, i: int) -> float:
-    """Return by how much undoing a gamma would change MTF50, relative."""
+    """Compute the relative change of MTF50 if a gamma is undone."""
     distance = np.linspace(-40, 40, 1601)
     response = np.asarray(stack[i].esf(distance).value)
     levels = float(stack.dark[i]) + float(stack.bright[i] - stack.dark[i]) * np.clip(response, 0, 1)
@@ -365,7 +367,7 @@ def _asymmetric(stack: EdgeStack, i: int, noise: FlatNoise) -> list[tuple[Remark
     width = np.sqrt(edge.blur**2 + edge.spread)
     at = edge.distance / width
     response, line = ndtr(at), np.exp(-(at**2) / 2)
-    # levels and light, the edge's place and its width, and a lens that is not Gaussian, are free besides
+    # also free are levels and light, the position and width of the edge, and a lens that is not Gaussian
     even = np.stack([response, line, at * line, at**3 * line]) * edge.step
     columns = np.concatenate([(edge.step * response * (1 - response))[None], even, edge.light])
     if stack.glare_fraction[i] > 0:
@@ -394,9 +396,9 @@ def _asymmetric(stack: EdgeStack, i: int, noise: FlatNoise) -> list[tuple[Remark
 
 
 def _effect_of_shoulder(stack: EdgeStack, i: int, bend: float) -> float:
-    """Return by how much a shoulder tanh(b v) that bends by so much changes MTF50, relative.
+    """Compute the relative change of MTF50 by a shoulder tanh(b v) of a given curvature.
 
-    bend: q of `_asymmetric`; negative: a shoulder in the dark.
+    `bend`: q of `_asymmetric`; negative: a shoulder in the dark.
     """
     distance = np.linspace(-40, 40, 1601)
     response = np.clip(np.asarray(stack[i].esf(distance).value), 0, 1)
@@ -413,16 +415,16 @@ def _effect_of_shoulder(stack: EdgeStack, i: int, bend: float) -> float:
 
 
 def _half(distance: FloatArray, levels: FloatArray) -> float:
-    """Find the frequency at which the transfer of an edge response falls to one half; NaN if it does not.
+    """Find the frequency at which the transfer of an edge response falls to one half, or NaN.
 
-    distance: px, evenly spaced.
+    `distance`: px, evenly spaced.
     """
     transfer = np.abs(np.fft.rfft(np.diff(levels), _TRANSFORM)) / (levels[-1] - levels[0])
     return half_of(np.arange(transfer.size) / (_TRANSFORM * (distance[1] - distance[0])), transfer)
 
 
 def _effect_of_crushing(stack: EdgeStack, i: int) -> float:
-    """Return by how much crushed blacks narrow the edge, relative: a Gaussian's own foot, cut or not, is fitted."""
+    """Compute the relative narrowing of the edge by crushed blacks, from a Gaussian with and without its clipped foot."""
     cells = stack[i].samples
     blur = float(np.hypot(stack.fits.free.shape.sigma[i], _BOX))
     used = np.abs(cells.distance) < 6 * blur + 2

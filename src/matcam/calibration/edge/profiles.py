@@ -1,12 +1,12 @@
-"""Families of lenses with parameters, and their edge profiles as a fit wants them: E, its slope and derivatives over cells.
+"""Families of lenses with parameters, and their edge profiles for the fit: E, its slope and derivatives over cells.
 
 The edges are the camera's own: closed forms for Gaussians, and for other lenses one fast Fourier transform of the total
 MTF, from which cells are interpolated.
 
-`Separable` is a lens behind a pixel of unknown size: diffraction x Gaussian core x square pixel (docs/model.md 7). Core and
-pixel differ in nothing but the shape of their transforms, a Gaussian's and a box's fourth cumulants, 2 (half width)^4 / 15 for
-the pixel. A lens whose core is not quite Gaussian would pass for another pixel. Therefore the core may have an excess kurtosis,
-known to be 0 within a stated tolerance; the errors of core and pixel contain what that leaves open.
+`Separable` is a lens behind a pixel of unknown size: diffraction x Gaussian core x square pixel (docs/model.md 7). Core
+and pixel differ in the shape of their transforms only, a Gaussian's and a box's fourth cumulants, 2 (half width)^4 / 15
+for the pixel. A lens whose core is not quite Gaussian would be fitted as another pixel. Therefore the core may have an
+excess kurtosis, with a prior about 0 of a stated width; its uncertainty is part of the errors of core and pixel.
 """
 
 from __future__ import annotations
@@ -30,32 +30,32 @@ from matcam.core.arrays.module import Module
 if TYPE_CHECKING:
     from matcam.core.jax import jax
 
-_PERIOD = 512  # px: the table repeats after it; a 1/d^2 tail then adds 1e-6 of the step
+_PERIOD = 512  # px: period of the table; a 1/d^2 tail then adds 1e-6 of the step
 _PER_PX = 16
-_NARROWEST = 0.05  # px: least standard deviation of a separable core
+_NARROWEST = 0.05  # px: smallest standard deviation of a separable core
 KURTOSIS = 0.02
-"""Standard deviation of the core's excess kurtosis about 0: what is believed of a lens that is called Gaussian."""
+"""Standard deviation of the prior for the excess kurtosis of the core about 0."""
 
 
 class LensModel(Module):
-    """Stand for a family of lenses.
+    """Interface of a family of lenses.
 
-    Its fitted parameters have forms that need no bounds.
+    Its fitted parameters are transformed so that they need no bounds.
     """
 
     @property
     @abstractmethod
     def name(self) -> str:
-        """Return the family's name, as `edge_mtf` takes it."""
+        """Return the name of the family, as in `edge_mtf`."""
 
     @property
     @abstractmethod
     def names(self) -> tuple[str, ...]:
-        """Return the parameters' names, as the camera's profile has them: "optics.sigma_px"."""
+        """Return the names of the parameters, as in a camera profile: "optics.sigma_px"."""
 
     @abstractmethod
     def start(self, log_sigma: jax.Array) -> jax.Array:
-        """Return parameters (k,) near a Gaussian lens of ln sigma px."""
+        """Return the parameters (k,) near a Gaussian lens of ln sigma px."""
 
     @abstractmethod
     def optics(self, parameters: jax.Array) -> Optics:
@@ -68,7 +68,7 @@ class LensModel(Module):
     @property
     @abstractmethod
     def longest(self) -> tuple[float, ...]:
-        """Return the longest step of each parameter."""
+        """Return the largest step of each parameter."""
 
     def profile(self, angle: jax.Array, half_width: jax.Array) -> Profile:
         """Return the edge profile at an angle to the grid."""
@@ -103,7 +103,7 @@ class LensAtEdge(NamedTuple):
 
 
 class Gaussian(LensModel):
-    """Stand for Gaussian optics. Parameter: ln sigma."""
+    """Gaussian optics. Parameter: ln sigma."""
 
     @property
     def name(self) -> str:
@@ -117,7 +117,7 @@ class Gaussian(LensModel):
 
     @property
     def longest(self) -> tuple[float, ...]:
-        """Return the longest step."""
+        """Return the largest step."""
         return (0.7,)
 
     def start(self, log_sigma: jax.Array) -> jax.Array:
@@ -135,7 +135,7 @@ class Gaussian(LensModel):
     def profile(self, angle: jax.Array, half_width: jax.Array) -> Profile:
         """Return a closed form.
 
-        The spread of a cell is one more Gaussian blur, exactly.
+        The spread of a cell is exactly one more Gaussian blur.
         """
 
         def profile(cells: EdgeCells, parameters: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
@@ -146,7 +146,7 @@ class Gaussian(LensModel):
 
 
 class GaussianWithHalo(LensModel):
-    """Stand for a Gaussian core and veiling glare.
+    """Gaussian core and veiling glare.
 
     Parameters: ln sigma, fraction, ln radius.
     """
@@ -163,11 +163,11 @@ class GaussianWithHalo(LensModel):
 
     @property
     def longest(self) -> tuple[float, ...]:
-        """Return the longest steps."""
+        """Return the largest steps."""
         return (0.3, 0.03, 0.3)
 
     def start(self, log_sigma: jax.Array) -> jax.Array:
-        """Return a little glare, well beyond the core."""
+        """Return a start with little glare, far wider than the core."""
         return xp.stack([log_sigma - 0.03, xp.asarray(0.03), xp.maximum(log_sigma + 1.5, xp.log(12.0))])
 
     def numbers(self, parameters: jax.Array) -> jax.Array:
@@ -175,7 +175,7 @@ class GaussianWithHalo(LensModel):
         return xp.stack([xp.exp(parameters[0]), parameters[1], xp.exp(parameters[2])])
 
     def optics(self, parameters: jax.Array) -> Optics:
-        """Return `HaloOptics` round `GaussianOptics`."""
+        """Return `HaloOptics` around `GaussianOptics`."""
         sigma, fraction, radius = self.numbers(parameters)
         return HaloOptics(GaussianOptics(sigma), fraction, radius)
 
@@ -193,7 +193,7 @@ class GaussianWithHalo(LensModel):
 
 
 class Diffraction(LensModel):
-    """Stand for a diffraction-limited lens; its f-number is fitted. Parameter: ln f_number."""
+    """Diffraction-limited lens with a fitted f-number. Parameter: ln f_number."""
 
     wavelength: jax.Array
     pixel_pitch: jax.Array
@@ -210,11 +210,11 @@ class Diffraction(LensModel):
 
     @property
     def longest(self) -> tuple[float, ...]:
-        """Return the longest step."""
+        """Return the largest step."""
         return (0.5,)
 
     def start(self, log_sigma: jax.Array) -> jax.Array:
-        """Return the Airy pattern whose core is as wide.
+        """Return the Airy pattern with the same core width.
 
         Its sigma is 0.45 wavelength f_number.
         """
@@ -230,7 +230,7 @@ class Diffraction(LensModel):
 
 
 class Defocus(LensModel):
-    """Stand for diffraction and defocus; both are fitted. Parameters: ln f_number, blur_diameter."""
+    """Diffraction and defocus, both fitted. Parameters: ln f_number, blur_diameter."""
 
     wavelength: jax.Array
     pixel_pitch: jax.Array
@@ -247,19 +247,19 @@ class Defocus(LensModel):
 
     @property
     def longest(self) -> tuple[float, ...]:
-        """Return the longest steps."""
+        """Return the largest steps."""
         return (0.3, 0.5)
 
     def start(self, log_sigma: jax.Array) -> jax.Array:
-        """Return half of the blur's variance for each.
+        """Return half of the variance of the blur for each.
 
-        A disc of diameter c has that of a Gaussian of c / 4.
+        A disc of diameter c has the variance of a Gaussian of c / 4.
         """
         sigma = xp.exp(log_sigma) / xp.sqrt(2.0)
         return xp.stack([xp.log(sigma) - xp.log(0.45 * self.wavelength / self.pixel_pitch), 4 * sigma])
 
     def numbers(self, parameters: jax.Array) -> jax.Array:
-        """Return f-number and blur_diameter px (its sign means nothing)."""
+        """Return f-number and blur_diameter in px (its sign has no meaning)."""
         return xp.stack([xp.exp(parameters[0]), xp.abs(parameters[1])])
 
     def optics(self, parameters: jax.Array) -> Optics:
@@ -269,10 +269,10 @@ class Defocus(LensModel):
 
 
 class Separable(LensModel):
-    """Stand for diffraction x Gaussian core x square pixel.
+    """Diffraction x Gaussian core x square pixel.
 
-    Parameters: ln of the standard deviation of core and pixel together (px), which every edge knows well; half width of the
-    pixel (px); excess kurtosis of the core.
+    Parameters: ln of the standard deviation of core and pixel together (px), which every edge determines well; half
+    width of the pixel (px); excess kurtosis of the core.
 
     Attributes:
         f_number: of the picture; 0: no diffraction.
@@ -296,11 +296,11 @@ class Separable(LensModel):
 
     @property
     def longest(self) -> tuple[float, ...]:
-        """Return the longest steps."""
+        """Return the largest steps."""
         return (0.3, 0.08, 0.05)
 
     def start(self, log_sigma: jax.Array) -> jax.Array:
-        """Return a pixel that is nearly full, and a Gaussian core."""
+        """Return a pixel of nearly full width, and a Gaussian core."""
         half = xp.full_like(log_sigma, 0.42)
         return xp.stack([xp.log(xp.exp(2 * log_sigma) + half**2 / 3) / 2, half, xp.zeros_like(half)])
 
@@ -387,8 +387,8 @@ def _tabulated(
 
 
 def _variance(parameters: jax.Array) -> jax.Array:
-    """Return the core's variance, px^2.
+    """Return the variance of the core, px^2.
 
-    A square's along any direction is a third of its half width's square.
+    That of a square along any direction is a third of the square of its half width.
     """
     return xp.maximum(xp.exp(2 * parameters[0]) - parameters[1] ** 2 / 3, _NARROWEST**2)

@@ -1,7 +1,7 @@
-"""Regions as the edge program takes them, and whether their edges could be measured.
+"""Regions in the form of the edge program, and the checks of the measured edges.
 
-A region is turned so that its edge is nearer to vertical than to horizontal and its bright side lies right; nothing is
-resampled. Of a mosaic, rows hold the sites of one colour.
+A region is rotated so that its edge is nearer to vertical than to horizontal and its bright side is on the right;
+nothing is resampled. For a mosaic, the rows contain the sites of one colour.
 """
 
 from __future__ import annotations
@@ -21,30 +21,26 @@ _FEW_TURNS, _MANY_TURNS = 2, 8
 _ENOUGH_CYCLES = 4.0
 _LEAST_ROWS = 10
 _LEAST_CONTRAST = 3.0  # standard deviations of a pixel
-_WIDEST_GAP = 0.55  # px: sampling the edge more coarsely leaves the MTF50 of a sharp lens undetermined
-_OVERSHOOT, _SIGNIFICANT = 0.02, 5.0  # of the step, standard deviations
+_WIDEST_GAP = 0.55  # px: the MTF50 of a sharp lens is not determined if the edge is sampled more coarsely
+_OVERSHOOT, _SIGNIFICANT = 0.02, 5.0  # relative to the step, and standard deviations
 _ANYTHING = "a ghost, a second edge, a shadow's border or dirt lies in it"
-_BY, _STEEP, _ABOVE = (
-    1.0,
-    0.3,
-    4.0,
-)  # px of smoothing; of the steepest slope; standard deviations: what counts as a step
-_UNLIKE, _ENDS = 1.5, 0.05  # steps a row; of the rows
-_REPEATED, _SURE = (
-    1.5,
-    5.0,
-)  # variance between neighbours over that 2 px apart: no sharpening makes it so large; deviations
-_SECOND = 0.3  # of the step: no ghost of a lens is so strong
-_UNEXPLAINED = 0.015  # of the step: misfit near the edge
+# px of smoothing; share of the steepest slope, and standard deviations, above which a slope is a step
+_BY, _STEEP, _ABOVE = 1.0, 0.3, 4.0
+_UNLIKE, _ENDS = 1.5, 0.05  # steps in a row; share of the rows
+# variance between neighbours over that 2 px apart that sharpening does not reach; deviations
+_REPEATED, _SURE = 1.5, 5.0
+_SECOND = 0.3  # relative to the step: a ghost of a lens is weaker
+_UNEXPLAINED = 0.015  # relative to the step: misfit near the edge
 CLEAR = 4.6
-"""Times its blur that an edge must stand off the region's borders; nearer, its levels are unsure."""
-_SOME = 0.1  # of the rows may be nearer to a border
-_VEILED, _SPOILT = 0.15, 0.002  # of the light; of the step: so much wide glare, and a misfit, are no lens's
-_BLUR = 0.2  # of the region's width: widest standard deviation of the line spread function
+"""Smallest distance of an edge from the borders of the region, in widths of its blur; below it the levels are uncertain."""
+_SOME = 0.1  # share of the rows that may be nearer to a border
+# relative to the light, and to the step: glare and misfit above both are not those of a lens
+_VEILED, _SPOILT = 0.15, 0.002
+_BLUR = 0.2  # relative to the width of the region: widest standard deviation of the line spread function
 
 
 class RegionFrame(NamedTuple):
-    """Hold how regions lie in the picture: numbers, or (n,) of them.
+    """Position of regions in the picture: numbers, or (n,) of them.
 
     Attributes:
         x: px, of the region's centre.
@@ -61,7 +57,7 @@ class RegionFrame(NamedTuple):
     length: np.ndarray | float
 
     def in_picture(self, x: np.ndarray | float, y: np.ndarray | float) -> tuple[np.ndarray, np.ndarray]:
-        """Return a vector of the region as it lies in the picture."""
+        """Transform a vector of the region to the picture."""
         x = np.where(self.mirrored, -1.0, 1.0) * x
         return np.where(self.transposed, y, x), np.where(self.transposed, x, y)
 
@@ -69,7 +65,7 @@ class RegionFrame(NamedTuple):
 class EdgeRegions(NamedTuple):
     """Rows of samples of n regions.
 
-    They are turned so that edges are near to vertical, and bright on the right.
+    They are rotated so that edges are nearly vertical, with the bright side on the right.
 
     Attributes:
         value: (n, rows, columns) linear; NaN where there is none.
@@ -96,7 +92,7 @@ def edge_regions(values: np.ndarray, *, mosaic: bool = False) -> EdgeRegions:
     """
     across, along = (_difference(values, axis) for axis in (2, 1))
     height, width = values.shape[1:]
-    # the mean gradient is what opposite borders differ by
+    # the mean gradient follows from the difference between opposite borders
     transposed = bool(np.abs(along).sum() * width > np.abs(across).sum() * height)
     mirrored = (along if transposed else across) < 0
     turned = values.swapaxes(1, 2) if transposed else values
@@ -104,7 +100,7 @@ def edge_regions(values: np.ndarray, *, mosaic: bool = False) -> EdgeRegions:
         turned = np.where(mirrored[:, None, None], turned[:, :, ::-1], turned)
     height, width = turned.shape[1:]
     y, first, step = np.arange(height) - (height - 1) / 2, np.zeros(height), 1
-    if mosaic:  # of a 2 x 2 cell at most two sites, and in a row every other column
+    if mosaic:  # a 2 x 2 cell has at most two sites of a colour, in every other row or column
         site = np.isfinite(turned[0])
         odd = site[:, 1::2].mean(1) > site[:, ::2].mean(1)
         rows, step = np.flatnonzero(site.mean(1) > 0.25), 2
@@ -119,9 +115,9 @@ def edge_regions(values: np.ndarray, *, mosaic: bool = False) -> EdgeRegions:
 
 
 def turns_for(cycles: float) -> int:
-    """Return how many turns profile and place take.
+    """Return the number of iterations of the fits of profile and position.
 
-    cycles: how often the rows see every phase. Where that is less than a few times, profile and place come apart slowly.
+    `cycles`: how often the rows sample every phase. Below a few times, profile and position converge slowly.
     """
     return _FEW_TURNS if cycles >= _ENOUGH_CYCLES else _MANY_TURNS
 
@@ -140,9 +136,9 @@ def program_size(size: int) -> int:
 
 
 def refusals(found: EdgeFits, region: EdgeRegions, *, accept_sharpened: bool) -> list[Remark | None]:
-    """Return why edges of a stack cannot be measured.
+    """Explain for each edge of a stack why it was not measured.
 
-    None stands for an edge that can.
+    None is returned for an edge that was measured.
     """
     dark, bright = found.state.linear[:, 0], found.state.linear[:, 1]
     contrast = (bright - dark) / np.maximum(found.residual, 1e-300)
@@ -203,7 +199,7 @@ def refusals(found: EdgeFits, region: EdgeRegions, *, accept_sharpened: bool) ->
 
 
 def what_is_seen(value: np.ndarray) -> str:
-    """Return what lies in a region (rows, columns) instead of one edge, in words; empty where nothing can be told."""
+    """Describe the content of a region (rows, columns) without a single edge; the text is empty if it is unknown."""
     value = value[np.isfinite(value).any(1)][:, np.isfinite(value).any(0)]
     known = np.isfinite(value)
     middle = float(np.median(value[known]))
@@ -228,7 +224,7 @@ def what_is_seen(value: np.ndarray) -> str:
 
 
 def clearance(found: EdgeFits, region: EdgeRegions) -> np.ndarray:
-    """Return how far edges stand off their regions' borders (n,), in standard deviations of their blur."""
+    """Return the distance of edges from the borders of their regions (n,), in standard deviations of the blur."""
     shape = region.value.shape[:2]
     y, start = (np.broadcast_to(a, shape) for a in (region.y, region.start))
     curves = np.nan_to_num(np.asarray(found.curve))
@@ -242,7 +238,10 @@ def clearance(found: EdgeFits, region: EdgeRegions) -> np.ndarray:
 
 
 def known_quantile(values: np.ndarray, share: float) -> np.ndarray:
-    """Return a quantile over the last axis without what is NaN: `numpy.nanquantile`, which goes row by row in Python."""
+    """Return a quantile over the last axis without NaN.
+
+    `numpy.nanquantile` would run row by row in Python.
+    """
     ordered = np.sort(values, axis=-1)  # NaN comes last
     place = share * np.maximum((~np.isnan(values)).sum(-1, keepdims=True) - 1, 0)
     below = np.floor(place).astype(int)
@@ -261,7 +260,7 @@ def _largest_gap(region: EdgeRegions, curves: np.ndarray, slopes: np.ndarray) ->
     nearest = np.clip(np.rint(offset), 0, region.value.shape[2] - 1).astype(int)
     there = np.isfinite(np.take_along_axis(region.value, nearest[..., None], axis=2)[..., 0])
     crossed = there & (np.abs(offset - nearest) <= 0.5)
-    # rows that the edge does not cross stand beyond the last phase
+    # rows that the edge does not cross come after the last phase
     phase = np.sort(np.where(crossed, offset % 1.0, 2.0), axis=1)
     last = np.take_along_axis(phase, np.maximum(crossed.sum(1, keepdims=True) - 1, 0), axis=1)[:, 0]
     steps = np.where(phase[:, 1:] < 2, np.diff(phase, axis=1), 0.0).max(axis=1)

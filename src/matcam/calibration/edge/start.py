@@ -1,7 +1,7 @@
-"""Where an edge is looked for first, and the light of its rows: found without a model, row by row, whatever the light does.
+"""The first estimate of the edge's curve and of the light of its rows, row by row and without a model of the light.
 
-In each row the edge stands where the means of some px on both sides differ most. No level is common to all rows, so that light
-that falls by half along the edge, or a shadow across it, moves nothing.
+The edge of a row is at the largest difference between the means of some px on both sides. No level is common to all
+rows, so that light that falls by half along the edge, or a shadow across it, does not move the edge.
 """
 
 from __future__ import annotations
@@ -24,23 +24,23 @@ from matcam.core.arrays import linalg, repeated, scipy_linalg, xp
 if TYPE_CHECKING:
     from matcam.core.jax import AnyArray, jax
 
-_REACH = 8  # px to both sides of the edge in which its position in a row is read
-_MARGIN = 3  # px to the border within which an edge does not count as crossing a row
-_NARROW = 3  # px, least reach in narrow regions
-_WEAK = 0.4  # of the usual relative step, below which a row shows no edge
+_REACH = 8  # px on both sides of the edge that are used for its position in a row
+_MARGIN = 3  # px to the border within which the edge of a row is ignored
+_NARROW = 3  # px, smallest value in narrow regions
+_WEAK = 0.4  # relative to the median step: a row with a smaller step has no edge
 _ROUNDS = 4  # of the fit of a line
 _OUTLIER = 3.0  # px
-_LIGHT = 10  # highest order of the rows' light
-_STIFF = 0.02  # px^2 over px^2: how little is believed of a course beyond its bow
-_FAINTEST = 0.2  # of the light's straight line
+_LIGHT = 10  # highest order of the light of the rows
+_STIFF = 0.02  # px^2 over px^2: precision of the prior for a curve beyond its bow
+_FAINTEST = 0.2  # for the straight line of the light
 
 
 def first_curve(rows: Rows) -> tuple[jax.Array, jax.Array]:
-    """Return a first curve, and how many rows it crosses.
+    """Return a first curve, and the number of rows that it crosses.
 
-    The curve is right to a few hundredths of a px, without a model of the blur. A row's edge stands where a sharp one would
-    have to stand to let in the same light: unlike the centroid of the derivative, this does not amplify noise. It is found
-    first as a straight line through the largest steps, then near that.
+    The error of the curve is a few hundredths of a px, without a model of the blur. The edge of a row is at the
+    position of a sharp edge with the same sum of light: unlike the centroid of the derivative, this does not amplify
+    noise. It is found first as a straight line through the largest steps, then near that.
     """
     length = half_length(rows)
     found, weight = _largest_steps(rows)
@@ -56,7 +56,7 @@ def first_curve(rows: Rows) -> tuple[jax.Array, jax.Array]:
     middle, reach = aligned.value.shape[1] // 2, _REACH // rows.step
     near = slice(max(middle - reach, 0), middle + reach + 1)
     low, high = side_levels(aligned)
-    # near a border a row shows less of its sides
+    # near a border a row has fewer samples on a side
     span, there = aligned.value[:, near], aligned.valid[:, near]
     x = aligned.x[:, near]
     bright = (there * (span - low[:, None])).sum(1) / (high - low) * rows.step
@@ -75,7 +75,7 @@ def first_curve(rows: Rows) -> tuple[jax.Array, jax.Array]:
 def side_levels(aligned: AlignedRows) -> tuple[jax.Array, jax.Array]:
     """Return both levels (rows,) a few px from the edge.
 
-    They are lines in y. Light changes little at this distance, and the blur is over.
+    They are lines in y. The light changes little over this distance, and the blur is negligible there.
     """
     length = xp.max(xp.abs(aligned.y))
 
@@ -87,7 +87,7 @@ def side_levels(aligned: AlignedRows) -> tuple[jax.Array, jax.Array]:
 
 
 def in_even_rows(aligned: AlignedRows, length: jax.Array) -> AlignedRows:
-    """Divide the rows by their light, less the straight line that the fit itself has.
+    """Divide the rows by their light, without the straight line that is part of the fit.
 
     The light is a polynomial over the rows, through the means of both sides. Its order, up to 10, is the one that
     Schwarz's criterion (1978) prefers; a line leaves the rows as they are.
@@ -98,7 +98,7 @@ def in_even_rows(aligned: AlignedRows, length: jax.Array) -> AlignedRows:
     powers = legendre(aligned.y / length, _LIGHT + 1)
     normal = (powers * weight) @ powers.T + 1e-9 * xp.eye(_LIGHT + 1)
     root = linalg.cholesky(normal)
-    # the part of each order that lower ones do not have: a row of `own` is orthogonal to those above it
+    # the component of each order that is orthogonal to the lower orders
     own = scipy_linalg.solve_triangular(root, powers, lower=True, check_finite=False)
     share = own @ (weight * level)
     count = xp.maximum(weight.sum(), 2.0)
@@ -114,7 +114,7 @@ def in_even_rows(aligned: AlignedRows, length: jax.Array) -> AlignedRows:
 
 
 def _sides(aligned: AlignedRows) -> tuple[tuple[jax.Array, jax.Array], tuple[jax.Array, jax.Array]]:
-    """Return means (rows,) on both sides, and how many samples they have."""
+    """Return the means (rows,) on both sides, and their numbers of samples."""
     middle, reach = aligned.value.shape[1] // 2, _REACH // aligned.step
     outer = 2 * reach
 
@@ -128,11 +128,13 @@ def _sides(aligned: AlignedRows) -> tuple[tuple[jax.Array, jax.Array], tuple[jax
 
 
 def _largest_steps(rows: Rows) -> tuple[jax.Array, jax.Array]:
-    """Return where each row steps up most (rows,), px, and a weight: 1 where it does, 0 where it shows no edge."""
+    """Return the position of the largest upward step of each row (rows,), px, and a weight: 0 if the row has no edge,
+    else 1.
+    """
     width = rows.value.shape[1]
     reach = max(min(_REACH // rows.step, width // 4), _NARROW)
     there = xp.isfinite(rows.value)
-    # between columns k - 1 and k: the window to its right less that to its left, cut at the borders
+    # between columns k - 1 and k: the window on the right minus that on the left, clipped at the borders
 
     def windows(a: jax.Array) -> tuple[jax.Array, jax.Array]:
         padded = xp.pad(a, ((0, 0), (reach, reach)))
@@ -144,7 +146,7 @@ def _largest_steps(rows: Rows) -> tuple[jax.Array, jax.Array]:
         total / xp.maximum(count, 1.0)
         for total, count in zip(windows(xp.where(there, rows.value, 0.0)), (before, after), strict=True)
     )
-    # means of fewer samples scatter more
+    # means of fewer samples have more noise
     sure = 2 / (1 / xp.maximum(before, 1e-9) + 1 / xp.maximum(after, 1e-9))
     enough = (before >= _MARGIN) & (after >= _MARGIN)
     step = xp.where(enough, (bright - dark) * xp.sqrt(sure), -xp.inf)

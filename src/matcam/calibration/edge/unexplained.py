@@ -1,8 +1,9 @@
-"""What no model explains of an edge: noise, pixels that do not belong to it, and what is left of the cells.
+"""The residual of an edge that no model explains: noise, outlying pixels, and the misfit of the cells.
 
-Pixels that see the edge in one phase, in one aligned column, should read alike. One that lies far from the others of its
-group, by their own scatter and by the noise, is left out (a hot or dead pixel, dust); that needs no model of the edge. A ghost,
-a shadow's border or dirt leaves residuals in few of many cells, and a rough edge blurs: both widen the errors of an MTF.
+Pixels that sample the edge at one phase, in one aligned column, should have equal values. A pixel is left out (a hot or
+dead pixel, dust) if it is far from the others of its group, relative to their scatter and to the noise; this needs no
+model of the edge. A ghost, the border of a shadow or dirt leaves residuals in few of many cells, and a rough edge
+blurs: both increase the errors of an MTF.
 """
 
 from __future__ import annotations
@@ -21,14 +22,14 @@ from matcam.core.arrays import repeated, xp
 if TYPE_CHECKING:
     from matcam.core.jax import jax
 
-_FAR = 6.0  # standard deviations: once in 5e8 pixels
+_FAR = 6.0  # standard deviations: by chance once in 5e8 pixels
 _ROUNDS = 2
-_LEVEL_REACH = 6.0  # px from the edge: only levels and noise beyond
-_LEAST_NOISE = 1e-4  # of the step: rounding, and what no model describes
+_LEVEL_REACH = 6.0  # px from the edge: beyond it there are only levels and noise
+_LEAST_NOISE = 1e-4  # relative to the step: rounding, and the error of any model
 _SAME, _COARSEST = 1e-9, 0.1
-"""Difference of neighbours, in units of the step, up to which they have one code; largest distance of codes."""
-_ROBUST, _LARGE = 4, 20.0  # rounds; of the mean square, above which a difference counts as so much
-_OTHERS = 3  # least number of pixels that one is compared with
+"""Difference of neighbours, relative to the step, up to which they have one code; largest distance of codes."""
+_ROBUST, _LARGE = 4, 20.0  # number of rounds; multiple of the mean square to which a difference is clipped
+_OTHERS = 3  # smallest number of pixels for a comparison
 
 
 def without_outliers(aligned: AlignedRows, curve: jax.Array, noise: Noise) -> AlignedRows:
@@ -66,11 +67,11 @@ def without_outliers(aligned: AlignedRows, curve: jax.Array, noise: Noise) -> Al
 
 
 def estimated_noise(known: Noise, aligned: AlignedRows, distance: jax.Array) -> Noise:
-    """Return the noise; estimate what is not known of it.
+    """Return the noise, with estimates of its unknown parts.
 
-    The differences of neighbours but one, on both sides of the edge, tell it: those of one colour in a picture of three.
+    The estimate uses the differences of pixels 2 px apart on both sides of the edge, which have one colour in a mosaic.
     """
-    # second differences: light that changes across the edge is no noise
+    # second differences: light that changes across the edge does not count as noise
     difference = aligned.value[:, 4:] - 2 * aligned.value[:, 2:-2] + aligned.value[:, :-4]
     all_three = aligned.valid[:, 4:] * aligned.valid[:, 2:-2] * aligned.valid[:, :-4]
     away = distance[:, 2:-2]
@@ -80,12 +81,12 @@ def estimated_noise(known: Noise, aligned: AlignedRows, distance: jax.Array) -> 
         weight = far * part
         count = xp.maximum(weight.sum(), 1.0)
         power = xp.asarray(xp.inf)
-        for _ in range(_ROBUST):  # one hot pixel is no noise
+        for _ in range(_ROBUST):  # a single hot pixel does not count as noise
             power = (weight * xp.minimum(difference**2, _LARGE * power)).sum() / count
         return (weight * aligned.value[:, 2:-2]).sum() / count, power / 6
 
     (low, v_low), (high, v_high) = side(away < 0), side(away > 0)
-    # whole codes: where there is less noise than a level, rounding is the noise
+    # whole codes: if the noise is below one level, rounding is the noise
     step = xp.abs(aligned.value[:, 1:] - aligned.value[:, :-1])
     there = aligned.valid[:, 1:] * aligned.valid[:, :-1] * (step > _SAME * (high - low))
     level = xp.minimum(xp.min(xp.where(there > 0, step, xp.inf)), _COARSEST * xp.abs(high - low))
@@ -101,12 +102,12 @@ def estimated_noise(known: Noise, aligned: AlignedRows, distance: jax.Array) -> 
 _CORE = 7.0  # px
 _WINDOW, _FEWEST, _TOGETHER = 2.0, 6, 6.0  # px, cells, standard deviations
 _WINDOWS = np.arange(-10.0, 9.0)  # px, where they begin
-_PER_MISFIT = 5.0  # of an MTF, by an equal misfit of the cells: ghosts and shadows of tests/oracle/real_edges.py
-_LOW = 0.1  # cycles/px, below which an MTF is ever surer: at 0 it is 1
+_PER_MISFIT = 5.0  # of an MTF, per equal misfit of the cells: ghosts and shadows of tests/oracle/real_edges.py
+_LOW = 0.1  # cycles/px, below which the error of an MTF decreases: at 0 the MTF is 1
 
 
 class Unexplained(NamedTuple):
-    """Hold what no noise explains, and what it may have done to an MTF.
+    """Roughness and misfit that noise does not explain, and their effect on an MTF.
 
     Attributes:
         roughness: px, of the edge. It blurs, as a lens does.
@@ -117,7 +118,7 @@ class Unexplained(NamedTuple):
     misfit: jax.Array
 
     def of(self, curve: SampledCurve, f: jax.Array) -> SampledCurve:
-        """Return a curve at f cycles/px whose standard deviation contains it."""
+        """Add the effect to the standard deviation of a curve at f cycles/px."""
         blurred = 2 * (xp.pi * self.roughness * f) ** 2 * xp.abs(curve.value)
         unknown = _PER_MISFIT * self.misfit * xp.minimum(f / _LOW, 1.0)
         return SampledCurve(curve.value, xp.sqrt(curve.std**2 + blurred**2 + unknown**2))
@@ -149,9 +150,9 @@ def _residual(fit: LinearFit) -> jax.Array:
 
 
 def _local_misfit(fit: LinearFit, left: jax.Array, excess: jax.Array) -> jax.Array:
-    """Return the misfit of cells that stand off together, over the whole core: a ghost spoils few of many cells.
+    """Return the largest misfit of adjacent cells over the core: a ghost affects few of many cells.
 
-    Windows of 2 px count whose chi2 is beyond that of noise by 6 standard deviations.
+    Windows of 2 px count if their chi2 exceeds that of noise by 6 standard deviations.
     """
     distance = fit.cells.distance
     there, variance = fit.cells.pixels > 0, excess / fit.weight
@@ -160,6 +161,6 @@ def _local_misfit(fit: LinearFit, left: jax.Array, excess: jax.Array) -> jax.Arr
     beyond = (window * left**2 / variance).sum(1) - count
     off = (count >= _FEWEST) & (beyond > _TOGETHER * xp.sqrt(2.0 * count))
     spoilt = (window & off[:, None]).any(0)
-    more = xp.where(spoilt, (left**2 - variance) / fit.step**2, 0.0).sum()  # an empty cell's variance is infinite
+    more = xp.where(spoilt, (left**2 - variance) / fit.step**2, 0.0).sum()  # the variance of an empty cell is infinite
     core = (there & (xp.abs(distance) < _CORE)).sum()
     return xp.sqrt(xp.maximum(more, 0.0) / xp.maximum(core, 1.0))

@@ -1,4 +1,4 @@
-"""Wider errors of measured edges: what is unknown besides the noise of their pixels."""
+"""Larger errors of measured edges, from causes other than the noise of their pixels."""
 
 from __future__ import annotations
 
@@ -10,13 +10,18 @@ import numpy as np
 from matcam.calibration.edge.edge_result import EdgeStack
 
 _LOWEST_BY_GHOST, _FLATTEST = 0.05, 1e-3
-"""Frequency below which a ghost 10 px away changes an MTF ever less, cycles/px; least slope of an MTF at one half, px."""
+"""Frequency below which the effect of a ghost 10 px away on an MTF decreases, cycles/px; smallest slope of an MTF at
+one half, px.
+"""
 _JUMP = 1.5
-"""Standard deviations beyond which the MTF50 of an MTF moved by its standard deviation replaces its error."""
+"""Standard deviations above which the shift of MTF50 from a shifted MTF replaces its standard deviation."""
 
 
 def with_core_as_total(stack: EdgeStack, which: np.ndarray) -> EdgeStack:
-    """Take the MTF without glare for the MTF of some edges. which: (n,) bool."""
+    """Use the MTF without glare as the MTF of some edges.
+
+    `which`: (n,) bool.
+    """
 
     def of(total: np.ndarray, core: np.ndarray) -> np.ndarray:
         return np.where(which.reshape(-1, *[1] * (total.ndim - 1)), core, total)
@@ -30,7 +35,10 @@ def with_core_as_total(stack: EdgeStack, which: np.ndarray) -> EdgeStack:
 
 
 def with_ghosts(stack: EdgeStack, shares: np.ndarray) -> EdgeStack:
-    """Widen errors by ghosts far from the edge that may have been taken for light. shares: (n,) of the ghosts."""
+    """Increase errors by ghosts far from the edge that may have been fitted as light.
+
+    `shares`: (n,) of the ghosts.
+    """
     by = shares[:, None] * np.minimum(stack.frequency / _LOWEST_BY_GHOST, 1.0)
 
     def half_std(mtf: np.ndarray, half: np.ndarray, std: np.ndarray) -> np.ndarray:
@@ -48,9 +56,9 @@ def with_ghosts(stack: EdgeStack, shares: np.ndarray) -> EdgeStack:
 
 
 def with_jumps(stack: EdgeStack) -> EdgeStack:
-    """Return results whose MTF50 is as unsure as the place where the MTF, a standard deviation up or down, is one half.
+    """Return results with an MTF50 whose error covers the crossings of the MTF plus and minus a standard deviation.
 
-    A ghost makes the MTF wavy. Where it comes near one half twice, the MTF50 may jump.
+    A ghost makes the MTF wavy. If it is near one half twice, the MTF50 may jump.
     """
 
     def std(mtf: np.ndarray, mtf_std: np.ndarray, half: np.ndarray, half_std: np.ndarray) -> np.ndarray:
@@ -66,7 +74,7 @@ def with_jumps(stack: EdgeStack) -> EdgeStack:
 
 
 def _first_half(frequency: np.ndarray, mtf: np.ndarray) -> np.ndarray:
-    """Return the first frequency at which curves (n, frequencies) fall to one half; the last one where they do not."""
+    """Return the first frequency at which curves (n, frequencies) fall to one half, or the last frequency."""
     below = mtf < 0.5
     k = np.where(below.any(1), np.maximum(below.argmax(1), 1), frequency.size - 1)
     after, before = (np.take_along_axis(mtf, at[:, None], 1)[:, 0] for at in (k, k - 1))
@@ -75,7 +83,7 @@ def _first_half(frequency: np.ndarray, mtf: np.ndarray) -> np.ndarray:
 
 
 def widened(stack: EdgeStack, all_shares: np.ndarray) -> EdgeStack:
-    """Return results whose frequencies are unknown by relative shares (3, n), as in `Traces`."""
+    """Return results with relative errors of the frequency (3, n), as in `Traces`."""
     shares, free, glare = all_shares
     core = np.hypot(shares, free)
     total = np.hypot(core, glare)
@@ -89,7 +97,7 @@ def widened(stack: EdgeStack, all_shares: np.ndarray) -> EdgeStack:
 
     lens = stack.parametric
     first, box = lens.values[:, 0], lens.half_width**2 / 3
-    # what scales is the blur of lens and pixel together
+    # the scale applies to the blur of lens and pixel together
     own = shares * (first + box / first if lens.names[0].endswith("sigma_px") else first)
     covariance = lens.covariance.copy()
     covariance[:, 0, 0] += own**2

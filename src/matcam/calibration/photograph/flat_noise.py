@@ -1,8 +1,9 @@
-"""What the noise of flat parts tells of a picture's past: whether software has denoised, compressed, sharpened or bent it.
+"""The noise of even areas as a test for denoising, compression, sharpening or a tone curve.
 
-A sensor's pixels err independently, and brighter ones err more. Denoising, demosaicing and JPEG make neighbours err alike,
-sharpening makes them err apart, JPEG leaves borders every 8 px, and a tone curve makes dark pixels err more than bright ones.
-Second differences of neighbours see none of the light that changes smoothly.
+The noise of a sensor is independent between pixels, and increases with brightness. Denoising, demosaicing and JPEG make
+the noise of neighbours correlated, sharpening makes it anticorrelated, JPEG leaves borders every 8 px, and a tone curve
+makes the noise of dark pixels larger than that of bright ones. Second differences of neighbours remove light that
+changes smoothly.
 """
 
 from __future__ import annotations
@@ -13,13 +14,14 @@ import numpy as np
 
 from matcam.core.arrays import FloatArray
 
-BLOCK = 8  # px: what JPEG compresses at a time
-# of the mean square, above which a difference counts as so much: an edge of dirt is no noise
+BLOCK = 8  # px: block size of JPEG
+# multiple of the mean square to which a difference is clipped: an edge of dirt is not noise
 _ROUNDS, _LARGEST = 5, 9.0
-_LOSS = 4.0  # a variance of n differences is known to the root of this over n: they share pixels
-_FEWEST = 100  # differences
-_ALIKE, _SURE = 0.75, 5.0  # variance between neighbours over that of pixels 2 apart; standard deviations
-_WIDE, _WIDE_IN_BLOCKS = 0.8, 0.65  # the same, 2 over 3 px apart: demosaicing and JPEG reach less far
+# the relative standard deviation of a variance of n differences is the root of this over n, because they share pixels
+_LOSS = 4.0
+_FEWEST = 100  # smallest number of differences
+_ALIKE, _SURE = 0.75, 5.0  # variance between neighbours over that of pixels 2 px apart; standard deviations
+_WIDE, _WIDE_IN_BLOCKS = 0.8, 0.65  # the same, 2 over 3 px apart: demosaicing and JPEG have a shorter range
 _BENT, _SURE_BENT = 1.08, 4.0  # variance of dark over bright pixels; standard deviations
 _EQUAL, _REVERSALS = 0.5, 0.35
 """Share of equal neighbours above which, and of changes that reverse the one before below which, a side has no noise.
@@ -27,20 +29,19 @@ _EQUAL, _REVERSALS = 0.5, 0.35
 Rounded codes of smooth light change along contours, and a change is followed by one of the same sign. Independent noise of 0.1
 levels reverses 30 to 98 % of its changes, and of 0.2 levels 59 % or more, for light that changes by 0.1 levels/px or less.
 """
-_GRID = 1.4  # squared difference across a block's border over that within
-_BLOCKS_ALONE = (
-    4.0  # the same, from which the blocks alone have taken the noise: denoised pictures show less of a border
-)
+_GRID = 1.4  # squared difference across the border of a block over that within
+# the same, above which the noise was removed by the blocks alone: denoised pictures have weaker borders
+_BLOCKS_ALONE = 4.0
 # px, px^2: errors of MTF50 times the blur, and its square, in tests/oracle/processed_pictures.py
 _DENOISED, _DEMOSAICED = 0.2, 0.15
 _MOST = 0.4  # of MTF50
-_PILED, _LEAST_PILE = 2.0, 0.05  # times the next level's share; share of the dark side at the very lowest one
+_PILED, _LEAST_PILE = 2.0, 0.05  # multiple of the share at the next level; share of the dark side at the lowest level
 BENT_DOUBT = 0.03
-"""Relative standard deviation of a blur behind a tone curve that was not undone, at least."""
+"""Smallest relative standard deviation of a blur behind a tone curve that was not undone."""
 
 
 def smoothing_doubt(blur: float, *, denoised: bool) -> float:
-    """Return the relative standard deviation of a blur that software has smoothed.
+    """Return the relative standard deviation of a blur from smoothing by software.
 
     Args:
         blur: of lens and pixel, px. The wider it is, the less smoothing over so many px changes it.
@@ -50,15 +51,15 @@ def smoothing_doubt(blur: float, *, denoised: bool) -> float:
 
 
 class FlatNoise(NamedTuple):
-    """Noise of flat parts.
+    """Noise of even areas.
 
     Attributes:
-        alike: variance between neighbours over that of pixels 2 px apart; 1 where pixels err independently.
+        alike: variance between neighbours over that of pixels 2 px apart; 1 for independent noise.
         alike_std: its standard deviation; infinite where nothing is known.
-        wide: variance of pixels 2 px apart over that of pixels 3 px apart; 1 where neighbours err independently.
+        wide: variance of pixels 2 px apart over that of pixels 3 px apart; 1 for independent noise.
         tilt: variance of the dark side over that of the bright one; NaN where nothing is known.
         tilt_std: its standard deviation.
-        grid: squared difference across borders every 8 px over that elsewhere; 1 where neighbours err independently.
+        grid: squared difference across borders every 8 px over that elsewhere; 1 for independent noise.
         variance: of dark and bright side.
     """
 
@@ -72,28 +73,28 @@ class FlatNoise(NamedTuple):
 
     @property
     def smoothed(self) -> bool:
-        """Say whether neighbours err alike."""
+        """Return whether the noise of neighbours is correlated."""
         return self.alike < _ALIKE and 1 - self.alike > _SURE * self.alike_std
 
     @property
     def denoised(self) -> bool:
-        """Say whether pixels further apart err alike, too."""
+        """Return whether the noise of more distant pixels is correlated, too."""
         wide = _WIDE_IN_BLOCKS if self.grid > _GRID else _WIDE
         return self.smoothed and self.wide < wide and self.grid < _BLOCKS_ALONE
 
     @property
     def compressed(self) -> bool:
-        """Say whether there are JPEG's blocks."""
+        """Return whether JPEG blocks were found."""
         return self.smoothed and self.grid > _GRID
 
     @property
     def bent(self) -> bool:
-        """Say whether dark pixels err more than bright ones, as they do under a tone curve."""
+        """Return whether the noise of dark pixels is larger than that of bright ones, as under a tone curve."""
         return not self.smoothed and self.tilt > _BENT and self.tilt - 1 > _SURE_BENT * self.tilt_std
 
     @property
     def apart(self) -> float:
-        """Return by how many standard deviations neighbours err apart, as in a sharpened picture."""
+        """Return the significance of a negative correlation of neighbours, as from sharpening, in standard deviations."""
         return (self.alike - 1) / self.alike_std
 
 
@@ -102,15 +103,15 @@ def flat_noise(
 ) -> FlatNoise:
     """Return the noise of a picture (height, width).
 
-    dark, bright: where its flat parts are, bool. lines: whether columns are neighbours, too, and all pixels are there.
-    least: standard deviation below which nothing is noise: a render's smooth light.
+    dark, bright: masks of its flat areas, bool. `lines`: whether columns are neighbours, too, and all pixels are
+    present. `least`: standard deviation below which no noise is assumed, as in a smooth render.
     """
     sides = [dark & np.isfinite(value), bright & np.isfinite(value)]
     value = np.where(sides[0] | sides[1], value, 0.0)
     views = [(value, sides), *([(value.T, [side.T for side in sides])] if lines else [])]
 
     def at(lag: int) -> tuple[FloatArray, FloatArray]:
-        """Return variances and counts of every view and side."""
+        """Return the variances and counts of all directions and sides."""
         found = np.array([_variance(v, side, lag) for v, of in views for side in of])
         return found[:, 0], found[:, 1]
 
@@ -147,7 +148,7 @@ def flat_noise(
 def crushed_share(dark: FloatArray, bright: FloatArray) -> float:
     """Compute the share of a dark side at its lowest value; 0 if noise explains it.
 
-    Noise piles up at the end of a range, and nowhere else; without noise the bright side is as flat.
+    Noise has equal values only at the end of a range; without noise the bright side is as flat.
     """
     if dark.size < 2 or bright.size < 2:
         return 0.0
@@ -158,7 +159,7 @@ def crushed_share(dark: FloatArray, bright: FloatArray) -> float:
 
 
 def _variance(value: FloatArray, there: np.ndarray, lag: int) -> tuple[float, float]:
-    """Return the variance of pixels `lag` apart along the rows, and how many differences there are."""
+    """Return the variance of pixels `lag` apart along the rows, and the number of differences."""
     both = there[:, 2 * lag :] & there[:, lag:-lag] & there[:, : -2 * lag]
     squared = (value[:, 2 * lag :] - 2 * value[:, lag:-lag] + value[:, : -2 * lag])[both] ** 2
     if squared.size < 2:
@@ -180,7 +181,7 @@ def _is_rounded_light(value: FloatArray, there: np.ndarray) -> bool:
 
 
 def _grid(value: FloatArray, sides: list[np.ndarray]) -> float:
-    """Return the squared difference of neighbours across the likeliest borders over that elsewhere."""
+    """Return the squared difference of neighbours across the most probable block borders relative to the other differences."""
     total, count = np.zeros(BLOCK), np.zeros(BLOCK)
     for there in sides:
         both = there[:, 1:] & there[:, :-1]

@@ -1,8 +1,9 @@
-"""Linear filters that a picture has been through, as the correlation of its noise shows them, and what they did to its MTF.
+"""Linear filters that were applied to a picture, from the correlation of its noise, and their effect on its MTF.
 
-A sensor's pixels err independently. A linear filter of transfer function K gives their noise the power spectrum |K|^2, and
-multiplies the MTF of the picture by K. Smoothing, sharpening, deconvolution and resampling are compared with no filter at all
-by their posterior probabilities, so that a doubt grows with the correlation, and no threshold decides.
+The noise of a sensor is independent between pixels. A linear filter of transfer function K gives their noise the power
+spectrum |K|^2, and multiplies the MTF of the picture by K. Smoothing, sharpening, deconvolution and resampling are
+compared with no filter at all by their posterior probabilities, so that a doubt grows with the correlation, and no
+threshold decides.
 """
 
 from __future__ import annotations
@@ -22,21 +23,21 @@ _FAR_LAGS = ((0, 5), (5, 0), (4, 4), (4, -4), (0, 6), (6, 0))
 _LIGHT, _LENGTHS = 0.03, (8.0, 20.0, 1e3)
 """Standard deviation of correlations by light that is not even, and the distances over which they fall, px."""
 _NO_FILTER = 0.95
-"""Probability that a picture has been through no filter, before it is seen."""
+"""Prior probability that no filter was applied to a picture."""
 _LARGEST = 4.0
-"""Standard deviations beyond which a pixel is no noise."""
+"""Standard deviations above which a deviation is not noise."""
 _ORDER = 3
 """Order of the light on a side."""
 _FEWEST = 500
-"""Pixels of a side from which correlations are known."""
+"""Smallest number of pixels on a side for an estimate of correlations."""
 _PATCH, _STRUCTURE = 5, 5.0
-"""Side of the patches whose mean is compared with that of others, px; multiple of the median beyond which it is no noise."""
+"""Side of the patches whose means are compared, px; multiple of the median above which a difference is not noise."""
 _LOST = 0.4
 """Relative error of MTF50 behind a filter that leaves no MTF50."""
 _GRID = 32
 """Samples of a transfer function along each axis, and cycles of 1/32 px."""
 _SHORT = 0.05
-"""Least transfer by which an MTF is divided."""
+"""Smallest transfer by which an MTF is divided."""
 
 
 class Correlations(NamedTuple):
@@ -47,7 +48,7 @@ class Correlations(NamedTuple):
 
 
 class FilterDoubt(NamedTuple):
-    """Doubt on an MTF by the filters that a picture may have been through.
+    """Uncertainty of an MTF from filters that may have been applied.
 
     Attributes:
         share: relative error of MTF50, rms over all filters by their probabilities; less where none is probable.
@@ -71,7 +72,7 @@ class _Filters(NamedTuple):
 def correlations(
     value: FloatArray, sides: tuple[np.ndarray, np.ndarray], lags: tuple[tuple[int, int], ...] = LAGS
 ) -> Correlations | None:
-    """Measure the correlations of a picture's noise; None where too little of it is known.
+    """Measure the correlations of the noise of a picture.
 
     Args:
         value: picture (height, width), any unit.
@@ -94,7 +95,7 @@ def correlations(
         if not scale > 0:
             return None
         noise[side], there[side] = np.clip(left / scale, -_LARGEST, _LARGEST), 1.0
-    # the border of a shadow or dirt leaves what is no noise in few places
+    # the border of a shadow or dirt leaves structure in few places, which is not noise
     weight = np.maximum(ndimage.uniform_filter(there, _PATCH), 1e-3)
     local = np.abs(ndimage.uniform_filter(noise, _PATCH) / weight)
     there *= local < _STRUCTURE * np.median(local[there > 0])
@@ -104,7 +105,7 @@ def correlations(
         here = (slice(dy, None), slice(max(dx, 0), width + min(dx, 0)))
         other = (slice(None, height - dy), slice(max(-dx, 0), width - max(dx, 0)))
         pairs = float((there[here] * there[other]).sum())
-        # the light that was fitted to the noise makes neighbours err apart by one pair for each of its terms
+        # each term of the light that was fitted to the noise reduces the correlation of neighbours by one pair
         found.append((float((noise[here] * noise[other]).sum()) + len(sides) * len(terms)) / max(pairs, 1.0))
         count.append(pairs)
     return Correlations(np.array(found), np.array(count))
@@ -118,7 +119,7 @@ def filter_doubt(
     *,
     sharpened: bool = False,
 ) -> FilterDoubt:
-    """Compute what linear filters may have done to an MTF, as the noise of a picture shows.
+    """Compute the effect of possible linear filters on an MTF from the noise.
 
     Args:
         value: picture (height, width), any unit.
@@ -128,14 +129,14 @@ def filter_doubt(
         sharpened: whether the edge itself shows that a filter has raised its MTF. Default: False.
 
     Returns:
-        The doubt; its share is 0 where nothing is known.
+        The doubt; its share is 0 if the noise is unknown.
     """
     seen = correlations(value, sides, LAGS + _FAR_LAGS)
     if seen is None:
         return FilterDoubt(0.0, 0.0, False)
     filters = _filters()
     expected = np.pad(filters.correlation, ((0, 0), (0, len(_FAR_LAGS))))
-    # variance of a correlation behind a filter (Bartlett 1946), and of what light has left
+    # variance of a correlation behind a filter (Bartlett 1946), and of the residual light
     spread = 1 + 2 * (expected**2).sum(1)
     apart = np.hypot(*np.array(LAGS + _FAR_LAGS).T)
     light = _LIGHT * np.exp(-apart / np.array(_LENGTHS)[:, None])
@@ -150,13 +151,14 @@ def filter_doubt(
     probability /= max(float(probability.sum()), 1e-300)
     likeliest = int(np.argmax(probability[1:])) + 1
     filtered = float(probability[1:].sum())
-    # two standard deviations need not contain what is improbable: the share falls faster than the root of the probability
+    # two standard deviations need not contain an improbable value: the share falls faster than the root of the
+    # probability
     share = filtered * np.sqrt(probability[1:] @ effect[1:] ** 2 / max(filtered, 1e-300))
     return FilterDoubt(float(share), filtered, bool(effect[likeliest] < 0))
 
 
 def _effect(frequency: FloatArray, mtf: FloatArray, transfer: FloatArray) -> float:
-    """Compute by how much a filter changed MTF50, relative: negative where it lowered it."""
+    """Compute the relative change of MTF50 by a filter: negative if the filter lowered it."""
     # a filter on whole pixels has a period of 1 cycle/px
     folded = np.abs((frequency + 0.5) % 1.0 - 0.5)
     through = np.interp(folded, np.arange(transfer.size) / (2 * (transfer.size - 1)), transfer)
@@ -168,7 +170,7 @@ def _effect(frequency: FloatArray, mtf: FloatArray, transfer: FloatArray) -> flo
 
 
 def half_of(frequency: FloatArray, mtf: FloatArray) -> float:
-    """Find the lowest frequency at which an MTF is one half, cycles/px; NaN where there is none."""
+    """Find the lowest frequency at which an MTF is one half, cycles/px, or NaN."""
     below = np.flatnonzero(mtf < 0.5)
     if not below.size or below[0] == 0:
         return float("nan")
@@ -178,7 +180,7 @@ def half_of(frequency: FloatArray, mtf: FloatArray) -> float:
 
 @cache
 def _filters() -> _Filters:
-    """Tabulate all filters, the one that does nothing first."""
+    """Tabulate all filters, the identity first."""
     flat = np.ones((_GRID, _GRID // 2 + 1))
     families: list[list[FloatArray]] = [
         [_gaussian(width) for width in 0.25 * 1.04 ** np.arange(37)],

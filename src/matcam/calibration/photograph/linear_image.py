@@ -1,8 +1,8 @@
-"""One colour plane of a photograph, linear: what every estimator of this package measures in.
+"""One colour plane of a photograph, linear: the input of every estimator of this package.
 
-A mosaic's sites stand where they lie, with NaN between them: nothing is demosaiced. Of a colour picture one channel or the
-luminance is taken, of a grey one everything. `region_of` is the one place where an estimator's `image` becomes such a plane;
-`flaw` says whether there is anything in it to measure.
+The sites of a mosaic keep their positions, with NaN between them: nothing is demosaiced. Of a colour picture one
+channel or the luminance is taken, of a grey one everything. `region_of` is the one place where an estimator's `image`
+becomes such a plane; `flaw` says whether there is anything in it to measure.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ CHANNELS = ("R", "G", "B", "Y", "grey")
 """Names of colour planes; "Y" is the luminance of a colour picture."""
 MOSAICS = ("RGGB", "BGGR", "GRBG", "GBRG")
 SMALLEST = 16
-"""px: both sides of a region that is measured have at least as many."""
+"""Smallest side of a region that is measured, px."""
 _LUMINANCE = (0.2126, 0.7152, 0.0722)  # of linear R, G, B (IEC 61966-2-1)
-_SATURATED = 0.02  # share of full pixels beyond which a region is refused
-_FLAT_TOP = 0.05  # share at the very same, brightest value, that is worth a look
+_SATURATED = 0.02  # share of full pixels above which a region is rejected
+_FLAT_TOP = 0.05  # share of pixels with the brightest value that needs a test
 _QUARTILES = 1.35
 """Distance between the quartiles of a normal distribution, in standard deviations."""
 _SPREAD = 3.0
@@ -38,7 +38,7 @@ _SPREAD = 3.0
 A pile at the brightest value comes either from the end of a range or from noise below half a level; the sRGB curve is at most
 six times as steep in dark parts.
 """
-_ALONE = 1e-6  # of a Gaussian's weight: a pixel with fewer data around it is left dark
+_ALONE = 1e-6  # relative to the weight of a Gaussian: a pixel with fewer data around it is set to 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,7 +179,7 @@ class LinearImage:
                 )
             channel = "grey"
         else:
-            sites_of(mosaic, channel)  # refuses what is no mosaic before anything is linearised
+            sites_of(mosaic, channel)  # rejects an image without a mosaic before it is linearised
             mosaic = _shifted(mosaic, x, y)
         values, full = _plane(codes, str(channel), tone, photograph.saturation)
         return cls(
@@ -195,9 +195,9 @@ class LinearImage:
 
     @property
     def sites(self) -> np.ndarray:
-        """Return where this colour stands in the first 2 x 2 px.
+        """Return the sites of this colour in the first cell.
 
-        It is (2, 2) bool, and everywhere without a mosaic.
+        The mask (2, 2) covers 2 x 2 px. It is true everywhere without a mosaic.
         """
         return np.ones((2, 2), bool) if self.cfa is None else sites_of(self.cfa, self.channel)
 
@@ -235,7 +235,7 @@ def region_of(
     image: ArrayLike | Photograph | LinearImage, roi: Sequence[int] | None = None, *, channel: str | None = None,
     cfa: str | None = None, tone: Tone = "linear",
 ) -> LinearImage:  # fmt: skip
-    """Return the region that an estimator measures in; arguments as in `LinearImage.of`.
+    """Return the region of an estimator; arguments as in `LinearImage.of`.
 
     Raises:
         ArgumentError: as there, or the region is smaller than 16 x 16 px.
@@ -257,18 +257,18 @@ def region_of(
 def flaws(values: np.ndarray) -> list[Remark | None]:
     """Return the `flaw` of every region of a stack.
 
-    It is quick where there is none.
+    A quick test comes first.
     """
     low, high = values.min((1, 2)), values.max((1, 2))
     share = (values == high[:, None, None]).mean((1, 2))
-    doubtful = ~((low < high) & (share <= _FLAT_TOP))  # NaN is doubtful
+    doubtful = ~((low < high) & (share <= _FLAT_TOP))  # NaN fails this test
     return [flaw(value) if look else None for value, look in zip(values, doubtful, strict=True)]
 
 
 def flaw(values: np.ndarray) -> Remark | None:
-    """Return why nothing can be measured in a region.
+    """Explain why a region cannot be measured.
 
-    None if something might be. values: (height, width).
+    None is returned if it might be. `values`: (height, width).
     """
     used = values[np.isfinite(values)]
     if used.size < SMALLEST**2 / 4:
@@ -277,7 +277,7 @@ def flaw(values: np.ndarray) -> Remark | None:
     if not low < high:
         return Remark("flat", f"region is all one value, {low:g}: there is no edge in it")
     if (used == high).mean() > _FLAT_TOP:
-        # noise piles up at the end of a range, and nowhere else; without noise the dark side is as flat
+        # noise has equal values only at the end of a range; without noise the dark side is as flat
         middle = (low + high) / 2
         flat = (used == high).sum() / (used > middle).sum()
         levels, index, count = np.unique(used, return_inverse=True, return_counts=True)
@@ -346,16 +346,13 @@ def as_photograph(
 
 
 def _refuse_colour_picture(shape: tuple[int, ...]) -> None:
-    """Raise ArgumentError for a picture of three channels that is called a mosaic."""
+    """Raise ArgumentError for a picture of three channels that is declared as a mosaic."""
     if len(shape) == 3:
         raise ArgumentError(f"cfa is for a mosaic of shape (height, width), got an image of shape {shape}")
 
 
 def sites_of(cfa: str, channel: str | None) -> np.ndarray:
-    """Return a colour's sites in a mosaic's first 2 x 2 px.
-
-    ArgumentError for what is no mosaic.
-    """
+    """Return the sites of a colour in the first 2 x 2 px of a mosaic."""
     checks.choice("cfa", cfa, MOSAICS)
     if channel not in ("R", "G", "B"):
         raise ArgumentError(f"channel must be one of 'R', 'G', 'B' with a mosaic, got {channel!r}")
@@ -378,12 +375,12 @@ def _plane(codes: np.ndarray, channel: str, tone: Tone, saturation: float) -> tu
 
 
 def _repeated(sites: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
-    """Return a 2 x 2 pattern all over a shape."""
+    """Repeat a 2 x 2 pattern over a shape."""
     return np.tile(sites, (shape[0] // 2 + 1, shape[1] // 2 + 1))[: shape[0], : shape[1]]
 
 
 def _shifted(cfa: str, x: int, y: int) -> str:
-    """Return a mosaic's colours as they stand from pixel (x, y) on."""
+    """Return the colours of a mosaic in a region that begins at pixel (x, y)."""
     return "".join(np.roll(np.array(list(cfa)).reshape(2, 2), (-y, -x), (0, 1)).ravel())
 
 

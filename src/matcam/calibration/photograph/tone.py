@@ -15,21 +15,22 @@ from matcam.files.photographs import Photograph, read_photograph
 from matcam.files.tone_curve import checked_curve, curve_through, read_numbers
 
 Tone = str | float | ArrayLike
-"""What a picture's codes are: "linear"; "srgb" (IEC 61966-2-1); a gamma, light = (code / full) ** gamma; linear values by
-code, (codes,) or (codes, 3); "auto": what the file says, see `assumed_tone`."""
+"""Tone curve of the codes of a picture: "linear"; "srgb" (IEC 61966-2-1); a gamma, light = (code / full) ** gamma;
+linear values by code, (codes,) or (codes, 3); "auto": that of the file, see `assumed_tone`.
+"""
 
 _GAMMAS = (0.2, 5.0)
 
 
 def is_linear(tone: Tone) -> bool:
-    """Return whether a tone curve leaves codes as they are."""
+    """Return whether a tone curve does not change codes."""
     return isinstance(tone, str) and tone == "linear"
 
 
 def assumed_tone(photograph: Photograph, *, mosaic: bool = False) -> tuple[str, tuple[Remark, ...]]:
-    """Return the tone curve that "auto" stands for.
+    """Return the tone curve that "auto" selects.
 
-    It comes with a remark on what had to be assumed. mosaic: whether nothing has been demosaiced yet; tone curves come later.
+    A remark states the assumption. `mosaic`: whether the picture was not demosaiced yet; tone curves are applied later.
     """
     if photograph.linear or mosaic:
         return "linear", ()
@@ -41,8 +42,8 @@ def assumed_tone(photograph: Photograph, *, mosaic: bool = False) -> tuple[str, 
 def linear_values(codes: np.ndarray, tone: Tone, channel: int | None = None) -> np.ndarray:
     """Return linear values of codes, (..., 3) or one plane.
 
-    Full scale is the largest whole number of the codes' type, or 1. channel: which column of a table of three is this
-    plane's. ArgumentError for a tone curve that does not fit.
+    Full scale is the largest whole number of the codes' type, or 1. `channel`: column of a table of three for this
+    plane. ArgumentError for a tone curve that does not fit the image.
     """
     if is_linear(tone):
         return codes.astype(np.float64)

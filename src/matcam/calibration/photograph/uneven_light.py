@@ -1,9 +1,11 @@
-"""Uneven light that no polynomial describes: a Gaussian process over the flat sides of an edge, and whether glare is light.
+"""Uneven light that no polynomial describes: a Gaussian process over the flat sides of an edge, and the test of light
+against glare.
 
-Each side of the edge is averaged over bins of some px. What the bins differ by from two levels in light of third order is light
-that multiplies the scene (banding, a penumbra, a near lamp), light that adds to it (a glint), or glare of the lens, which
-depends on the distance from the edge alone. All are terms of one Gaussian model. Their scales, and the probability of glare,
-follow from its marginal likelihood (Rasmussen & Williams, Gaussian Processes for Machine Learning, 2006, ch. 5).
+Each side of the edge is averaged over bins of some px. The deviation of the bins from two levels in light of third
+order is light that multiplies the scene (banding, a penumbra, a near lamp), light that adds to it (a glint), or glare
+of the lens, which depends on the distance from the edge alone. All are terms of one Gaussian model. Their scales, and
+the probability of glare, follow from its marginal likelihood (Rasmussen & Williams, Gaussian Processes for Machine
+Learning, 2006, ch. 5).
 """
 
 from __future__ import annotations
@@ -16,35 +18,35 @@ from scipy.special import ndtr
 from matcam.core.arrays import FloatArray
 
 _BINS, _SMALLEST_BIN = 220, 4.0
-"""Number of bins of a region; least side of a bin, px. Their eigenvalues are computed in 10 ms."""
+"""Number of bins of a region; smallest side of a bin, px. The eigenvalues of 220 bins are computed in 10 ms."""
 _REACH = (3.5, 1.5)
-"""Distance from the edge within which a pixel belongs to no bin: in standard deviations of the blur, and in px besides."""
+"""Distance from the edge within which pixels are in no bin: in standard deviations of the blur, plus px."""
 _LENGTHS = (8.0, 20.0, 50.0)
 """Correlation lengths of the light that are tried, px."""
 _AMPLITUDES = 1e-3 * 2.0 ** np.arange(9)
 """Standard deviations of the light that are tried, relative: 0.1 to 25 %."""
 _GLARE = 0.1
-"""Standard deviation of the share of light in glare, before the picture is seen."""
+"""Prior standard deviation of the share of light in glare."""
 _GLARE_PROBABILITY = 0.1
-"""Probability of glare before the picture is seen."""
+"""Prior probability of glare."""
 _RADII = 4.0 * 1.5 ** np.arange(9)
 """Standard deviations of the glare that are tried, px."""
 _NOISES = (1.0, 1.5, 2.5, 4.0)
 """Variances of the bins that are tried, in units of those of independent noise: filters correlate it."""
 _SUSPECT = 3.0
-"""Standard deviations by which chi2 of the bins must exceed its expectation before anything is computed."""
+"""Standard deviations by which chi2 of the bins must exceed its expectation before the light is estimated."""
 _MISFIT = 5e-4
-"""Standard deviation of a bin that is no noise, in units of the step."""
+"""Standard deviation of a bin from causes other than noise, in units of the step."""
 _CLIPPED = 3.5
-"""Standard deviations beyond which a pixel does not count in the mean of its bin."""
+"""Standard deviations above which a pixel is left out of the mean of its bin."""
 _STEP_PER_STD, _STEEP = 2.5, 4
 """Height of a step in units of its standard deviation over a region; power of the fraction of variance that is a ghost's."""
 _ROWS = 40
 """Rows in which the light across the edge is evaluated."""
 _DARKEST = 0.1
-"""Least factor of the light."""
+"""Smallest factor of the light."""
 _FEWEST_BINS = 24
-"""Bins from which a light field can be estimated."""
+"""Smallest number of bins for the estimate of a light field."""
 
 
 class LightField(NamedTuple):
@@ -114,7 +116,7 @@ def light_field(
     blur: float,
     glare: bool,
 ) -> LightField | None:
-    """Estimate the light of a region; None where two levels in light of third order explain it.
+    """Estimate the light of a region, or return None for smooth light.
 
     Args:
         value: region (rows, columns), linear, any unit; NaN where there is none.
@@ -146,7 +148,7 @@ def light_field(
     probability = np.exp(evidence - evidence.max())
     glaring = np.array([model.glares for model in models])
     of_glare = float(probability[glaring].sum() / probability.sum())
-    # the light is that of the more probable of both hypotheses
+    # the light is that of the more probable hypothesis
     best = max((model for model in models if model.glares == (of_glare > 0.5)), key=lambda model: model.log_evidence)
     possible = float(np.sqrt(probability @ np.array([m.amplitude for m in models]) ** 2 / probability.sum()))
     factor, addend = np.ones_like(value), np.zeros_like(value)
@@ -155,11 +157,11 @@ def light_field(
     seen = basis * ((step if best.adds else bins.level) / bins.std)[:, None]
     light = best.amplitude**2 * (seen @ best.weights)
     field = (_correlation(x.ravel(), y.ravel(), bins, best.length) @ light).reshape(value.shape)
-    # the polynomials beside it are what the light leaves of the bins
+    # the polynomials next to it are fitted to the bins without the light
     by_light = _correlation(bins.x, bins.y, bins, best.length) @ light * (step if best.adds else bins.level)
     left = (bins.value - by_light) / bins.std - best.noise * (basis @ best.weights)
     strengths = np.linalg.lstsq(design, left, rcond=None)[0][2:]
-    strengths[:2] = 0.0  # a plane is left to the edge's own fit
+    strengths[:2] = 0.0  # a plane is left to the fit of the edge
     polynomial = np.tensordot(strengths, _polynomials(x / scales[0], y / scales[1]), 1)
     amplitude = float(np.std(field[np.isfinite(value)]))
     ghost = _ghost(field[np.isfinite(value)], distance[np.isfinite(value)])
@@ -182,7 +184,7 @@ def _unknown(bins: _Bins, seen: FloatArray, best: _Model, places: tuple[FloatArr
     seen: light of the bins -> data (n, p). places: x, y and distance of all pixels, px.
     """
     x, y, distance = places
-    # in every so many rows, the pixels whose centres lie one blur to both sides of the edge
+    # in every few rows, the pixels whose centres are one width of the blur from the edge on both sides
     rows = np.linspace(0, len(x) - 1, min(len(x), _ROWS)).astype(int)
     at = [np.abs(distance[rows] - side * blur).argmin(1) for side in (1, -1)]
     px, py = (np.concatenate([a[rows, columns] for columns in at]) for a in (x, y))
@@ -196,12 +198,11 @@ def _unknown(bins: _Bins, seen: FloatArray, best: _Model, places: tuple[FloatArr
 
 
 def _ghost(field: FloatArray, distance: FloatArray) -> float:
-    """Compute the share of a ghost that light may be instead.
+    """Compute the share of a ghost that may have been fitted as light.
 
-    A ghost of share q is a step q along lines parallel to the edge. Light whose variance depends on the distance from the edge
-    by a fraction is a ghost with a probability that falls steeply with the rest.
-
-    field: light of n pixels, relative. distance: their distances from the edge, px.
+    A ghost of share q is a step q along lines parallel to the edge. Light is compared with a function of the distance
+    from the edge: the probability of a ghost falls steeply with the share of the variance that this function does not
+    explain. `field`: light of n pixels, relative. `distance`: their distances from the edge, px.
     """
     _, name = np.unique(np.floor(distance / _SMALLEST_BIN), return_inverse=True)
     count = np.bincount(name)
@@ -218,7 +219,7 @@ def _bins(
     noise: tuple[float, float],
     reach: float,
 ) -> _Bins | None:
-    """Average the flat sides over bins; None where there are too few."""
+    """Average the flat sides over bins, or return None if there are too few."""
     flat = np.isfinite(value) & (np.abs(distance) > reach)
     side = max(_SMALLEST_BIN, float(np.sqrt(flat.sum() / _BINS)))
     rows, columns = (np.floor((a - a.min()) / side).astype(int) for a in (y, x))
@@ -228,7 +229,7 @@ def _bins(
     count = np.bincount(name)
     mean = np.bincount(name, some) / count
     std = np.sqrt(np.maximum(noise[0] * np.maximum(mean, 0) + noise[1] ** 2, 1e-300))
-    # a first guess of each bin is its median, which neither dust nor a hot pixel moves
+    # the first estimate of each bin is its median, which is robust to dust and hot pixels
     order = np.lexsort((some, name))
     middle = some[order[np.cumsum(count) - (count + 1) // 2]]
     used = np.abs(some - middle[name]) < _CLIPPED * std[name] * (1 + 1 / np.sqrt(count[name]))
@@ -250,7 +251,7 @@ def _bins(
 def _models(bins: _Bins, basis: FloatArray, data: FloatArray, glares: FloatArray, step: float) -> list[_Model]:
     """Evaluate all models of the light, without glare and with glare of every radius.
 
-    data, glares: what remains of the bins, and of glare of full strength, beside levels and plane: (p,), (radii, p).
+    `data`, `glares`: residuals of the bins, and of glare of full strength, after levels and plane: (p,), (radii, p).
     """
     models: list[_Model] = []
 

@@ -1,7 +1,7 @@
-"""Whether a grey picture is a mosaic of colours that nobody has called one.
+"""Detection of mosaics that are declared as grey pictures.
 
-Columns and rows of a mosaic alternate: light of one colour is brighter than of another. Nothing else does so all over a
-picture, for every second pixel alike.
+The columns and rows of a mosaic alternate, because the light of one colour is brighter than that of another. No other
+cause makes every second pixel of a whole picture differ.
 """
 
 from __future__ import annotations
@@ -12,13 +12,13 @@ from matcam.calibration.photograph.linear_image import LinearImage
 from matcam.core.arrays import FloatArray
 from matcam.core.errors import FitError
 
-_LARGEST = 1024  # px: so much of a picture is enough
-_DARK = 0.2  # of a picture's bright light, below which light that alternates is noise
-_ALTERNATING, _SIGNIFICANT = 0.03, 6.0  # of the light; standard deviations
+_LARGEST = 1024  # px: so large a part of a picture is enough
+_DARK = 0.2  # relative to the bright light of a picture; alternation below it is noise
+_ALTERNATING, _SIGNIFICANT = 0.03, 6.0  # relative to the light; standard deviations
 
 
 def refuse_unnamed_mosaic(plane: LinearImage) -> None:
-    """Raise FitError for a grey plane whose pixels alternate as a mosaic's do."""
+    """Raise FitError for a grey plane whose pixels alternate like those of a mosaic."""
     if plane.channel == "grey" and plane.cfa is None and (share := alternation(plane.values)) > 0:
         raise FitError(
             f"every second pixel differs by {share:.0%} of the light: a mosaic of colours that is read as grey: "
@@ -27,10 +27,10 @@ def refuse_unnamed_mosaic(plane: LinearImage) -> None:
 
 
 def alternation(values: FloatArray) -> float:
-    """Return by how much of the light neighbours differ all over a picture (height, width), 0 where they do not.
+    """Return the relative difference of neighbours over a whole picture (height, width), 0 if there is none.
 
-    Second differences of neighbours are 0 in even light, and in light that changes evenly. Their medians at every second
-    pixel of every second line tell what repeats, whatever edges there are.
+    Second differences of neighbours are 0 in even light, and in light that changes evenly. Their medians at every
+    second pixel of every second line measure the periodic part, independently of edges.
     """
     height, width = values.shape
     top, left = max(height - _LARGEST, 0) // 4 * 2, max(width - _LARGEST, 0) // 4 * 2

@@ -1,4 +1,4 @@
-"""Numbers read off a measured edge: frequencies of given contrast, contrast at given frequencies, rise of the edge response."""
+"""Numbers from a measured edge: frequencies of given contrast, contrast at given frequencies, rise of the edge response."""
 
 from __future__ import annotations
 
@@ -137,7 +137,7 @@ def rise_distance(edge: EdgeMTF) -> EdgeNumber:
 
 
 def readings(edge: EdgeMTF, frequencies: FloatArray | tuple[float, ...] = ()) -> dict[str, Any]:
-    """Read the usual numbers off an edge.
+    """Compute the usual numbers of an edge.
 
     Args:
         edge: result of `edge_mtf`.

@@ -51,7 +51,7 @@ def measure_series(
     cfa: str | None,
     measure: Callable[[Photograph, Region | None, str | None], dict[str, Any]],
 ) -> list[SeriesEdge]:
-    """Measure all regions of all photographs in all channels; one bad edge among many is named, not fatal.
+    """Measure all regions of all photographs in all channels; an edge that fails is listed.
 
     Args:
         photographs: names, and functions that read the photographs.
@@ -126,5 +126,5 @@ def read_regions(path: Path) -> dict[str, Region | None]:
 
 
 def _number(value: Any) -> Any:
-    """Return a value as a cell of a table: what is missing is NaN."""
+    """Return a value as a cell of a table; a missing value becomes NaN."""
     return np.nan if value is None else value

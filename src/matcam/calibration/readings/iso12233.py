@@ -1,7 +1,7 @@
 """Edge-based spatial frequency response (e-SFR) of ISO 12233:2023, step by step as the standard describes it.
 
-It has no error bars, no model of light, and the biases of its bins and windows; `edge_mtf` has neither. It is here to compare
-with other programs.
+It has no error bars, no model of light, and the biases of its bins and windows; `edge_mtf` has neither. Its purpose is
+the comparison with other programs.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ from matcam.files.photographs import Photograph
 _BINS = 4
 """Bins of the edge spread function per sample (ISO 12233:2023)."""
 _FLOOR = 0.05
-"""Weight that the window about the edge has everywhere, which makes the second search for the edge stable."""
+"""Weight of the window at all distances from the edge, which makes the second search for the edge stable."""
 _LARGEST_CORRECTION = 10.0
-"""Largest factor by which the response of the difference filter is undone."""
+"""Largest factor by which the response of the difference filter is corrected."""
 _ORDERS = (1, 5)
 _LEAST_TURNS = 1.0
-"""Samples along a row by which the edge must move from the first row to the last, so that all phases are seen."""
+"""Samples along a row by which the edge must move from the first row to the last, so that all phases are sampled."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +63,7 @@ class ISOEdge:
     spacing: float
 
     def readings(self, frequencies: Sequence[float] = ()) -> dict[str, Any]:
-        """Read the usual numbers off the response.
+        """Return the usual numbers of the response.
 
         Args:
             frequencies: frequencies at which the response is wanted, cycles/px. Default: (), none.
@@ -172,7 +172,7 @@ def iso12233_sfr(
     straight = np.polynomial.Polynomial.fit(number, place, 1).convert().coef[1]
     if abs(straight) * len(value) < _LEAST_TURNS:
         raise FitError("phases are missing: the edge lies along the pixels' grid: turn the target by a few degrees")
-    # whole turns of the phase weigh all phases alike
+    # whole turns of the phase give all phases equal weight
     kept = max(int(np.round(np.floor(len(value) * abs(straight)) / abs(straight))), 1)
     value, start, place = value[:kept], start[:kept], place[:kept]
     esf = _edge_spread(value, start[:, None] + np.arange(value.shape[1]) - place[:, None])
@@ -185,17 +185,17 @@ def iso12233_sfr(
 
 
 def _row_distance(y: FloatArray) -> float:
-    """Compute the distance of neighbouring rows, px."""
+    """Compute the distance of neighbouring rows along the normal, px."""
     return float(y[1] - y[0])
 
 
 def _edge_places(value: FloatArray, start: FloatArray, number: FloatArray, order: int) -> FloatArray:
-    """Find the edge in every row, samples: a polynomial through centroids of the derivative.
+    """Find the position of the edge in every row, samples, from a polynomial through centroids of the derivative.
 
     start: place of the first sample of each row, samples. number: of each row.
     """
     columns = value.shape[1]
-    # the difference of neighbours stands between them
+    # the difference of two neighbours is at the point between them
     slope, at = np.diff(value, axis=1), start[:, None] + np.arange(columns - 1) + 0.5
     window = np.ones_like(slope)
     for _ in range(3):
@@ -217,7 +217,7 @@ def _hann(distance: FloatArray, width: float) -> FloatArray:
 def _edge_spread(value: FloatArray, distance: FloatArray) -> FloatArray:
     """Average samples over bins of a quarter of a sample; empty bins are interpolated."""
     bins = np.floor(distance * _BINS).astype(int)
-    # as many as a row has quarters, about the middle: at its ends a part of the rows is enough
+    # as many as a row has quarters, about the centre: at the ends only a part of the rows contributes
     middle, half = int(np.round((bins[:, 0] + bins[:, -1]).mean() / 2)), _BINS * value.shape[1] // 2
     first, last = max(middle - half, int(bins.min())), min(middle + half - 1, int(bins.max()))
     inside = (bins >= first) & (bins <= last)
@@ -234,7 +234,7 @@ def _response(esf: FloatArray, spacing: float) -> tuple[FloatArray, FloatArray]:
     """Compute frequencies, cycles/px, and the response from an edge spread function."""
     line = np.convolve(esf, (0.5, 0, -0.5), "same")
     line[[0, -1]] = line[[1, -2]]
-    # its maximum stands in the middle
+    # its maximum is in the centre
     line = np.roll(line, line.size // 2 - int(np.argmax(line)))
     line *= _hann(np.arange(line.size, dtype=float) - line.size // 2, line.size)
     size = line.size

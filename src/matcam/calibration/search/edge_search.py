@@ -1,8 +1,10 @@
-"""Straight edges, found in a picture without help: at any scale and rotation, under uneven light and mild distortion.
+"""Search for straight edges in a picture without a description: at any scale and rotation, under uneven light and mild
+distortion.
 
-Pixels whose gradients point alike and lie side by side are one edge; its place and direction are those of its pixels,
-weighted by gradient. Corners end an edge, because the gradient turns there; nothing has to be a square. An edge is kept
-where both its sides are even far enough to be measured. NumPy and SciPy, on the picture reduced to a few megapixels.
+Adjacent pixels with gradients in similar directions are one edge; its position and direction are those of its pixels,
+weighted by gradient. Corners end an edge, because the gradient changes direction there; squares are not required. An
+edge is kept if the areas on both sides of it are even, and wide enough to be measured. NumPy and SciPy, on the picture
+reduced to a few megapixels.
 """
 
 from __future__ import annotations
@@ -12,18 +14,18 @@ from typing import NamedTuple
 import numpy as np
 from scipy import ndimage
 
-_PIXELS = 2_000_000  # of the reduced picture, at most
+_PIXELS = 2_000_000  # of the reduced picture, largest value
 _SMOOTH = 1.0  # px of the reduced picture
-_SECTORS = 16  # of directions; each is looked for with its two neighbours
-_NOISE, _WEAK = 6.0, 0.06  # gradients count above so many times the median, and above this share of the strongest
+_SECTORS = 16  # number of directions; each is searched together with its two neighbours
+_NOISE, _WEAK = 6.0, 0.06  # gradients count above this multiple of the median, and above this share of the strongest
 _SHORTEST = 12.0  # px of the reduced picture
-_SLENDER = 3.0  # length over width of a ribbon of pixels
-_CORNER = 2.5  # px of the reduced picture, which both ends lose
-_PROFILE = 40  # px of the reduced picture, to both sides
-_ALONG = 24  # places along an edge
-_UNEVEN, _SLOPE = 0.06, 0.002  # of the step: how far a side's mean may leave its level, and how fast
-_SPOT = 0.4  # of the step: by so much single places along a side may differ
-_ENOUGH = 4  # edges that make a finer search unnecessary
+_SLENDER = 3.0  # smallest length over width of a ribbon of pixels
+_CORNER = 2.5  # px of the reduced picture that are cut off both ends
+_PROFILE = 40  # px of the reduced picture, on both sides
+_ALONG = 24  # number of positions along an edge
+_UNEVEN, _SLOPE = 0.06, 0.002  # relative to the step: largest change of the mean of a side, and largest change rate
+_SPOT = 0.4  # relative to the step: largest deviation of single positions along an edge
+_ENOUGH = 4  # number of edges above which a finer search is not needed
 
 
 class EdgePlaces(NamedTuple):
@@ -89,7 +91,7 @@ def _reduced(picture: np.ndarray, factor: int) -> np.ndarray:
 
 
 def _ribbons(small: np.ndarray) -> np.ndarray:
-    """Return connected pixels with like gradients.
+    """Return connected pixels with similar gradients.
 
     (n, 4): x, y, angle of the normal, length.
     """
@@ -108,7 +110,7 @@ def _ribbons(small: np.ndarray) -> np.ndarray:
         label, count = ndimage.label(mask, np.ones((3, 3)))
         one = label[rows[near], columns[near]] - 1
         ribbon, direction = _moments(one, count, *(a[near] for a in (columns, rows, gx, gy, size)))
-        # an edge is seen by three sectors, and belongs to the one that its mean direction lies in
+        # an edge is found in three sectors, and is assigned to the one that contains its mean direction
         mine = np.floor((direction + np.pi) / width).astype(int) % _SECTORS == centre
         found.append(ribbon[mine])
     ribbon = np.concatenate(found)
@@ -140,7 +142,7 @@ def _moments(
 def clear_distance(
     small: np.ndarray, x: np.ndarray, y: np.ndarray, angle: np.ndarray, length: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return how far both sides keep their levels, and the step.
+    """Return the distance to which both sides keep their levels, and the step.
 
     The distance is in px, and 0 where a side is not even beside the edge. small: (height, width) with little noise. x, y: (n,)
     px, of the edges' middles. angle: (n,) rad, of the normal towards the bright side. length: (n,) px.

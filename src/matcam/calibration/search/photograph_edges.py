@@ -1,11 +1,12 @@
-"""The slanted edges of a photograph, measured in strips along them; and what they tell of the picture as a whole.
+"""The slanted edges of a photograph, measured in strips along them, and remarks on the whole picture.
 
-The rows of a strip begin where the edge does, so that an edge may lie at any angle. A row is one of the picture, or a column
-where that crosses the edge more squarely; nothing is resampled. Strips of one picture have one shape, so that one compiled
-program measures them all: what a shorter or narrower one lacks is NaN.
+The rows of a strip begin where the edge does, so that an edge may lie at any angle. A row is one of the picture, or a
+column where that crosses the edge more squarely; nothing is resampled. Strips of one picture have one shape, so that
+one compiled program measures them all: missing pixels of a shorter or narrower one are NaN.
 
-An edge's own fit has light that changes linearly. What a lens's vignetting bends beyond that within a strip is divided out:
-most bright sides of a picture's edges are the same paper, and show it. A wrong level or slope of the light changes nothing.
+The fit of an edge includes light that changes linearly. The nonlinear part of the vignetting within a strip is divided
+out: it is known from the bright sides of the edges in a picture, most of which are the same paper. A wrong level or
+slope of the light changes nothing.
 """
 
 from __future__ import annotations
@@ -27,23 +28,23 @@ from matcam.core.remark import Remark
 
 _ROWS = (48, 64, 96, 128, 192)
 _COLUMNS = (32, 48)
-_USUAL = 0.8  # of the edges are no longer than the rows that are chosen
+_USUAL = 0.8  # quantile of the lengths of the edges that sets the number of rows
 _LEAST_ROWS, _LEAST_WIDTH = 20, 16
-_MARGIN = 1.0  # px: how well a search knows where an edge lies
-_FEWEST = 12  # edges, for the six numbers of the light
+_MARGIN = 1.0  # px: error of the search in the position of an edge
+_FEWEST = 12  # number of edges, for the six parameters of the light
 _OUTLIER, _ROUNDS = 3.0, 6
 _LEAST_SCATTER = 0.003  # relative
 _SHARE = 4  # the last quarter of a row is its bright side
-_RANGE = 20.0  # no chart is lit so unevenly
+_RANGE = 20.0  # largest unevenness of the light on a chart
 _SATURATED = 0.02  # share of a strip's samples
-_CRUSHED = 0.02  # share of a strip at its lowest value that is worth a look
-_CONTRAST = 0.2  # (bright - dark) / (bright + dark), below which it is said
-_DIRECTIONAL, _SIGNIFICANT = 0.15, 5.0  # of the blur's variance; standard deviations
-_FEW = 6  # edges, below which nothing is said of directions
+_CRUSHED = 0.02  # share of a strip at its lowest value that needs a test
+_CONTRAST = 0.2  # (bright - dark) / (bright + dark), below which it is reported
+_DIRECTIONAL, _SIGNIFICANT = 0.15, 5.0  # relative to the variance of the blur; standard deviations
+_FEW = 6  # number of edges below which directions are not compared
 
 
 class Strips(NamedTuple):
-    """Set of n strips in a turned picture.
+    """Set of n strips in a rotated picture.
 
     u runs along its rows, v across them. All are whole px but u, v and tilt.
 
@@ -105,7 +106,7 @@ def plane_edge_stack(
 
 
 def _crushed(value: np.ndarray) -> Remark | None:
-    """Return that the dark side of a strip is crushed; None where it is not."""
+    """Describe the crushed dark side of a strip, or return None."""
     used = value[np.isfinite(value)]
     low = used.min()
     if (used == low).mean() < _CRUSHED:
@@ -120,7 +121,7 @@ def _crushed(value: np.ndarray) -> Remark | None:
 
 
 def edge_remarks(result: EdgeStack, channel: str) -> list[Remark]:
-    """Return what the edges of one channel say of their picture."""
+    """Return remarks on a picture from the edges of one channel."""
     good = result.good
     codes = Counter(problem.code for problem in result.problems if problem)
     remarks = []
@@ -152,7 +153,7 @@ def strips_along(edges: EdgePlaces, shape: tuple[int, int]) -> Strips:
     u, v = np.where(transposed, edges.y, edges.x), np.where(transposed, edges.x, edges.y)
     tilt, steep = -along / across, np.abs(across)
     half = np.minimum(np.floor(edges.clear / steep - _MARGIN), _COLUMNS[-1] // 2)
-    # a row's ends stand beside places further along the edge than its middle
+    # the ends of a row are next to positions further along the edge than its centre
     rows = np.floor(edges.length * steep - 2 * half * np.abs(along) * steep)
     usual = np.quantile(rows, _USUAL) if rows.size else 0.0
     longest = next((n for n in _ROWS if n >= usual), _ROWS[-1])
@@ -177,15 +178,15 @@ def strip_regions(strips: Strips, plane: LinearImage, at_once: int) -> Iterator[
     step = 1 if sites.all() else 2
     rows = next((n for n in _ROWS if n >= strips.rows.max(initial=0)), _ROWS[-1])
     columns = next(n for n in _COLUMNS if n >= np.median(strips.width))
-    by_row = step if (sites.sum(1) == 0).any() else 1  # red and blue have sites in every other row
+    by_row = step if (sites.sum(1) == 0).any() else 1  # red and blue have sites in every other row only
     for i in range(0, strips.u.size, at_once):
         yield _region(strips.subset(slice(i, i + at_once)), plane, step, by_row, (rows // by_row, columns // step))
 
 
 def regions_in_even_light(regions: Sequence[EdgeRegions]) -> list[EdgeRegions]:
-    """Return regions with their light made even.
+    """Return regions whose light was made even.
 
-    The logarithm of the light is a quadratic over the field. Regions stay as they are where it is not known.
+    The logarithm of the light is a quadratic over the field. Regions stay as they are if the light is not known.
     """
     x, y = (np.concatenate([getattr(r.frame, axis) for r in regions]) for axis in "xy")
     bright = np.concatenate([_bright(r.value) for r in regions])
@@ -222,7 +223,7 @@ def _region(
     left -= width[:, None] // 2
     if step == 2:
         first_row: np.ndarray = np.where(strips.transposed[:, None], sites.any(0), sites.any(1))
-        if by_row == 2:  # begin on a row that has sites
+        if by_row == 2:  # begin with a row that has sites
             v = v + ~np.take_along_axis(first_row, v[:, :1] % 2, 1)
         turned = np.where(strips.transposed[:, None, None], sites.T, sites)
         left = left + ~turned[np.arange(strips.u.size)[:, None], v % 2, left % 2]
@@ -235,7 +236,7 @@ def _region(
     saturated = np.zeros(len(value)) if plane.saturated is None else plane.saturated[at].mean((1, 2))
     mirrored = strips.mirrored
     last = (there.any(1).sum(1) - 1)[:, None]
-    # mirrored rows are read from their last sample to their first: what is missing stays behind
+    # mirrored rows are read from the last sample to the first, so that missing samples are at the end
     back = np.where(mirrored[:, None], last - np.arange(columns), np.arange(columns)) % columns
     value = np.take_along_axis(value, back[:, None, :], 2)
     middle = first + (strips.rows - 1) / 2
@@ -247,7 +248,7 @@ def _region(
 
 
 def _inside(strips: Strips, shape: tuple[int, int]) -> np.ndarray:
-    """Return whether strips, and 2 px around them, lie in the picture."""
+    """Check whether strips, with a margin of 2 px, are inside the picture."""
     reach = strips.width / 2 + np.abs(strips.tilt) * strips.rows / 2 + 2
     across, along = (np.where(strips.transposed, *pair) for pair in (shape[:2], shape[1::-1]))
     long = strips.rows / 2 + 2
@@ -264,14 +265,14 @@ def _in_even_light(region: EdgeRegions, found: np.ndarray, middle: tuple[float, 
     dx, dy = columns.in_picture(across, np.broadcast_to(region.y[..., None], across.shape))
     x, y = (np.asarray(a)[:, None, None] for a in (frame.x, frame.y))
     dx, dy, x, y = dx / scale, dy / scale, (x - middle[0]) / scale, (y - middle[1]) / scale
-    # the difference of the quadratic between a place and the centre
+    # the difference of the quadratic between a position and the centre
     _, fx, fy, fxx, fxy, fyy = found
     bend = (fx + fxx * (2 * x + dx) + fxy * (y + dy)) * dx + (fy + fxy * x + fyy * (2 * y + dy)) * dy
     return region._replace(value=region.value * np.exp(-bend))
 
 
 def _bright(value: np.ndarray) -> np.ndarray:
-    """Return the mean of every strip's bright side (n,)."""
+    """Return the mean of the bright side of every strip (n,)."""
     there = np.isfinite(value)
     width = there.any(1).sum(1)
     side = there & (np.arange(value.shape[2]) >= (width - width // _SHARE)[:, None, None])
@@ -285,7 +286,7 @@ def _powers(x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 
 def _directional_blur(result: EdgeStack) -> str:
-    """Return how the blur depends on direction, as motion makes it.
+    """Test whether the blur depends on direction, as it does under motion.
 
     Empty if it does not.
     """
@@ -297,7 +298,7 @@ def _directional_blur(result: EdgeStack) -> str:
     # the second harmonic of the blur's variance
     design = np.stack([np.ones_like(angle), np.cos(2 * angle), np.sin(2 * angle)], 1)
     normal = design.T @ (weight[:, None] * design)
-    # squares have two directions only, which leave one combination of the harmonics open: that is taken for 0
+    # squares have two directions only, which do not determine one combination of the harmonics: it is set to 0
     inverse = np.linalg.pinv(normal, rcond=1e-3, hermitian=True)
     found = inverse @ (design.T @ (weight * sigma**2))
     left = weight * (sigma**2 - design @ found) ** 2

@@ -28,10 +28,11 @@ _ROUNDING = 1 / 12
 _HIDDEN = 0.24
 """Temporal variance of dark codes below which rounding hides the noise, DN^2 (EMVA 1288, 6.6)."""
 _MANY = 2.0
-"""Times the usual number of frames of an exposure from which one was taken for the fixed patterns alone (EMVA 1288, 8.2): its
-light need not be that of the series."""
+"""Multiple of the usual number of frames above which an exposure was taken for the fixed patterns alone (EMVA 1288,
+8.2): its light need not be that of the series.
+"""
 _TIMES = 3
-"""Exposure times that a dark current needs, at least (EMVA 1288, 7.2)."""
+"""Smallest number of exposure times for a dark current (EMVA 1288, 7.2)."""
 _BRIGHT = (0.2, 0.8)
 """Shares of saturation between which the response of the pixels is measured; the standard takes 50 %."""
 _UNKNOWN = Stated(math.nan, math.inf)
@@ -143,7 +144,7 @@ def _dark_times(lit: Sequence[ExposureStatistics], dark: Sequence[ExposureStatis
 
 
 def _read_noise(dark: Sequence[ExposureStatistics], gain: Stated) -> tuple[Stated, bool]:
-    """Temporal noise of a dark pixel at exposure time 0, e-, and whether rounding hides it."""
+    """Estimate the temporal noise of a dark pixel at exposure time 0, e-, and detect whether rounding hides it."""
     times, variance = np.array([one.exposure.time for one in dark]), np.array([one.variance.mean() for one in dark])
     error = variance * np.array([one.variance_error / math.sqrt(len(one.variance)) for one in dark])
     if len(np.unique(times)) >= _TIMES:
@@ -163,7 +164,7 @@ def _black_level(dark: Sequence[ExposureStatistics]) -> Stated:
 
 
 def _growth(dark, gain, of, power):  # type: ignore[no-untyped-def]
-    """Slope of a statistic of the dark frames over exposure time, in electrons per second."""
+    """Compute the slope of a statistic of the dark frames over exposure time, electrons per second."""
     times = np.array([one.exposure.time for one in dark])
     if len(np.unique(times)) < _TIMES:
         return _UNKNOWN
@@ -175,7 +176,7 @@ def _growth(dark, gain, of, power):  # type: ignore[no-untyped-def]
 
 
 def _line(x: np.ndarray, y: np.ndarray) -> tuple[Stated, Stated]:
-    """Slope and offset of a straight line by ordinary least squares, with standard deviations by the scatter about it."""
+    """Fit slope and offset of a straight line by ordinary least squares, with standard deviations from the scatter."""
     matrix = np.stack([x - x.mean(), np.ones_like(x)], axis=1)
     (slope, middle), *_ = np.linalg.lstsq(matrix, y, rcond=None)
     scatter = float(np.sum((y - matrix @ (slope, middle)) ** 2)) / max(len(x) - 2, 1)
@@ -185,9 +186,10 @@ def _line(x: np.ndarray, y: np.ndarray) -> tuple[Stated, Stated]:
 
 
 def _saturation(planes: Sequence[Transfer], gain: Stated) -> tuple[Stated, bool]:
-    """Saturation capacity, e-, of the plane that saturates first; and whether an exposure beyond it was seen.
+    """Find the saturation capacity, e-, of the plane that saturates first, and whether a saturated exposure exists.
 
-    Its standard deviation has the step between neighbouring exposures in it: the true one lies anywhere between them.
+    Its standard deviation includes the step between neighbouring exposures, because the true value may be anywhere
+    between them.
     """
     plane = min(planes, key=lambda one: (not one.saturated, one.light[one.saturation]))
     at = plane.saturation
@@ -205,7 +207,7 @@ def _quantum_efficiency(planes: Sequence[Transfer], gain: Stated) -> Stated:
 
 
 def _chosen(lit: Sequence[ExposureStatistics], planes: Sequence[Transfer]) -> ExposureStatistics | None:
-    """The exposure that shows the pixels' response best: most frames, then nearest to half of saturation."""
+    """Select the exposure for the response of the pixels: the most frames, then the nearest to half of saturation."""
 
     def share(one: ExposureStatistics) -> float:
         return max((one.mean[k] - p.dark[0]) / p.signal[p.saturation] for k, p in enumerate(planes))
@@ -215,9 +217,10 @@ def _chosen(lit: Sequence[ExposureStatistics], planes: Sequence[Transfer]) -> Ex
 
 
 def _dark_nonuniformity(reader: FrameReader, dark: Sequence[ExposureStatistics], gain: Stated) -> Stated:
-    """Relative standard deviation of the pixels' dark currents, from two independent differences of long and short exposures.
+    """Estimate the relative standard deviation of the dark currents of pixels, from two independent differences of long
+    and short exposures.
 
-    The covariance of the differences holds what the pixels have in common in both: their own dark current, without noise.
+    The covariance of the differences is that of their common part: the dark current of the pixels, without noise.
     """
     short, long = (pick(dark, key=lambda one: one.exposure.time) for pick in (min, max))
     current = _growth(dark, gain, lambda one: one.mean, 1)
@@ -235,21 +238,21 @@ def _dark_nonuniformity(reader: FrameReader, dark: Sequence[ExposureStatistics],
 
 
 class _Patterns:
-    """The fixed patterns of a lit and a dark exposure."""
+    """Fixed patterns of a lit and a dark exposure."""
 
     def __init__(self, reader: FrameReader, bright: ExposureStatistics, dark: ExposureStatistics):
         self._reader, self._of = reader, (bright, dark)
         self._mean = tuple(reader.mean(one.exposure) for one in self._of)
 
     def _variance(self, which: int, plane: int, own: bool) -> Stated:
-        """Variance of the pixels of a plane, DN^2: all of it, or without what rows and columns share."""
+        """Compute the variance of the pixels of a plane, DN^2: with or without the part that is common to rows and columns."""
         of = self._of[which]
         mean, frames = self._reader.planes(self._mean[which])[plane], len(of.exposure.files)
         temporal = float(of.variance[plane])
         measured = float(mean.var(ddof=1))
         chance = temporal
         if own:
-            # EMVA 1288, 8.2.3: each row's and column's own mean takes degrees of freedom
+            # EMVA 1288, 8.2.3: the means of the rows and columns reduce the degrees of freedom
             rows, columns = mean.shape
             shared = [float(mean.mean(axis).var()) - temporal / (frames * n) for axis, n in ((0, rows), (1, columns))]
             total = fixed_pattern_variance(measured, temporal, frames)
@@ -262,7 +265,7 @@ class _Patterns:
         return [float(plane.mean()) for plane in self._reader.planes(of)]
 
     def response(self, own: bool = False) -> Stated:
-        """Relative standard deviation of the pixels' sensitivities, the root mean square of the planes."""
+        """Compute the relative standard deviation of the sensitivities, root mean square of the planes."""
         level = np.subtract(self._planes(self._mean[0]), self._planes(self._mean[1]))
         parts = [[self._variance(which, plane, own) for plane in range(len(level))] for which in (0, 1)]
         square = [(b.value - d.value) / one**2 for b, d, one in zip(*parts, level, strict=True)]
@@ -270,21 +273,21 @@ class _Patterns:
         return _root(float(np.mean(square)), math.hypot(*error) / len(error))
 
     def dark(self, gain: Stated) -> Stated:
-        """Standard deviation of the pixels' dark signals, e-."""
+        """Compute the standard deviation of the dark signals of pixels, e-."""
         parts = [self._variance(1, plane, False) for plane in range(len(self._of[1].mean))]
         found = _root(float(np.mean([p.value for p in parts])), math.hypot(*(p.std for p in parts)) / len(parts))
         value = found.value / gain.value
         return Stated(value, math.hypot(found.std / gain.value, value * gain.std / gain.value))
 
     def response_map(self) -> np.ndarray:
-        """Sensitivity of each pixel over the mean of its plane."""
+        """Compute the sensitivity of each pixel relative to the mean of its plane."""
         light = self._mean[0] - self._mean[1]
         for plane in self._reader.planes(light):
             plane /= plane.mean()
         return light
 
     def dark_map(self, gain: Stated) -> np.ndarray:
-        """Dark signal of each pixel over the mean of its plane, e-."""
+        """Compute the dark signal of each pixel minus the mean of its plane, e-."""
         level = self._mean[1].copy()
         for plane in self._reader.planes(level):
             plane -= plane.mean()
@@ -292,7 +295,7 @@ class _Patterns:
 
 
 def _root(square: float, error: float) -> Stated:
-    """Square root of a variance; 0 where it is below 0 by chance."""
+    """Compute the square root of a variance, or 0 if it is negative by chance."""
     if square <= 0:
         return Stated(0.0, math.sqrt(max(error, 0.0)))
     return Stated(math.sqrt(square), min(error / (2 * math.sqrt(square)), math.sqrt(error)))

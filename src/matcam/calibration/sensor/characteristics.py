@@ -1,4 +1,4 @@
-"""What a series of exposures determines of a sensor."""
+"""Results of the characterisation of a sensor."""
 
 from __future__ import annotations
 
@@ -95,13 +95,13 @@ class SensorCharacteristics(Summarised):
 
     @property
     def snr_max(self) -> Stated:
-        """Signal over noise of a pixel at saturation, no unit."""
+        """Return the signal-to-noise ratio of a pixel at saturation, no unit."""
         value = math.sqrt(self.saturation.value)
         return Stated(value, self.saturation.std / (2 * value))
 
     @property
     def dynamic_range(self) -> Stated:
-        """Saturation capacity over the smallest detectable signal, no unit."""
+        """Return saturation capacity over smallest detectable signal, no unit."""
         rounding = 0.0 if self.bits is None else 1 / (12 * self.gain.value**2)
         noise = math.sqrt(self.read_noise.value**2 + rounding)
         value = self.saturation.value / (noise + 0.5)
@@ -109,7 +109,7 @@ class SensorCharacteristics(Summarised):
         return Stated(value, value * math.hypot(self.saturation.std / self.saturation.value, noise_error))
 
     def sensor(self, pitch: float) -> Sensor:
-        """Build the sensor that a camera profile holds.
+        """Build the sensor of a camera profile.
 
         `picture`, `simulate` and `reconstruct` use it.
 
@@ -138,13 +138,15 @@ class SensorCharacteristics(Summarised):
 
     @property
     def _offset_nonuniformity(self) -> float:
-        """Standard deviation of the pixels' offsets, e-: `dsnu` without what the dark currents add in its exposure time."""
+        """Compute the standard deviation of the offsets of pixels, e-: `dsnu` without the contribution of dark currents
+        in its exposure time.
+        """
         current, relative = max(_or_zero(self.dark_current.value), 0.0), _or_zero(self.dark_nonuniformity.value)
         grown = relative * current * self.dsnu_time
         return math.sqrt(max(self.dsnu.value**2 - grown**2, 0.0))
 
     def snr(self, signal: np.ndarray) -> np.ndarray:
-        """Compute signal over noise by gain and read noise, no unit.
+        """Compute the signal-to-noise ratio from gain and read noise, no unit.
 
         Args:
             signal: code above dark, DN, any shape.

@@ -14,7 +14,7 @@ from matcam.files.photographs import open_photograph
 from matcam.numerics.frame_noise import pair_variance, pair_variance_error
 
 Progress = Callable[[str, int, int], None]
-"""Called with what is done, how many of it, and of how many."""
+"""Called with the name of a step, and the numbers of finished and of all parts."""
 
 
 class ExposureStatistics(NamedTuple):
@@ -42,7 +42,7 @@ class ExposureStatistics(NamedTuple):
 
 
 class FrameReader:
-    """Reads the frames of a series, and checks that they are of one kind.
+    """Reader of the frames of a series that checks that they are of one kind.
 
     Args:
         cfa: colours of the first 2 x 2 px; None: as the files state.
@@ -75,7 +75,7 @@ class FrameReader:
             yield values
 
     def planes(self, frame: np.ndarray) -> list[np.ndarray]:
-        """Split a frame into the planes of its mosaic; without one it is its only plane."""
+        """Split a frame into the planes of its mosaic; a frame without a mosaic is its only plane."""
         return [frame] if self.cfa is None else [frame[i::2, j::2] for i in (0, 1) for j in (0, 1)]
 
     def mean(self, exposure: ExposureSet) -> np.ndarray:

@@ -22,19 +22,19 @@ from matcam.numerics.frame_noise import line_of_least_relative_error, not_linear
 _FITTED = 0.7
 """Share of saturation up to which gain and responsivity are fitted (EMVA 1288, 6.6)."""
 _LINEAR = (0.05, 0.95)
-"""Shares of saturation between which linearity is judged (EMVA 1288, 8.2.7)."""
+"""Shares of saturation between which linearity is tested (EMVA 1288, 8.2.7)."""
 _CLIPPED = 1e-3
-"""Share of pixels at the largest code from which an exposure is clipped: hot pixels are fewer."""
+"""Share of pixels at the largest code above which an exposure is clipped: hot pixels are fewer."""
 _PILED = 0.05
-"""Share of an exposure's pixels that read the largest code of all where that is the clip level and no chance."""
+"""Share of the pixels of an exposure with the largest code of all above which this code is the clip level."""
 _NOT_LINEAR = 0.03
-"""Departure from the line of the others from which an exposure is not used: sensors stay below 1 %."""
+"""Departure from the line of the other exposures above which an exposure is not used: sensors stay below 1 %."""
 _SIGNIFICANT = 5.0
-"""Standard deviations by which the variance falls behind its largest value where exposures saturate."""
+"""Standard deviations by which the variance must be below its largest value if exposures are saturated."""
 _HALF = 0.5
-"""Share of the largest signal at which a sensor saturates, at least: after a tone curve bright frames are quieter."""
+"""Smallest share of the largest signal at which a sensor saturates: after a tone curve bright frames have less noise."""
 _FEWEST = 3
-"""Exposures below 70 % of saturation that a gain needs, at least: two would not show a contradiction."""
+"""Smallest number of exposures below 70 % of saturation for a gain: with two a contradiction is not detected."""
 
 
 class Transfer(NamedTuple):
@@ -74,14 +74,14 @@ class Transfer(NamedTuple):
 
     @property
     def judged(self) -> np.ndarray:
-        """Exposures between 5 and 95 % of saturation that were not left out, bool, (n,)."""
+        """Return a mask (n,) of the exposures between 5 and 95 % of saturation that were not left out."""
         top = self.signal[self.saturation]
         inside = (self.signal >= _LINEAR[0] * top) & (self.signal <= _LINEAR[1] * top)
         return inside & np.isfinite(self.departure) & self.linear & (np.arange(len(self.light)) <= self.saturation)
 
 
 def clip_level(lit: Sequence[ExposureStatistics]) -> float:
-    """Find the code at which pixels clip, DN; infinite where none does."""
+    """Find the code at which pixels clip, DN, or infinity."""
     top = max(one.largest for one in lit)
     piled = max(one.at_largest for one in lit if one.largest == top)
     return top if piled > _PILED else math.inf
@@ -108,7 +108,7 @@ def measure_transfer(
     Raises:
         FitError: fewer than three exposures can be used.
     """
-    # by signal: an exposure whose light is not as stated stands where it belongs
+    # sorted by signal: an exposure whose light is not as stated is moved to its correct position
     lit = sorted(lit, key=lambda one: (round(float(one.mean[plane])), one.light))
     own_dark = [
         min(dark, key=lambda d: (abs(d.exposure.time - one.exposure.time), -len(d.exposure.files))) for one in lit
@@ -181,7 +181,7 @@ def fit_gain(planes: Sequence[Transfer]) -> Stated:
     )
     square = float(x @ x)
     value = float(x @ y) / square
-    # White (1980), Econometrica 48, 817: the scatter about the line, whatever its variance at each exposure
+    # White (1980), Econometrica 48, 817: from the scatter about the line, for any variance of the exposures
     scatter = float((x**2) @ (y - value * x) ** 2) * len(x) / max(len(x) - 1, 1)
     own = max(float((x**2) @ std**2), scatter)
     shared = sum(float(x[dark == one].sum() * dark_std[dark == one].max()) ** 2 for one in np.unique(dark))
@@ -201,7 +201,7 @@ def _saturation(variance: np.ndarray) -> int:
 def _departures(
     light: np.ndarray, signal: np.ndarray, mean_std: np.ndarray, inside: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Compute relative departures from the straight line of the linear exposures, and find the exposures that are not."""
+    """Compute relative departures from the straight line of the linear exposures, and find the nonlinear exposures."""
     outside = np.zeros(len(light), bool)
     departure = np.full(len(light), np.nan)
     while (inside & ~outside).sum() >= _FEWEST:

@@ -1,8 +1,9 @@
-"""The dots of a grid: found in a region, put on the lattice that they form, and fitted one by one, side by side.
+"""The dots of a grid: found in a region, assigned to a lattice, and fitted one by one.
 
-A dot is disc x Gaussian x square pixel. Its size comes from the lattice. What pixels read of it is a quadrature over the disc:
-a Gaussian and a square are separable, so a node of the disc is a product of two erf differences. Derivatives by the place are
-those of the Gaussian, by the variance half the second ones. All of them come from one table of the derivatives along x and y.
+A dot is disc x Gaussian x square pixel. Its size comes from the lattice. The pixel values are a quadrature over the
+disc: a Gaussian and a square are separable, so a node of the disc is a product of two erf differences. Derivatives by
+the place are those of the Gaussian, by the variance half the second ones. All of them come from one table of the
+derivatives along x and y.
 """
 
 from __future__ import annotations
@@ -23,21 +24,24 @@ from matcam.numerics.linalg import scaled_inverse
 
 FEWEST = 9
 SHARED = [(2, 0), (0, 2), (4, 0), (2, 2), (0, 4)]
-"""Derivatives by (x, y) in which the dots of a zone may differ from disc x Gaussian x square, all in the same way."""
+"""Derivatives by (x, y) for the common deviation of the dots of a zone from disc x Gaussian x square."""
 
 _CLEAR = 6.0  # standard deviations of the smoothed background
-_ALIKE = (0.3, 3.0)  # of the usual flux: dots are all of one kind
-_OFF = 0.25  # of the pitch: how far a dot may lie from where its neighbour expects it
+_ALIKE = (0.3, 3.0)  # relative to the median flux: dots are all of one kind
+_OFF = 0.25  # relative to the pitch: largest distance of a dot from the position that its neighbour predicts
 _OWN = [(0, 0), (1, 0), (0, 1), (2, 0), (0, 2)]
 _START = 0.6  # px
 _RANGE = (0.15, 6.0)  # px of sigma
-_STEPS, _WEIGHTED = 16, 4  # Gauss-Newton; from where on weights are those of the noise
+_STEPS, _WEIGHTED = 16, 4  # Gauss-Newton steps; step from which the weights are those of the noise
 _SETTLED = 0.01  # standard deviations
-_REACH = 7  # px of a stamp at most
+_REACH = 7  # px, largest size of a stamp
 _CLOSEST = 6.0  # px between dots
-_OUTLIER, _SAME = 5.0, 0.02  # standard deviations; of sigma^2: by less no dot is another
+_OUTLIER, _SAME = (
+    5.0,
+    0.02,
+)  # standard deviations, and relative difference of sigma^2 below which a dot is not an outlier
 _RADIAL, _ROUND = 5, 14
-_AT_ONCE = 512  # dots: their tables fit into memory, whatever the grid
+_AT_ONCE = 512  # number of dots whose tables fit into memory, for any grid
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(_RADIAL)
 _TURN = 2 * np.pi * (np.arange(_ROUND)[None] + 0.5 * (np.arange(_RADIAL)[:, None] % 2)) / _ROUND
 _RADIUS = np.sqrt((_NODES + 1) / 2)[:, None]
@@ -46,7 +50,7 @@ _SHARE = np.repeat(_WEIGHTS / 2 / _ROUND, _ROUND)
 
 
 class DotLattice(NamedTuple):
-    """Places of n dots, in a picture and printed.
+    """Positions of n dots, in a picture and printed.
 
     Attributes:
         x: (n,) px.
@@ -144,7 +148,7 @@ def fit_dots(values: FloatArray, lattice: DotLattice, size: float, half_width: f
     columns, rows, du, dv, value, known = stamps
     ground = np.nanmedian(value, axis=1)
     value = np.where(known, value, 0.0)
-    # mosaics see a part of a dot's content
+    # in a mosaic only a part of the sites of a dot are measured
     content = (known * (value - ground[:, None])).sum(1) / np.maximum(known.mean(1), 0.05)
     state = np.column_stack(
         [ground, 0 * ground, 0 * ground, content, lattice.x, lattice.y, np.full(len(ground), _START**2)]
@@ -156,7 +160,7 @@ def fit_dots(values: FloatArray, lattice: DotLattice, size: float, half_width: f
     for step in range(_STEPS):
         if step == _WEIGHTED:
             bow = _bow(lattice, state[:, 0], du, dv)
-            # fitted places know the lattice, and with it the dots' sizes, better than those that were found
+            # the fitted positions determine the lattice, and the sizes of the dots, more accurately than the first ones
             shape = size * lattice._replace(x=state[:, 4], y=state[:, 5]).shapes
         u, v = columns - state[:, 4:5], rows - state[:, 5:6]
         table = dot_derivatives(u, v, shape, np.sqrt(state[:, 6]), half_width, _OWN)
@@ -168,7 +172,7 @@ def fit_dots(values: FloatArray, lattice: DotLattice, size: float, half_width: f
         )
         residual = np.where(known, value - model, 0.0)
         if step > _WEIGHTED:
-            # fitted parameters have taken their share of the noise
+            # the fitted parameters have absorbed their share of the noise
             found = noise_from_residuals(residual[known], model[known])
             gain, read = (k * known.sum() / (known.sum() - state.size) for k in found)
             weight = known / (gain * np.maximum(model, 0) + read)
@@ -186,7 +190,7 @@ def fit_dots(values: FloatArray, lattice: DotLattice, size: float, half_width: f
             break
     if fit is None or at is None or not np.isfinite(fit.parameters).all():
         raise FitError("the dots' pixels do not determine their blur: give a sharper or larger picture of the grid")
-    # what dots have in common needs higher derivatives, and only once
+    # the common deviation of the dots needs higher derivatives, but only once
     flat = dot_derivatives(*at, half_width, SHARED).reshape(len(SHARED), len(state), -1)
     return _without_outliers(replace(fit, shared=fit.parameters[:, 3, None, None] * flat.transpose(1, 2, 0)))
 
@@ -225,7 +229,7 @@ def square_lattice(x: FloatArray, y: FloatArray) -> DotLattice:
     points = np.stack([x, y], axis=-1)
     tree = cKDTree(points)
     neighbour = tree.query(points, k=min(5, len(points)))[1]
-    # in the middle a dot has four neighbours at right angles, nearly
+    # a dot in the centre has four neighbours nearly at right angles
     central = int(np.argmin(np.hypot(*(points - np.median(points, axis=0)).T)))
     first = points[neighbour[central, 1]] - points[central]
     steps = points[neighbour[central, 1:]] - points[central]
@@ -246,7 +250,7 @@ def square_lattice(x: FloatArray, y: FloatArray) -> DotLattice:
             where = list(place[at])
             where[axis] += sign
             place[int(other)] = (where[0], where[1])
-            # a pinhole's lattice changes slowly: each dot hands its own basis on
+            # the lattice in a perspective view changes slowly: each dot passes its basis on to its neighbours
             moved = basis[at].copy()
             moved[axis] = 0.7 * moved[axis] + 0.3 * sign * (points[other] - points[at])
             basis[int(other)] = moved
@@ -259,7 +263,7 @@ def square_lattice(x: FloatArray, y: FloatArray) -> DotLattice:
 
 
 class _Stamps(NamedTuple):
-    """Pixels round n dots.
+    """Pixels around n dots.
 
     Attributes:
         columns: (n, width) px.
@@ -279,7 +283,7 @@ class _Stamps(NamedTuple):
 
 
 def _stamps(values: FloatArray, lattice: DotLattice, reach: int) -> tuple[np.ndarray, _Stamps]:
-    """Return which dots lie well inside a region, and their pixels.
+    """Return a mask of the dots well inside a region, and their pixels.
 
     reach: px, from a dot to the last of its pixels.
     """
@@ -299,7 +303,7 @@ def _stamps(values: FloatArray, lattice: DotLattice, reach: int) -> tuple[np.nda
 def dot_derivatives(
     x: FloatArray, y: FloatArray, shape: FloatArray, sigma: FloatArray, half_width: float, orders: list[tuple[int, int]]
 ) -> FloatArray:
-    """Return derivatives by (x, y) of what pixels read of dots.
+    """Return the derivatives by (x, y) of the pixel values of dots.
 
     There are n dots of unit content; the result is (orders, n, height, width).
     x, y: (n, width) and (n, height) px from the dots' centres to the pixels'. shape: (n, 2, 2) px, from the unit disc to the
@@ -327,7 +331,7 @@ def _axis(t: FloatArray, sigma: FloatArray, half_width: float, highest: int) -> 
     table = [(ndtr(ends[0]) - ndtr(ends[1])) / (2 * half_width)]
     if highest:
         bell = [np.exp(-z * z / 2) / np.sqrt(2 * np.pi) for z in ends]
-        # d^k/dz^k of the normal density: (-1)^k He_k(z) times it
+        # d^k/dz^k of the normal density is (-1)^k He_k(z) times the density
         hermite = [lambda z: 1.0, lambda z: -z, lambda z: z * z - 1, lambda z: -(z * z * z) + 3 * z]
         for k in range(highest):
             table.append(
@@ -337,10 +341,10 @@ def _axis(t: FloatArray, sigma: FloatArray, half_width: float, highest: int) -> 
 
 
 def _bow(lattice: DotLattice, ground: FloatArray, du: FloatArray, dv: FloatArray) -> FloatArray:
-    """Return how far every dot's ground is off its tangent plane.
+    """Return the deviation of the background of every dot from its tangent plane.
 
-    All dots together see this vignetting.
-    A dot's own ground does not know: its curvature would be taken for the blur's wings.
+    It is estimated from all dots together, as vignetting. For a single dot the curvature of the background could not be
+    separated from the wings of the blur.
     """
     scale = max(float(np.ptp(lattice.x)), float(np.ptp(lattice.y))) / 2
     x, y = (lattice.x - lattice.x.mean()) / scale, (lattice.y - lattice.y.mean()) / scale
@@ -356,7 +360,7 @@ def _bow(lattice: DotLattice, ground: FloatArray, du: FloatArray, dv: FloatArray
 
 
 def _without_outliers(fit: DotFit) -> DotFit:
-    """Return the dots that are there, and like the others."""
+    """Return the dots that were found and are similar to the others."""
     square, std = fit.parameters[:, 6], fit.std[:, 6]
     content = fit.parameters[:, 3]
     centre = np.median(square)

@@ -26,16 +26,16 @@ from matcam.core.errors import ArgumentError, FitError
 from matcam.core.io import plain
 from matcam.files.photographs import Photograph
 
-_HIGHEST = 1.1  # cycles/px: harmonics beyond are taken for gone
-_USEFUL = 0.1  # standard deviation of an MTF value beyond which it says nothing
+_HIGHEST = 1.1  # cycles/px: harmonics above are neglected
+_USEFUL = 0.1  # standard deviation above which an MTF value is discarded
 _CLEAR = 6.0  # standard deviations of the whole wave
-_LEFT = 0.05  # share of the variance that a grating may leave if it is not noise
-_WHITE = 40.0  # largest power of a residual over the median: white noise stays below 20
+_LEFT = 0.05  # share of the variance that may remain, beyond noise, after the fit of a grating
+_WHITE = 40.0  # largest power of a residual over the median: that of white noise is below 20
 
 
 @dataclass(frozen=True, eq=False)
 class GratingMTF:
-    """MTF that a grating shows, and what else was fitted.
+    """MTF from a grating, and the other fitted parameters.
 
     Attributes:
         samples: MTF at the harmonics that say something.
@@ -63,7 +63,7 @@ class GratingMTF:
 
     @property
     def contrast(self) -> float:
-        """Return the contrast on the middles of lines.
+        """Return the contrast at the centres of lines.
 
         It is (brightest - darkest) / (brightest + darkest) of pixels there.
         """
@@ -165,7 +165,7 @@ def grating_mtf(
     if problem := flaw(picture.values):
         raise FitError(str(problem))
     fit, orders, wave = _fit_grating(picture.values, find_grating(picture.values, near), printed)
-    # nobody said where the bright lines are: the camera does not turn the first harmonic round
+    # the positions of the bright lines are unknown: the camera does not invert the first harmonic
     signs = np.ones(len(orders)) if fit.coefficients[0] >= 0 else (-1.0) ** np.array(orders)
     return _grating_result(picture, fit, printed, orders, signs, wave)
 
@@ -210,7 +210,7 @@ def coltman(frequency: ArrayLike, contrast: ArrayLike) -> FloatArray:
 
 
 def _moebius(k: int) -> int:
-    """Return Moebius's function of k."""
+    """Return the Moebius function of k."""
     sign, p = 1, 2
     while k > 1:
         if k % p == 0:
@@ -223,7 +223,7 @@ def _moebius(k: int) -> int:
 
 
 def _inside_polygon(corners: FloatArray, shape: tuple[int, int]) -> np.ndarray:
-    """Return which pixels lie deeper than the margin inside a convex polygon."""
+    """Return a mask of the pixels that are deeper than the margin inside a convex polygon."""
     y, x = np.indices(shape).astype(float)
     middle, inside = corners.mean(0), np.ones(shape, bool)
     for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True):
@@ -236,7 +236,7 @@ def _inside_polygon(corners: FloatArray, shape: tuple[int, int]) -> np.ndarray:
 def _expected_grating(
     grating: Grating, projection: Projection, shape: tuple[int, int]
 ) -> tuple[FoundGrating, tuple[int, int, int, int]]:
-    """Return a described grating, and the region that holds it."""
+    """Return a described grating, and the region that contains it."""
     corners = projection(checks.instance("grating", grating, Grating).corners)
     box = pixel_box(corners, shape, 0)
     if min(box[2:]) < SMALLEST:
@@ -256,7 +256,7 @@ def _expected_grating(
 def _fit_grating(
     values: FloatArray, found: FoundGrating, printed: Grating
 ) -> tuple[WaveFit, tuple[int, ...], _MeanWave]:
-    """Return the wave's fit, its orders, and its mean."""
+    """Return the fit of the wave, its orders, and its mean."""
     pixels = WavePixels.where(values, found.inside)
     pixels = pixels.at(pixels.subset())
     frequency = local_wave(found.phase, found.parameters, pixels.x, pixels.y).frequency
@@ -264,7 +264,7 @@ def _fit_grating(
     orders: tuple[int, ...] = (1,)
     if printed.profile != "sine":
         orders = tuple(n for n in range(1, highest + 1) if abs(printed.harmonic(n)) > 1e-9)
-    # first the fundamental alone, which knows the phase but for what its harmonics leave
+    # the fundamental alone is fitted first: it determines the phase up to the error from its harmonics
     fit = None
     if pixels.value.size:
         fit = fit_wave(pixels, found.phase, found.parameters, Modulation(_constant), steps=4, rough=True)
@@ -283,7 +283,7 @@ def _fit_grating(
 
 
 class _MeanWave(NamedTuple):
-    """Grating's mean frequency, cycles/px, and mean place, px."""
+    """Mean frequency of a grating, cycles/px, and its mean position, px."""
 
     fx: float
     fy: float
@@ -292,7 +292,7 @@ class _MeanWave(NamedTuple):
 
 
 def _other_wave(pixels: WavePixels, fit: WaveFit, shape: tuple[int, ...]) -> str:
-    """Say what there is besides one wave and noise, if anything."""
+    """Describe any structure other than one wave and noise."""
     residual = pixels.value - fit.values
     left = residual.var() / pixels.value.var()
     if left < _LEFT:
@@ -306,14 +306,14 @@ def _other_wave(pixels: WavePixels, fit: WaveFit, shape: tuple[int, ...]) -> str
 
 
 def _constant(frequency: FloatArray, direction: FloatArray) -> FloatArray:
-    """Return the one function 1: a grating's modulation is the same everywhere."""
+    """Return the constant function 1: the modulation of a grating is the same everywhere."""
     return np.ones((len(frequency), 1))
 
 
 def _grating_result(
     picture: LinearImage, fit: WaveFit, printed: Grating, orders: tuple[int, ...], signs: FloatArray, wave: _MeanWave
 ) -> GratingMTF:
-    """Return a grating's MTF from its harmonics and the print's.
+    """Return the MTF of a grating from its harmonics and those of the print.
 
     signs: of the harmonics, where the phase was not known.
     """

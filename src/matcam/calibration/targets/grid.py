@@ -1,8 +1,8 @@
-"""Grids of dots: the point spread function at every dot, how it varies over the field, and the MTF that it means.
+"""Grids of dots: the point spread function at every dot, its variation over the field, and the MTF.
 
-Each dot is fitted as disc x Gaussian x square pixel (`dot_fit`). Its size comes from the lattice that all dots form, not from
-the print's scale in the picture. What the dots of a zone have in common beyond that, as far as second and fourth
-derivatives see it, makes the zone's MTF. That is then no longer a Gaussian's.
+Each dot is fitted as disc x Gaussian x square pixel (`dot_fit`). Its size comes from the lattice that all dots form,
+not from the print's scale in the picture. The common deviation of the dots of a zone from this model, to second and
+fourth derivatives, is part of the MTF of the zone, which is then not Gaussian.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from matcam.core.io import plain
 from matcam.files.photographs import Photograph
 
 _REACH = 8  # px around a dot
-_ZONE = 60  # dots that a zone should have at least
+_ZONE = 60  # smallest number of dots in a zone
 _FIELD = 6  # terms of the variance over the field, of second order
 _FREQUENCY = np.array([0.2, 0.2, 0.4, 0.4, 0.4])
 _DIRECTION = np.radians([0.0, 90.0, 0.0, 90.0, 45.0])
@@ -58,7 +58,7 @@ class BlurField:
 
     @classmethod
     def through(cls, x: FloatArray, y: FloatArray, variance: FloatArray, std: FloatArray) -> BlurField:
-        """Return the field through the variances of dots.
+        """Fit the field to the variances of dots.
 
         Args:
             x: (n,) columns, px.
@@ -73,7 +73,7 @@ class BlurField:
         half = float(max(np.ptp(x), np.ptp(y)) / 2)
         terms = _terms((x - middle[0]) / half, (y - middle[1]) / half)
         terms = terms[:, : _FIELD if len(x) >= 4 * _FIELD else 1]
-        # errors of like dots are alike: a dot's own, from its own noise, would favour those that look sharp by chance
+        # Equal dots get equal standard deviations: those of single dots would favour those that look sharp by chance.
         weight = 1 / np.median(std) ** 2
         inverse = np.linalg.inv(terms.T @ terms * weight)
         found, covariance = np.zeros(_FIELD), np.zeros((_FIELD, _FIELD))
@@ -137,11 +137,11 @@ class DotGrid:
 
     @property
     def middle(self) -> tuple[float, float]:
-        """Return the middle of the grid in the picture, (x, y) px."""
+        """Return the centre of the grid in the picture, (x, y) px."""
         return self.field.middle
 
     def sigma_at(self, x: ArrayLike, y: ArrayLike) -> tuple[FloatArray, FloatArray]:
-        """Return the lens's sigma anywhere in the picture, by the smooth field.
+        """Return sigma of the lens at a position, from the smooth field.
 
         Args:
             x: columns, px.
@@ -265,7 +265,7 @@ def _terms(u: FloatArray, v: FloatArray) -> FloatArray:
 
 
 def _grid_result(picture: LinearImage, fit: DotFit, half_width: float) -> DotGrid:
-    """Return what dots say in each zone and over the field."""
+    """Compute the results of the dots in each zone and over the field."""
     x, y, variance = fit.parameters[:, 4:7].T
     across = int(max(1, min(3, np.sqrt(len(x) / _ZONE))))
     borders = [np.quantile(a, np.linspace(0, 1, across + 1)[1:-1]) for a in (x, y)]
@@ -295,7 +295,7 @@ def _zone_samples(picture: LinearImage, dots: DotFit, half_width: float) -> MTFS
     weight, shared = dots.weight, dots.shared
     pilot = dots.parameters[:, 6]
     mean = float(np.mean(pilot))
-    # about one sigma for all: what a dot's own adds to it is taken back, to first order
+    # relative to one sigma for all: the deviation of each dot is removed to first order
     residual = dots.residual + dots.design[:, :, 6] * (pilot - mean)[:, None]
     by_own, by_shared = ((part * weight[..., None]).transpose(0, 2, 1) for part in (own, shared))
     b, r = by_own @ shared, by_own @ residual[..., None]

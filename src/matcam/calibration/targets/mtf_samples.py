@@ -1,4 +1,4 @@
-"""MTF samples: what every target hands to the fit that joins them, values of the MTF and their covariance."""
+"""MTF samples: the results of every target for the joint fit, values of the MTF and their covariance."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ KINDS = ("edge", "grating", "star", "dots")
 
 @dataclass(frozen=True, eq=False)
 class MTFSamples:
-    """Camera's MTF as measured at n frequencies in one place.
+    """MTF of a camera at n frequencies in one position.
 
     The MTF is the effective camera's: optics and pixel, signed.
 
@@ -80,7 +80,7 @@ class MTFSamples:
         cls, kind: str, region: LinearImage, place: tuple[float, float], frequency: np.ndarray, direction: np.ndarray,
         mtf: np.ndarray, covariance: np.ndarray,
     ) -> MTFSamples:  # fmt: skip
-        """Return samples measured in a region, which says where they come from.
+        """Return samples that were measured in a region, with their position.
 
         Args:
             kind: target: "edge", "grating", "star" or "dots".

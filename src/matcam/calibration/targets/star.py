@@ -28,21 +28,21 @@ from matcam.core.errors import FitError
 from matcam.core.io import plain
 from matcam.files.photographs import Photograph
 
-_HIGHEST = 0.75  # cycles/px: beyond, cameras leave nothing to fit
-_SOME = 20_000  # pixels that know the phase
-_FIRST = 0.2  # cycles/px: up to here before the phase is known well
+_HIGHEST = 0.75  # cycles/px: above, the transfer of cameras is too small for a fit
+_SOME = 20_000  # number of pixels for the estimate of the phase
+_FIRST = 0.2  # cycles/px: highest frequency before the phase is accurate
 _INTERVAL = 0.09  # cycles/px between knots
-_RIM = 4.0  # px at both rims, where the blur sees the paper
-_OTHER = 0.05  # change of the mean level that is not the star's
+_RIM = 4.0  # px at both rims, where the blur includes the paper
+_OTHER = 0.05  # change of the mean level that is not caused by the star
 _DIRECTIONS = np.radians([0.0, 45.0, 90.0, 135.0])
-_EXTRAPOLATED = 0.35  # cycles/px: from below this the contrast is extrapolated if nobody states it
-_LEFT = 0.5  # share of the variance at low frequencies that a star may leave
+_EXTRAPOLATED = 0.35  # cycles/px: range from which the contrast is extrapolated if it is not stated
+_LEFT = 0.5  # share of the variance at low frequencies that may remain after the fit of a star
 _CLEAR = 20.0  # standard deviations of the whole wave
 
 
 @dataclass(frozen=True, eq=False)
 class StarMTF:
-    """MTF that a star shows, and what else was fitted.
+    """MTF from a star, and the other fitted parameters.
 
     Attributes:
         samples: MTF in four directions, up to 0.75 cycles/px, as far as the star goes.
@@ -164,7 +164,7 @@ def star_mtf(
 def _expected_star(
     star: Star, projection: Projection, shape: tuple[int, int]
 ) -> tuple[FoundStar, tuple[int, int, int, int]]:
-    """Return a described star, and the region that holds it."""
+    """Return a described star, and the region that contains it."""
     turn = 2 * np.pi * np.arange(8 * star.cycles) / (8 * star.cycles)
     rim = np.stack([np.cos(turn), np.sin(turn)], axis=-1)
     outer = projection(np.array(star.centre) + star.outer * rim)
@@ -183,21 +183,21 @@ def _expected_star(
 
 
 def _stretch(star: Star, projection: Projection) -> tuple[float, float]:
-    """Return how a star's picture is stretched, as `StarPhase` counts it."""
+    """Return the stretch of the image of a star, as defined in `StarPhase`."""
     step = star.outer / 2 * np.array([[-1, 0], [1, 0], [0, -1], [0, 1]])
     left, right, upper, lower = projection(np.array(star.centre) + step)
     to_page = np.linalg.pinv(np.stack([right - left, lower - upper], axis=-1))
     _, size, v = np.linalg.svd(to_page)
-    # a turn after a symmetric map, whose trace does not matter
+    # a rotation after a symmetric map, whose trace does not matter
     symmetric = v.T @ np.diag(size) @ v
     symmetric *= 2 / np.trace(symmetric)
     return float(symmetric[0, 0] - 1), float(symmetric[0, 1])
 
 
 def _fit_star(values: FloatArray, found: FoundStar) -> tuple[WaveFit, tuple[float, float]]:
-    """Return the wave's fit, and the range of its frequencies, cycles/px.
+    """Return the fit of the wave, and the range of its frequencies, cycles/px.
 
-    It is fitted where the phase is sure first, then everywhere.
+    It is fitted first where the phase is reliable, then everywhere.
     """
     phase, parameters = found.phase, found.parameters
     pixels = WavePixels.where(values, np.ones(values.shape, bool))
@@ -217,7 +217,7 @@ def _fit_star(values: FloatArray, found: FoundStar) -> tuple[WaveFit, tuple[floa
             raise FitError("the star's pixels do not determine its MTF: it is too small in this picture")
         parameters = fit.parameters
         left = (some.value - fit.values).var() / some.value.var()
-        # this part of a star is hardly blurred: nearly all that varies is the wave
+        # this part of a star has little blur: nearly all of the variance is the wave
         if highest == _FIRST and left > _LEFT:
             raise FitError(f"region holds no Siemens star: a star leaves {left:.0%} of what varies in it")
     if fit is None or not fit.signal > _CLEAR or np.hypot(*(parameters[:2] - found.parameters[:2])) > phase.outer / 4:
@@ -226,7 +226,7 @@ def _fit_star(values: FloatArray, found: FoundStar) -> tuple[WaveFit, tuple[floa
 
 
 def _inner_rim(radius: FloatArray, value: FloatArray, found: FoundStar) -> float:
-    """Return the radius, px, inside which brightness is not the star's."""
+    """Return the radius, px, within which the brightness is not that of the star."""
     ring = np.round(radius).astype(int)
     count = np.maximum(np.bincount(ring), 1)
     mean = np.bincount(ring, value) / count
@@ -256,7 +256,7 @@ def _basis(frequency: FloatArray, direction: FloatArray, edges: tuple[float, flo
 def _star_result(
     picture: LinearImage, found: FoundStar, fit: WaveFit, edges: tuple[float, float], stated: float | None
 ) -> StarMTF:
-    """Return a star's MTF from its modulation.
+    """Return the MTF of a star from its modulation.
 
     stated: the print's contrast, None if it is to be extrapolated.
     """
@@ -280,7 +280,7 @@ def _star_result(
 
 
 def _as_plane_waves(mtf: FloatArray, cycles: int) -> FloatArray:
-    """Return the MTF from the contrast on rings of so many cycles.
+    """Convert the contrast on rings with a number of cycles to the MTF.
 
     A ring is not quite a plane wave.
     exp(i m phi) holds the frequencies z / (2 pi r) with weights m J_m(z) / z, whose even moments are

@@ -1,4 +1,4 @@
-"""The targets of a described chart in one photograph: gratings, stars and dots, and what each says of the MTF."""
+"""The targets of a described chart in one photograph: gratings, stars and dots, with their MTF."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from matcam.files.photographs import Photograph
 
 @dataclass(frozen=True, eq=False)
 class Targets:
-    """Hold what a chart's targets say in one photograph and one channel.
+    """Results of the targets of a chart in one photograph and channel.
 
     Attributes:
         samples: MTF of every target that could be measured.
@@ -114,7 +114,7 @@ def measure_targets(
     f_number = picture.f_number if f_number is None else f_number
     source = source or picture.source
     if registration is None:
-        # colours only matter for blur: all of a mosaic's pixels know where the chart lies
+        # The colours matter only for the blur: all pixels of a mosaic are used to find the chart.
         mosaic = cfa is not None
         registration = register_chart(
             region_of(image, tone=tone) if mosaic else region_of(picture), chart, mosaic=mosaic
@@ -152,7 +152,10 @@ def measure_targets(
 
 
 def _not_measured(kind: str, problems: dict[int, str]) -> Remark:
-    """Name the targets of one kind that could not be measured. problems: by the number of the target."""
+    """List the targets of one kind that could not be measured.
+
+    `problems`: by the number of the target.
+    """
     text = next(iter(problems.values()))
     if len(problems) > 1:
         text += f"; nor could {len(problems) - 1} other {kind} be measured: {', '.join(map(str, list(problems)[1:]))}"
@@ -160,5 +163,5 @@ def _not_measured(kind: str, problems: dict[int, str]) -> Remark:
 
 
 def _of_known_contrast(samples: MTFSamples, std: float) -> MTFSamples:
-    """Return samples that share the relative error of the print's contrast."""
+    """Return samples that share the relative error of the contrast of the print."""
     return replace(samples, covariance=samples.covariance + std**2 * np.outer(samples.mtf, samples.mtf))

@@ -1,13 +1,13 @@
-"""The fit of a printed wave to the pixels of a picture: light x (1 + modulation), with a phase that is nearly known.
+"""The fit of a printed wave to the pixels of a picture: light x (1 + modulation), with an approximately known phase.
 
-A pixel at (x, y) is modelled as  L(x, y) [1 + sum_k c_k b_k(f, a) cos(h_k Phi(x, y; p))].  L is a polynomial (uneven light).
-Phi is the phase with a few parameters p (place, perspective, distortion). f and a are the phase's own local frequency and
-direction, and b_k smooth functions of them. The camera multiplies a wave of frequency f along a by its MTF (docs/model.md 2):
-c b / contrast is that MTF, signed. Nothing is resampled or windowed, and pixels may be missing (mosaics). What aliases is not
-mistaken for anything else, because its phase is known.
+A pixel at (x, y) is modelled as  L(x, y) [1 + sum_k c_k b_k(f, a) cos(h_k Phi(x, y; p))].  L is a polynomial (uneven
+light). Phi is the phase with a few parameters p (place, perspective, distortion). f and a are the phase's own local
+frequency and direction, and b_k smooth functions of them. The camera multiplies a wave of frequency f along a by its
+MTF (docs/model.md 2): c b / contrast is that MTF, signed. Nothing is resampled or windowed, and pixels may be missing
+(mosaics). Aliased frequencies are identified correctly, because their phase is known.
 
-The fit goes by Gauss and Newton with variances from the model (docs/model.md 8). Gain and read noise of the picture come from
-its residuals.
+The Gauss-Newton method is used with variances from the model (docs/model.md 8). Gain and read noise of the picture come
+from its residuals.
 """
 
 from __future__ import annotations
@@ -21,21 +21,21 @@ import numpy as np
 from matcam.core.arrays import FloatArray
 from matcam.numerics.linalg import scaled_inverse
 
-_ROUNDING = 1e-13  # of the mean square: no picture is without any
+_ROUNDING = 1e-13  # relative to the mean square: smallest noise, because no picture is free of it
 _STEP = 1e-3  # px
 _DEGREE = 2  # of the light
-_WEIGHTED = 4  # steps after which weights are those of the noise
+_WEIGHTED = 4  # steps after which the weights are those of the noise
 _SETTLED, _ROUGH = 1e-4, 1e-2  # rad
-_MOST = 200_000  # pixels: more cost memory, and add little to what these say
-_FEWEST = 3.0  # pixels for each parameter
+_MOST = 200_000  # number of pixels: more take memory, and add little information
+_FEWEST = 3.0  # number of pixels for each parameter
 
 
 class Phase(Protocol):
-    """Give the phase of a printed wave at pixels."""
+    """Interface for the phase of a printed wave at pixels."""
 
     @property
     def scale(self) -> FloatArray:
-        """Return changes (m,) of the parameters that turn phases by 1 rad."""
+        """Return the changes (m,) of the parameters that change phases by 1 rad."""
 
     def at(self, parameters: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
         """Return the phase at px, rad. parameters: (m,)."""
@@ -61,7 +61,7 @@ class WavePixels(NamedTuple):
         return cls(values[rows, columns], columns.astype(float), rows.astype(float))
 
     def subset(self, mask: np.ndarray | None = None, most: int | None = None) -> np.ndarray:
-        """Return indices of as many pixels as a fit needs.
+        """Return the indices of as many pixels as a fit needs.
 
         They are spread evenly over a mask (n,), and always the same ones.
         """
@@ -72,13 +72,13 @@ class WavePixels(NamedTuple):
         return np.sort(np.random.default_rng(0).choice(places, most, replace=False))
 
     def at(self, indices: np.ndarray) -> WavePixels:
-        """Return some of the pixels."""
+        """Return the pixels with some indices."""
         return WavePixels(*(column[indices] for column in self))
 
 
 @dataclass(frozen=True)
 class Modulation:
-    """Say which functions b_k cos(h_k Phi) the modulation is made of.
+    """Functions b_k cos(h_k Phi) of which the modulation consists.
 
     Attributes:
         basis: functions of frequency and direction (n,) -> (n, k) for one harmonic; the frequency is the harmonic's own.
@@ -91,7 +91,7 @@ class Modulation:
 
 @dataclass(frozen=True, eq=False)
 class WaveFit:
-    """Wave's modulation and phase as fitted, and their errors.
+    """Fitted modulation and phase of a wave, with their errors.
 
     Attributes:
         coefficients: (orders * k,) of the modulation.
@@ -117,7 +117,7 @@ class WaveFit:
 
 
 class LocalWave(NamedTuple):
-    """Hold what a wave looks like at n pixels.
+    """Values of a wave at n pixels.
 
     Attributes:
         phase: (n,) rad.
@@ -133,7 +133,7 @@ class LocalWave(NamedTuple):
 def fit_wave(
     pixels: WavePixels, phase: Phase, start: FloatArray, modulation: Modulation, *, steps: int = 8, rough: bool = False
 ) -> WaveFit | None:
-    """Fit a wave to pixels; None if they do not determine it.
+    """Fit a wave to pixels, or return None if they do not determine it.
 
     start: parameters of the phase. steps: at most so many. rough: only the phase is wanted, to 0.01 rad.
     """
@@ -150,7 +150,7 @@ def fit_wave(
         if not step:
             coefficients = np.zeros(columns.shape[1])
         level, wave = powers @ light, columns @ coefficients
-        # the first two steps find how strong the wave is where it is thought to be
+        # the first two steps determine the amplitude of the wave at its assumed position
         moving = step > 1
         design = [powers * (1 + wave)[:, None], level[:, None] * columns]
         if moving:
@@ -177,7 +177,7 @@ def fit_wave(
         coefficients = coefficients + change[light.size : light.size + coefficients.size]
         if moving:
             shift = change[light.size + coefficients.size :]
-            # no step may turn the phase by more than it can be trusted to be linear
+            # no step may change the phase beyond the range in which the model is linear
             shift *= min(1.0, 1.0 / max(float(np.abs(shift / scale).max()), 1e-300))
             parameters = parameters + shift
         else:
@@ -208,14 +208,14 @@ def local_wave(phase: Phase, parameters: FloatArray, x: FloatArray, y: FloatArra
     """Return a wave's phase, frequency and direction at pixels."""
     by_x = phase.at(parameters, x + _STEP, y) - phase.at(parameters, x - _STEP, y)
     by_y = phase.at(parameters, x, y + _STEP) - phase.at(parameters, x, y - _STEP)
-    # two ends of a step may lie on both sides of the cut of an angle
+    # the two ends of a step may be on both sides of the branch cut of an angle
     by_x, by_y = (np.mod(d + np.pi, 2 * np.pi) - np.pi for d in (by_x, by_y))
     frequency = np.hypot(by_x, by_y) / (4 * np.pi * _STEP)
     return LocalWave(phase.at(parameters, x, y), frequency, np.arctan2(by_y, by_x))
 
 
 def noise_from_residuals(residual: np.ndarray, value: np.ndarray) -> tuple[float, float]:
-    """Return the gain and the read variance that explain residuals best.
+    """Fit gain and read variance to the residuals.
 
     The variance of a pixel is gain * value + read variance; both are >= 0.
     value: what the model expects of the pixels. The read variance is at least what rounding leaves, so that both are never 0.
@@ -247,6 +247,6 @@ def _columns(
 
 
 def _powers(x: FloatArray, y: FloatArray, degree: int) -> FloatArray:
-    """Return polynomials of the place, (n, terms), the constant first."""
+    """Return polynomials of the position, (n, terms), the constant first."""
     u, v = ((c - c.mean()) / max(float(np.ptp(c)) / 2, 1.0) for c in (x, y))
     return np.stack([u**i * v**j for n in range(degree + 1) for i in range(n, -1, -1) for j in (n - i,)], axis=-1)

@@ -20,23 +20,23 @@ from matcam.calibration.photograph.linear_image import local_mean
 from matcam.core.arrays import FloatArray
 from matcam.core.errors import FitError
 
-MARGIN = 4.0  # px: pixels nearer than this to a grating's border see what is outside
+MARGIN = 4.0  # px: pixels nearer than this to the border of a grating are affected by its surroundings
 _ROUNDS = 12
-_CLEAR_IN_RING = 0.5  # share of a ring's power that its wave must have
-_KEPT = 0.8  # of the outer rings' usual amplitude
-_BAND = 0.35  # of the cycles: how far perspective may spread a ring's wave
+_CLEAR_IN_RING = 0.5  # share of the power on a ring that its wave must have
+_KEPT = 0.8  # relative to the median amplitude of the outer rings
+_BAND = 0.35  # share of the cycles: spread of the wave on a ring by perspective
 _FINE = 4  # samples of a ring per px
-_LOW = (0.03, 0.3)  # cycles/px: rings on which the phase is looked at
-_WIDE = 50.0  # px: beyond, perspective and distortion need third order
-_UNIT = 100.0  # px of the phase's polynomial
+_LOW = (0.03, 0.3)  # cycles/px: rings on which the phase is computed
+_WIDE = 50.0  # px: above, perspective and distortion need third order
+_UNIT = 100.0  # px of the polynomial of the phase
 _CLEAR_IN_SPECTRUM = 30.0  # power of the wave over the median of the spectrum
-_ENVELOPE = 0.75  # of the amplitude's usual maximum
-_NEAR = 0.1  # of a stated frequency: how far the true one is looked for
-_LONGEST = 2.0  # periods that a region must hold at least
+_ENVELOPE = 0.75  # relative to the median maximum of the amplitude
+_NEAR = 0.1  # relative to a stated frequency: search range for the true one
+_LONGEST = 2.0  # smallest number of periods in a region
 
 
 class StarPhase(NamedTuple):
-    """Give the phase of a star at pixels.
+    """Phase of a star at pixels.
 
     Its 14 parameters are the centre (2), the phase at azimuth 0, a linear map (2), and displacements of second (4) and third
     (5) order across the rays, rad at the outer radius.
@@ -51,7 +51,7 @@ class StarPhase(NamedTuple):
 
     @property
     def scale(self) -> FloatArray:
-        """Return changes of the parameters that turn phases by 1 rad."""
+        """Return the changes of the parameters that change phases by 1 rad."""
         return np.array([self.outer / self.cycles / 2] * 2 + [1.0] + [1 / self.cycles] * 2 + [1.0] * 9)
 
     def at(self, parameters: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
@@ -60,7 +60,7 @@ class StarPhase(NamedTuple):
         u, v = (x - x0) / self.outer, (y - y0) / self.outer
         azimuth = np.arctan2((1 - e1) * v + e2 * u, (1 + e1) * u + e2 * v)
         c, q = parameters[5:9], parameters[9:]
-        uu, uv, vv = u * u, u * v, v * v  # powers as such are slow
+        uu, uv, vv = u * u, u * v, v * v  # general powers are slow
         square = np.maximum(uu + vv, 1e-12)
         bent = uu * (c[0] * u + c[1] * v + q[0] * uu + q[1] * uv) + q[2] * uv * uv
         bent += vv * (c[2] * u + c[3] * v + q[3] * uv + q[4] * vv)
@@ -74,7 +74,7 @@ class StarPhase(NamedTuple):
         centre: tuple[float, float],
         shape: tuple[float, float] = (0.0, 0.0),
     ) -> FloatArray:
-        """Return the parameters that give px their known phases.
+        """Return the parameters for known phases at px.
 
         phase: (n,) rad, mod 2 pi. centre: first guess, px. shape: first guess of the linear map: without it
         a tilted star of many cycles leads astray.
@@ -92,7 +92,7 @@ class StarPhase(NamedTuple):
 
 
 class FoundStar(NamedTuple):
-    """Star in a picture.
+    """Star that was found in a picture.
 
     Attributes:
         phase: its cycles and its outer radius, px.
@@ -110,7 +110,7 @@ def find_star(values: FloatArray, cycles: int | None = None) -> FoundStar:
 
     values: (height, width), NaN where there are no data. FitError if there is no star.
     """
-    # what is missing is filled by its neighbours
+    # missing pixels are filled from their neighbours
     filled = local_mean(values, 0.7 if np.isfinite(values).mean() > 0.9 else 1.2)
     centre = _centre(filled)
     rings = _rings(filled, centre)
@@ -126,7 +126,7 @@ def find_star(values: FloatArray, cycles: int | None = None) -> FoundStar:
             f"region holds no Siemens star{f' of {cycles} cycles' if cycles else ''}: "
             f"of {len(rings)} rings with a wave {len(agreeing)} agree on {winner} cycles"
         )
-    # beyond the rim a ring's wave is weak, though nothing else may be there
+    # beyond the rim the wave of a ring is weak, even if the background is empty
     strong = _KEPT * float(np.median([ring.amplitude for ring in agreeing[len(agreeing) // 2 :]]))
     outer = max(ring.radius for ring in agreeing if ring.amplitude > strong)
     agreeing = [ring for ring in agreeing if ring.radius <= outer]
@@ -136,7 +136,7 @@ def find_star(values: FloatArray, cycles: int | None = None) -> FoundStar:
 
 
 class _Ring(NamedTuple):
-    """Ring on which there is a wave.
+    """Ring with a wave.
 
     share: of the ring's power. amplitude: over the ring's mean. phase: (n,) rad at x, y, px.
     """
@@ -151,7 +151,7 @@ class _Ring(NamedTuple):
 
 
 def _centre(filled: FloatArray) -> tuple[float, float]:
-    """Return the place, px, round which all gradients turn."""
+    """Return the point, px, around which all gradients rotate."""
     gy, gx = np.gradient(filled)
     y, x = np.indices(filled.shape).astype(float)
     length = np.hypot(gx, gy)
@@ -161,7 +161,7 @@ def _centre(filled: FloatArray) -> tuple[float, float]:
     reach = max(filled.shape) / 3
     for _ in range(_ROUNDS):
         off = nx * (x - at[0]) + ny * (y - at[1])
-        # gradients that point elsewhere (a rim, another target) lose their say
+        # gradients in other directions (a rim, another target) get a lower weight
         weight = strength / (1 + (off / reach) ** 2) ** 2
         normal = np.array([[(weight * nx * nx).sum(), (weight * nx * ny).sum()], [0, (weight * ny * ny).sum()]])
         normal[1, 0] = normal[0, 1]
@@ -176,7 +176,7 @@ def _centre(filled: FloatArray) -> tuple[float, float]:
 
 
 def _rings(filled: FloatArray, centre: tuple[float, float]) -> list[_Ring]:
-    """Return the rings round a centre on which a wave stands out."""
+    """Return the rings around a centre with a significant wave."""
     height, width = filled.shape
     most = min(centre[0], centre[1], width - 1 - centre[0], height - 1 - centre[1])
     found = []
@@ -205,7 +205,7 @@ def _rings(filled: FloatArray, centre: tuple[float, float]) -> list[_Ring]:
 
 
 class GratingPhase(NamedTuple):
-    """Give the phase of a grating at pixels.
+    """Phase of a grating at pixels.
 
     It is a polynomial of second (6 parameters) or third (10) order in the place.
 
@@ -221,7 +221,7 @@ class GratingPhase(NamedTuple):
 
     @property
     def scale(self) -> FloatArray:
-        """Return changes of the parameters that turn phases by 1 rad."""
+        """Return the changes of the parameters that change phases by 1 rad."""
         return np.array([(_UNIT / self.reach) ** order for order in (0, 1, 1, 2, 2, 2, 3, 3, 3, 3)[: self.terms]])
 
     def at(self, parameters: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
@@ -232,7 +232,7 @@ class GratingPhase(NamedTuple):
         return np.asarray(phase)
 
     def parameters_through(self, x: FloatArray, y: FloatArray, phase: FloatArray) -> FloatArray:
-        """Return the parameters that give px their known, unwrapped phases."""
+        """Return the parameters for known, unwrapped phases at px."""
         powers = np.stack(self._powers(x, y), axis=-1)
         return np.asarray(np.linalg.lstsq(powers, phase, rcond=None)[0], dtype=np.float64)
 
@@ -246,7 +246,7 @@ class GratingPhase(NamedTuple):
 
 
 class FoundGrating(NamedTuple):
-    """Grating in a picture.
+    """Grating that was found in a picture.
 
     Attributes:
         phase: the polynomial of its phase.
@@ -260,7 +260,7 @@ class FoundGrating(NamedTuple):
 
     @classmethod
     def through(cls, x: FloatArray, y: FloatArray, phase: FloatArray, inside: np.ndarray) -> FoundGrating:
-        """Return the grating whose phase is known at some places.
+        """Return the grating with a known phase at some positions.
 
         x, y: (n,) px. phase: (n,) rad, unwrapped.
         """
@@ -302,7 +302,7 @@ def find_grating(values: FloatArray, near: tuple[float, float] | None = None) ->
 
 
 def _alias(frequency: FloatArray) -> FloatArray:
-    """Return the frequency below Nyquist that looks the same on the grid."""
+    """Return the frequency below Nyquist that gives the same samples on the grid."""
     return np.asarray(frequency - np.round(frequency))
 
 

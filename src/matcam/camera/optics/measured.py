@@ -116,9 +116,9 @@ class MeasuredOptics(Optics):
         return self.frequency[-1]
 
     def rule_on(self, borders: np.ndarray) -> Rule:
-        """Return panels without a sample inside.
+        """Return panels between neighbouring samples.
 
-        The third derivative is discontinuous at the samples.
+        The third derivative is discontinuous at a sample.
         """
         return split_rule(self.band() * borders, np.asarray(self.frequency))
 

@@ -237,7 +237,7 @@ class Correction(Summarised):
         return [str(c) for c in (brdf["channel"].values if "channel" in brdf.coords else range(brdf.shape[-1]))]
 
     def peak_loss(self, theta_d: ArrayLike) -> np.ndarray:
-        """Compute the share of the highlight's peak that the camera lost.
+        """Compute the share of the highlight peak that the camera lost.
 
         Args:
             theta_d: difference angle, rad, or several of them (n,). The slice that contains it is used.

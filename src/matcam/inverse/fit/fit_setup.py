@@ -260,7 +260,7 @@ class FitSetup:
 
     @property
     def axes_with_doubts(self) -> tuple[Axis, ...]:
-        """Return the axes of this fit and of fits of `doubted`."""
+        """Return the parameters of the rig that any fit changes."""
         return self.with_(also=self.doubted, nearby=True).prior.axes
 
     @property

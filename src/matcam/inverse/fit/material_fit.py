@@ -141,7 +141,7 @@ class MaterialFit(Summarised):
 
     @property
     def coordinates(self) -> FitCoordinates:
-        """Return first lobe and rig in the coordinates of the fit.
+        """Return the first lobe and the rig as fit coordinates.
 
         The fit is linear in these coordinates, and their covariance comes with them.
         """
@@ -239,7 +239,7 @@ class MaterialFit(Summarised):
         return float(value), float(np.sqrt(slope @ self._solution.covariance[inner, inner] @ slope))
 
     def strengths(self) -> Strengths:
-        """Return F of every slice with its covariance.
+        """Return F of every slice with its covariance, if F is free.
 
         F must be free in every slice of the fit. The strengths are those of the lobe before normalisation.
 

@@ -131,7 +131,7 @@ class FlatReconstruction(Summarised):
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the result without maps as numbers and texts, for JSON.
+        """Return the content of the JSON file, without the maps.
 
         Returns:
             The document described in docs/reconstruct.md.
