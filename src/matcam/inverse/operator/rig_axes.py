@@ -58,8 +58,6 @@ ASSUMED = 0.1
 """Relative standard deviation of a lens's width of which its profile states none."""
 _STEP = 0.4
 """Relative change of variance by which the kernels of a change of the lens differ: a smaller one amplifies their errors."""
-_STRETCHED = 0.3
-"""Relative change of variance of the two kernels whose difference changes the stretch: one is widened along, one across."""
 _COUNTS = ((0.03, 3), (0.15, 5), (np.inf, 9))
 """Half range of an axis -> number of its points."""
 
@@ -95,16 +93,18 @@ def _widened(*points: float) -> dict[float, tuple[tuple[float, float, float], ..
     return {point: ((np.exp(2 * point), np.exp(2 * point), 1.0), (1.0, 1.0, -1.0)) for point in points}
 
 
+def _stretched(*points: float) -> dict[float, tuple[tuple[float, float, float], ...]]:
+    """Elliptical Gaussians of these stretches."""
+    return {point: ((1 + point / 2, 1 - point / 2, 1.0), (1.0, 1.0, -1.0)) for point in points}
+
+
 CHANGES = {
     WIDTH: KernelChange(_widened(-0.25, 0.25), ASSUMED, -0.5, 0.5),
     # a disc has the moments of a mixture of Gaussians whose relative variance has the second central moment -1/3
     SHAPE: KernelChange(_difference(1 / (18 * _STEP**2), 1, -1, 0, -1, 1), 1.0, -1.5, 4.0),
     SIXTH: KernelChange(_difference(1 / (36 * _STEP**3), -1, 2, 0, -2, 1), 1.0, -3.0, 3.0),  # third central moment: 1/3
     EIGHTH: KernelChange(_difference(1 / (72 * _STEP**4), 1, -4, 6, -4, 1), 1.0, -3.0, 3.0),
-    # third-order coma has a stretch of 1
-    STRETCH: KernelChange(
-        {1.0: ((1 + _STRETCHED, 1.0, 0.5 / _STRETCHED), (1.0, 1 + _STRETCHED, -0.5 / _STRETCHED))}, 0.5, -1.5, 1.5
-    ),
+    STRETCH: KernelChange(_stretched(-1.0, 1.0), 0.5, -1.5, 1.5),  # third-order coma has 1
 }
 """Changes of the lens's kernel by name. Of a disc, shape and sixth moment are -1 and 1, and the eighth is below 1."""
 
