@@ -168,7 +168,9 @@ def test_wrong_assumptions(shot, wrong, alpha):
         f"worst where supported {worst:.3f}, median std {relative:.3f}, false support {false} of {good.sum()}, "
         f"noise {done.shape.noise.relative:.3f}, shape {done.shape.scale:g}"
     )
-    assert worst < 0.05 + 3 * 0.01
+    # 5 %, or two and a half standard deviations of a lobe of a quarter of a pixel whose lens is unknown; and the noise
+    allowed = np.maximum(0.05, 2.5 * std / np.where(bright, truth, 1.0)) + 3 * 0.01
+    assert np.all(error[good & peak] < allowed[good & peak])
     assert binom.sf(false - 1, good.sum(), 0.01) > 0.01  # so few entries: 2 of 143 are no more than 1 %
     harmed = np.abs(value - truth) > np.abs(raw - truth) + 2 * std + 0.01 * truth
     assert harmed[bright & np.isfinite(std)].mean() < 0.01

@@ -6,7 +6,19 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from matcam import EPD, GGX, Camera, DiffractionOptics, GaussianOptics, Rig, Sphere, fit, read_merl, rigs
+from matcam import (
+    EPD,
+    GGX,
+    Camera,
+    DiffractionOptics,
+    GaussianOptics,
+    MeasuredOptics,
+    Rig,
+    Sphere,
+    fit,
+    read_merl,
+    rigs,
+)
 from matcam.camera import Uncertainty
 from matcam.core.grid import brdf_table
 from matcam.core.jax import jnp
@@ -220,6 +232,22 @@ def test_a_lens_is_changed_towards_another_one(lens, names, left):
     before, after = (np.sqrt(np.mean(one**2)) for one in (off, off - slopes @ found))
     print(f"difference in standard deviations of 1 %: {before:.3f}, with {names} {found[1:]} {after:.3f}")
     assert after < left * before
+
+
+@pytest.mark.slow
+def test_a_measured_lens_is_known_to_ten_percent():
+    """Its profile states no uncertainty. The table was recorded through a lens that is 11 % wider than measured."""
+    shot = recorded.made(EVERY, oracle.Setup(0.5))
+    ways = shot.rule.ways(oracle.GGX(0.006)) * conductor(shot.cells.theta_d, *recorded.CHROMIUM)[:, None, None]
+    table = shot.table(shot.rule.noisy(ways, np.random.default_rng(3)))
+    f = np.linspace(0, 2.2, 45)
+    lens = MeasuredOptics(f, np.append(np.exp(-2 * (np.pi * 0.45 * f[:-1]) ** 2), 0.0))
+    rig = Rig(Camera(lens, recorded.rig().camera.pixel), recorded.rig().sample)
+    found = fit(table, rig, "ggx", fresnel="free", every=EVERY)
+    print(found.params, found.std)
+    assert found.params["lens_width"] == pytest.approx(np.log(0.5 / 0.45), abs=0.01)
+    assert found.params["alpha"] == pytest.approx(0.006, rel=0.02)
+    assert "lens-assumed" in {remark.code for remark in found.remarks}
 
 
 def changes(recorded_table, done):

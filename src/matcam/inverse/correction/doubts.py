@@ -218,8 +218,11 @@ def shape_records(
     return both[0], both[1:]
 
 
-def shape_uncertainty(found: MaterialFit, noise: PixelNoise | None) -> ShapeUncertainty:
-    """Estimate the uncertainty of the shape of a fit with free strengths and one lobe. noise: None: estimated anew."""
+def shape_uncertainty(found: MaterialFit, noise: PixelNoise | None, kappa: float = 1.0) -> ShapeUncertainty:
+    """Estimate the uncertainty of the shape of a fit with free strengths and one lobe.
+
+    noise: None: estimated anew. kappa: power of the likelihood (`evidence`). Default: 1.
+    """
     linear = found.linearised()
     solution, at = linear.solution, linear.coordinates
     data, model = solution.problem.data, solution.model
@@ -239,7 +242,7 @@ def shape_uncertainty(found: MaterialFit, noise: PixelNoise | None) -> ShapeUnce
         robust = huber_weights(standardised_residual(data, rest, value, assumed, np.inf))
         white = whitening(data, robust / cell_variance(data, value, assumed), model.lobe, np.inf)
         flat, target = white(columns).reshape(count, -1), white(linear.residual).ravel()
-        information, right = flat @ flat.T, flat @ target
+        information, right = kappa * flat @ flat.T, kappa * flat @ target
         information[rig, rig] += linear.rig_information
         scale = max(_SCALES, key=lambda one: linear_evidence(information, right, shapes, even / one))
         penalty = np.zeros((count, count))

@@ -243,6 +243,9 @@ def explain(setup: FitSetup, located: LocatedRig, ndf: str) -> Explanation:
     weighing = weighing.at_most(_weighing(whole, noise))
     shares = weighing.probabilities([one.fit for one in whole])
     first = int(np.argmax(shares))
+    kappa = weighing.kappa if weighing.known else 1.0
+    if kappa < 1:  # correlated misfit widens the errors, too
+        whole = [one._replace(fit=one.setup.tempered(one.fit, kappa)) for one in whole]
     found = whole[first]
     averaged = tuple(
         OtherLobe(one.fit, one.setup, float(share))
@@ -251,7 +254,7 @@ def explain(setup: FitSetup, located: LocatedRig, ndf: str) -> Explanation:
     )
     shape = known_shape(found.fit, found.setup.bend)
     if not found.fit.is_bent:
-        free = shape_uncertainty(found.fit, setup.noise)
+        free = shape_uncertainty(found.fit, setup.noise, kappa)
         # a spline-modified lobe is a member of its own
         shape = known_shape(found.fit, free.scale) if free.family_fails else free
     base = kept[first] if found.fit.is_bent else found

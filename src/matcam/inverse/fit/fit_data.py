@@ -28,8 +28,8 @@ _PEAKS = (1e-9, 1e12)
 """Limits of a channel's brightest value, 1/sr. Black velvet and the narrowest lobe of a mirror lie far inside."""
 
 # Larger residuals are misfit; as a share of the peak they do not make the faint surroundings of the peak dominate the
-# fit
-_NOISE_BOUNDS = ((np.log(1e-4), np.log(0.2)), (np.log(1e-7), np.log(0.5)))
+# fit. The least floor is the error of a rule, 1e-6 of the peak, which about ten neighbouring cells share
+_NOISE_BOUNDS = ((np.log(1e-4), np.log(0.2)), (np.log(3e-6), np.log(0.5)))
 _LEAST_LEFT = 0.02
 _HUBER = 3.0
 """Standardised residual beyond which a cell counts less (Huber 1964); a Gaussian one reaches it in 0.3 % of the cases."""

@@ -203,6 +203,10 @@ class FitSetup:
         go_on = search.adjust if same else search.resume
         return self._result(go_on(self._vector(start), weight, before.noise))
 
+    def tempered(self, found: MaterialFit, kappa: float) -> MaterialFit:
+        """Return a fit by this setup whose errors are those of a likelihood to the power of kappa."""
+        return self._result(found._solution.tempered(kappa))
+
     @property
     def _search(self) -> Search:
         return Search(self.problem, self.noise, self.workspace or default_workspace())

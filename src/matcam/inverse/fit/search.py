@@ -79,6 +79,14 @@ class Solution(NamedTuple):
     freedom: int
     weight: np.ndarray
 
+    def tempered(self, kappa: float) -> Solution:
+        """Return the same parameters, their covariance by a likelihood to the power of kappa (`correction/evidence.py`)."""
+        white = self.problem.whitening(self.model, self.weight, self.noise.picture_gain)
+        flat = white(self.model.derivative).reshape(self.p.size, -1)
+        rows = self.problem.prior.rows(self.problem.layout)
+        information = kappa * flat @ flat.T + rows.T @ rows
+        return self._replace(covariance=scaled_inverse(information, undetermined=1e12))
+
 
 class Search:
     """Search for the best fit of a problem.

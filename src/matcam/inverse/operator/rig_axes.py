@@ -65,48 +65,53 @@ ASSUMED = 0.1
 """Relative standard deviation of the width of a lens if its profile gives none."""
 _STEP = 0.4
 """Relative difference in variance of the kernels of a change of the lens. A smaller step amplifies their errors."""
-_STRETCHED = 0.3
-"""Relative change of variance of the two kernels whose difference changes the stretch: one is widened along, one across."""
 _COUNTS = ((0.03, 3), (0.15, 5), (np.inf, 9))
 """Half range of an axis -> number of its points."""
 
 
 class KernelChange(NamedTuple):
-    """Change of the kernel of a lens, linear in its coordinate.
+    """Change of the kernel of a lens along a coordinate: a polynomial through its points, linear where there is one point.
 
-    It is a sum of Gaussians. Their variances are multiples of the variance of the Gaussian that is as wide as the lens.
+    At a point it is a sum of Gaussians. Their variances are multiples of the variance of the Gaussian that is as wide as the
+    lens.
 
     Attributes:
-        terms: (variance along the plane of camera and lamp, variance across it, share) of each Gaussian, no unit. The shares
-            add up to 0.
+        points: for each coordinate, (variance along the plane of camera and lamp, variance across it, share) of each Gaussian,
+            no unit. The shares add up to 0.
         std: prior standard deviation of the coordinate.
         low: smallest coordinate.
         high: largest coordinate.
     """
 
-    terms: tuple[tuple[float, float, float], ...]
+    points: Mapping[float, tuple[tuple[float, float, float], ...]]
     std: float
     low: float
     high: float
 
 
-def _difference(factor: float, *shares: int) -> tuple[tuple[float, float, float], ...]:
+def _difference(factor: float, *shares: int) -> dict[float, tuple[tuple[float, float, float], ...]]:
     """Build a finite difference in the variance: round Gaussians at -2 to 2 steps, with shares in units of a factor."""
     scales = (1 + step * _STEP for step in range(-2, 3))
-    return tuple((scale, scale, factor * share) for scale, share in zip(scales, shares, strict=True) if share)
+    return {1.0: tuple((scale, scale, factor * share) for scale, share in zip(scales, shares, strict=True) if share)}
+
+
+def _widened(*points: float) -> dict[float, tuple[tuple[float, float, float], ...]]:
+    """Build Gaussians whose widths differ by factors with these logarithms."""
+    return {point: ((np.exp(2 * point), np.exp(2 * point), 1.0), (1.0, 1.0, -1.0)) for point in points}
+
+
+def _stretched(*points: float) -> dict[float, tuple[tuple[float, float, float], ...]]:
+    """Build elliptical Gaussians of these stretches."""
+    return {point: ((1 + point / 2, 1 - point / 2, 1.0), (1.0, 1.0, -1.0)) for point in points}
 
 
 CHANGES = {
-    # the logarithm of the variance changes twice as fast as that of the width
-    WIDTH: KernelChange(_difference(1 / (6 * _STEP), 1, -8, 0, 8, -1), ASSUMED, -0.5, 0.5),
+    WIDTH: KernelChange(_widened(-0.25, 0.25), ASSUMED, -0.5, 0.5),
     # a disc has the moments of a mixture of Gaussians whose relative variance has the second central moment -1/3
     SHAPE: KernelChange(_difference(1 / (18 * _STEP**2), 1, -1, 0, -1, 1), 1.0, -1.5, 4.0),
     SIXTH: KernelChange(_difference(1 / (36 * _STEP**3), -1, 2, 0, -2, 1), 1.0, -3.0, 3.0),  # third central moment: 1/3
     EIGHTH: KernelChange(_difference(1 / (72 * _STEP**4), 1, -4, 6, -4, 1), 1.0, -3.0, 3.0),
-    # third-order coma has a stretch of 1
-    STRETCH: KernelChange(
-        ((1 + _STRETCHED, 1.0, 0.5 / _STRETCHED), (1.0, 1 + _STRETCHED, -0.5 / _STRETCHED)), 0.5, -1.5, 1.5
-    ),
+    STRETCH: KernelChange(_stretched(-1.0, 1.0), 0.5, -1.5, 1.5),  # third-order coma has 1
 }
 """Changes of the kernel of the lens by name. For a disc, shape and sixth moment are -1 and 1, and the eighth is below 1."""
 
@@ -166,7 +171,8 @@ def shape_axes(rig: Rig) -> tuple[tuple[Axis, ...], tuple[float, ...]]:
 
 def change_axis(name: str) -> Axis:
     """Return the axis of a change of the kernel of the lens."""
-    return Axis(name, 0.0, 0.0, CHANGES[name].low, CHANGES[name].high, (0.0, 1.0))
+    change = CHANGES[name]
+    return Axis(name, 0.0, 0.0, change.low, change.high, tuple(sorted((0.0, *change.points))))
 
 
 class KnownLens(NamedTuple):
@@ -305,7 +311,8 @@ def change_kernels(own: Blur, axes: Sequence[Axis]) -> list[MovedBlur]:
 
 def _change_variances(axes: Sequence[Axis]) -> list[tuple[float, float]]:
     """List the variances of the Gaussians that the changes along axes consist of, each once."""
-    terms = (term for axis in axes if axis.name in CHANGES for term in CHANGES[axis.name].terms)
+    changes = (CHANGES[axis.name] for axis in axes if axis.name in CHANGES)
+    terms = (term for change in changes for terms in change.points.values() for term in terms)
     return list(dict.fromkeys((along, across) for along, across, _ in terms))
 
 
@@ -320,12 +327,15 @@ def along_axes(axes: tuple[Axis, ...], name: str, along: str, values: Sequence[n
     moved = iter(others)
     named = {name: own}
     for n, axis in enumerate(axes):
-        if axis.name in CHANGES:
-            shares = (share * kernels[x, y] for x, y, share in CHANGES[axis.name].terms)
-            changes = [0 * own, np.add.reduce(list(shares))]
-        else:
-            changes = [next(moved) - own if point else 0 * own for point in axis.points]
-        named |= {f"{along}{n}.{point}": change for point, change in enumerate(changes)}
+        change = CHANGES.get(axis.name)
+        for number, point in enumerate(axis.points):
+            if not point:
+                difference = 0 * own
+            elif change:
+                difference = np.add.reduce([share * kernels[x, y] for x, y, share in change.points[point]])
+            else:
+                difference = next(moved) - own
+            named[f"{along}{n}.{number}"] = difference
     return named
 
 
