@@ -146,7 +146,7 @@ WRONG = {
 @pytest.mark.parametrize("alpha", [0.0015, 0.004, 0.02])
 @pytest.mark.parametrize("wrong", ["nothing", "epd", "two lobes", "halo", *WRONG])
 def test_wrong_assumptions(shot, wrong, alpha):
-    """Nobody told `correct`: wherever an entry is supported, the peak is within 5 % (and a pixel's noise), fewer than 1 % of
+    """`correct` is not told what is wrong. A supported peak is within its error (and the noise of a pixel), fewer than 1 % of
     the supported entries are off by more than 3 of their standard deviations, and no entry is further from the truth than
     the recorded one by more than 2 of them and 1 %."""
     here = Shot(WRONG[wrong]) if wrong in WRONG else shot
@@ -175,12 +175,8 @@ def test_wrong_assumptions(shot, wrong, alpha):
     harmed = np.abs(value - truth) > np.abs(raw - truth) + 2 * std + 0.01 * truth
     assert harmed[bright & np.isfinite(std)].mean() < 0.01
     if wrong in ("nothing", "epd", "disc", "lens 5 % wider"):
-        # lobes of a quarter of a pixel whose shape or lens is not the fitted one: 3 to 6 % of doubt where 5 % are asked
-        share = supported[peak].mean()
-        if (wrong, alpha) == ("disc", 0.0015) and not share > 0.6:
-            # its shape is half known, and two lobes explain the 3 % that are left as well as the bent one: 13 % of doubt
-            pytest.xfail(f"{share:.2f} of the peak is supported under a disc that was told as a Gaussian, not 0.6")
-        assert share > {("disc", 0.0015): 0.6, ("epd", 0.0015): 0.7}.get((wrong, alpha), 0.9)
+        # of lobes of a quarter of a pixel whose shape is not the fitted one, 3 to 6 % are uncertain where 5 % are allowed
+        assert supported[peak].mean() > {("epd", 0.0015): 0.7}.get((wrong, alpha), 0.9)
 
 
 @pytest.mark.slow
