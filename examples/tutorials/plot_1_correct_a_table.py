@@ -13,7 +13,7 @@ import matcam
 
 ALPHA = 0.004  # the true roughness
 
-table = matcam.io.example_table()  # yours: matcam.read_merl("chrome.binary"), or matcam.io.read of any format
+table = matcam.io.example_table()  # yours: matcam.read("chrome.binary"), of any format
 print(dict(table.sizes), table.attrs.get("units", "1/sr"))
 
 # %%
@@ -34,12 +34,10 @@ print(rig.camera.optics, rig.camera.pixel, rig.sample, sep="\n")
 # recorded lobe. `matcam.correct` returns the table; `Correction.of` also returns the fits.
 
 found = matcam.inverse.Correction.of(table, rig, "ggx")
-fit = found.fit
-print(f"alpha {fit.params['alpha']:.5f} ± {fit.std['alpha']:.5f}; the truth is {ALPHA}")
-print(f"lens {fit.params['optics.sigma_px']:.4f} ± {fit.std['optics.sigma_px']:.4f} px; the truth is 0.5 px")
-print(f"noise of a pixel {fit.noise.relative:.2%}")
-for remark in found.remarks:
-    print("remark:", remark.text)
+print(found.summary())
+print(
+    f"The truth is a roughness of {ALPHA}, a lens of 0.5 px, and a noise of 1 %; {found.fit.noise.relative:.2%} was found."
+)
 
 # %%
 # Read the result

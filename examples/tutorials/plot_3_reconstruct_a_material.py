@@ -33,7 +33,7 @@ WELL, READ, BLACK = (
 )  # full well and read noise, electrons; black level, codes; two electrons are one code
 SIDE, FINE = 2 * RADIUS + 32, 4  # size of an image, px; samples per pixel
 
-chromium = matcam.Microfacet(matcam.GGX(ALPHA), matcam.Conductor(*matcam.metal("Cr", [550e-9])[:2]))
+chromium = matcam.Microfacet(matcam.GGX(ALPHA), matcam.Conductor.from_metal("Cr", [550e-9]))
 theta_d = np.radians([8, 31, 53, 75])  # half the angle between lamp and camera, for each of four lamp positions
 random = np.random.default_rng(5)
 

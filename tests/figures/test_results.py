@@ -168,6 +168,14 @@ def test_options_of_plots(results):
             call()
 
 
+def test_a_loss_is_that_of_the_lobe_where_the_peak_is_missing(results):
+    """The example lacks most peaks; what the rig takes of a GGX lobe of 0.004 is known."""
+    angles = np.radians([45.0, 75.0])
+    expected = 1 - np.asarray(matcam.peak_response(RIG, matcam.GGX(0.004), angles))
+    np.testing.assert_allclose(results["correction"].peak_loss(angles), expected, atol=0.01)
+    assert f"{expected[0]:.0%} at 45°" in results["correction"].verdict
+
+
 def test_the_drawn_curve_is_the_result(results):
     """The camera's curve against the Gaussian and the sinc that it consists of."""
     line = results["camera"].plot(Figure().subplots()).lines[1]

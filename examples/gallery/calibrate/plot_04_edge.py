@@ -19,7 +19,7 @@ light = 0.1 + 0.7 * np.asarray(camera.esf(distance, angle))
 photograph = light + np.random.default_rng(1).normal(0, 0.01, light.shape)  # SNR 80 in the white
 
 found = matcam.edge_mtf(photograph, tone="linear")
-print(f"MTF50 {found.mtf50:.4f} ± {found.mtf50_std:.4f} cycles/px")
-print(f"lens {float(found.parametric.camera.optics.sigma):.4f} px; it was 0.45 px")
+print(found.summary())
+print("the lens was 0.45 px")
 
 drawn = edge_figure(found, photograph, None, "one edge")  # drawn.savefig("edge.png")

@@ -25,3 +25,8 @@ axes.axvline(ALPHA, color="0.6", lw=3, zorder=0, label="truth")
 axes.set(xlabel="roughness alpha", yticks=[], ylim=(-1, 2), xlim=(0, 1.1 * max(blind.params["alpha"], ALPHA)))
 axes.legend(loc="center")
 plt.show()
+
+# %%
+# The summary lists parameters, correlations and statistics.
+
+print(through.summary())

@@ -6,11 +6,13 @@ The ratio of recorded peaks (raw) falls where the Fresnel term of chromium rises
 follow the published tables.
 """
 
+import matplotlib.pyplot as plt
+
 import matcam
-from matcam.figures.curves import fresnel_figure
 
-EVERY = 6  # the table holds every sixth slice
+STEP = 6  # the table holds every sixth slice
 
-result = matcam.fresnel(matcam.io.example_table(), matcam.rigs.merl(), ndf="ggx", slice_step=EVERY)
-tables = matcam.inverse.tabulated_fresnel(result, "Cr")
-drawn = fresnel_figure(result, tables, "chromium, simulated")  # drawn.savefig("fresnel.png")
+result = matcam.fresnel(matcam.io.example_table(), matcam.rigs.merl(), ndf="ggx", slice_step=STEP)
+print(result.matcam.summary())
+result.matcam.plot(metal="Cr")
+plt.show()

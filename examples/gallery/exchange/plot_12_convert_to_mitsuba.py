@@ -15,7 +15,7 @@ import numpy as np
 
 import matcam
 
-gold = matcam.Microfacet(matcam.GGX(0.1), matcam.Conductor(*matcam.metal("Au", [610e-9, 550e-9, 465e-9])[:2]))
+gold = matcam.Microfacet(matcam.GGX(0.1), matcam.Conductor.from_metal("Au", [610e-9, 550e-9, 465e-9]))
 fields = matcam.exchange.adaptive_grid(gold, square=48)
 
 mitsuba.set_variant("scalar_rgb")

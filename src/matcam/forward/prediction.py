@@ -109,9 +109,9 @@ def predict(rig: Rig, ndfs: NDF | Sequence[NDF], *, dims: int = 2, exact: bool =
     Example:
         >>> found = matcam.predict(matcam.rigs.merl(), [matcam.GGX(0.005), matcam.GGX(0.02)])
         >>> print(np.degrees(found["loss_angle"].values).round(1))
-        [32.4 57.1]
+        [28.9 57.1]
         >>> print(found["response"].sel(roughness=0.02).sel(theta=np.radians(75), method="nearest").item().__round__(2))
-        0.84
+        0.76
     """
     lobes = [ndfs] if isinstance(ndfs, NDF) else checks.instances("ndfs", ndfs, NDF)  # type: ignore[type-abstract]
     families = sorted({lobe.family for lobe in lobes})

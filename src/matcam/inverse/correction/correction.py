@@ -288,10 +288,15 @@ class Correction(Summarised):
         ]
         known = "well determined" if self._determined else "NOT determined by these pictures"
         rows = self._grid.index(theta_h=0.0, theta_d=np.radians(np.arange(_ANGLES[0], _ANGLES[-1] + 1)))
-        peak = self.table["supported"].values[rows].mean()
+        supported, recorded = self.table["supported"].values[rows], np.isfinite(self.recorded.values[rows])
+        peaks = (
+            f"{supported[recorded].mean():.0%} of the peaks"
+            if recorded.any()
+            else "none of the peaks, which are missing,"
+        )
         return (
             f"The camera took {', '.join(lost)} of the highlight's peak. The roughness of the surface is {known}. After "
-            f"correction {peak:.0%} of the peaks up to {_ANGLES[-1]}° are supported (the correction is known to 5 %), and "
+            f"correction {peaks} up to {_ANGLES[-1]}° are supported (the correction is known to 5 %), and "
             f"{self.supported_share:.0%} of the entries that can be judged."
         )
 
@@ -333,11 +338,15 @@ class Correction(Summarised):
         }
 
     def _peak_response(self, theta_d: ArrayLike) -> np.ndarray:
-        """Compute recorded over corrected peak across the plane of incidence, averaged over the channels."""
+        """Compute recorded over corrected peak across the plane of incidence, averaged over the channels.
+
+        Where the peak is missing, the response of the lobe stands for it.
+        """
         at = self._peak(theta_d)
         recorded, corrected = self.recorded.values[at], self.table["brdf"].values[at]
+        lobe = np.broadcast_to(self.table["response"].values[at][..., None], corrected.shape)
         with np.errstate(invalid="ignore", divide="ignore"):
-            response = np.where(corrected > 0, recorded / corrected, 1.0)
+            response = np.where(corrected > 0, recorded / corrected, lobe)
         return np.mean(response, axis=-1)
 
     def _peak(self, theta_d: ArrayLike) -> tuple[Any, ...]:
