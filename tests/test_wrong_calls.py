@@ -24,6 +24,7 @@ def test_random_calls(monkeypatch, count, seed):
 SWITCH = xr.DataArray(np.ones(3), dims="x")
 RIG, LOBE = matcam.rigs.merl(), matcam.GGX(0.1)
 TABLE = xr.DataArray(np.zeros(3), dims="x")
+SOURCE = matcam.UncertaintySource("a", 1.0, 0.1, 1.0, "B")
 
 
 @pytest.mark.parametrize(
@@ -79,6 +80,32 @@ TABLE = xr.DataArray(np.zeros(3), dims="x")
         ),
         (lambda: matcam.targets.star_mtf(np.ones((20, 20)), cfa=TABLE), "cfa must be one of 'RGGB', 'BGGR'"),
         (lambda: matcam.targets.star_mtf(np.ones((20, 20)), channel=TABLE), "channel must be one of 'R', 'G', 'B'"),
+        (lambda: matcam.targets.measure_targets(np.ones((20, 20)), LOBE), "chart must be a Chart, got GGX"),
+        (
+            lambda: matcam.targets.measure_targets(np.ones((20, 20)), matcam.targets.design_chart(), source=np.ones(3)),
+            "source must be a str, got array([1., 1., 1.])",
+        ),
+        (lambda: matcam.edge_mtf_stack([[1], [1, 2]]), "images must be an array, got a list of rows"),
+        (lambda: matcam.calibration.level_frequency(TABLE, 0.5), "edge must be a EdgeMTF, got <xarray.DataArray"),
+        (lambda: matcam.UncertaintyBudget("x", 1, [1]), "entry 1 of sources must be a UncertaintySource, got 1"),
+        (lambda: matcam.UncertaintyBudget("x", "a\nb", []), "value must be a number or an array of numbers, got 'a\\nb'"),
+        (lambda: matcam.UncertaintyBudget("x", 10**400, []), "value must be a number or an array of numbers, got 1000"),
+        (lambda: matcam.UncertaintyBudget(b"x", 1, []), "name must be a str, got b'x'"),
+        (lambda: matcam.UncertaintyBudget("x", np.ones(3), []), "value must be a single number, got an array of shape"),
+        (lambda: matcam.UncertaintyBudget("a\nb", 1, []), "the budget of 'a\\nb' needs at least one source"),
+        (
+            lambda: matcam.UncertaintyBudget("x", 1, [SOURCE], "x"),
+            "correlation must be a number or an array of numbers, got 'x'",
+        ),
+        (
+            lambda: matcam.UncertaintyBudget("x", 1, [SOURCE._replace(sensitivity="x")]),
+            "sensitivity of source 'a' must be a number or an array of numbers, got 'x'",
+        ),
+        (
+            lambda: matcam.UncertaintyBudget.of("x", len, [3]),
+            "entry 1 of sources must be a UncertaintySource, got 3",
+        ),
+        (lambda: matcam.io.write_budgets("a.csv", [3]), "entry 1 of budgets must be a UncertaintyBudget, got 3"),
     ],
 )
 def test_the_message_names_what_is_wrong(call, message):
