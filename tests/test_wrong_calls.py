@@ -88,7 +88,10 @@ SOURCE = matcam.UncertaintySource("a", 1.0, 0.1, 1.0, "B")
         (lambda: matcam.edge_mtf_stack([[1], [1, 2]]), "images must be an array, got a list of rows"),
         (lambda: matcam.calibration.level_frequency(TABLE, 0.5), "edge must be a EdgeMTF, got <xarray.DataArray"),
         (lambda: matcam.UncertaintyBudget("x", 1, [1]), "entry 1 of sources must be a UncertaintySource, got 1"),
-        (lambda: matcam.UncertaintyBudget("x", "a\nb", []), "value must be a number or an array of numbers, got 'a\\nb'"),
+        (
+            lambda: matcam.UncertaintyBudget("x", "a\nb", []),
+            "value must be a number or an array of numbers, got 'a\\nb'",
+        ),
         (lambda: matcam.UncertaintyBudget("x", 10**400, []), "value must be a number or an array of numbers, got 1000"),
         (lambda: matcam.UncertaintyBudget(b"x", 1, []), "name must be a str, got b'x'"),
         (lambda: matcam.UncertaintyBudget("x", np.ones(3), []), "value must be a single number, got an array of shape"),
