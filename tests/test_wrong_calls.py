@@ -8,6 +8,7 @@ import xarray as xr
 
 import matcam
 from matcam.core.errors import ArgumentError, FileFormatError
+from matcam.core.grid import brdf_table
 from tests import wrong_calls
 
 
@@ -24,6 +25,7 @@ def test_random_calls(monkeypatch, count, seed):
 SWITCH = xr.DataArray(np.ones(3), dims="x")
 RIG, LOBE = matcam.rigs.merl(), matcam.GGX(0.1)
 TABLE = xr.DataArray(np.zeros(3), dims="x")
+MERL = brdf_table(np.full((90, 90, 180, 3), 0.5), "centre")
 SOURCE = matcam.UncertaintySource("a", 1.0, 0.1, 1.0, "B")
 
 
@@ -108,6 +110,17 @@ SOURCE = matcam.UncertaintySource("a", 1.0, 0.1, 1.0, "B")
             lambda: matcam.UncertaintyBudget.of("x", len, [3]),
             "entry 1 of sources must be a UncertaintySource, got 3",
         ),
+        (
+            lambda: matcam.forward.with_pixel_noise(MERL, RIG, matcam.camera.PixelNoise(0.01, 0.0), seed=-1),
+            "seed must be a whole number >= 0, got -1",
+        ),
+        (lambda: matcam.camera.Uncertainty.of(0.1), "std must be standard deviations by name, got 0.1"),
+        (lambda: RIG.camera.with_parameters([1]), "values must be a dict, got [1]"),
+        (
+            lambda: matcam.camera.expose_bracket(matcam.Sensor(5e-6, 1e4, 2.0), np.ones((2, 2)), [1.0], seed=1 << 63),
+            "seed must be a whole number in [0, 2^63) or a key of jax.random, got 9223372036854775808",
+        ),
+        (lambda: matcam.camera.merge_bracket(2, np.ones((1, 2, 2)), [1.0]), "sensor must be a Sensor, got 2"),
         (lambda: matcam.io.write_budgets("a.csv", [3]), "entry 1 of budgets must be a UncertaintyBudget, got 3"),
     ],
 )
