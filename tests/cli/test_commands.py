@@ -232,6 +232,7 @@ BAD = [
     ("predict 0", "alpha must lie in (0, 1], got 0"),
     ("predict --radius -3", "--radius must lie in"),
     ("predict --lamp 80", "--lamp must lie in"),
+    ("predict --lamp nan", "--lamp must lie in [0, 22.5] degrees, got nan"),
     ("inspect file", "none of what matcam reads"),
     ("figures short.binary", "truncated"),
     ("frensel", "No such command 'frensel'"),
