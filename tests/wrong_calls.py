@@ -92,12 +92,14 @@ def more_valid(folder):
         "n": 1.5, "k": 2.0, "eta": 1.5, "f0": 0.04, "f_number": 8.0, "pixel_pitch": 5e-6, "fraction": 0.1, "unit": 100.0,
         "core": lens, "red": lens, "green": lens, "blue": lens, "fresnel": matcam.material.Constant(0.9), "power": 1.0,
         "alpha_along": 0.1, "alpha_across": 0.3, "distance": 700.0, "blur_diameter": 2.0, "pitch": 5e-6, "full_well": 1e4,
-        "read_noise": 2.0, "seed": 1, "radiance": image / 1000, "exposures": [0.1, 1.0], "sensor": matcam.Sensor(5e-6, 1e4, 2.0),
+        "read_noise": 2.0, "seed": 1, "radiance": image / 1000, "exposures": [0.1, 1.0],
+        "sensor": matcam.Sensor(5e-6, 1e4, 2.0),
         "sources": [source], "value": 1.0, "budgets": [matcam.UncertaintyBudget("x", 1.0, [source])], "result": result,
         "fields": matcam.exchange.adaptive_grid(matcam.Microfacet(lobe, 0.9), square=8), "thing": result,
         "positions": [matcam.io.LightPosition("a.tif", np.array([0.0, 0.5, 0.5]))], "source": folder / "a.csv",
         "target": folder / "b.nc", "paths": [folder / "a.csv"], "output": folder / "out", "highlights": None,
-        "capture": folder, "covariance": np.eye(2), "names": ["a", "b"], "values": np.ones((2, 2)), "noise": matcam.camera.PixelNoise(0.01, 0.0),
+        "capture": folder, "covariance": np.eye(2), "names": ["a", "b"], "values": np.ones((2, 2)),
+        "noise": matcam.camera.PixelNoise(0.01, 0.0),
     }  # fmt: skip
 
 

@@ -231,6 +231,7 @@ BAD = [
     ("predict 0.1 --ndf epd --power 9", "--power must lie in [0.25, 4]"),
     ("predict 0", "alpha must lie in (0, 1], got 0"),
     ("predict --radius -3", "--radius must lie in"),
+    ("limits --radius 1e300", "--radius must lie in (0, 1e+100] px, got 1e+300"),
     ("predict --lamp 80", "--lamp must lie in"),
     ("predict --lamp nan", "--lamp must lie in [0, 22.5] degrees, got nan"),
     ("inspect file", "none of what matcam reads"),

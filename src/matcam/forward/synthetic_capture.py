@@ -112,7 +112,8 @@ def simulate_capture(
         The truth: as truth.json holds it.
 
     Raises:
-        ArgumentError: `seed` is no whole number from 0, the rig has no sensor, its sample cannot be simulated, or the plan is out of range.
+        ArgumentError: `seed` is no whole number from 0, the rig has no sensor, its sample cannot be simulated, or the plan is
+            out of range.
         OutputError: a file exists and `force` is False, or cannot be written.
     """
     checks.whole_number("seed", seed, 0)
