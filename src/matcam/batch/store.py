@@ -87,9 +87,7 @@ def open_rows(store: Path, names: Sequence[str], sampling: Sampling) -> dict[str
             new = [name for name in names if name not in set(there)]
             if new:
                 _grow(group, [*there, *new])
-    except FileFormatError as error:
-        raise OutputError(f"output {error}") from None
-    except (OSError, KeyError, ValueError) as error:
+    except (FileFormatError, OSError, KeyError, ValueError) as error:
         raise OutputError(f"output {store} cannot be written as the Zarr of a run: {error}") from None
     return {name: StoreRow(store, row) for row, name in enumerate([*there, *new])}
 
