@@ -114,6 +114,10 @@ SOURCE = matcam.UncertaintySource("a", 1.0, 0.1, 1.0, "B")
             lambda: matcam.forward.with_pixel_noise(MERL, RIG, matcam.camera.PixelNoise(0.01, 0.0), seed=-1),
             "seed must be a whole number >= 0, got -1",
         ),
+        (
+            lambda: matcam.picture(matcam.Microfacet(LOBE, 0.9), RIG, 0.5, shape=(3, 5), shift=MERL),
+            "shift must be two numbers, columns to the right and rows down, got shape (90, 90, 180, 3)",
+        ),
         (lambda: matcam.camera.Uncertainty.of(0.1), "std must be standard deviations by name, got 0.1"),
         (lambda: RIG.camera.with_parameters([1]), "values must be a dict, got [1]"),
         (

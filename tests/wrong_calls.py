@@ -126,12 +126,27 @@ def arguments(call, random, valid, anything):
 
 def outcome(call, given):
     """What becomes of a call: "result", the name of its error, and a line about a fault."""
+    is_over = False
 
     def end(number, frame):
-        raise TooLongError
+        if not is_over:
+            raise TooLongError
 
     signal.signal(signal.SIGALRM, end)
-    signal.setitimer(signal.ITIMER_REAL, SECONDS, 1)  # again: a callback of the garbage collector swallows an error
+    signal.setitimer(
+        signal.ITIMER_REAL, SECONDS, SECONDS
+    )  # again: a callback of the garbage collector swallows an error
+    try:
+        return _outcome(call, given)
+    except TooLongError:
+        is_over = True
+        return "computes", ""
+    finally:
+        is_over = True
+        signal.setitimer(signal.ITIMER_REAL, 0)
+
+
+def _outcome(call, given):
     try:
         with warnings.catch_warnings(), contextlib.redirect_stdout(io.StringIO()):
             warnings.simplefilter("ignore")
@@ -140,8 +155,6 @@ def outcome(call, given):
         return "error of the family", "" if str(error) and "\n" not in str(error) else f"message {str(error)[:60]!r}"
     except TypeError:
         return "TypeError", ""
-    except TooLongError:
-        return "computes", ""
     except Exception as error:
         place = "?"
         trace = error.__traceback__
@@ -150,8 +163,6 @@ def outcome(call, given):
                 place = f"{Path(trace.tb_frame.f_code.co_filename).name}:{trace.tb_lineno}"
             trace = trace.tb_next
         return "fault", f"{place} {type(error).__name__}: {' '.join(str(error).split())[:80]}"
-    finally:
-        signal.setitimer(signal.ITIMER_REAL, 0)
     return "result", ""
 
 
