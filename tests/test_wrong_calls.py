@@ -8,6 +8,7 @@ import xarray as xr
 
 import matcam
 from matcam.core.errors import ArgumentError, FileFormatError
+from matcam.core.grid import brdf_table
 from tests import wrong_calls
 
 
@@ -24,6 +25,8 @@ def test_random_calls(monkeypatch, count, seed):
 SWITCH = xr.DataArray(np.ones(3), dims="x")
 RIG, LOBE = matcam.rigs.merl(), matcam.GGX(0.1)
 TABLE = xr.DataArray(np.zeros(3), dims="x")
+MERL = brdf_table(np.full((90, 90, 180, 3), 0.5), "centre")
+SOURCE = matcam.UncertaintySource("a", 1.0, 0.1, 1.0, "B")
 
 
 @pytest.mark.parametrize(
@@ -79,6 +82,50 @@ TABLE = xr.DataArray(np.zeros(3), dims="x")
         ),
         (lambda: matcam.targets.star_mtf(np.ones((20, 20)), cfa=TABLE), "cfa must be one of 'RGGB', 'BGGR'"),
         (lambda: matcam.targets.star_mtf(np.ones((20, 20)), channel=TABLE), "channel must be one of 'R', 'G', 'B'"),
+        (lambda: matcam.targets.measure_targets(np.ones((20, 20)), LOBE), "chart must be a Chart, got GGX"),
+        (
+            lambda: matcam.targets.measure_targets(np.ones((20, 20)), matcam.targets.design_chart(), source=np.ones(3)),
+            "source must be a str, got array([1., 1., 1.])",
+        ),
+        (lambda: matcam.edge_mtf_stack([[1], [1, 2]]), "images must be an array, got a list of rows"),
+        (lambda: matcam.calibration.level_frequency(TABLE, 0.5), "edge must be a EdgeMTF, got <xarray.DataArray"),
+        (lambda: matcam.UncertaintyBudget("x", 1, [1]), "entry 1 of sources must be a UncertaintySource, got 1"),
+        (
+            lambda: matcam.UncertaintyBudget("x", "a\nb", []),
+            "value must be a number or an array of numbers, got 'a\\nb'",
+        ),
+        (lambda: matcam.UncertaintyBudget("x", 10**400, []), "value must be a number or an array of numbers, got 1000"),
+        (lambda: matcam.UncertaintyBudget(b"x", 1, []), "name must be a str, got b'x'"),
+        (lambda: matcam.UncertaintyBudget("x", np.ones(3), []), "value must be a single number, got an array of shape"),
+        (lambda: matcam.UncertaintyBudget("a\nb", 1, []), "the budget of 'a\\nb' needs at least one source"),
+        (
+            lambda: matcam.UncertaintyBudget("x", 1, [SOURCE], "x"),
+            "correlation must be a number or an array of numbers, got 'x'",
+        ),
+        (
+            lambda: matcam.UncertaintyBudget("x", 1, [SOURCE._replace(sensitivity="x")]),
+            "sensitivity of source 'a' must be a number or an array of numbers, got 'x'",
+        ),
+        (
+            lambda: matcam.UncertaintyBudget.of("x", len, [3]),
+            "entry 1 of sources must be a UncertaintySource, got 3",
+        ),
+        (
+            lambda: matcam.forward.with_pixel_noise(MERL, RIG, matcam.camera.PixelNoise(0.01, 0.0), seed=-1),
+            "seed must be a whole number >= 0, got -1",
+        ),
+        (
+            lambda: matcam.picture(matcam.Microfacet(LOBE, 0.9), RIG, 0.5, shape=(3, 5), shift=MERL),
+            "shift must be two numbers, columns to the right and rows down, got shape (90, 90, 180, 3)",
+        ),
+        (lambda: matcam.camera.Uncertainty.of(0.1), "std must be standard deviations by name, got 0.1"),
+        (lambda: RIG.camera.with_parameters([1]), "values must be a dict, got [1]"),
+        (
+            lambda: matcam.camera.expose_bracket(matcam.Sensor(5e-6, 1e4, 2.0), np.ones((2, 2)), [1.0], seed=1 << 63),
+            "seed must be a whole number in [0, 2^63) or a key of jax.random, got 9223372036854775808",
+        ),
+        (lambda: matcam.camera.merge_bracket(2, np.ones((1, 2, 2)), [1.0]), "sensor must be a Sensor, got 2"),
+        (lambda: matcam.io.write_budgets("a.csv", [3]), "entry 1 of budgets must be a UncertaintyBudget, got 3"),
     ],
 )
 def test_the_message_names_what_is_wrong(call, message):

@@ -1,6 +1,6 @@
 """Random calls of all public functions and classes with arguments of wrong types, shapes, units and labels.
 
-    python -m tests.wrong_calls 10000 [SEED]
+    python -m tests.wrong_calls 10000 [SEED] [deep]
 
 Allowed are a result, an error of the family and TypeError. Each other exception is a fault; then the exit status is 1.
 """
@@ -72,6 +72,37 @@ def values(folder):
     return valid, anything
 
 
+def more_valid(folder):
+    """Valid values by the name of the parameter, with which calls get beyond their first checks, and take longer."""
+    y, x = np.mgrid[-40:40, -30:30]
+    image = 100 + 800 / (1 + np.exp(-2 * (x - 0.1 * y)))
+    lens, lobe = matcam.GaussianOptics(0.5), matcam.GGX(0.3)
+    source = matcam.UncertaintySource("a", 1.0, 0.1, 1.0, "B")
+    (folder / "a.csv").write_text("theta_h_deg,theta_d_deg,phi_d_deg,Y_per_sr\n1,30,90,0.25\n")
+    result = xr.Dataset(
+        {name: (("theta_d", "channel"), np.ones((8, 3))) for name in ("raw", "corrected")}
+        | {"supported_angle": ("channel", [1.3] * 3)},
+        {"theta_d": np.radians(np.arange(5.0, 80.0, 10.0)), "channel": ["R", "G", "B"]},
+        {"normalised_over": [0.17, 0.79]},
+    )
+    return {
+        "image": image, "images": np.stack([image, image]), "edge": matcam.edge_mtf(image), "pictures": [image],
+        "chart": matcam.targets.design_chart(["star"]), "level": 0.5, "frequency": [0.1, 0.2], "mtf": [0.9, 0.8],
+        "theta": 0.3, "theta_o": 0.2, "lamp_angle": 0.3, "angle": 0.1, "radius": 100.0, "size": 16, "centre": (20.0, 20.0),
+        "n": 1.5, "k": 2.0, "eta": 1.5, "f0": 0.04, "f_number": 8.0, "pixel_pitch": 5e-6, "fraction": 0.1, "unit": 100.0,
+        "core": lens, "red": lens, "green": lens, "blue": lens, "fresnel": matcam.material.Constant(0.9), "power": 1.0,
+        "alpha_along": 0.1, "alpha_across": 0.3, "distance": 700.0, "blur_diameter": 2.0, "pitch": 5e-6, "full_well": 1e4,
+        "read_noise": 2.0, "seed": 1, "radiance": image / 1000, "exposures": [0.1, 1.0],
+        "sensor": matcam.Sensor(5e-6, 1e4, 2.0),
+        "sources": [source], "value": 1.0, "budgets": [matcam.UncertaintyBudget("x", 1.0, [source])], "result": result,
+        "fields": matcam.exchange.adaptive_grid(matcam.Microfacet(lobe, 0.9), square=8), "thing": result,
+        "positions": [matcam.io.LightPosition("a.tif", np.array([0.0, 0.5, 0.5]))], "source": folder / "a.csv",
+        "target": folder / "b.nc", "paths": [folder / "a.csv"], "output": folder / "out", "highlights": None,
+        "capture": folder, "covariance": np.eye(2), "names": ["a", "b"], "values": np.ones((2, 2)),
+        "noise": matcam.camera.PixelNoise(0.01, 0.0),
+    }  # fmt: skip
+
+
 def arguments(call, random, valid, anything):
     """Random arguments of a call by name: one or two wrong ones among valid ones, as far as these are known."""
     try:
@@ -95,12 +126,27 @@ def arguments(call, random, valid, anything):
 
 def outcome(call, given):
     """What becomes of a call: "result", the name of its error, and a line about a fault."""
+    is_over = False
 
     def end(number, frame):
-        raise TooLongError
+        if not is_over:
+            raise TooLongError
 
     signal.signal(signal.SIGALRM, end)
-    signal.setitimer(signal.ITIMER_REAL, SECONDS, 1)  # again: a callback of the garbage collector swallows an error
+    signal.setitimer(
+        signal.ITIMER_REAL, SECONDS, SECONDS
+    )  # again: a callback of the garbage collector swallows an error
+    try:
+        return _outcome(call, given)
+    except TooLongError:
+        is_over = True
+        return "computes", ""
+    finally:
+        is_over = True
+        signal.setitimer(signal.ITIMER_REAL, 0)
+
+
+def _outcome(call, given):
     try:
         with warnings.catch_warnings(), contextlib.redirect_stdout(io.StringIO()):
             warnings.simplefilter("ignore")
@@ -109,8 +155,6 @@ def outcome(call, given):
         return "error of the family", "" if str(error) and "\n" not in str(error) else f"message {str(error)[:60]!r}"
     except TypeError:
         return "TypeError", ""
-    except TooLongError:
-        return "computes", ""
     except Exception as error:
         place = "?"
         trace = error.__traceback__
@@ -119,17 +163,17 @@ def outcome(call, given):
                 place = f"{Path(trace.tb_frame.f_code.co_filename).name}:{trace.tb_lineno}"
             trace = trace.tb_next
         return "fault", f"{place} {type(error).__name__}: {' '.join(str(error).split())[:80]}"
-    finally:
-        signal.setitimer(signal.ITIMER_REAL, 0)
     return "result", ""
 
 
-def campaign(count, seed):
-    """Make so many calls: the tally of outcomes, and the faults as lines."""
+def campaign(count, seed, *, deep=False):
+    """Make so many calls: the tally of outcomes, and the faults as lines. deep: more of their arguments are valid."""
     random = np.random.default_rng(seed)
     tally, faults, before = collections.Counter(), [], Path.cwd()
     with tempfile.TemporaryDirectory() as folder:
         valid, anything = values(Path(folder))
+        if deep:
+            valid |= more_valid(Path(folder))
         calls = [
             (name, call) for name, call in public().items() if arguments(call, random, valid, anything) is not None
         ]
@@ -149,7 +193,9 @@ def campaign(count, seed):
 
 
 def main(arguments_):
-    tally, faults = campaign(int(arguments_[0]), int(arguments_[1]) if len(arguments_) > 1 else 0)
+    deep = "deep" in arguments_
+    count, seed, *_ = [*(int(one) for one in arguments_ if one != "deep"), 0]
+    tally, faults = campaign(count, seed, deep=deep)
     print(dict(tally))
     for line in faults:
         print(line)

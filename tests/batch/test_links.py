@@ -90,6 +90,21 @@ def test_a_run_s_zarr_that_others_made(tables, tmp_path, monkeypatch, name, chan
 
 
 @pytest.mark.filterwarnings("ignore:.*not have a Zarr V3 specification")
+def test_a_run_s_zarr_with_a_large_description(tables, tmp_path, monkeypatch):
+    """Of the whole group: the library would parse it in this process."""
+    simple.work_in_this_process(monkeypatch)
+    corrected([tables / "a.binary"], tmp_path / "out", zarr=True)
+    described = tmp_path / "out" / "run.zarr" / "zarr.json"
+    document = json.loads(described.read_text())
+    described.write_text(json.dumps(document | {"attributes": dict.fromkeys(map(str, range(300_000)), 0)}))
+    for read in (row_names, lambda store: read_row(store, 0)):
+        with pytest.raises(FileFormatError, match="values are too many"):
+            read(described.parent)
+    with pytest.raises(OutputError, match=r"^output .*is not the Zarr of a run: .*values are too many"):
+        corrected([tables], tmp_path / "out", zarr=True)
+
+
+@pytest.mark.filterwarnings("ignore:.*not have a Zarr V3 specification")
 def test_chunks_of_a_run_s_zarr_that_others_made(tables, tmp_path, monkeypatch):
     simple.work_in_this_process(monkeypatch)
     corrected([tables / "a.binary"], tmp_path / "out", zarr=True)

@@ -209,7 +209,7 @@ def test_expected_electrons_are_differentiable():
             "exposure must lie in (0, inf) e- per unit of radiance, got 0",
         ),
         (lambda: plain().expose(np.ones((2, 2)), 1.0, 0, time=-1), "time must lie in [0, inf) s, got -1"),
-        (lambda: plain().expose(np.ones((2, 2)), 1.0, -3), "seed must be a whole number >= 0"),
+        (lambda: plain().expose(np.ones((2, 2)), 1.0, -3), "seed must be a whole number in [0, 2^63)"),
         (lambda: plain().channel_map(2, 2), "this sensor has no mosaic"),
         (lambda: Camera(GaussianOptics(0.5), None, BoxLike()), "sensor must be a Sensor, got BoxLike"),
         (

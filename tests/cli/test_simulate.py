@@ -81,6 +81,7 @@ def test_a_flat_samples_table_is_the_materials_own(simulate, tmp_path):
         (("-o", "a.exr", "--sample-mm", 25), "--sample-mm sets the unit of --lamp-distance"),
         (("-o", "a.exr", "--metal", "Unobtainium"), "Unobtainium"),
         (("-o", "a.exr", "--exposure", 100), "camera with a sensor"),
+        (("--capture", "shots", "--seed", -1), "--seed must be a whole number >= 0, got -1"),
         (("-o", "a.exr", "--size", 0, 5), "--size must be (height, width)"),
         (("-o", "a.binary", "--sample", "cylinder", "--azimuth", 20), "the azimuth must be left out"),
         (("-o", "a.binary", "--preview", "a.png"), "--preview shows a picture"),

@@ -69,6 +69,18 @@ def complain(path: Path):
     raise RuntimeError("two\nlines")
 
 
+def complain_of_the_system(path: Path):
+    raise PermissionError(13, "Permission denied", "somewhere")
+
+
+def complain_as_a_library(path: Path):
+    raise OSError("Unable to open file (truncated file: eof = 96)")
+
+
+def run_out(path: Path):
+    raise MemoryError
+
+
 def pickled(path: Path):
     return {"thing": object()}
 

@@ -108,6 +108,36 @@ def test_errors_come_back_as_they_were(path, decoder, kind, text):
     one_line(error)
 
 
+@pytest.mark.parametrize("trusted", [False, True])
+@pytest.mark.parametrize(
+    ("decoder", "text"),
+    [
+        ("complain", "damaged, or not a picture: two lines"),
+        ("complain_as_a_library", "damaged, or not a picture: Unable to open file (truncated file: eof = 96)"),
+        ("complain_of_the_system", "cannot be read: Permission denied"),
+        ("refuse", "byte 7 is wrong"),
+    ],
+)
+def test_whatever_a_decoder_raises_is_one_line(path, trusted, decoder, text):
+    with reading_limits(None if trusted else Limits()), pytest.raises(FileFormatError) as error:
+        read_apart(f"{HERE}:{decoder}", path, "a picture")
+    assert str(error.value) == f"{path}: {text}"
+
+
+def test_a_trusted_file_that_fills_the_memory(path):
+    with reading_limits(None), pytest.raises(FileFormatError, match="needs more memory than there is"):
+        read_apart(f"{HERE}:run_out", path)
+
+
+@pytest.mark.parametrize("trusted", [False, True])
+def test_what_is_no_file_is_refused_before_its_decoder_is_called(path, trusted):
+    with reading_limits(None if trusted else Limits()):
+        for wrong, words in ((path.parent, "is a folder, not a picture"), (path.with_name("none"), "no such file")):
+            with pytest.raises(FileFormatError) as error:
+                read_apart(f"{HERE}:everything", wrong, "a picture", small=1 << 20)
+            assert str(error.value) == f"{wrong}: {words}"
+
+
 @pytest.mark.parametrize("alone", [False, True])
 def test_messages_name_the_file_as_it_was_given(path, alone, monkeypatch):
     """Also from a folder into which the caller went after the first file."""

@@ -79,7 +79,7 @@ def open_rows(store: Path, names: Sequence[str], sampling: Sampling) -> dict[str
             warnings.simplefilter(
                 "ignore"
             )  # text has no final specification in Zarr 3: other readers may not support it
-            _check_store(store)
+            _check_arrays(store)
             group = zarr.open_group(store, mode="a", zarr_format=3, use_consolidated=False)
             if _ROW not in group:
                 if any(True for _ in group):
@@ -89,7 +89,7 @@ def open_rows(store: Path, names: Sequence[str], sampling: Sampling) -> dict[str
             new = [name for name in names if name not in set(there)]
             if new:
                 _grow(group, [*there, *new])
-    except (OSError, KeyError, ValueError) as error:
+    except (FileFormatError, OSError, KeyError, ValueError) as error:
         raise OutputError(f"output {store} cannot be written as the Zarr of a run: {error}") from None
     return {name: StoreRow(store, row) for row, name in enumerate([*there, *new])}
 
@@ -155,21 +155,20 @@ def _bytes_of(store: Path, names: Sequence[str], row: int | None = None) -> int:
 
 
 def _check_readable(store: Path) -> None:
-    """Check that the arrays of a store are those of a run. FileFormatError."""
-    try:
-        _check_store(store)
-    except OutputError as error:
-        raise FileFormatError(f"{store}: not the Zarr of a run: {error}") from None
+    """Check that a store has the arrays of a run. FileFormatError."""
+    _check_arrays(store)
     if not is_file(store / _ROW / DESCRIPTION):
-        raise FileFormatError(f"{store}: not the Zarr of a run: it has no array {_ROW}")
+        raise FileFormatError(f"{store}: is not the Zarr of a run: it has no array {_ROW}")
 
 
-def _check_store(store: Path) -> None:
-    """Check the arrays of a store before decoding. OutputError for a store that is not from a run."""
-    for described in sorted(store.glob(f"*/{DESCRIPTION}")):
+def _check_arrays(store: Path) -> None:
+    """Check the arrays of a store before decoding. FileFormatError for a store that is not from a run."""
+    for described in sorted([*store.glob(DESCRIPTION), *store.glob(f"*/{DESCRIPTION}")]):
         name = described.parent.name
         try:
-            document = read_json(described, "an array of a run's Zarr")
+            document = read_json(described, "a description of a run's Zarr")
+            if described.parent == store:
+                continue  # the group's own, whose attributes are read apart
             check_codecs(store, name, document)
             shape, chunks, kind = tuple(document["shape"]), chunk_shape(document), document["data_type"]
             check_lengths(store, name, shape)
@@ -187,7 +186,7 @@ def _check_store(store: Path) -> None:
             if (shape[1:], chunks, kind) != expected:
                 raise FileFormatError(f"{described}: {shape} values of {kind!r:.20} in chunks of {chunks}")
         except (FileFormatError, KeyError, TypeError, IndexError) as error:
-            raise OutputError(f"output {store} is not the Zarr of a run: {error}") from None
+            raise FileFormatError(f"{store}: is not the Zarr of a run: {error}") from None
 
 
 def _create_arrays(group: Any, sampling: Sampling) -> None:

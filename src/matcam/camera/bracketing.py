@@ -106,6 +106,7 @@ def merge_bracket(
         1.0
     """
     exposures, times = _exposures_and_times(exposures, times)
+    checks.instance("sensor", sensor, Sensor)
     pictures = checks.numbers("pictures", pictures)
     if pictures.shape[:1] != (len(exposures),) or pictures.ndim not in (3, 4):
         raise ArgumentError(

@@ -196,10 +196,10 @@ class Camera(Module, Summarised):
             values: new values by name, in the units of the names.
 
         Raises:
-            ArgumentError: the camera has no such parameter.
+            ArgumentError: `values` is no dict, or the camera has no such parameter.
         """
         known = self.parameters()
-        for name in values:
+        for name in checks.instance("values", values, dict):
             if name not in known:
                 raise ArgumentError(f"this camera has no parameter {name!r}; it has {', '.join(sorted(known))}")
         camera = self

@@ -72,8 +72,10 @@ class Uncertainty(Module):
             std: standard deviation by name, in the unit of the name, >= 0.
 
         Raises:
-            ArgumentError: a standard deviation is negative or not finite.
+            ArgumentError: `std` is no mapping, or a standard deviation is negative or not finite.
         """
+        if not isinstance(std, Mapping):
+            raise ArgumentError(f"std must be standard deviations by name, got {' '.join(repr(std).split())[:60]}")
         for name, value in std.items():
             checks.within(f"standard deviation of {name}", value, 0, np.inf, open_high=True)
         return cls(std.keys(), np.diag([float(s) ** 2 for s in std.values()]))

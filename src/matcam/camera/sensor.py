@@ -30,6 +30,8 @@ _CHANNELS = "RGB"
 _DEEPEST = 32  # bits
 _OFFSETS = 2
 """Index of the pattern of offsets; the patterns of sensitivity and dark current are the first two."""
+_SEEDS = 1 << 63
+"""Number of seeds: JAX takes a seed as a signed integer of 64 bits."""
 
 if TYPE_CHECKING:
     Seed = int | jax.Array
@@ -314,6 +316,6 @@ def random_key(seed: Seed) -> jax.Array:
 
     if isinstance(seed, jax.Array) and jax.numpy.issubdtype(seed.dtype, jax.dtypes.prng_key):
         return seed
-    if not isinstance(seed, int | np.integer) or isinstance(seed, bool) or seed < 0:
-        raise ArgumentError(f"seed must be a whole number >= 0 or a key of jax.random, got {seed!r:.60}")
+    if not isinstance(seed, int | np.integer) or isinstance(seed, bool) or not 0 <= seed < _SEEDS:
+        raise ArgumentError(f"seed must be a whole number in [0, 2^63) or a key of jax.random, got {seed!r:.60}")
     return jax.random.key(int(seed))

@@ -371,6 +371,6 @@ def _in_unit(message: str) -> str:
         why = f" ({why})" if why and not why[0].isdigit() else ""  # digits: example of 550 nm in m
         return f"must lie in {found[1]}{low}, {high}{found[4]} {unit}{why}, got {value}"
 
-    number = r"[-+\d.einf]+"
+    number = r"(?:nan|[-+\d.einf]+)"
     pattern = rf"must lie in ([\[(])({number}), ({number})([\])]) (?:rad|m)\b(?: \(([^)]*)\))?, got ({number})"
     return re.sub(pattern, converted, message)

@@ -44,6 +44,11 @@ class FitError(MatcamError):
     """Data that do not determine the requested result."""
 
 
+def one_line(error: Exception) -> str:
+    """Return a library's complaint as one line, cut short."""
+    return " ".join(str(error).split())[:120] or type(error).__name__
+
+
 def unknown_name(kind: str, name: object, known: Iterable[str]) -> ArgumentError:
     """Return the error for a `name` that is not in `known`, with the nearest name as suggestion."""
     known = sorted(known)

@@ -18,13 +18,12 @@ import numpy as np
 import xarray as xr
 
 from matcam.core import checks
-from matcam.core.errors import ArgumentError, FileFormatError
-from matcam.core.io import reading, replacing, uninterrupted
+from matcam.core.errors import ArgumentError, FileFormatError, one_line
+from matcam.core.io import replacing, uninterrupted
 from matcam.core.readers.apart import read_apart
 from matcam.core.readers.names import is_folder
-from matcam.files.decoders import DESCRIPTION, check_stored_sizes, one_line
+from matcam.files.decoders import DESCRIPTION, check_stored_sizes
 
-_HDF5 = b"\x89HDF\r\n\x1a\n"
 _DEFLATE = {"zlib": True, "complevel": 1, "shuffle": True}
 
 
@@ -125,12 +124,7 @@ def read_netcdf(path: str | Path) -> xr.Dataset:
         array([1., 2.])
     """
     path = Path(path)
-    with reading(path, "a NetCDF-4 file"):
-        with path.open("rb") as file:
-            start = file.read(len(_HDF5))
-        if start != _HDF5:
-            raise FileFormatError(f"{path}: not a NetCDF-4 file")
-    stored = read_apart("matcam.files.decoders:decode_netcdf", path, libraries=("h5py", "h5netcdf"))
+    stored = read_apart("matcam.files.decoders:decode_netcdf", path, "a NetCDF-4 file", libraries=("h5py", "h5netcdf"))
     try:
         return xr.decode_cf(xr.Dataset(_variables(stored), attrs=stored["attrs"]))
     except Exception as error:  # inconsistent labels
@@ -196,14 +190,9 @@ def read_zarr(path: str | Path) -> xr.Dataset:
     from xarray.backends.zarr import FillValueCoder
 
     path = Path(path)
-    with reading(path):
-        if is_folder(path):
-            raise FileFormatError(f"{path}: is a folder; a Zarr in one zip file is read (zip -0 -r a.zarr.zip .)")
-    stored = read_apart(
-        "matcam.files.decoders:decode_zarr",
-        path,
-        libraries=("zarr.storage",),
-    )
+    if is_folder(path):
+        raise FileFormatError(f"{path}: is a folder; a Zarr in one zip file is read (zip -0 -r a.zarr.zip .)")
+    stored = read_apart("matcam.files.decoders:decode_zarr", path, "a Zarr in a zip file", libraries=("zarr.storage",))
     try:
         for variable in stored["variables"].values():
             if isinstance(fill := variable["attrs"].get("_FillValue"), str):  # base64 of its bytes, as xarray writes it

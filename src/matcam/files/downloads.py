@@ -17,7 +17,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from matcam.core.errors import DownloadError, unknown_name
+from matcam.core.errors import DownloadError, one_line, unknown_name
 from matcam.core.io import reading, replacing
 from matcam.core.readers.names import is_file
 
@@ -116,9 +116,9 @@ def _pieces(source: str, material: str) -> Generator[bytes]:
     except zipfile.BadZipFile:
         raise DownloadError(f"{material}: {source} is not a zip archive, or is damaged") from None
     except (requests.RequestException, urllib3.exceptions.HTTPError) as error:
-        raise DownloadError(f"{material}: cannot be fetched from {source}: {_one_line(error)}") from None
+        raise DownloadError(f"{material}: cannot be fetched from {source}: {one_line(error)}") from None
     except (EOFError, zlib.error, ValueError, OverflowError, struct.error, NotImplementedError, RuntimeError) as error:
-        raise DownloadError(f"{material}: cannot be fetched from {source}: {_one_line(error)}: damaged") from None
+        raise DownloadError(f"{material}: cannot be fetched from {source}: {one_line(error)}: damaged") from None
 
 
 def _limited(pieces: Iterable[bytes], source: str) -> Iterator[bytes]:
@@ -238,7 +238,3 @@ class _RemoteFile(io.RawIOBase):
         found, self._waiting = self._waiting[:size], self._waiting[size:]
         self._stream_at += len(found)
         return found
-
-
-def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split())[:200] or type(error).__name__

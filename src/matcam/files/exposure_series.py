@@ -97,7 +97,6 @@ def read_exposure_series(path: str | Path) -> ExposureSeries:
     path = Path(path)
     with reading(path):
         folder = is_folder(path)
-        path.stat()
     if not folder:
         return _described(path)
     texts = [one for one in sorted(path.glob("*.txt")) if _is_descriptor(one)]

@@ -67,12 +67,6 @@ def as_float32(picture: ArrayLike) -> np.ndarray:
     return stored
 
 
-def file_size(path: Path) -> int:
-    """Return the size of a file in bytes; FileFormatError without a readable file."""
-    with reading(path, "a picture"):
-        return path.stat().st_size
-
-
 def write_float_tiff(path: str | Path, picture: ArrayLike, *, force: bool = False) -> None:
     """Write a picture as a TIFF file of 32-bit floats.
 
@@ -128,10 +122,8 @@ def read_float_tiff(path: str | Path) -> np.ndarray:
         array([0.25, 0.25, 0.25], dtype=float32)
     """
     path = Path(path)
-    file_size(path)
-    return read_apart(
-        f"{_DECODERS}:decode_float_tiff", path, libraries=("tifffile", "imagecodecs._zlib"), there=picture_memory()
-    )
+    libraries = ("tifffile", "imagecodecs._zlib")
+    return read_apart(f"{_DECODERS}:decode_float_tiff", path, "a picture", libraries=libraries, there=picture_memory())
 
 
 class _Skeleton(NamedTuple):
@@ -219,7 +211,9 @@ def read_exr(path: str | Path) -> np.ndarray:
     path = Path(path)
     skeleton = _checked_skeleton(path)
     check_memory(path, skeleton.height, skeleton.width, len(skeleton.channels), 4, picture_memory())
-    stored = read_apart(f"{_DECODERS}:decode_exr", path, libraries=("OpenEXR",), channels=skeleton.channels)
+    stored = read_apart(
+        f"{_DECODERS}:decode_exr", path, "a picture", libraries=("OpenEXR",), channels=skeleton.channels
+    )
     planes = [stored[name] for name in skeleton.channels]
     if any(p.shape != (skeleton.height, skeleton.width) or p.dtype != np.float32 for p in planes):
         raise FileFormatError(f"{path}: damaged OpenEXR file: its channels differ from its header")
@@ -234,9 +228,9 @@ def _names(channels: int | None) -> tuple[str, ...]:
 
 
 def _checked_skeleton(path: Path) -> _Skeleton:
-    size = file_size(path)
     try:
-        with reading(path), path.open("rb") as file:
+        with reading(path, "a picture"), path.open("rb") as file:
+            size = path.stat().st_size
             head = file.read(min(size, _LONGEST_HEADER))
             if len(head) < 8 or struct.unpack_from("<i", head)[0] != _MAGIC:
                 raise FileFormatError(f"{path}: not an OpenEXR file")

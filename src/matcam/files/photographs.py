@@ -56,7 +56,7 @@ def read_raw(path: str | Path, region: tuple[int, int, int, int] | None = None) 
     there = _memory_for(path)
     if importlib.util.find_spec("rawpy") is None:
         raise FileFormatError(f"{path}: camera raw needs rawpy: python -m pip install 'matcam[raw]'")
-    found = read_apart(f"{_DECODERS}:decode_raw", path, libraries=("rawpy",), there=there, region=region)
+    found = read_apart(f"{_DECODERS}:decode_raw", path, "a picture", libraries=("rawpy",), there=there, region=region)
     return Mosaic(found["values"], found["cfa"], found["saturation"])
 
 
@@ -86,13 +86,12 @@ def open_photograph(path: str | Path, region: tuple[int, int, int, int] | None =
     large for the memory.
     """
     path = Path(path)
-    with reading(path, "a picture"):
+    with reading(path, "a picture"), path.open("rb") as file:
+        start = file.read(len(_EXR))
         exif = read_exif(path)
     if exif.dng or (path.suffix.lower() in SUFFIXES and is_file(path)):
         mosaic = read_raw(path, region)
         return Photograph(mosaic.values, mosaic.cfa, mosaic.saturation, True, exif)
-    with reading(path), path.open("rb") as file:
-        start = file.read(len(_EXR))
     values = cut(_read_exr(path), region, path) if start == _EXR else read_photograph(path, region)
     whole = values.dtype.kind in "ui"
     return Photograph(values, None, float(np.iinfo(values.dtype).max) if whole else np.inf, not whole, exif)
@@ -105,7 +104,9 @@ def read_photograph(path: str | Path, region: tuple[int, int, int, int] | None =
     """
     path = Path(path)
     there = _memory_for(path)
-    return read_apart(f"{_DECODERS}:decode_photograph", path, libraries=_LIBRARIES, there=there, region=region)
+    return read_apart(
+        f"{_DECODERS}:decode_photograph", path, "a picture", libraries=_LIBRARIES, there=there, region=region
+    )
 
 
 def _read_exr(path: Path) -> np.ndarray:

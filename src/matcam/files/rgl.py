@@ -31,7 +31,7 @@ import xarray as xr
 
 from matcam.core.errors import ArgumentError, FileFormatError
 from matcam.core.grid import check_unit
-from matcam.core.io import reading, replacing
+from matcam.core.io import replacing
 from matcam.core.readers.apart import read_apart
 from matcam.core.readers.texts import SMALL_TEXT
 from matcam.files.table_decoders import RGL_MAGIC, RGL_TYPES, RGL_VERSION
@@ -95,8 +95,7 @@ def read_rgl(path: str | Path) -> xr.Dataset:
         ['description', 'jacobian', 'luminance', 'ndf']
     """
     path = Path(path)
-    with reading(path, "an RGL file"):
-        fields = read_apart("matcam.files.table_decoders:decode_rgl", path, small=SMALL_TEXT)
+    fields = read_apart("matcam.files.table_decoders:decode_rgl", path, "an RGL file", small=SMALL_TEXT)
     try:
         return _checked(fields).assign_attrs(source=path.name)
     except ArgumentError as error:

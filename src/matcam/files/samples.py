@@ -27,7 +27,7 @@ from matcam.core.grid import (
     in_order,
     merl_grid,
 )
-from matcam.core.io import reading, replacing
+from matcam.core.io import replacing
 from matcam.core.readers.apart import read_apart
 from matcam.core.readers.texts import SMALL_TEXT
 from matcam.core.results.labelled import named
@@ -163,8 +163,8 @@ def read_samples(path: str | Path) -> xr.DataArray:
         (array([[0.25]]), array([0.5236]))
     """
     path = Path(path)
-    with reading(path, "a CSV file"):
-        stored = read_apart("matcam.files.table_decoders:decode_csv", path, libraries=("pandas",), small=SMALL_TEXT)
+    decoder = "matcam.files.table_decoders:decode_csv"
+    stored = read_apart(decoder, path, "a CSV file", libraries=("pandas",), small=SMALL_TEXT)
     names, scale, values = stored["names"], stored["scale"], stored["values"]
     columns = {name: values[:, k] * scale[k] for k, name in enumerate(names)}
     angles = _PAIR if set(_PAIR) <= set(names) else _HALF

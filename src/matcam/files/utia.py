@@ -11,7 +11,6 @@ import numpy as np
 import xarray as xr
 
 from matcam.core.grid import CHANNELS
-from matcam.core.io import reading
 from matcam.core.readers.apart import read_apart
 from matcam.core.results.labelled import named
 from matcam.files.table_decoders import UTIA_SHAPE
@@ -44,8 +43,7 @@ def read_utia(path: str | Path) -> xr.Dataset:
         (6, 48, 6, 48, 3)
     """
     path = Path(path)
-    with reading(path, "a BRDF of UTIA"):
-        values = read_apart("matcam.files.table_decoders:decode_utia", path)
+    values = read_apart("matcam.files.table_decoders:decode_utia", path, "a BRDF of UTIA")
     polar, azimuth = np.arange(UTIA_SHAPE[1]) * _STEP, np.arange(UTIA_SHAPE[2]) * 2 * np.pi / UTIA_SHAPE[2]
     dims = ("theta_i", "phi_i", "theta_o", "phi_o", "channel")
     angles = {name: (name, polar if "theta" in name else azimuth, {"units": "rad"}) for name in dims[:4]}

@@ -16,7 +16,6 @@ import numpy as np
 import xarray as xr
 
 from matcam.core.grid import half_and_difference
-from matcam.core.io import reading
 from matcam.core.readers.apart import read_apart
 from matcam.core.readers.texts import SMALL_TEXT
 from matcam.files.samples import samples_from
@@ -45,8 +44,7 @@ def read_zemax(path: str | Path) -> xr.DataArray:
         matcam.core.errors.FileFormatError: no-such-file.bsdf: no such file
     """
     path = Path(path)
-    with reading(path, "a BSDF of Zemax"):
-        stored = read_apart("matcam.files.zemax_decoder:decode_zemax", path, small=SMALL_TEXT)
+    stored = read_apart("matcam.files.zemax_decoder:decode_zemax", path, "a BSDF of Zemax", small=SMALL_TEXT)
     names, values = stored["names"], stored["values"]
     incidence, azimuth, radial = (np.radians(stored[name]) for name in AXES[1:])
     theta_i, phi, r = np.meshgrid(incidence, azimuth, radial, indexing="ij")

@@ -96,8 +96,11 @@ def picture(
     if error is not None:
         error = float(checks.within("error", error, 1e-6, 0.1, "of the picture's peak"))
     view = view_of(material, rig, (lamp_angle, azimuth), shape, error)
-    if any(shift):
-        right, down = (float(checks.within(f"shift[{k}]", one, -1e4, 1e4, "px")) for k, one in enumerate(shift))
+    offset = np.asarray(checks.within("shift", shift, -1e4, 1e4, "px"))
+    if offset.shape != (2,):
+        raise ArgumentError(f"shift must be two numbers, columns to the right and rows down, got shape {offset.shape}")
+    right, down = offset.tolist()
+    if right or down:
         view = view._replace(x=view.x - right, y=view.y + down)
     raw = _raw_conversion(rig.camera.sensor, exposure, seed, time)
     error = None if view.lens is not None else error

@@ -348,7 +348,7 @@ def with_pixel_noise(table: xr.DataArray, rig: Rig, noise: PixelNoise, seed: int
     checks.instance("rig", rig, Rig)
     if not isinstance(rig.sample, Sphere | Cylinder):
         raise ArgumentError(f"a noisy table needs a rig with a Sphere or Cylinder, not a {type(rig.sample).__name__}")
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(checks.whole_number("seed", seed, 0))
     sampling = sampling_of(checked_table(table))
     phase = rig.pixel_phase
     on_line = isinstance(rig.sample, Cylinder)

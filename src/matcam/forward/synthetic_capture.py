@@ -19,6 +19,7 @@ import numpy as np
 from matcam.camera.camera import Camera
 from matcam.camera.optics.optics import checked_isotropic
 from matcam.camera.sensor import Sensor
+from matcam.core import checks
 from matcam.core.errors import ArgumentError, OutputError
 from matcam.core.io import check_output_folder, replacing, write_json
 from matcam.core.readers.names import is_folder
@@ -112,9 +113,11 @@ def simulate_capture(
         The truth, as in truth.json.
 
     Raises:
-        ArgumentError: the rig has no sensor, its sample cannot be simulated, or the plan is out of range.
+        ArgumentError: `seed` is no whole number from 0, the rig has no sensor, its sample cannot be simulated, or the plan is
+            out of range.
         OutputError: a file exists and `force` is False, or cannot be written.
     """
+    checks.whole_number("seed", seed, 0)
     sensor = _sensor(rig)
     sample = synthetic_sample(rig, plan.shape, seed)
     shape = sample.shape

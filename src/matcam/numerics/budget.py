@@ -14,6 +14,7 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
+from matcam.core import checks
 from matcam.core.errors import ArgumentError
 from matcam.core.io import check_output, plain, write_columns, write_json
 
@@ -82,18 +83,13 @@ class UncertaintyBudget:
         sources: Sequence[UncertaintySource],
         correlation: Sequence[Sequence[float]] | None = None,
     ):
-        self.name, self.value, self.sources = name, float(value), tuple(sources)
+        self.name = checks.instance("name", name, str)
+        self.value = float(checks.scalar("value", checks.numbers("value", value)))
+        self.sources = tuple(_checked(one) for one in checks.instances("sources", sources, UncertaintySource))
         n = len(self.sources)
         if not n:
-            raise ArgumentError(f"the budget of {name} needs at least one source")
-        for one in self.sources:
-            if not (one.uncertainty >= 0 and math.isfinite(one.uncertainty) and math.isfinite(one.sensitivity)):
-                raise ArgumentError(
-                    f"source {one.name} must have a finite uncertainty of at least 0, got {one.uncertainty}"
-                )
-            if not one.degrees > 0:
-                raise ArgumentError(f"source {one.name} must have degrees of freedom above 0, got {one.degrees}")
-        matrix = np.eye(n) if correlation is None else np.asarray(correlation, np.float64)
+            raise ArgumentError(f"the budget of {name!r:.60} needs at least one source")
+        matrix = np.eye(n) if correlation is None else np.asarray(checks.number("correlation", correlation))
         if matrix.shape != (n, n):
             raise ArgumentError(f"correlation of {n} sources must have shape ({n}, {n}), got {matrix.shape}")
         wrong = np.abs(matrix - matrix.T).max() > 1e-9 or np.abs(np.diag(matrix) - 1).max() > 1e-9
@@ -117,9 +113,10 @@ class UncertaintyBudget:
             sources: their sensitivities are replaced by numerical ones.
             correlation: of the sources, (n, n). Default: None, independent.
         """
-        values = [one.value for one in sources]
+        given = checks.instances("sources", sources, UncertaintySource)
+        values = [one.value for one in given]
         found = []
-        for i, one in enumerate(sources):
+        for i, one in enumerate(given):
             step = _STEP * one.uncertainty
             high, low = (function(*[v + sign * step * (j == i) for j, v in enumerate(values)]) for sign in (1, -1))
             found.append(one._replace(sensitivity=(high - low) / (2 * step) if step else 0.0))
@@ -204,6 +201,20 @@ class UncertaintyBudget:
         return rows
 
 
+def _checked(source: UncertaintySource) -> UncertaintySource:
+    """Check that the numbers of a source are single and in their ranges. ArgumentError."""
+    name = f"of source {checks.instance('name of a source', source.name, str)!r:.60}"
+    numbers = {
+        "value": checks.numbers(f"value {name}", source.value),
+        "uncertainty": checks.within(f"uncertainty {name}", source.uncertainty, 0, math.inf, open_high=True),
+        "sensitivity": checks.number(f"sensitivity {name}", source.sensitivity),
+        "degrees of freedom": checks.within(f"degrees of freedom {name}", source.degrees, 0, math.inf, open_low=True),
+    }
+    for what, value in numbers.items():
+        checks.scalar(f"{what} {name}", value)
+    return source
+
+
 def write_budgets(path: str | Path, budgets: Sequence[UncertaintyBudget], *, force: bool = False) -> None:
     """Write the budgets of some results.
 
@@ -226,6 +237,7 @@ def write_budgets(path: str | Path, budgets: Sequence[UncertaintyBudget], *, for
         '"length, m",B,1,0.001,1,0.001,inf'
     """
     _check_name(path)
+    budgets = checks.instances("budgets", budgets, UncertaintyBudget)
     if Path(path).suffix.lower() == ".json":
         write_json(path, {"budgets": [one.to_dict() for one in budgets]}, force=force)
         return

@@ -22,6 +22,9 @@ from matcam.sample.shape import (
     is_infinite,
 )
 
+_LARGEST = 1e100
+"""Largest radius, px. Sums of its square and of those of blurs are finite in float64."""
+
 if TYPE_CHECKING:
     from jax.typing import ArrayLike
 
@@ -34,9 +37,9 @@ class Sphere(Curved):
     u and v are longitude and latitude of its normal about the y axis.
 
     Args:
-        radius: of its limb in the picture, px, positive.
-        distance: of the camera from its centre, in radii of the sphere, above 1. Default: infinite, an orthographic
-            camera. Specify it for cameras within some hundred radii: a near camera sees less than half the sphere.
+        radius: of its limb in the picture, in (0, 1e100] px.
+        distance: of the camera from its centre, in radii of the sphere, above 1. Default: infinite, an orthographic camera.
+            Give it where the camera is closer than some hundred radii: a near camera sees less than half the sphere.
 
     Raises:
         ArgumentError: a parameter is out of range, or not a single number.
@@ -55,7 +58,7 @@ class Sphere(Curved):
     distant: bool = static_field()
 
     def __init__(self, radius: ArrayLike, distance: ArrayLike = np.inf):
-        self.radius = checks.scalar("radius", checks.positive("radius", radius, "px"))
+        self.radius = checks.scalar("radius", checks.within("radius", radius, 0, _LARGEST, "px", open_low=True))
         self.distance = checked_distance(distance)
         self.distant = is_infinite(distance)
 
@@ -222,7 +225,7 @@ class Cylinder(Curved):
     runs around it.
 
     Args:
-        radius: half the width of its picture, px, positive.
+        radius: half the width of its picture, in (0, 1e100] px.
         distance: of the camera from its axis, in radii of the cylinder, above 1. Default: infinite, an orthographic camera.
 
     Raises:
@@ -242,7 +245,7 @@ class Cylinder(Curved):
     distant: bool = static_field()
 
     def __init__(self, radius: ArrayLike, distance: ArrayLike = np.inf):
-        self.radius = checks.scalar("radius", checks.positive("radius", radius, "px"))
+        self.radius = checks.scalar("radius", checks.within("radius", radius, 0, _LARGEST, "px", open_low=True))
         self.distance = checked_distance(distance)
         self.distant = is_infinite(distance)
 

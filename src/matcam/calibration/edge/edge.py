@@ -326,8 +326,7 @@ def _stacked(images: ArrayLike | Sequence[LinearImage]) -> tuple[np.ndarray, np.
             raise ArgumentError(f"images must be regions of one shape, none of them of a mosaic, got {shapes:.100}")
         values, corners = np.stack([plane.values for plane in planes]), np.array([plane.corner for plane in planes])
     else:
-        checks.not_masked("images", images)
-        values = np.asarray(images)
+        values = checks.plain_array("images", images)
         corners = np.zeros((len(values) if values.ndim else 0, 2), int)
     if values.dtype.kind not in "uif" or values.ndim != 3 or min(values.shape[1:]) < SMALLEST or not len(values):
         raise ArgumentError(

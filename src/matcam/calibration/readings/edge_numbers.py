@@ -48,7 +48,7 @@ def level_frequency(edge: EdgeMTF, level: float) -> EdgeNumber:
         Lowest such frequency and its standard deviation, cycles/px; NaN where the MTF does not fall so far.
 
     Raises:
-        ArgumentError: `level` is out of range.
+        ArgumentError: `edge` is no result of `edge_mtf`, or `level` is out of range.
 
     Example:
         >>> y, x = np.mgrid[-80:80, -40:40]
@@ -57,6 +57,7 @@ def level_frequency(edge: EdgeMTF, level: float) -> EdgeNumber:
         >>> round(found.value, 2)
         0.46
     """
+    checks.instance("edge", edge, EdgeMTF)
     checks.scalar("level", checks.within("level", level, 0, 1, open_low=True, open_high=True))
     if level == LEVELS[0]:
         return EdgeNumber(edge.mtf50, edge.mtf50_std)

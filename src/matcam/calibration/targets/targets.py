@@ -17,6 +17,7 @@ from matcam.calibration.targets.gratings import grating_mtf
 from matcam.calibration.targets.grid import DotGrid, dot_grid
 from matcam.calibration.targets.mtf_samples import MTFSamples
 from matcam.calibration.targets.star import star_mtf
+from matcam.core import checks
 from matcam.core.errors import FitError
 from matcam.core.remark import Remark, texts
 from matcam.files.photographs import Photograph
@@ -110,6 +111,8 @@ def measure_targets(
         >>> found.samples[0].source, found.problems
         ('a.png: dots 11', ())
     """
+    checks.instance("chart", chart, Chart)
+    checks.instance("source", source, str)
     picture = LinearImage.of(image, channel, cfa, tone)
     f_number = picture.f_number if f_number is None else f_number
     source = source or picture.source

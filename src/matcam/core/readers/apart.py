@@ -38,7 +38,7 @@ from matcam.core.errors import FileFormatError
 from matcam.core.io import reading
 from matcam.core.memory import available_memory
 from matcam.core.readers.answers import read_answer
-from matcam.core.readers.serving import called
+from matcam.core.readers.serving import called, decoded
 from matcam.core.threads import ONE_BLAS_THREAD
 
 _SECONDS, _BYTES_A_SECOND = 2.0, 5e6
@@ -95,6 +95,7 @@ def start_reader(modules: Sequence[str]) -> None:
 def read_apart(
     decoder: str,
     path: Path,
+    what: str = "",
     *,
     libraries: tuple[str, ...] = (),
     small: int = 0,
@@ -103,30 +104,34 @@ def read_apart(
 ) -> Any:
     """Call `decoder` ("package.module:function") on a file in a separate process.
 
-    libraries: modules that the decoder imports. small: size of a file, bytes, up to which the decoder is called in this
-    process, for decoders whose cost is bounded by the size. size: bytes for the limits. Default: None, the size of the
-    file; required if `path` is a folder.
+    what: what the file should be, such as "a picture"; "": it may be a folder.
+    libraries: modules that the decoder imports.
+    small: size of a file, bytes, up to which the decoder is called in this process, for decoders whose cost is bounded by the
+        size.
+    size: bytes for the limits. Default: None, the size of the file; required if `path` is a folder.
 
-    The answer may consist of None, truth values, numbers, text, lists, dicts with text keys, and NumPy arrays.
-    FileFormatError that names the file if it exceeds a limit or crashes its decoder; errors of the decoder are passed
-    on.
+    The answer may consist of None, truth values, numbers, text, lists, dicts with text keys, and NumPy arrays. FileFormatError,
+    naming the file, where it is missing, exceeds a limit, or its decoder crashes or raises anything but an error of the family,
+    which is raised as it is.
     """
     limits = _limits.get()
     module, name = decoder.split(":")
     if limits is None:
-        return called(module, name, path, options)
-    if size is None:
-        with reading(path):
-            size = path.stat().st_size
-    if small and size <= small:
-        return called(module, name, path, options)
+        try:
+            return decoded(module, name, path, options, what)
+        except MemoryError:
+            raise FileFormatError(f"{path}: reading needs more memory than there is") from None
+    with reading(path, what):
+        size = path.stat().st_size if size is None else size
+        if small and size <= small:
+            return called(module, name, path, options)
     seconds = _SECONDS + size / _BYTES_A_SECOND if limits.seconds is None else limits.seconds
     wall = _PATIENCE * seconds if limits.wall is None else limits.wall
     # at most half: this process will contain the answer, too, and process it
     allowed = min(_SPARE_MEMORY + _TIMES_THE_FILE * size, available_memory() // 2)
     memory = allowed if limits.memory is None else limits.memory
     folder = path.anchor or str(Path.cwd())
-    request = {"module": module, "name": name, "path": str(path), "folder": folder, "options": options,
+    request = {"module": module, "name": name, "path": str(path), "folder": folder, "options": options, "what": what,
                "seconds": seconds, "wall": wall, "memory": memory, "libraries": libraries}  # fmt: skip
     for _ in range(_ATTEMPTS):
         try:

@@ -18,6 +18,8 @@ from typing import Any
 import numpy as np
 
 from matcam.core import errors
+from matcam.core.errors import FileFormatError, one_line
+from matcam.core.io import reading
 from matcam.core.readers.answers import packed, write_answer
 
 _THREAD_STACK, _FREE_THREADS = 8 << 20, 16
@@ -29,13 +31,27 @@ def called(module: str, name: str, path: Path, options: dict[str, Any]) -> Any:
     return getattr(importlib.import_module(module), name)(path, **options)
 
 
+def decoded(module: str, name: str, path: Path, options: dict[str, Any], what: str) -> Any:
+    """Call a decoder that may raise anything on a damaged file: FileFormatError then names the file in one line."""
+    with reading(path, what):
+        try:
+            return called(module, name, path, options)
+        except (errors.MatcamError, MemoryError):
+            raise
+        except Exception as error:
+            if isinstance(error, OSError) and error.errno:  # the system's own, and not a library's
+                raise
+            raise FileFormatError(f"{path}: damaged{what and ', or not '}{what}: {one_line(error)}") from None
+
+
 def _serve(request: dict[str, Any], write: Callable[[Any], Any]) -> None:
     """Decode one file under its limits, and write the answer."""
     _limit(request["seconds"], request["wall"], request["memory"])
     arrays: list[np.ndarray] = []
     try:
         os.chdir(request["folder"])  # the path as the caller gave it, for messages
-        answer = called(request["module"], request["name"], Path(request["path"]), request["options"])
+        path = Path(request["path"])
+        answer = decoded(request["module"], request["name"], path, request["options"], request["what"])
         message = {"answer": packed(answer, arrays)}
     except errors.MatcamError as error:
         message, arrays = {"error": type(error).__name__, "text": str(error)}, []
@@ -43,7 +59,7 @@ def _serve(request: dict[str, Any], write: Callable[[Any], Any]) -> None:
         text = f"{request['path']}: reading needs more than {request['memory'] / 2**20:.0f} MiB"
         message, arrays = {"error": "FileFormatError", "text": text}, []
     except Exception as error:
-        text = f"{request['path']}: damaged: {' '.join(str(error).split())[:120] or type(error).__name__}"
+        text = f"{request['path']}: damaged: {one_line(error)}"  # its answer cannot be packed
         message, arrays = {"error": "FileFormatError", "text": text}, []
     write_answer(write, message, arrays)
 

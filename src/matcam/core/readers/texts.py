@@ -46,7 +46,7 @@ def read_json(path: str | Path, what: str) -> Any:
     FileFormatError that names the file if it is not JSON, or has more than 16 MiB or 250,000 values.
     """
     path = Path(path)
-    content = read_apart(f"{__name__}:decode_json", path, small=SMALL_TEXT, what=what)
+    content = read_apart(f"{__name__}:decode_json", path, what, small=SMALL_TEXT, title=what)
     return json.loads(content.tobytes())
 
 
@@ -71,33 +71,31 @@ def read_lines(path: str | Path, what: str) -> list[str]:
 
     FileFormatError that names the file if it has more than 4 MiB, 100,000 lines, or 1000 characters in a line.
     """
-    content = read_apart(f"{__name__}:decode_lines", Path(path), small=SMALL_TEXT, what=what)
+    content = read_apart(f"{__name__}:decode_lines", Path(path), what, small=SMALL_TEXT, title=what)
     text = content.tobytes().decode("utf-8-sig", "replace")
     return text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
 
 
-def decode_json(path: Path, *, what: str) -> np.ndarray:
+def decode_json(path: Path, *, title: str) -> np.ndarray:
     """Read the bytes of a JSON document, and parse them once to find what is wrong with it."""
 
     def refuse(constant: str) -> None:
         raise ValueError(f"{constant} is not a number")
 
-    with reading(path, what):
-        content = _bytes_of(path, what, _LARGEST_JSON)
+    content = _bytes_of(path, title, _LARGEST_JSON)
     values = content.count(b",") + content.count(b"[") + content.count(b"{")
     if values > _MOST_VALUES:
-        raise FileFormatError(f"{path}: {values} values are too many for {what}")
+        raise FileFormatError(f"{path}: {values} values are too many for {title}")
     try:
         json.loads(content.decode("utf-8"), parse_constant=refuse)
     except (ValueError, RecursionError) as error:
-        raise FileFormatError(f"{path}: not {what}: {error}") from None
+        raise FileFormatError(f"{path}: not {title}: {error}") from None
     return np.frombuffer(content, np.uint8)
 
 
-def decode_lines(path: Path, *, what: str) -> np.ndarray:
+def decode_lines(path: Path, *, title: str) -> np.ndarray:
     """Read the bytes of a text whose lines are within their limits."""
-    with reading(path, what):
-        return np.frombuffer(_checked_text(path, what, _LARGEST_LINES), np.uint8)
+    return np.frombuffer(_checked_text(path, title, _LARGEST_LINES), np.uint8)
 
 
 def _bytes_of(path: Path, what: str, largest: int) -> bytes:
