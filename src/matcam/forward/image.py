@@ -96,7 +96,7 @@ def picture(
     if error is not None:
         error = float(checks.within("error", error, 1e-6, 0.1, "of the picture's peak"))
     view = view_of(material, rig, (lamp_angle, azimuth), shape, error)
-    offset = np.asarray(checks.within("shift", shift, -1e4, 1e4, "px"))
+    offset = np.asarray(checks.within("shift", shift, -1e4, 1e4, "px"))  # type: ignore[arg-type]
     if offset.shape != (2,):
         raise ArgumentError(f"shift must be two numbers, columns to the right and rows down, got shape {offset.shape}")
     right, down = offset.tolist()
