@@ -204,7 +204,15 @@ class FitSetup:
         return self._result(go_on(self._vector(start), weight, before.noise))
 
     def tempered(self, found: MaterialFit, kappa: float) -> MaterialFit:
-        """Return a fit by this setup whose errors are those of a likelihood to the power of kappa."""
+        """Widen the errors of a fit for misfit that neighbouring cells share.
+
+        Args:
+            found: a fit by this setup.
+            kappa: power of the likelihood (no unit), from 0 to 1 (`correction/evidence.py`).
+
+        Returns:
+            The same fit, with the covariance of the tempered likelihood.
+        """
         return self._result(found._solution.tempered(kappa))
 
     @property
