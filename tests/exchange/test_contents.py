@@ -81,10 +81,10 @@ def test_a_camera_a_chart_and_a_sidecar(tmp_path):
     ("name", "thing", "words"),
     [
         ("a.exr", table(), "a table on the MERL grid is not a picture: it goes into .binary, .csv, .nc, .zarr.zip"),
-        ("a.bsdf", table(), "has no place in .bsdf: .binary, .csv, .nc, .zarr.zip can hold it"),
+        ("a.bsdf", table(), "cannot be stored in .bsdf: use .binary, .csv, .nc, .zarr.zip"),
         ("a.nc", np.ones((2, 2, 3)), "a picture goes into .exr, .tif, .tiff, not into .nc"),
         ("a.obj", np.ones((2, 2, 3)), "the name must end in one of .binary, .bsdf, .csv"),
-        ("a.nc", Camera(GaussianOptics(0.5)), "a Camera has no place in .nc: .json can hold it"),
+        ("a.nc", Camera(GaussianOptics(0.5)), "a Camera cannot be stored in .nc: use .json"),
         ("a.json", table(), "the name must end in one of .binary"),
         ("a.nc", {"raw": 1}, "thing must be an xarray.DataArray or Dataset, .* got dict"),
     ],

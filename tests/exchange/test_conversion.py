@@ -116,7 +116,7 @@ def test_other_results_go_where_they_can(folder, tmp_path):
     assert (tmp_path / "b.csv").read_text().splitlines()[0] == "theta_d,raw_1_per_sr"
     convert(folder / "a.nc", tmp_path / "b.zarr.zip")
     for name, new, words in (
-        ("a.nc", "c.binary", "has no place in .binary"),
+        ("a.nc", "c.binary", "cannot be stored in .binary"),
         ("a.binary", "c.exr", "is not a picture"),
         ("a.exr", "c.nc", "a picture goes into"),
         ("a.binary", "c.obj", "the name must end in"),
@@ -125,7 +125,7 @@ def test_other_results_go_where_they_can(folder, tmp_path):
             convert(folder / name, tmp_path / new)
         assert not (tmp_path / new).exists()
     (tmp_path / "s.csv").write_text("theta_h_rad,theta_d_rad,phi_d_rad,R_per_sr\n0.1,0.2,0.3,1\n")
-    with pytest.raises(ArgumentError, match="scattered samples has no place"):
+    with pytest.raises(ArgumentError, match="scattered samples cannot be stored"):
         convert(tmp_path / "s.csv", tmp_path / "s.bsdf")
     assert convert(tmp_path / "s.csv", tmp_path / "s.nc")["holds"] == "scattered samples"
 
