@@ -352,7 +352,8 @@ def test_pictures_that_software_has_been_at():
         software.phone(counts, white, 95, 0.2),
     ):
         with pytest.raises(
-            FitError, match="this is a processed picture; its MTF is not the lens's: the noise of neighbouring pixels is correlated"
+            FitError,
+            match="this is a processed picture; its MTF is not the lens's: the noise of neighbouring pixels is correlated",
         ):
             calibrate([processed])
     with pytest.raises(

@@ -155,7 +155,10 @@ METAL = Microfacet(GGX(0.1), 0.9)
             ),
             "a fit of a cylinder",
         ),
-        (lambda: matcam.peak_response(Rig(Camera(LENS), Sphere(60.0)), GGX(0.1), 0.3), "the same blur in all directions"),
+        (
+            lambda: matcam.peak_response(Rig(Camera(LENS), Sphere(60.0)), GGX(0.1), 0.3),
+            "the same blur in all directions",
+        ),
         (
             lambda: matcam.forward.highlight_stamps(Camera(LENS), 8, matcam.forward.Highlights(1.0, 0, 0, 1, 1)),
             "stamps need",

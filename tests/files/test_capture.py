@@ -135,7 +135,11 @@ BAD_ROWS = {
     "range": (row("frames/x.tif", "L3", "200", "0", "E1", "0.01"), "x.tif: angle_deg must lie in", True),
     "time": (row("frames/x.tif", "L3", "20", "0", "E1", "-1"), "x.tif: time_s must be", True),
     "no lamp": (row("frames/x.tif", "", "20", "0", "E1", "1"), "x.tif: a frame needs its lamp", True),
-    "lamp moved": (row("frames/x.tif", "L1", "25", "90", "E3", "1"), "x.tif: lamp L1 has another position than before", True),
+    "lamp moved": (
+        row("frames/x.tif", "L1", "25", "90", "E3", "1"),
+        "x.tif: lamp L1 has another position than before",
+        True,
+    ),
     "name": (row("frames/x.tif", "L 1;", "25", "90", "E3", "1"), "x.tif: lamp must be letters", True),
     "suffix": (row("frames/x.txt", "L1", "20", "90", "E3", "1"), "x.txt: is no picture", True),
     "other time": (row("frames/x.tif", "L3", "25", "90", "E2", "1"), "x.tif: exposure E2 has 1 s here and 0.04", True),
