@@ -196,7 +196,7 @@ def calibrate(
     checks.flag("accept_sharpened", accept_sharpened)
     samples = checks.instances("samples", samples, MTFSamples)
     if not len(pictures) and not len(samples):
-        raise ArgumentError("neither pictures nor samples were given")
+        raise ArgumentError("neither pictures nor samples were given: give at least one")
     described = read_chart(chart) if isinstance(chart, str | Path) else chart
     plan = PicturePlan(tone, channels, half_width or 0.5, accept_sharpened, described, cfa)
     measured = _Pictures()

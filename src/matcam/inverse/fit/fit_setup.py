@@ -91,7 +91,7 @@ class FitSetup:
         lens_shape: whether shape and stretch of the kernel of the lens are fitted, too (`rig_axes.shape_axes`).
             Default: False.
         bend: allowed departure of ln D from its family (no unit). Default: 0, none.
-        stiff_below: slope (no unit) below which the spline is ten times stiffer, as it always is below the size of a pixel. Default: 0.
+        stiff_below: slope (no unit) below which the spline is ten times stiffer, as it is within a pixel. Default: 0.
         learned_bend: as `bend`, estimated from the data for slopes where the spline is not stiff. Default: None, as `bend`.
         free_masking: whether G is any smooth function of the angle. Default: False.
         noise: noise of a pixel. Default: None, estimated from the residuals.
