@@ -141,7 +141,7 @@ BAD_ROWS = {
         True,
     ),
     "name": (row("frames/x.tif", "L 1;", "25", "90", "E3", "1"), "x.tif: lamp must be letters", True),
-    "suffix": (row("frames/x.txt", "L1", "20", "90", "E3", "1"), "x.txt: is not a picture", True),
+    "suffix": (row("frames/x.txt", "L1", "20", "90", "E3", "1"), "x.txt: its suffix is not that of a picture", True),
     "other time": (row("frames/x.tif", "L3", "25", "90", "E2", "1"), "x.tif: exposure E2 has 1 s here and 0.04", True),
 }
 
