@@ -97,7 +97,7 @@ BAD_SETTINGS = {
     "profile outside": ({**SETTINGS, "camera": {"profile": "../camera.json"}}, "leads out of"),
     "strips of a sphere": (
         {**SETTINGS, "sample": {"strip_rows_px": [[0, 9]]}},
-        "field sample: .*strip_rows_px belongs to a cylinder, and kind is sphere",
+        "field sample: .*strip_rows_px belongs to a cylinder, but kind is sphere",
     ),
     "turns without strips": (
         {**SETTINGS, "sample": {"kind": "cylinder", "strip_rows_px": [[0, 9]], "strip_turn_deg": [0.0, 90.0]}},
@@ -141,7 +141,7 @@ BAD_ROWS = {
         True,
     ),
     "name": (row("frames/x.tif", "L 1;", "25", "90", "E3", "1"), "x.tif: lamp must be letters", True),
-    "suffix": (row("frames/x.txt", "L1", "20", "90", "E3", "1"), "x.txt: is no picture", True),
+    "suffix": (row("frames/x.txt", "L1", "20", "90", "E3", "1"), "x.txt: its suffix is not that of a picture", True),
     "other time": (row("frames/x.tif", "L3", "25", "90", "E2", "1"), "x.tif: exposure E2 has 1 s here and 0.04", True),
 }
 

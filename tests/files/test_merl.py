@@ -145,7 +145,7 @@ def test_writing_refuses_what_the_format_cannot_hold(tmp_path):
     infinite[0, 0, 0, 0] = np.inf
     cases = [
         (negative, "negative values"),
-        (table_of(np.nan), "every one of this table is missing"),
+        (table_of(np.nan), "all values of this table are missing"),
         (huge, "overflow"),
         (infinite, "infinities"),
         (table_of().isel(channel=[0]), "this table has 1"),

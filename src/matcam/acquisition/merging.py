@@ -51,7 +51,7 @@ def merge(
             the capture, or the whole frame. Default: None.
         progress: called after each lamp position of both passes. Default: None.
         workers: lamp positions that are read at a time. Default: 1.
-        kept: where what was read is kept for a run that goes on. Default: None, nowhere.
+        kept: stored results from which an interrupted run resumes. Default: None, none.
 
     Returns:
         The merged pictures in the order of the lamps, and the radiometry.

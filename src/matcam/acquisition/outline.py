@@ -228,7 +228,7 @@ def _searched(picture: MergedPicture, light: LimbLight) -> tuple[float, float, f
     if not circles:
         what = "brighter than its background" if light == "lit" else "dark before a bright field"
         raise FitError(
-            f"{picture.name}: no sphere {what} is seen; the whole sphere must be in the frame, or give a start"
+            f"{picture.name}: no sphere {what} is visible; the whole sphere must be in the frame, or give a start"
         )
     first = circles[0]
     if len(circles) > 1 and circles[1].score > 0.5 * first.score and circles[1].coverage > 0.35:

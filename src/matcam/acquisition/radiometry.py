@@ -160,7 +160,7 @@ def measure_radiometry(
         progress: called after each lamp position. Default: None.
         lamps: names of the lamp positions that are read. Default: None, all.
         workers: lamp positions that are read at a time. Default: 1.
-        kept: where what was read is kept for a run that goes on. Default: None, nowhere.
+        kept: stored results from which an interrupted run resumes. Default: None, none.
 
     Returns:
         The radiometry; its remarks name unusable frames.

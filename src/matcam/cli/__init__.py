@@ -1,6 +1,6 @@
 """The command line: `matcam`. One file per command; each parses, calls the library, shows progress, writes.
 
-Exit codes: 0; 1 some inputs failed; 2 bad input; 70 a fault of ours (with traceback); 130 interrupted (143 by SIGTERM).
+Exit codes: 0; 1 some inputs failed; 2 bad input; 70 internal error (with traceback); 130 interrupted (143 by SIGTERM).
 """
 
 from __future__ import annotations

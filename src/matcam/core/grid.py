@@ -240,7 +240,7 @@ def in_order(table: xr.DataArray, what: str) -> xr.DataArray:
     if set(labels) != set(CHANNELS):
         raise ArgumentError(
             f"{what} of three channels must label them R, G, B, in any order, got {', '.join(labels)[:60]}: "
-            "assign these labels, or leave the coordinate out where the channels stand in this order"
+            "assign these labels, or leave the coordinate out if the channels are in this order"
         )
     return table.isel(channel=[labels.index(label) for label in CHANNELS])
 

@@ -74,7 +74,7 @@ class Workspace:
         A program may choose this for its user; a library must not.
 
         Returns:
-            The workspace that keeps files in the folder `rules` of `user_cache_folder`, always the same one.
+            The workspace with files in the folder `rules` of `user_cache_folder`; every call returns the same object.
         """
         return _user_workspace(user_cache_folder() / "rules")
 

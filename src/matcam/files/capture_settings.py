@@ -146,7 +146,7 @@ class _Outline(_Strict):
 
 
 class CaptureSettings(_Strict):
-    """Tables of capture.toml with their checks; docs/capture.md describes the fields."""
+    """Tables of capture.toml; docs/capture.md describes the fields."""
 
     format: Literal["matcam capture"]
     version: Literal[1]

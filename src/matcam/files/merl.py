@@ -110,7 +110,7 @@ def write_merl(path: str | Path, brdf: xr.DataArray, *, force: bool = False) -> 
     stored = np.array(np.moveaxis(brdf.values, -1, 0), dtype=np.float64, order="C")
     lowest, highest = np.fmin.reduce(stored, axis=None), np.fmax.reduce(stored, axis=None)
     if np.isnan(lowest):
-        raise ArgumentError("a MERL file must hold a value: every one of this table is missing")
+        raise ArgumentError("a MERL file must have at least one value: all values of this table are missing")
     if lowest < 0:
         raise ArgumentError(f"a MERL file cannot hold negative values (they mean missing), got {lowest:g} 1/sr")
     with np.errstate(over="ignore"):

@@ -74,7 +74,7 @@ def measure(
     Args:
         material: material to record, such as `Microfacet(GGX(0.1), 0.9)`, with one channel (grey) or three.
         rig: camera, sample and lamp; any sample.
-        workspace: keeps the plan of a rig's table for its next material. Default: None, the process's own.
+        workspace: keeps the plan of a rig's table for its next material. Default: None, that of the process.
         azimuth: of the lamp about the optical axis in all pictures, in [-2 pi, 2 pi], rad. The plane of incidence
             turns; the square pixels do not. Default: None, the rig's `lamp_azimuth`, or 0, the lamp towards +x.
 
@@ -134,7 +134,7 @@ def table_values(
     Args:
         material: material to record, with any count of channels.
         rig: camera, sample and lamp; any sample.
-        workspace: keeps the plan of a rig's table for its next material. Default: None, the process's own.
+        workspace: keeps the plan of a rig's table for its next material. Default: None, that of the process.
         azimuth: of the lamp about the optical axis in all pictures, rad. Default: None, the rig's, or 0, towards +x.
 
     Returns:
@@ -200,7 +200,7 @@ def _values_through(
 def _by_frequencies(
     material: Material, rig: Rig, azimuth: float, shift: tuple[float, float]
 ) -> tuple[jax.Array, np.ndarray]:
-    """Compute the same from the frequencies of the image of each slice."""
+    """Compute a table and its pixel counts from the frequencies of the image of each slice."""
     even = rig.camera.optics.isotropic and shift[1] == 0
     chosen = CellChoice(rig.cell_value, rig.crop, azimuth, material.elongation, rig.pixel_phase, even, shift)
     assert isinstance(rig.sample, Sphere)

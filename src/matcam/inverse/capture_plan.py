@@ -104,7 +104,7 @@ def plan_capture(
         n: refractive index of the material. Default: 1.5, whose F is steep.
         k: its extinction. Default: 0.
         noise: of a pixel. Default: None, 1 % of the value and 1e-4 of the peak.
-        workspace: keeps what depends on a rig alone. Default: None, the process's own.
+        workspace: keeps what depends on a rig alone. Default: None, that of the process.
 
     Returns:
         Lamp positions, radius, exposures and tolerances.

@@ -105,7 +105,7 @@ def fresnel(
         normalise: range of theta_d, rad, over which the mean of the corrected F is 1. Default: 10 to 45 degrees.
         slice_step: spacing of the slices of theta_d that are used (no unit). Default: 1, all of them; more is quicker.
         force_correction: whether to correct a table whose data contradict the rig. Default: False, F is that without a camera.
-        workspace: keeps what depends on the rig alone for the next call. Default: None, the process's own.
+        workspace: keeps what depends on the rig alone for the next call. Default: None, that of the process.
 
     Returns:
         Dataset over (theta_d, channel), without unit but for angles:

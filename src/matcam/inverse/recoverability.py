@@ -74,7 +74,7 @@ def limits(
         noise: noise of a pixel and of the picture gain. Default: None, 1 % of the value, 1e-4 of the peak and 1 % of gain.
         slice_step: spacing of the slices of theta_d (no unit). Default: 10, unlike `fit`, which suffices to compare rigs.
             Bounds shrink with more slices.
-        workspace: keeps what depends on the rig alone for the next call. Default: None, the process's own.
+        workspace: keeps what depends on the rig alone for the next call. Default: None, that of the process.
 
     Returns:
         Dataset over roughness, theta_d (rad), blur and change:

@@ -109,7 +109,7 @@ def rivals(
             splines are free.
         slice_step: spacing of the slices of theta_d that are used (no unit). Default: 6, unlike `fit`, because
             spline-modified lobes are slow to fit and few slices suffice.
-        workspace: keeps what depends on the rig alone for the next call. Default: None, the process's own.
+        workspace: keeps what depends on the rig alone for the next call. Default: None, that of the process.
 
     Returns:
         Both fits, with Akaike's criterion of each.

@@ -53,7 +53,7 @@ def reconstruct(
         diffuse: whether the material may have a Lambertian part. Default: True.
         rig_from: an earlier reconstruction by the same rig, or its JSON file. Its lens, distances, lamps and
             distortion, with their covariance, replace the stated values of the capture. Default: None.
-        progress: is called with a step's name, and how many of how many parts of it are done. Default: None.
+        progress: called with the name of a step, and the numbers of finished and of all parts. Default: None.
         workers: lamp positions whose frames are read at a time, in threads. Default: 1.
         keep: folder for intermediate results, from which an interrupted run resumes. Default: None, no intermediate results.
 

@@ -111,7 +111,8 @@ def radius_by_highlights(
     if size > np.radians(0.2) and np.hypot(*(found.x[:2] - [ball.row, ball.column])) > 3 * np.hypot(*std[:2]):
         remarks.append(
             Remark(
-                "table-turned", f"the table's axes are turned by {np.degrees(size):.2f} degrees against the camera's"
+                "table-turned",
+                f"the table's axes are turned by {np.degrees(size):.2f} degrees relative to the camera's",
             )
         )
     row, column, radius = map(float, found.x)

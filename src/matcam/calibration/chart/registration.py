@@ -67,7 +67,7 @@ class Registration:
     page: tuple[float, float] = (1.0, 1.0)
 
     def __call__(self, points: FloatArray) -> FloatArray:
-        """Return the places of points on the page.
+        """Project points on the page to the picture.
 
         Args:
             points: (n, 2) places on the page, mm.
@@ -239,7 +239,7 @@ def _registration_through(
     left = np.hypot(*(_project(whole, places, shape, page) - seen).T)
     rms = float(np.sqrt((left**2).mean()))
     if rms > _WORST * max(1.0, max(shape) / 1000):
-        raise FitError(f"the fiducials do not lie as on the chart: {rms:.1f} px off; is this the right description?")
+        raise FitError(f"the fiducials disagree with the chart: {rms:.1f} px off; is this the right description?")
     return Registration(
         np.append(whole[:8], 1.0).reshape(3, 3), (float(whole[8]), float(whole[9])), (shape[0], shape[1]), rms,
         len(places), tuple(float(v) for v in whole[10:]), page,
@@ -249,10 +249,10 @@ def _registration_through(
 def _project(
     parameters: FloatArray, points: FloatArray, shape: tuple[int, int], page: tuple[float, float] = (1.0, 1.0)
 ) -> FloatArray:
-    """Return px of points on the page, mm.
+    """Project points on the page (mm) to the picture (px).
 
-    parameters: eight of the homography, two of the distortion, and five of the curl, if there are any: three of a quadratic
-    height over the eye's, and the eye's foot, all in widths of the page from its middle.
+    `parameters`: eight of the homography, two of the distortion, and optionally five of the curvature: three of a quadratic
+    height relative to that of the camera, and the camera's foot point, all in widths of the page from its centre.
     """
     if len(parameters) > 10 and np.any(parameters[10:13]):
         xx, xy, yy, foot_x, foot_y = parameters[10:15]

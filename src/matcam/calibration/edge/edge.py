@@ -110,7 +110,7 @@ def edge_mtf(
 
     Raises:
         ArgumentError: an argument is bad.
-        FitError: the region holds no edge that can be measured, and why.
+        FitError: the region contains no edge that can be measured; the message gives the reason.
 
     Source:
         ISO 12233; docs/model.md 7.
@@ -201,7 +201,7 @@ def edge_mtf_stack(
         regions.append((rows._replace(frame=rows.frame._replace(x=rows.frame.x + x, y=rows.frame.y + y)), flaws(some)))
         if rows.frame.transposed != regions[0][0].frame.transposed:
             raise ArgumentError(
-                f"images must hold edges that lie alike: those from number {i} on lie across the first ones"
+                f"images must have edges in similar directions: those from number {i} on are perpendicular to the first ones"
             )
     lights: list[LightField | None] = []
     even: list[EdgeRegions] = []

@@ -186,11 +186,11 @@ def refusals(found: EdgeFits, region: EdgeRegions, *, accept_sharpened: bool) ->
         seen = what_is_seen(region.value[i]) if odd else ""
         if not accept_sharpened and second:
             text = seen or f"there are 2 edges in it, {ghost.place[i]:.1f} px apart"
-            return Remark("unexplained", f"the region holds no single edge: {text}: choose another region")
+            return Remark("unexplained", f"the region contains no single edge: {text}: choose another region")
         if seen or (not accept_sharpened and found.misfit[i] > _UNEXPLAINED):
             return Remark(
                 "unexplained",
-                f"neither a lens nor smooth light explains the region: {found.misfit[i]:.1%} of the step is left; "
+                f"neither a lens nor smooth light explains the region: {found.misfit[i]:.1%} of the step remains; "
                 f"{seen or _ANYTHING}: choose another region",
             )
         return None

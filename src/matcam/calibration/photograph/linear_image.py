@@ -332,7 +332,7 @@ def as_photograph(
 ) -> Photograph:
     """Return an array of linear values as a photograph without a file.
 
-    ArgumentError where it is no picture. what, colours: for its message, and how many colours there may be.
+    ArgumentError if it is not an image. `what`: its name in the message. `colours`: allowed number of colours.
     """
     values = checks.plain_array("image", image)
     if (

@@ -143,7 +143,7 @@ def iso12233_sfr(
 
     Raises:
         ArgumentError: an argument is bad.
-        FitError: the region holds no edge, or the edge does not pass all phases of the pixels.
+        FitError: the region contains no edge, or the edge does not pass all phases of the pixels.
 
     Source:
         ISO 12233:2023, annex D; P. D. Burns, sfrmat5.

@@ -82,8 +82,8 @@ def plane_edge_stack(
     strips = strips_along(edges, plane.shape)
     if not strips.u.size:
         raise FitError(
-            f"no slanted edge was found ({edges.x.size} edges without room round them): photograph a chart of slanted squares "
-            "(matcam chart)"
+            f"no slanted edge was found ({edges.x.size} edges without free space around them): "
+            "photograph a chart of slanted squares (matcam chart)"
         )
     regions, saturated = zip(*strip_regions(strips, plane, AT_ONCE), strict=True)
     known = [

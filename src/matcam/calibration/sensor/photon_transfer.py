@@ -186,7 +186,7 @@ def fit_gain(planes: Sequence[Transfer]) -> Stated:
     own = max(float((x**2) @ std**2), scatter)
     shared = sum(float(x[dark == one].sum() * dark_std[dark == one].max()) ** 2 for one in np.unique(dark))
     if not value > 0:
-        raise FitError("the variance does not grow with the light: the frames are no linear codes; give raw frames")
+        raise FitError("the variance does not grow with the light: the frames are not linear codes; give raw frames")
     return Stated(value, math.sqrt(own + shared) / square)
 
 

@@ -138,9 +138,7 @@ def fit_dots(values: FloatArray, lattice: DotLattice, size: float, half_width: f
     shape, pitch = size * lattice.shapes, lattice.pitch
     reach = int(min(_REACH, max(3, np.floor(pitch / 2 - 0.5))))
     if pitch < _CLOSEST:
-        raise FitError(
-            f"the dots are {pitch:.1f} px apart: at least {_CLOSEST:g} are needed to tell them from one another"
-        )
+        raise FitError(f"the dots are {pitch:.1f} px apart: at least {_CLOSEST:g} are needed to separate them")
     whole, stamps = _stamps(values, lattice, reach)
     lattice, shape = lattice.subset(whole), shape[whole]
     if len(stamps.value) < FEWEST:
@@ -210,14 +208,14 @@ def find_dots(values: FloatArray) -> tuple[FloatArray, FloatArray]:
     sign = -1.0 if np.quantile(off, 0.001) < -np.quantile(off, 0.999) else 1.0
     label, count = ndimage.label(sign * off > max(_CLEAR * spread, 0.25 * float(np.quantile(sign * off, 0.999))))
     if count < FEWEST:
-        raise FitError(f"region holds no grid of dots: {count} spots in it, {FEWEST} are needed")
+        raise FitError(f"region contains no grid of dots: {count} spots in it, {FEWEST} are needed")
     every = np.arange(1, count + 1)
     flux = ndimage.sum_labels(sign * off, label, every)
     y, x = np.array(ndimage.center_of_mass(np.maximum(sign * off, 0), label, every)).T
     usual = np.median(flux)
     whole = (flux > _ALIKE[0] * usual) & (flux < _ALIKE[1] * usual)
     if whole.sum() < FEWEST:
-        raise FitError("region holds no grid of dots: its spots are not alike")
+        raise FitError("region contains no grid of dots: its spots are not similar")
     return x[whole], y[whole]
 
 

@@ -273,10 +273,10 @@ def _fit_grating(
         raise FitError("the grating's pixels do not determine its contrast: too few of them in this picture")
     if not fit.signal > _CLEAR:
         raise FitError(
-            f"region holds no grating that can be measured: its wave is {fit.signal:.1f} standard deviations strong"
+            f"region contains no grating that can be measured: its wave is {fit.signal:.1f} standard deviations strong"
         )
     if other := _other_wave(pixels, fit, values.shape):
-        raise FitError(f"region holds no grating that can be measured: {other}")
+        raise FitError(f"region contains no grating that can be measured: {other}")
     wave = local_wave(found.phase, fit.parameters, pixels.x, pixels.y)
     fx, fy = (wave.frequency * np.cos(wave.direction)).mean(), (wave.frequency * np.sin(wave.direction)).mean()
     return fit, orders, _MeanWave(float(fx), float(fy), float(pixels.x.mean()), float(pixels.y.mean()))

@@ -219,9 +219,9 @@ def _fit_star(values: FloatArray, found: FoundStar) -> tuple[WaveFit, tuple[floa
         left = (some.value - fit.values).var() / some.value.var()
         # this part of a star has little blur: nearly all of the variance is the wave
         if highest == _FIRST and left > _LEFT:
-            raise FitError(f"region holds no Siemens star: a star leaves {left:.0%} of what varies in it")
+            raise FitError(f"region contains no Siemens star: a star does not explain {left:.0%} of its variance")
     if fit is None or not fit.signal > _CLEAR or np.hypot(*(parameters[:2] - found.parameters[:2])) > phase.outer / 4:
-        raise FitError("region holds no Siemens star that can be measured: too small, or too little contrast")
+        raise FitError("region contains no Siemens star that can be measured: too small, or too little contrast")
     return fit, edges
 
 

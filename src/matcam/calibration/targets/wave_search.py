@@ -115,7 +115,7 @@ def find_star(values: FloatArray, cycles: int | None = None) -> FoundStar:
     centre = _centre(filled)
     rings = _rings(filled, centre)
     if not rings:
-        raise FitError("region holds no Siemens star: no ring shows a regular wave")
+        raise FitError("region contains no Siemens star: no ring shows a regular wave")
     votes: dict[int, float] = {}
     for ring in rings:
         votes[ring.cycles] = votes.get(ring.cycles, 0.0) + ring.share
@@ -123,7 +123,7 @@ def find_star(values: FloatArray, cycles: int | None = None) -> FoundStar:
     agreeing = [ring for ring in rings if ring.cycles == winner]
     if len(agreeing) < 4 or winner < 8:
         raise FitError(
-            f"region holds no Siemens star{f' of {cycles} cycles' if cycles else ''}: "
+            f"region contains no Siemens star{f' of {cycles} cycles' if cycles else ''}: "
             f"of {len(rings)} rings with a wave {len(agreeing)} agree on {winner} cycles"
         )
     # beyond the rim the wave of a ring is weak, even if the background is empty
@@ -166,12 +166,12 @@ def _centre(filled: FloatArray) -> tuple[float, float]:
         normal = np.array([[(weight * nx * nx).sum(), (weight * nx * ny).sum()], [0, (weight * ny * ny).sum()]])
         normal[1, 0] = normal[0, 1]
         if np.linalg.det(normal) <= 1e-12 * np.trace(normal) ** 2:
-            raise FitError("region holds no Siemens star: its brightness changes in one direction only")
+            raise FitError("region contains no Siemens star: its brightness changes in one direction only")
         found = nx * x + ny * y
         at = np.linalg.solve(normal, np.array([(weight * nx * found).sum(), (weight * ny * found).sum()]))
         reach = max(reach * 0.7, 3.0)
     if not (0 <= at[0] < filled.shape[1] and 0 <= at[1] < filled.shape[0]):
-        raise FitError("region holds no Siemens star: its rays do not meet inside it")
+        raise FitError("region contains no Siemens star: its rays do not meet inside it")
     return float(at[0]), float(at[1])
 
 
@@ -289,13 +289,13 @@ def find_grating(values: FloatArray, near: tuple[float, float] | None = None) ->
     size = np.abs(envelope)
     label, count = ndimage.label(size > _ENVELOPE * np.quantile(size, 0.98))
     if not count:
-        raise FitError("region holds no grating: nothing varies in it")
+        raise FitError("region contains no grating: nothing varies in it")
     largest = 1 + int(np.argmax(ndimage.sum_labels(np.ones_like(size), label, np.arange(1, count + 1))))
     inside = ndimage.binary_erosion(
         ndimage.binary_fill_holes(label == largest), iterations=round(MARGIN), border_value=1
     )
     if inside.sum() < 256:
-        raise FitError("region holds no grating: nowhere 16 x 16 px of one regular wave")
+        raise FitError("region contains no grating: nowhere 16 x 16 px of one regular wave")
     start = float(np.angle(envelope[inside].mean()))
     phase = start + 2 * np.pi * (frequency[0] * x + frequency[1] * y)
     return FoundGrating.through(x[inside], y[inside], phase[inside], inside)
@@ -327,5 +327,5 @@ def _strongest(filled: FloatArray, near: tuple[float, float] | None) -> FloatArr
         power[np.minimum(*off) > max(_NEAR * float(np.hypot(*near)), 2 * _LONGEST / min(height, width))] = 0
     row, column = np.unravel_index(np.argmax(power), power.shape)
     if not power[row, column] > _CLEAR_IN_SPECTRUM * everywhere:
-        raise FitError("region holds no grating: no frequency stands out")
+        raise FitError("region contains no grating: no frequency stands out")
     return np.array([fx[0, column], fy[row, 0]])

@@ -34,7 +34,7 @@ class VaryingOptics(Optics):
         """Return representative single lenses by name."""
 
     def psf(self, x: ArrayLike, y: ArrayLike) -> jax.Array:
-        """Raise ArgumentError, because each component has its own.
+        """Raise ArgumentError, because each component has another rule.
 
         Args:
             x: px.
@@ -43,7 +43,7 @@ class VaryingOptics(Optics):
         raise self._refused("psf")
 
     def lsf(self, x: ArrayLike) -> jax.Array:
-        """Raise ArgumentError, because each component has its own.
+        """Raise ArgumentError, because each component has another rule.
 
         Args:
             x: px.
@@ -51,7 +51,7 @@ class VaryingOptics(Optics):
         raise self._refused("lsf")
 
     def mtf(self, f: ArrayLike) -> jax.Array:
-        """Raise ArgumentError, because each component has its own.
+        """Raise ArgumentError, because each component has another rule.
 
         Args:
             f: cycles/px.
@@ -59,7 +59,7 @@ class VaryingOptics(Optics):
         raise self._refused("mtf")
 
     def otf(self, fx: ArrayLike, fy: ArrayLike) -> jax.Array:
-        """Raise ArgumentError, because each component has its own.
+        """Raise ArgumentError, because each component has another rule.
 
         Args:
             fx: cycles/px.
@@ -68,7 +68,7 @@ class VaryingOptics(Optics):
         raise self._refused("otf")
 
     def rule_on(self, borders: np.ndarray) -> Rule:
-        """Raise ArgumentError, because each component has its own.
+        """Raise ArgumentError, because each component has another rule.
 
         Args:
             borders: shares of the band.

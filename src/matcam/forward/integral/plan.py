@@ -325,7 +325,10 @@ def _in_the_scene(imaging: Imaging, places: RecordPlaces) -> tuple[jax.Array, ja
 
 
 def _shares(imaging: Imaging, scale: BlurScale, longer: float) -> int:
-    """Compute the number of shares of light around a highlight at the limb, where depth changes most. longer: see below."""
+    """Compute the number of shares of light around a highlight at the limb, where depth changes most.
+
+    `longer`: factor for the corners of a turned square.
+    """
     radius = float(imaging.sample.radius)
     deepest = np.sqrt(1 - max(1 - 2 * longer * (scale.near + scale.reach) / radius, 0) ** 2)
     return shares_for(radius * float(imaging.blur.aperture) * deepest / 4 / scale.finest)

@@ -120,7 +120,7 @@ def mean_over_discs(
 
 
 def has_discs(rig: Rig) -> bool:
-    """Say whether a rig's lamp or lens makes discs."""
+    """Check whether the lamp or the lens of a rig causes discs."""
     return isinstance(rig.sample, Curved) and not (_is_zero(rig.lamp_radius) and _is_zero(rig.aperture))
 
 

@@ -118,7 +118,7 @@ class Correction(Summarised):
             noise: as for `correct`. Default: None, estimated.
             glare: as for `correct` (no unit). Default: 1e-3.
             force_correction: as for `correct`. Default: False.
-            workspace: as for `correct`. Default: None, the process's own.
+            workspace: as for `correct`. Default: None, that of the process.
 
         Returns:
             The table, the fits that it was corrected by, and remarks.
@@ -385,7 +385,7 @@ def correct(
         glare: share of light (no unit) that the lens may scatter far beyond what its profile says. Default: 1e-3. It
             limits what is supported beside a highlight; use less for a lens that is known to be clean.
         force_correction: whether to correct a table whose data contradict the rig. Default: False, it stays as it is.
-        workspace: keeps what depends on the rig alone for the next call. Default: None, the process's own.
+        workspace: keeps what depends on the rig alone for the next call. Default: None, that of the process.
 
     Returns:
         Dataset over the table's dims. `brdf`, 1/sr: missing stays missing, negative noise becomes 0, reciprocal as the

@@ -137,10 +137,9 @@ class Explanation(NamedTuple):
         return is_guess(LENS, lens.std()[LENS] / float(camera.parameters()[LENS]))
 
     def scattering(self, lit: MaterialFit) -> MaterialFit:
-        """Return the fit whose F determines the gains of the images: one that has most slices. A spline-modified lobe
-        is fitted in few.
+        """Return the fit whose F determines the gains of the images: the one with most slices.
 
-        lit: preferred, if it has as many.
+        A spline-modified lobe is fitted to few slices. `lit` is preferred if several fits have that number.
         """
         return max((lit, self.fit, *self.candidates), key=lambda one: one.theta_d.size)
 

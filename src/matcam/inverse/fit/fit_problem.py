@@ -92,8 +92,8 @@ class FitModel(NamedTuple):
         derivative: (p, u, s, n), strengths fixed.
         lobe: (u, s, n), A of each unit.
         strength: (u, s), F.
-        strength_std: (u, s), of free strengths, all else exact; 0 otherwise.
-        log_slope: (u, s), slope of ln F, 1/rad, by which A is each node's own F; 0 where the rig is distant.
+        strength_std: (u, s), of free strengths with exact other parameters; 0 otherwise.
+        log_slope: (u, s), slope of ln F, 1/rad, which gives A an F for each node; 0 for a distant rig.
     """
 
     value: np.ndarray

@@ -82,7 +82,7 @@ class FitSetup:
         ndf: family of the lobe. Default: "ggx".
         fresnel: model of F. Default: "conductor".
         diffuse: whether to add a Lambertian part. Default: False.
-        per_channel: whether each channel has a lobe of its own. Default: False.
+        per_channel: whether each channel has its own lobe. Default: False.
         masking: the lobe's G. Default: "smith".
         camera_parameters: how the rig's parameters are treated: "fixed", "prior" or "free". Default: None, "prior",
             unless the camera is exact. If it gives no uncertainty, a tenth of the width of the lens is assumed.
@@ -101,7 +101,7 @@ class FitSetup:
         view: sphere that defines the pixels without a rig: its radius, px, and the distances of camera and lamp.
             Default: 256 px, distant.
         pixels: real pixels in which cells are looked up without a rig. Default: None, each cell has its own.
-        workspace: keeps what depends on the rig alone. Default: None, the process's own.
+        workspace: keeps what depends on the rig alone. Default: None, that of the process.
 
     Raises:
         ArgumentError: a field is out of its range, or the tables do not belong together.
@@ -377,7 +377,7 @@ def fit(
         fresnel: model of F: "conductor" (n and k), "schlick" or "dielectric" per channel, or "free" in every slice. Default:
             "conductor".
         diffuse: whether to add a Lambertian part. Default: False, as metals have none.
-        per_channel: whether each channel has a lobe of its own. Default: False, one lobe for all.
+        per_channel: whether each channel has its own lobe. Default: False, one lobe for all.
         masking: the lobe's G: "smith", "smith-separable", "van-ginneken" or None. Default: "smith".
         camera_parameters: how the rig's parameters are treated. "fixed": as the rig says. "prior": the camera's
             uncertain parameters are fitted, with its covariance as their prior; if the camera gives none, the width of
@@ -390,7 +390,7 @@ def fit(
             to a family.
         noise: noise of a pixel and of the picture gain. Default: None, estimated from the residuals, which include misfit.
         slice_step: spacing of the slices of theta_d that are used (no unit). Default: 1, all of them; more is quicker.
-        workspace: keeps what depends on the rig alone for the next call. Default: None, the process's own.
+        workspace: keeps what depends on the rig alone for the next call. Default: None, that of the process.
 
     Returns:
         The material, its parameters with their errors, and remarks on the fit.

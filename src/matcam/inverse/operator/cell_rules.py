@@ -261,7 +261,7 @@ def _joined(parts: tuple[_Found, ...]) -> _Found:
 def _rules(view: SampleView, pixels: tuple[np.ndarray, ...], widths: list[_Blurs], finest: float) -> list[_Found]:
     """Compute the rules of pixels, given by x, y, theta_d, the angle of the lamp, and the factor of the record.
 
-    widths: blurs of one width; on a sphere of several, on one set of nodes.
+    `widths`: blur of one width, or, on a sphere, of several widths with common nodes.
     """
     x, y, theta_d, lamp_angle, factor = pixels
     if not view.line:

@@ -1,8 +1,8 @@
-"""Arcs of circles of normals that a pixel of a sphere's image sees (docs/model.md 3 and 10).
+"""Arcs of circles of normals in a pixel of a sphere's image (docs/model.md 3 and 10).
 
 The integration domain of a pixel is bounded by half-spaces of normals, a . n <= b: the visible part of the sphere, its lit part
-and the four sides of the kernel's window, wherever camera and lamp stand and however the pixel is turned. A circle of normals
-about the normal of the highlight is cut by each of them in closed form. What remains is a list of arcs.
+and the four sides of the kernel's window, for any position of camera and lamp and any rotation of the pixel. The intersection
+of each with a circle of normals about the normal of the highlight has a closed form. The result is a list of arcs.
 """
 
 from __future__ import annotations

@@ -82,7 +82,7 @@ class GaussianNDF(MixtureNDF):
         return xp.ones_like(theta_h)
 
     def mixture(self) -> tuple[jax.Array, jax.Array]:
-        """Return one Gaussian, in the angle."""
+        """Return one Gaussian in the angle."""
         return xp.ones(1), self.width[None]
 
     def smith_lambda(self, cos: jax.Array) -> jax.Array:

@@ -61,9 +61,9 @@ def captured_cylinder(
 
     Args:
         capture: of a cylinder, as from `read_capture`.
-        progress: is called with a step's name, and how many of how many parts of it are done. Default: None.
+        progress: called with the name of a step, and the numbers of finished and of all parts. Default: None.
         workers: lamp positions that are read at a time. Default: 1.
-        kept: where what was read is kept for a run that goes on. Default: None, nowhere.
+        kept: stored results from which an interrupted run resumes. Default: None, none.
 
     Raises:
         ArgumentError: the capture does not give the directions of the lamps.
@@ -156,7 +156,7 @@ def _outline(capture: Capture, sigma: float, remarks: list[Remark]) -> StraightO
             remarks.append(Remark("outline-left-out", f"{error}; the stated outline was taken"))
     if radius is None or axis is None:
         raise ArgumentError(
-            f"{capture.folder}: give a frame of the cylinder before a bright field, in outline/, or state "
+            f"{capture.folder}: give a frame of the cylinder in front of a bright field, in outline/, or state "
             "sample.outline_radius_px and sample.axis_column_px"
         )
     std = (max(axis.std, 1e-3), max(radius.std, 1e-3)) if axis.std or radius.std else (_STATED_STD,) * 2

@@ -180,9 +180,9 @@ def reconstruct_flat(
         capture: of a flat sample, as from `read_capture`.
         ndf: family of the lobe, one with a roughness alone. Default: "auto", "ggx".
         masking: the lobe's G. Default: "smith".
-        progress: is called with a step's name, and how many of how many parts of it are done. Default: None.
+        progress: called with the name of a step, and the numbers of finished and of all parts. Default: None.
         workers: pictures that are read at a time. Default: 1.
-        kept: where what was read is kept for a run that goes on. Default: None, nowhere.
+        kept: stored results from which an interrupted run resumes. Default: None, none.
 
     Raises:
         ArgumentError: the family has a power, or a tilt is missing.
@@ -319,7 +319,7 @@ def _remarks(fitted: FlatRoughness, shares: LobeShares) -> list[Remark]:
         found.append(
             Remark(
                 "theta-d-varies",
-                f"theta_d runs from {low:.0f}° to {high:.0f}°; the lobe's F is taken as the same in all",
+                f"theta_d runs from {low:.0f}° to {high:.0f}°; the lobe's F is assumed to be equal in all",
             )
         )
     if fitted.misfit > _MISFIT:

@@ -100,10 +100,10 @@ def captured_scene(
 
     Args:
         capture: as from `read_capture`.
-        progress: is called with a step's name, and how many of how many parts of it are done. Default: None.
+        progress: called with the name of a step, and the numbers of finished and of all parts. Default: None.
         earlier: the rig of an earlier reconstruction. Default: None.
         workers: lamp positions that are read at a time. Default: 1.
-        kept: where what was read is kept for a run that goes on. Default: None, nowhere.
+        kept: stored results from which an interrupted run resumes. Default: None, none.
 
     Raises:
         ArgumentError: the capture is not of a sphere, or `earlier` is of another rig.
