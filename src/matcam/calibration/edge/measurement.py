@@ -25,7 +25,17 @@ from matcam.calibration.edge.maximum_likelihood import (
 from matcam.calibration.edge.profiles import Gaussian, LensAtEdge, LensModel
 from matcam.calibration.edge.unexplained import Unexplained, estimated_noise, misfit_of, without_outliers
 from matcam.core import checks
-from matcam.core.arrays import changed, compiled_by_jax, either, jacobian, last_of, repeated, tuple_map, xp
+from matcam.core.arrays import (
+    changed,
+    compiled_by_jax,
+    either,
+    jacobian,
+    last_of,
+    repeated,
+    tuple_map,
+    without_warnings,
+    xp,
+)
 from matcam.numerics.linalg import lifted_inverse
 
 if TYPE_CHECKING:
@@ -175,7 +185,7 @@ def edge_fits(
     value, y, start, step: as in `geometry.Rows`. The parametric estimate is Gaussian. noise: NaN where it is to be
     estimated. turns: of profile and curve, each fitted while the other stays.
     """
-    with np.errstate(all="ignore"), checks.trusted():
+    with without_warnings(), checks.trusted():
         return _fits_of_one(value, y, start, noise, half_width, step, turns)
 
 

@@ -23,20 +23,18 @@ from matcam.calibration.edge.measurement import EdgeFits
 from matcam.calibration.edge.rows import CLEAR, EdgeRegions, clearance
 from matcam.calibration.edge.wider_errors import widened, with_core_as_total, with_ghosts, with_jumps
 from matcam.calibration.photograph.flat_noise import BENT_DOUBT, FlatNoise, crushed_share, flat_noise, smoothing_doubt
-from matcam.calibration.photograph.linear_filters import filter_doubt, half_of
+from matcam.calibration.photograph.linear_filters import Correlations, correlations, filter_doubt, mask_gain
 from matcam.calibration.photograph.slight_sharpening import (
     AMOUNT,
-    APART,
     BareEdge,
     edge_gain,
     effect_on_half,
     needed_gain,
-    noise_gain,
-    noise_score,
 )
 from matcam.calibration.photograph.uneven_light import LightField
 from matcam.core.arrays import FloatArray, tuple_map
 from matcam.core.remark import Remark
+from matcam.numerics.crossing import first_fall
 
 _REACH, _MORE = 3.0, 2.0  # of the blur, px: beyond both a side is flat
 _BOX = 0.29  # px: standard deviation of a pixel
@@ -129,11 +127,14 @@ def _traces(stack: EdgeStack, i: int, rows: EdgeRegions, k: int, clear: float, l
     step = float(stack.bright[i] - stack.dark[i])
     noise = flat_noise(value, dark, bright, lines=rows.step == 1, least=_LEAST_NOISE * abs(step))
     found = _smoothed(noise, blur)
-    one, raised = value if rows.step == 1 else None, list[tuple[Remark | None, float]]()
+    raised = list[tuple[Remark | None, float]]()
+    # a mosaic is filtered after it has been filled in, and rounding has no correlation
+    known = rows.step == 1 and np.isfinite(noise.alike_std)
+    seen = correlations(np.where(there, value, 0.0), (dark, bright)) if known else None
     if clear > CLEAR:
-        raised = _sharpened(stack, i, noise) or _slightly_sharpened(stack, i, noise, one, (dark, bright))
-    if one is not None and not noise.compressed and np.isfinite(noise.alike_std):
-        raised += _filtered(stack, i, np.where(there, one, 0.0), (dark, bright), (found, raised))
+        raised = _sharpened(stack, i, noise) or _slightly_sharpened(stack, i, noise, seen)
+    if not noise.compressed:
+        raised += _filtered(stack, i, seen, (found, raised))
     found += raised
     found += _crushed(stack, i, crushed_share(value[dark], value[bright]))
     coarse = _coarse(value, (dark, bright), noise, step)
@@ -168,7 +169,7 @@ def _veiled(stack: EdgeStack, i: int, width: float, light: LightField | None) ->
     """
     glare, radius = float(stack.glare_fraction[i]), float(stack.glare_radius[i])
     if light is not None and light.amplitude > 0:
-        text = f"uneven light of {light.amplitude:.1%}, beyond levels and a plane, was taken out"
+        text = f"uneven light of {light.amplitude:.1%}, beyond light of third order, was taken out"
         if glare > 0:
             text += f"; glare of {glare:.1%} over {radius:.0f} px may be its remainder: the MTF is that without glare"
         return Remark("uneven-light", text), 0.0
@@ -239,18 +240,15 @@ def _sharpened(stack: EdgeStack, i: int, noise: FlatNoise) -> list[tuple[Remark 
 
 
 def _slightly_sharpened(
-    stack: EdgeStack, i: int, noise: FlatNoise, value: FloatArray | None, sides: tuple[np.ndarray, np.ndarray]
+    stack: EdgeStack, i: int, noise: FlatNoise, seen: Correlations | None
 ) -> list[tuple[Remark | None, float]]:
     """Return what an unsharp mask explains of edge and noise together, where no overshoot shows it.
 
-    value: of the region; None for a mosaic, which is sharpened after it has been filled in. sides: its flat parts.
+    seen: correlations of the noise; None where nothing is known.
     """
-    if value is None or noise.smoothed:
+    # noise that speaks against the mask spares most pictures the fits
+    if seen is None or noise.smoothed or (gain := mask_gain(seen)) < 0:
         return []
-    apart = noise_score(value, sides)
-    if apart < APART:  # 1 in 50 of slightly sharpened pictures; it spares half of all others the fits
-        return []
-    gain = noise_gain(apart, int(sides[0].sum() + sides[1].sum()))
     edge = _bare(tuple_map(lambda a: np.asarray(a)[i], stack.fits))
     gain += edge_gain(edge)
     if gain < needed_gain(edge.blur):
@@ -266,16 +264,15 @@ def _slightly_sharpened(
 def _filtered(
     stack: EdgeStack,
     i: int,
-    value: FloatArray,
-    sides: tuple[np.ndarray, np.ndarray],
+    seen: Correlations | None,
     others: tuple[list[tuple[Remark | None, float]], list[tuple[Remark | None, float]]],
 ) -> list[tuple[Remark | None, float]]:
     """Estimate the error of MTF50 by a linear filter, from the correlation of the noise; other traces of filters count once.
 
-    value: of the region. sides: its flat parts. others: remarks and errors that were found for smoothing, and for sharpening.
+    seen: as in `_slightly_sharpened`. others: remarks and errors that were found for smoothing, and for sharpening.
     """
     smoothed, raised = others
-    doubt = filter_doubt(value, sides, stack.frequency, stack.mtf[i], sharpened=bool(raised))
+    doubt = filter_doubt(seen, stack.frequency, stack.mtf[i], sharpened=bool(raised))
     more = np.sqrt(max(doubt.share**2 - sum(share**2 for _, share in (*smoothed, *raised)), 0.0))
     if smoothed or raised or doubt.probability < 0.5:
         return [(None, float(more))]
@@ -418,7 +415,7 @@ def _half(distance: FloatArray, levels: FloatArray) -> float:
     distance: px, evenly spaced.
     """
     transfer = np.abs(np.fft.rfft(np.diff(levels), _TRANSFORM)) / (levels[-1] - levels[0])
-    return half_of(np.arange(transfer.size) / (_TRANSFORM * (distance[1] - distance[0])), transfer)
+    return float(first_fall(np.arange(transfer.size) / (_TRANSFORM * (distance[1] - distance[0])), transfer))
 
 
 def _effect_of_crushing(stack: EdgeStack, i: int) -> float:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from matcam.calibration.edge.edge_result import EdgeStack
+from matcam.numerics.crossing import first_fall
 
 _LOWEST_BY_GHOST, _FLATTEST = 0.05, 1e-3
 """Frequency below which a ghost 10 px away changes an MTF ever less, cycles/px; least slope of an MTF at one half, px."""
@@ -54,8 +55,8 @@ def with_jumps(stack: EdgeStack) -> EdgeStack:
     """
 
     def std(mtf: np.ndarray, mtf_std: np.ndarray, half: np.ndarray, half_std: np.ndarray) -> np.ndarray:
-        low, high = (_first_half(stack.frequency, mtf + sign * mtf_std) for sign in (-1, 1))
-        reach = np.fmax(half - low, high - half)
+        low, high = (first_fall(stack.frequency, mtf + sign * mtf_std) for sign in (-1, 1))
+        reach = np.fmax(half - low, np.where(np.isnan(high), stack.frequency[-1], high) - half)
         return np.where(reach > _JUMP * half_std, reach, half_std)
 
     return replace(
@@ -63,15 +64,6 @@ def with_jumps(stack: EdgeStack) -> EdgeStack:
         mtf50_std=std(stack.mtf, stack.mtf_std, stack.mtf50, stack.mtf50_std),
         core_mtf50_std=std(stack.core_mtf, stack.core_mtf_std, stack.core_mtf50, stack.core_mtf50_std),
     )
-
-
-def _first_half(frequency: np.ndarray, mtf: np.ndarray) -> np.ndarray:
-    """Return the first frequency at which curves (n, frequencies) fall to one half; the last one where they do not."""
-    below = mtf < 0.5
-    k = np.where(below.any(1), np.maximum(below.argmax(1), 1), frequency.size - 1)
-    after, before = (np.take_along_axis(mtf, at[:, None], 1)[:, 0] for at in (k, k - 1))
-    share = np.clip((before - 0.5) / np.where(before > after, before - after, 1.0), 0.0, 1.0)
-    return np.asarray(frequency[k - 1] + share * (frequency[k] - frequency[k - 1]))
 
 
 def widened(stack: EdgeStack, all_shares: np.ndarray) -> EdgeStack:

@@ -48,7 +48,7 @@ _FEWEST_BINS = 24
 
 
 class LightField(NamedTuple):
-    """Light of a region beyond two levels and a plane, where a polynomial of third order is not enough.
+    """Light of a region where two levels in light of third order are not enough.
 
     Attributes:
         factor: factor of each pixel (rows, columns).
