@@ -285,7 +285,7 @@ def _in_even_light(rows: EdgeRegions, fits: EdgeFits) -> tuple[EdgeRegions, list
         fits: their edges, NumPy arrays with a leading axis of n.
 
     Returns:
-        The regions in even light, and the light of each; None where two levels and a plane explain it.
+        The regions in even light, and the light of each; None where two levels in light of third order explain it.
     """
     value, fields = np.array(rows.value), list[LightField | None]()
     columns = rows.step * np.arange(value.shape[2])

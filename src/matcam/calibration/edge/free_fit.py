@@ -224,14 +224,11 @@ def ghost_found(fit: LinearFit, known: jax.Array) -> tuple[jax.Array, jax.Array]
     last = xp.minimum(xp.maximum(_LAST_GHOST * line_width(fit.shape), _FURTHEST), _GHOST_ROOM * _width(fit.cells))
     places = xp.linspace(first, last, _GHOST_PLACES)
 
-    def rise(place: jax.Array) -> jax.Array:
-        columns = _ghosts(beside, place)
-        weighted = columns * beside.weight
-        cross, score = weighted @ beside.columns.T, weighted @ beside.left
-        alone = weighted @ columns.T - cross @ beside.inverse @ cross.T + _PRIOR_GHOST**-2 * xp.eye(len(columns))
-        return score @ linalg.solve(alone, score)
-
-    rises = each(rise, places)
+    columns = _ghosts(beside, places)
+    weighted = columns * beside.weight
+    cross, score = weighted @ beside.columns.T, (weighted @ beside.left)[..., None]
+    alone = weighted @ columns.swapaxes(1, 2) - cross @ beside.inverse @ cross.swapaxes(1, 2)
+    rises = (score * linalg.solve(alone + _PRIOR_GHOST**-2 * xp.eye(alone.shape[1]), score)).sum((1, 2))
     best = xp.argmax(rises)
     left = (beside.chi2 - rises[best]) / beside.degrees
     found = rises[best] > GHOST_FOUND * xp.where(known, 1.0, xp.maximum(left, 1.0))
@@ -249,12 +246,12 @@ def _with_glare(fit: LinearFit, column: jax.Array) -> LinearFit:
     )
 
 
-def _ghosts(fit: LinearFit, place: jax.Array) -> jax.Array:
-    """Return what ghosts of full strength would change (4, n): even pairs, odd pairs."""
+def _ghosts(fit: LinearFit, places: jax.Array) -> jax.Array:
+    """Return what ghosts of full strength would change (places, 6, n): even pairs, odd pairs."""
     s = line_width(fit.shape)
-    at = place + GHOST_STEP * s * xp.arange(GHOSTS.size)[:, None]
+    at = (places[:, None] + GHOST_STEP * s * xp.arange(GHOSTS.size))[..., None]
     right, left = (glare_edge(GHOST_WIDTH * s, fit.cells.distance - sign * at, fit.cells.spread) for sign in (1, -1))
-    return xp.concatenate([(right + left) / 2 - fit.pilot, (left - right) / 2]) * fit.step
+    return xp.concatenate([(right + left) / 2 - fit.pilot, (left - right) / 2], 1) * fit.step
 
 
 def _width(cells: EdgeCells) -> jax.Array:
@@ -278,7 +275,7 @@ def _chosen_light(
     """
     radii = _radii(shape)
     unlikely = xp.where(xp.exp(radii) > VEIL * _width(cells), _VEIL_COST, 0.0)
-    glare = (each(lambda r: glare_edge(xp.exp(r), cells.distance, cells.spread), radii) - pilot) * full.step
+    glare = (glare_edge(xp.exp(radii)[:, None], cells.distance, cells.spread) - pilot) * full.step
     score = full.columns @ (weight * full.residual)
     by_glare = (glare * weight) @ full.residual
     cross = (glare * weight) @ full.columns.T
@@ -395,7 +392,7 @@ def _rises(fit: LinearFit, log_radii: jax.Array) -> jax.Array:
 
     All else is refitted. There is no glare of negative strength.
     """
-    columns = each(lambda r: _column(fit, r), log_radii)
+    columns = _column(fit, log_radii[:, None])
     weighted = columns * fit.weight
     cross = weighted @ fit.columns.T
     alone = (weighted * columns).sum(1) + _PRIOR_GLARE**-2 - ((cross @ fit.inverse) * cross).sum(1)

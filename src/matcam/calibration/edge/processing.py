@@ -7,7 +7,7 @@ errors: as an unknown scale of frequency, relative, which leaves an MTF of 1 at 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -15,7 +15,7 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.special import ndtr, ndtri
 
-from matcam.calibration.edge.edge_result import SHARPENED, EdgeStack
+from matcam.calibration.edge.edge_result import SHARPENED, EdgeMTF, EdgeStack
 from matcam.calibration.edge.free_curve import ghost_of
 from matcam.calibration.edge.free_fit import VEIL
 from matcam.calibration.edge.maximum_likelihood import ADDED, SHIFT
@@ -39,7 +39,9 @@ from matcam.numerics.crossing import first_fall
 _REACH, _MORE = 3.0, 2.0  # of the blur, px: beyond both a side is flat
 _BOX = 0.29  # px: standard deviation of a pixel
 _GAMMA = 2.2
-_TRANSFORM = 8192
+_SIDE, _SAMPLES = 40.0, 801
+"""Distance to both sides of an edge at which its response is sampled, px; number of samples, 0.1 px apart."""
+_TRANSFORM = 4096
 """Samples of the transform of a line spread function, whose frequencies are then 2.4e-3 cycles/px apart."""
 _TONE_BEND, _TONE_PROBABILITIES, _RAISED = 0.3, (0.02, 0.5), 1.15
 """Standard deviation of a tone curve's bend; its probabilities where the noise of the dark is that of photons, and where it is
@@ -222,7 +224,9 @@ def _bent(stack: EdgeStack, i: int, noise: FlatNoise) -> list[tuple[Remark | Non
     """Return what noise says that is larger in the dark."""
     if not noise.bent:
         return []
-    share = max(BENT_DOUBT, abs(_effect_of_gamma(stack, i)))
+    dark, bright = float(stack.dark[i]), float(stack.bright[i])
+    effect = _effect_of_tone(stack[i], lambda response: np.maximum(dark + (bright - dark) * response, 0) ** _GAMMA)
+    share = max(BENT_DOUBT, effect)
     text = f"dark pixels err {noise.tilt:.1f} times as much as bright ones: a tone curve that was not undone (--tone)"
     return [(Remark("tone-curve", f"{text}? MTF50 may be wrong by {share:.0%}"), share)]
 
@@ -340,15 +344,6 @@ def _coarse(
     return [(Remark("quantised", text) if share > _SMALL_DOUBT else None, share)]
 
 
-def _effect_of_gamma(stack: EdgeStack, i: int) -> float:
-    """Return by how much undoing a gamma would change MTF50, relative."""
-    distance = np.linspace(-40, 40, 1601)
-    response = np.asarray(stack[i].esf(distance).value)
-    levels = float(stack.dark[i]) + float(stack.bright[i] - stack.dark[i]) * np.clip(response, 0, 1)
-    plain, undone = (_half(distance, v) for v in (levels, np.maximum(levels, 0) ** _GAMMA))
-    return float(undone / plain - 1) if np.isfinite(undone / plain) else 0.0
-
-
 def _asymmetric(stack: EdgeStack, i: int, noise: FlatNoise) -> list[tuple[Remark | None, float]]:
     """Estimate the error of MTF50 because an asymmetric edge response may come from a tone curve, not from the lens.
 
@@ -380,7 +375,8 @@ def _asymmetric(stack: EdgeStack, i: int, noise: FlatNoise) -> list[tuple[Remark
     probability = first * odds / (1 + first * (odds - 1))
     if probability < _NO_TONE:
         return []
-    effect = abs(_effect_of_shoulder(stack, i, bend))
+    lowest = float(np.clip(stack.dark[i] / stack.bright[i], 0.0, 0.9))
+    effect = _effect_of_tone(stack[i], lambda response: _shoulder_undone(response, lowest, bend))
     share = float(np.sqrt(probability)) * effect
     if probability < _SURE_TONE or share < _SMALL_DOUBT:
         return [(None, share)]
@@ -390,32 +386,34 @@ def _asymmetric(stack: EdgeStack, i: int, noise: FlatNoise) -> list[tuple[Remark
     return [(Remark("asymmetric", f"{text}; MTF50 may be wrong by {share:.1%}"), share)]
 
 
-def _effect_of_shoulder(stack: EdgeStack, i: int, bend: float) -> float:
-    """Return by how much a shoulder tanh(b v) that bends by so much changes MTF50, relative.
+def _shoulder_undone(response: FloatArray, lowest: float, bend: float) -> FloatArray:
+    """Undo a shoulder tanh(b v) that bends an edge response by `bend`, q of `_asymmetric`.
 
-    bend: q of `_asymmetric`; negative: a shoulder in the dark.
+    lowest: light of the dark side over that of the bright one. A negative bend is a shoulder in the dark.
     """
-    distance = np.linspace(-40, 40, 1601)
-    response = np.clip(np.asarray(stack[i].esf(distance).value), 0, 1)
-    lowest = float(np.clip(stack.dark[i] / stack.bright[i], 0.0, 0.9))
     if bend < 0:
-        response, lowest = 1 - response[::-1], 0.0
+        return 1 - _shoulder_undone(1 - response, 0.0, -bend)
     shoulders = np.linspace(0.05, 3.0, 60)
     ends, middle = np.tanh(shoulders * lowest), np.tanh(shoulders * (1 + lowest) / 2)
     bends = 4 * ((middle - ends) / (np.tanh(shoulders) - ends) - 0.5)
-    b = float(np.interp(abs(bend), bends, shoulders))
-    light = np.arctanh(np.tanh(b * lowest) + (np.tanh(b) - np.tanh(b * lowest)) * response) / b
-    seen, undone = (_half(distance, levels) for levels in (response, light))
-    return float(seen / undone - 1) if np.isfinite(seen / undone) else 0.0
+    b = float(np.interp(bend, bends, shoulders))
+    return np.asarray(np.arctanh(np.tanh(b * lowest) + (np.tanh(b) - np.tanh(b * lowest)) * response) / b)
 
 
-def _half(distance: FloatArray, levels: FloatArray) -> float:
-    """Find the frequency at which the transfer of an edge response falls to one half; NaN if it does not.
+def _effect_of_tone(edge: EdgeMTF, undone: Callable[[FloatArray], FloatArray]) -> float:
+    """Compute by how much a tone curve has changed MTF50, relative, without sign.
 
-    distance: px, evenly spaced.
+    undone: edge response, from 0 to 1, behind the curve -> light.
     """
-    transfer = np.abs(np.fft.rfft(np.diff(levels), _TRANSFORM)) / (levels[-1] - levels[0])
-    return float(first_fall(np.arange(transfer.size) / (_TRANSFORM * (distance[1] - distance[0])), transfer))
+    distance = np.linspace(-_SIDE, _SIDE, _SAMPLES)
+    response = np.clip(edge.esf(distance).value, 0, 1)
+
+    def half(light: FloatArray) -> float:
+        transfer = np.abs(np.fft.rfft(np.diff(light), _TRANSFORM)) / (light[-1] - light[0])
+        return float(first_fall(np.fft.rfftfreq(_TRANSFORM, distance[1] - distance[0]), transfer))
+
+    effect = half(response) / half(undone(response)) - 1
+    return abs(effect) if np.isfinite(effect) else 0.0
 
 
 def _effect_of_crushing(stack: EdgeStack, i: int) -> float:

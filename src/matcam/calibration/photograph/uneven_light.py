@@ -222,15 +222,16 @@ def _bins(
     flat = np.isfinite(value) & (np.abs(distance) > reach)
     side = max(_SMALLEST_BIN, float(np.sqrt(flat.sum() / _BINS)))
     rows, columns = (np.floor((a - a.min()) / side).astype(int) for a in (y, x))
-    names = (2 * rows + (distance > 0)) * (columns.max() + 1) + columns
-    _, name = np.unique(names[flat], return_inverse=True)
+    name = ((2 * rows + (distance > 0)) * (columns.max() + 1) + columns)[flat]
     some = value[flat]
+    if not some.size:
+        return None
     count = np.bincount(name)
-    mean = np.bincount(name, some) / count
+    mean = np.bincount(name, some) / np.maximum(count, 1)
     std = np.sqrt(np.maximum(noise[0] * np.maximum(mean, 0) + noise[1] ** 2, 1e-300))
     # a first guess of each bin is its median, which neither dust nor a hot pixel moves
     order = np.lexsort((some, name))
-    middle = some[order[np.cumsum(count) - (count + 1) // 2]]
+    middle = some[order[np.minimum(np.cumsum(count) - (count + 1) // 2, some.size - 1)]]
     used = np.abs(some - middle[name]) < _CLIPPED * std[name] * (1 + 1 / np.sqrt(count[name]))
     good = np.bincount(name, used) >= np.maximum(0.5 * count, 6)
     if good.sum() < _FEWEST_BINS:
