@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cache, partial
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -198,13 +198,12 @@ def edge_fits_of_stack(
     *,
     step: int,
     turns: int,
-    few: bool,
 ) -> EdgeFits:
     """Return `edge_fits` of many regions, side by side.
 
-    value: (n, rows, columns). y and start: (n, rows). few: whether it is not asked often enough to be worth a long compilation.
+    values: (n, rows, columns). y and start: (n, rows).
     """
-    return _program(_fits_of_stack, "once" if few else "some")(values, y, start, noise, half_width, step, turns)
+    return _program()(values, y, start, noise, half_width, step, turns)
 
 
 def lens_fit(found: EdgeFits, half_width: AnyArray | np.float64, lens: LensModel) -> LensFit:
@@ -227,13 +226,13 @@ def _lens_fit_of(found: EdgeFits, half_width: AnyArray | np.float64, lens: LensM
 
 
 @cache
-def _program(function: Callable[..., EdgeFits], runs: Literal["once", "some"]) -> Callable[..., EdgeFits]:
-    """Return a compiled function, of which little or much is asked. A command keeps it: to trace it takes seconds."""
+def _program() -> Callable[..., EdgeFits]:
+    """Compile `_fits_of_stack`. A command keeps it: to trace it takes seconds."""
     from matcam.core.jax import jit_plainly, program_folder
     from matcam.core.programs import kept_program
 
-    plain = jit_plainly(function, runs=runs, static=("step", "turns"))
-    kept = kept_program(runs=runs, returns=EdgeFits)(function)
+    plain = jit_plainly(_fits_of_stack, runs="some", static=("step", "turns"))
+    kept = kept_program(runs="some", returns=EdgeFits)(_fits_of_stack)
     return lambda *given: (plain if program_folder() is None else kept)(*given)
 
 

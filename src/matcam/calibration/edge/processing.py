@@ -118,9 +118,8 @@ def _traces(stack: EdgeStack, i: int, rows: EdgeRegions, k: int, clear: float, l
     clear: how far it stands off the borders, in standard deviations of its blur. light: uneven light that was found in it.
     """
     value, fits = rows.value[k], stack.fits
-    y, start = (np.broadcast_to(a, (len(rows.value), value.shape[0]))[k] for a in (rows.y, rows.start))
-    place = np.polyval(np.asarray(fits.curve[i])[::-1], y)
-    across = start[:, None] + rows.step * np.arange(value.shape[1]) - place[:, None]
+    place = np.polyval(np.asarray(fits.curve[i])[::-1], rows.y[k])
+    across = rows.start[k][:, None] + rows.step * np.arange(value.shape[1]) - place[:, None]
     distance = across / np.hypot(1.0, float(fits.slope[i]))
     blur = float(np.hypot(fits.free.shape.sigma[i], _BOX))
     reach = _REACH * blur + _MORE

@@ -164,7 +164,7 @@ def iso12233_sfr(
     rows = edge_regions(region.values[None], mosaic=region.cfa is not None)
     value = rows.value[0][np.isfinite(rows.value[0]).any(1)]
     value = value[:, np.isfinite(value).all(0)]
-    start = rows.start[: len(value)] / rows.step
+    start = rows.start[0, : len(value)] / rows.step
     number = np.arange(len(value), dtype=float)
     if value.shape[1] < 8:
         raise FitError("the region has missing pixels: the method of ISO 12233 needs all of them")
@@ -177,7 +177,7 @@ def iso12233_sfr(
     value, start, place = value[:kept], start[:kept], place[:kept]
     esf = _edge_spread(value, start[:, None] + np.arange(value.shape[1]) - place[:, None])
     # along the normal, in px
-    across = float(np.cos(np.arctan(straight * rows.step / _row_distance(rows.y))))
+    across = float(np.cos(np.arctan(straight * rows.step / _row_distance(rows.y[0]))))
     spacing = rows.step * across / _BINS
     frequency, sfr = _response(esf, spacing)
     sfr50, sfr10 = (float(first_fall(frequency, sfr, level)) for level in (0.5, 0.1))
