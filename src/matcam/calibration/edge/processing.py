@@ -17,7 +17,6 @@ from scipy.special import ndtr, ndtri
 
 from matcam.calibration.edge.edge_result import SHARPENED, EdgeMTF, EdgeStack
 from matcam.calibration.edge.free_curve import ghost_of
-from matcam.calibration.edge.free_fit import VEIL
 from matcam.calibration.edge.maximum_likelihood import ADDED, SHIFT
 from matcam.calibration.edge.measurement import EdgeFits
 from matcam.calibration.edge.rows import CLEAR, EdgeRegions, clearance
@@ -145,7 +144,7 @@ def _traces(stack: EdgeStack, i: int, rows: EdgeRegions, k: int, clear: float, l
     by_light = 0.0 if light is None else _PER_STEP * light.unknown
     share = float(np.hypot.reduce([by_light, *(share for _, share in found)]))
     narrow, free = _narrow(clear, blur)
-    veiled, glare = _veiled(stack, i, rows.step * (value.shape[1] - 1), light)
+    veiled, glare = _veiled(stack, i, light)
     remarks = (*(remark for remark, _ in found), narrow, veiled, _ghost(stack, i))
     return Traces(tuple(remark for remark in remarks if remark), float(np.hypot(share, free * _SURER)), free, glare)
 
@@ -163,20 +162,15 @@ def _narrow(clear: float, blur: float) -> tuple[Remark | None, float]:
     ), share
 
 
-def _veiled(stack: EdgeStack, i: int, width: float, light: LightField | None) -> tuple[Remark | None, float]:
-    """Estimate the error of MTF50 because uneven light looks like glare.
-
-    width: px, of the region.
-    """
+def _veiled(stack: EdgeStack, i: int, light: LightField | None) -> tuple[Remark | None, float]:
+    """Estimate the error of MTF50 because uneven light looks like glare."""
     glare, radius = float(stack.glare_fraction[i]), float(stack.glare_radius[i])
     if light is not None and light.amplitude > 0:
         text = f"uneven light of {light.amplitude:.1%}, beyond light of third order, was taken out"
         if glare > 0:
             text += f"; glare of {glare:.1%} over {radius:.0f} px may be its remainder: the MTF is that without glare"
         return Remark("uneven-light", text), 0.0
-    if not glare > 0:
-        return None, 0.0
-    unsure = glare if radius > VEIL * width else min(glare, 0.0 if light is None else light.possible)
+    unsure = max(min(glare, 0.0 if light is None else light.possible), 0.0)
     share = _BY_GLARE * unsure
     part = "" if unsure == glare else " in part"
     text = f"glare of {glare:.1%} over {radius:.0f} px may be uneven light{part}"

@@ -35,7 +35,7 @@ _STIFF = 0.02  # px^2 over px^2: how little is believed of a course beyond its b
 _FAINTEST = 0.2  # of the light's straight line
 
 
-def first_curve(rows: Rows) -> tuple[jax.Array, jax.Array]:
+def find_curve(rows: Rows) -> tuple[jax.Array, jax.Array]:
     """Return a first curve, and how many rows it crosses.
 
     The curve is right to a few hundredths of a px, without a model of the blur. A row's edge stands where a sharp one would
