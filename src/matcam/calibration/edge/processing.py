@@ -8,7 +8,8 @@ errors: as an unknown scale of frequency, relative, which leaves an MTF of 1 at 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -16,10 +17,9 @@ from scipy.optimize import least_squares
 from scipy.special import ndtr, ndtri
 
 from matcam.calibration.edge.edge_result import SHARPENED, EdgeMTF, EdgeStack
-from matcam.calibration.edge.free_curve import ghost_of
-from matcam.calibration.edge.maximum_likelihood import ADDED, SHIFT
-from matcam.calibration.edge.measurement import EdgeFits
-from matcam.calibration.edge.rows import CLEAR, EdgeRegions, clearance
+from matcam.calibration.edge.free_curve import ghost_of, line_width
+from matcam.calibration.edge.maximum_likelihood import ADDED, SHIFT, light_of
+from matcam.calibration.edge.rows import CLEAR, VEIL, EdgeRegions, clearance
 from matcam.calibration.edge.wider_errors import widened, with_core_as_total, with_ghosts, with_jumps
 from matcam.calibration.photograph.flat_noise import BENT_DOUBT, FlatNoise, crushed_share, flat_noise, smoothing_doubt
 from matcam.calibration.photograph.linear_filters import Correlations, correlations, filter_doubt, mask_gain
@@ -71,20 +71,96 @@ _LEAST_NOISE = 2e-4  # of the step
 _GHOST, _SURE_GHOST = 0.01, 4.0  # of the step; standard deviations, from which a ghost is remarked on
 
 
-class Traces(NamedTuple):
-    """Hold what software has left in one picture.
+class Trace(NamedTuple):
+    """What something has left in a picture, and what it may have done to the MTF.
 
     Attributes:
-        remarks: what was seen, and what it may do.
         share: standard deviation of MTF50 by it, relative.
-        free: the same, of the free estimate alone.
-        glare: the same, of what contains glare.
+        remark: what was seen; None: not enough to be said.
+        of: what it concerns: "lens", everything; "free", the free estimate alone; "glare", what contains glare.
     """
 
-    remarks: tuple[Remark, ...]
     share: float
-    free: float = 0.0
-    glare: float = 0.0
+    remark: Remark | None = None
+    of: str = "lens"
+
+
+@dataclass(frozen=True, eq=False)
+class _EdgeRegion:
+    """A measured edge and the pixels that it was measured in.
+
+    Attributes:
+        edge: the result.
+        value: (rows, columns), in even light; NaN where there is none.
+        distance: (rows, columns) px from the edge.
+        mosaic: whether the pixels are the sites of one colour.
+        clear: how far the edge stands off the borders, in standard deviations of its blur.
+        light: uneven light that was found; None: there is none.
+    """
+
+    edge: EdgeMTF
+    value: FloatArray
+    distance: FloatArray
+    mosaic: bool
+    clear: float
+    light: LightField | None
+
+    @cached_property
+    def blur(self) -> float:
+        """Standard deviation of the line spread function, px."""
+        return float(np.hypot(self.edge.fits.free.shape.sigma, _BOX))
+
+    @cached_property
+    def sides(self) -> tuple[np.ndarray, np.ndarray]:
+        """Flat parts, dark and bright, bool."""
+        there, reach = np.isfinite(self.value), _REACH * self.blur + _MORE
+        return there & (self.distance < -reach), there & (self.distance > reach)
+
+    @cached_property
+    def noise(self) -> FlatNoise:
+        """Noise of the flat parts."""
+        least = _LEAST_NOISE * abs(self.edge.bright - self.edge.dark)
+        return flat_noise(self.value, *self.sides, lines=not self.mosaic, least=least)
+
+    @cached_property
+    def correlations(self) -> Correlations | None:
+        """Correlations of the noise; None where nothing is known: a mosaic is filtered after it has been filled in."""
+        if self.mosaic or not np.isfinite(self.noise.alike_std):
+            return None
+        return correlations(np.where(np.isfinite(self.value), self.value, 0.0), self.sides)
+
+    @cached_property
+    def bare(self) -> BareEdge:
+        """The edge's cells, free of a lens."""
+        fits = self.edge.fits
+        cells, used = fits.cells, fits.cells.pixels > 0
+        terms, levels, free = cells.terms[:, used], fits.free.levels, fits.state.used
+        light = light_of(levels, terms)
+        variance = fits.noise.variance(fits.parametric.expected[used], cells.dim[used])
+        value = cells.value[used] - light.addend
+        bent = value / light.factor * terms[free[2 : SHIFT - ADDED] > 0]
+        return BareEdge(
+            distance=np.asarray(cells.distance[used] + fits.state.linear[SHIFT]),
+            spread=np.asarray(cells.spread[used]),
+            value=np.asarray(value),
+            std=np.asarray(np.sqrt(fits.excess * variance / cells.pixels[used])),
+            step=np.asarray((levels[1] - levels[0]) * light.factor),
+            light=np.concatenate([light.factor[None], bent, terms[:ADDED][free[SHIFT - ADDED : SHIFT] > 0]]),
+            blur=float(line_width(fits.free.shape)),
+        )
+
+    def traces(self) -> list[Trace]:
+        """List everything that is found."""
+        smoothed = _smoothed(self)
+        raised = []
+        if self.clear > CLEAR:
+            raised = _sharpened(self) or _slightly_sharpened(self)
+        filtered = [] if self.noise.compressed else _filtered(self, smoothed, raised)
+        coarse = _coarse(self)
+        toned = _bent(self) or ([] if any(trace.remark for trace in coarse) else _asymmetric(self))
+        lit = [] if self.light is None else [Trace(_PER_STEP * self.light.unknown)]
+        found = [*smoothed, *raised, *filtered, *_crushed(self), *coarse, *toned, *lit]
+        return [*found, *_narrow(self), *_veiled(self), *_ghost(self)]
 
 
 def with_traces(stack: EdgeStack, regions: Iterable[EdgeRegions], lights: Sequence[LightField | None]) -> EdgeStack:
@@ -94,105 +170,69 @@ def with_traces(stack: EdgeStack, regions: Iterable[EdgeRegions], lights: Sequen
 
     stack: results of n edges. regions: their rows, in even light. lights: uneven light of each, None where there is none.
     """
-    shares, given = np.zeros((3, len(stack))), list(stack.given or [()] * len(stack))
-    first = 0
+    shares = {of: np.zeros(len(stack)) for of in ("lens", "free", "glare")}
+    given = list(stack.given or [()] * len(stack))
+    i = 0
     for rows in regions:
-        part = slice(first, first + len(rows.value))
+        part = slice(i, i + len(rows.value))
         clear = clearance(tuple_map(lambda a: a[part], stack.fits), rows)  # noqa: B023
-        for k in range(len(rows.value)):
-            i = first + k
+        for k, value in enumerate(rows.value):
             if stack.problems[i] is None:
-                traces = _traces(stack, i, rows, k, float(clear[k]), lights[i])
-                shares[:, i] = traces.share, traces.free, traces.glare
-                given[i] = given[i] + traces.remarks
-        first += len(rows.value)
+                edge = stack[i]
+                across = rows.start[k][:, None] + rows.step * np.arange(value.shape[1])
+                across = across - np.polyval(edge.fits.curve[::-1], rows.y[k])[:, None]
+                distance = across / np.hypot(1.0, float(edge.fits.slope))
+                found = _EdgeRegion(edge, value, distance, rows.step > 1, float(clear[k]), lights[i]).traces()
+                given[i] = given[i] + tuple(trace.remark for trace in found if trace.remark)
+                for trace in found:
+                    shares[trace.of][i] = np.hypot(shares[trace.of][i], trace.share)
+            i += 1
+    shares["lens"] = np.hypot(shares["lens"], _SURER * shares["free"])
     stack = with_core_as_total(stack, np.array([light is not None and light.amplitude > 0 for light in lights]))
     ghosts = np.array([0.0 if light is None else light.ghost for light in lights])
     return with_jumps(with_ghosts(widened(replace(stack, given=tuple(given)), shares), ghosts))
 
 
-def _traces(stack: EdgeStack, i: int, rows: EdgeRegions, k: int, clear: float, light: LightField | None) -> Traces:
-    """Return what is found in the region of edge i, the k-th of its regions.
-
-    clear: how far it stands off the borders, in standard deviations of its blur. light: uneven light that was found in it.
-    """
-    value, fits = rows.value[k], stack.fits
-    place = np.polyval(np.asarray(fits.curve[i])[::-1], rows.y[k])
-    across = rows.start[k][:, None] + rows.step * np.arange(value.shape[1]) - place[:, None]
-    distance = across / np.hypot(1.0, float(fits.slope[i]))
-    blur = float(np.hypot(fits.free.shape.sigma[i], _BOX))
-    reach = _REACH * blur + _MORE
-    there = np.isfinite(value)
-    dark, bright = there & (distance < -reach), there & (distance > reach)
-    step = float(stack.bright[i] - stack.dark[i])
-    noise = flat_noise(value, dark, bright, lines=rows.step == 1, least=_LEAST_NOISE * abs(step))
-    found = _smoothed(noise, blur)
-    raised = list[tuple[Remark | None, float]]()
-    # a mosaic is filtered after it has been filled in, and rounding has no correlation
-    known = rows.step == 1 and np.isfinite(noise.alike_std)
-    seen = correlations(np.where(there, value, 0.0), (dark, bright)) if known else None
-    if clear > CLEAR:
-        raised = _sharpened(stack, i, noise) or _slightly_sharpened(stack, i, noise, seen)
-    if not noise.compressed:
-        raised += _filtered(stack, i, seen, (found, raised))
-    found += raised
-    found += _crushed(stack, i, crushed_share(value[dark], value[bright]))
-    coarse = _coarse(value, (dark, bright), noise, step)
-    found += coarse + (
-        _bent(stack, i, noise) or ([] if any(remark for remark, _ in coarse) else _asymmetric(stack, i, noise))
-    )
-    by_light = 0.0 if light is None else _PER_STEP * light.unknown
-    share = float(np.hypot.reduce([by_light, *(share for _, share in found)]))
-    narrow, free = _narrow(clear, blur)
-    veiled, glare = _veiled(stack, i, light)
-    remarks = (*(remark for remark, _ in found), narrow, veiled, _ghost(stack, i))
-    return Traces(tuple(remark for remark in remarks if remark), float(np.hypot(share, free * _SURER)), free, glare)
-
-
-def _narrow(clear: float, blur: float) -> tuple[Remark | None, float]:
-    """Return what a blur that reaches the region's border leaves unsure of the free estimate."""
-    share = _TAILS * float(np.clip((CLEAR - clear) / _FADING, 0.0, 1.0))
+def _narrow(region: _EdgeRegion) -> list[Trace]:
+    """Find a blur that reaches the region's border, which leaves the free estimate unsure."""
+    share = _TAILS * float(np.clip((CLEAR - region.clear) / _FADING, 0.0, 1.0))
     if not share:
-        return None, 0.0
-    text = (
-        f"the blur ({blur:.1f} px) reaches the region's border, {clear:.1f} of it away, so that the levels are unsure"
-    )
-    return Remark(
-        "narrow-region", f"{text}: MTF50 free of a model may be wrong by {share:.0%}; take a wider region"
-    ), share
+        return []
+    text = f"the blur ({region.blur:.1f} px) reaches the region's border, {region.clear:.1f} of it away, so that the "
+    text += f"levels are unsure: MTF50 free of a model may be wrong by {share:.0%}; take a wider region"
+    return [Trace(share, Remark("narrow-region", text), "free")]
 
 
-def _veiled(stack: EdgeStack, i: int, light: LightField | None) -> tuple[Remark | None, float]:
+def _veiled(region: _EdgeRegion) -> list[Trace]:
     """Estimate the error of MTF50 because uneven light looks like glare."""
-    glare, radius = float(stack.glare_fraction[i]), float(stack.glare_radius[i])
+    edge, light = region.edge, region.light
+    glare, seen = edge.glare_fraction, f"glare of {edge.glare_fraction:.1%} over {edge.glare_radius:.0f} px may be"
     if light is not None and light.amplitude > 0:
         text = f"uneven light of {light.amplitude:.1%}, beyond light of third order, was taken out"
         if glare > 0:
-            text += f"; glare of {glare:.1%} over {radius:.0f} px may be its remainder: the MTF is that without glare"
-        return Remark("uneven-light", text), 0.0
-    unsure = max(min(glare, 0.0 if light is None else light.possible), 0.0)
+            text += f"; {seen} its remainder: the MTF is that without glare"
+        return [Trace(0.0, Remark("uneven-light", text), "glare")]
+    width = (2 if region.mosaic else 1) * (region.value.shape[1] - 1)
+    possible = 1.0 if edge.glare_radius > VEIL * width else 0.0 if light is None else light.possible
+    unsure = max(min(glare, possible), 0.0)
     share = _BY_GLARE * unsure
-    part = "" if unsure == glare else " in part"
-    text = f"glare of {glare:.1%} over {radius:.0f} px may be uneven light{part}"
-    text += f": MTF50 with it may be too low by {share:.0%}"
-    return Remark("wide-glare", text) if share > _SURE_GLARE else None, share
+    text = f"{seen} uneven light{'' if unsure == glare else ' in part'}: MTF50 with it may be too low by {share:.0%}"
+    return [Trace(share, Remark("wide-glare", text) if share > _SURE_GLARE else None, "glare")]
 
 
-def _ghost(stack: EdgeStack, i: int) -> Remark | None:
-    """Return that there is a second, weaker edge, which is part of what was measured."""
-    ghost = ghost_of(tuple_map(lambda a: a[i], stack.fits.free))
+def _ghost(region: _EdgeRegion) -> list[Trace]:
+    """Find a second, weaker edge, which is part of what was measured."""
+    ghost = ghost_of(region.edge.fits.free)
     if ghost.share < max(_GHOST, _SURE_GHOST * ghost.std):
-        return None
+        return []
     side = "bright" if ghost.bright else "dark"
     text = f"a second edge of {ghost.share:.1%} of the step lies {ghost.place:.1f} px away, on the {side} side"
-    return Remark("ghost", f"{text}: a ghost; it is part of the MTF")
+    return [Trace(0.0, Remark("ghost", f"{text}: a ghost; it is part of the MTF"))]
 
 
-def _smoothed(noise: FlatNoise, blur: float) -> list[tuple[Remark | None, float]]:
-    """Return what noise says that neighbours share.
-
-    blur: px. The wider it is, the less a smoothing of so many px changes it.
-    """
+def _smoothed(region: _EdgeRegion) -> list[Trace]:
+    """Find noise that neighbours share. The wider the blur is, the less a smoothing of so many px changes it."""
+    noise = region.noise
     if not noise.smoothed:
         return []
     seen = f"neighbours err alike (by {noise.alike:.2f} of independent noise)"
@@ -202,127 +242,94 @@ def _smoothed(noise: FlatNoise, blur: float) -> list[tuple[Remark | None, float]
         )
         share = float(np.clip(_PER_BORDER * (noise.grid - _HARMLESS), 0.0, _MOST_BY_BLOCKS))
         more = f"; MTF50 may be wrong by {share:.1%}" if share else ""
-        return [(Remark("compressed", text + more), share)]
+        return [Trace(share, Remark("compressed", text + more))]
     if not noise.denoised:
         text = f"{seen}: a demosaiced picture, or one that was resampled or smoothed, whose MTF is not the lens's"
-        return [(Remark("demosaiced", text), 0.0)]
-    share = smoothing_doubt(blur, denoised=True)
+        return [Trace(0.0, Remark("demosaiced", text))]
+    share = smoothing_doubt(region.blur, denoised=True)
     text = (
         f"{seen}, over several px: a denoised picture, whose MTF is not the lens's; MTF50 may be wrong by {share:.0%}"
     )
-    return [(Remark("denoised", text), share)]
+    return [Trace(share, Remark("denoised", text))]
 
 
-def _bent(stack: EdgeStack, i: int, noise: FlatNoise) -> list[tuple[Remark | None, float]]:
-    """Return what noise says that is larger in the dark."""
-    if not noise.bent:
+def _bent(region: _EdgeRegion) -> list[Trace]:
+    """Find noise that is larger in the dark."""
+    if not region.noise.bent:
         return []
-    dark, bright = float(stack.dark[i]), float(stack.bright[i])
-    effect = _effect_of_tone(stack[i], lambda response: np.maximum(dark + (bright - dark) * response, 0) ** _GAMMA)
-    share = max(BENT_DOUBT, effect)
-    text = f"dark pixels err {noise.tilt:.1f} times as much as bright ones: a tone curve that was not undone (--tone)"
-    return [(Remark("tone-curve", f"{text}? MTF50 may be wrong by {share:.0%}"), share)]
+    edge = region.edge
+    step = edge.bright - edge.dark
+    share = max(BENT_DOUBT, _effect_of_tone(edge, lambda seen: np.maximum(edge.dark + step * seen, 0) ** _GAMMA))
+    text = f"dark pixels err {region.noise.tilt:.1f} times as much as bright ones: a tone curve that was not undone (--tone)"
+    return [Trace(share, Remark("tone-curve", f"{text}? MTF50 may be wrong by {share:.0%}"))]
 
 
-def _sharpened(stack: EdgeStack, i: int, noise: FlatNoise) -> list[tuple[Remark | None, float]]:
-    """Return what overshoot and noise say together."""
-    over, std = float(stack.overshoot[i]), max(float(stack.overshoot_std[i]), 1e-4)
+def _sharpened(region: _EdgeRegion) -> list[Trace]:
+    """Find sharpening by overshoot and noise together."""
+    noise = region.noise
+    over, std = region.edge.overshoot, max(region.edge.overshoot_std, 1e-4)
     apart = 0.0 if noise.smoothed else noise.apart
     # beside an edge JPEG rings
     if over < (SHARPENED if noise.compressed else _OVERSHOOT) or (over / std + apart) / np.sqrt(2) < _SURE:
         return []
     share = _PER_OVERSHOOT * over
     text = f"the edge overshoots by {over:.1%}, as in a sharpened picture: MTF50 may be too high by {share:.0%}"
-    return [(Remark("sharpened", text) if over <= SHARPENED else None, share)]
+    return [Trace(share, Remark("sharpened", text) if over <= SHARPENED else None)]
 
 
-def _slightly_sharpened(
-    stack: EdgeStack, i: int, noise: FlatNoise, seen: Correlations | None
-) -> list[tuple[Remark | None, float]]:
-    """Return what an unsharp mask explains of edge and noise together, where no overshoot shows it.
-
-    seen: correlations of the noise; None where nothing is known.
-    """
+def _slightly_sharpened(region: _EdgeRegion) -> list[Trace]:
+    """Find an unsharp mask that explains edge and noise together, where no overshoot shows it."""
+    seen = region.correlations
     # noise that speaks against the mask spares most pictures the fits
-    if seen is None or noise.smoothed or (gain := mask_gain(seen)) < 0:
+    if seen is None or region.noise.smoothed or (gain := mask_gain(seen)) < 0:
         return []
-    edge = _bare(tuple_map(lambda a: np.asarray(a)[i], stack.fits))
-    gain += edge_gain(edge)
-    if gain < needed_gain(edge.blur):
+    gain += edge_gain(region.bare)
+    if gain < needed_gain(region.bare.blur):
         return []
-    share = effect_on_half(stack.frequency, stack.mtf[i])
+    share = effect_on_half(region.edge.frequency, region.edge.mtf)
     text = (
         f"neighbours err apart and the edge overshoots as behind an unsharp mask of {AMOUNT:.0%} (2 ln likelihood "
         f"{gain:.0f} more): a sharpened picture? MTF50 may be too high by {share:.1%}"
     )
-    return [(Remark("sharpened", text), share)]
+    return [Trace(share, Remark("sharpened", text))]
 
 
-def _filtered(
-    stack: EdgeStack,
-    i: int,
-    seen: Correlations | None,
-    others: tuple[list[tuple[Remark | None, float]], list[tuple[Remark | None, float]]],
-) -> list[tuple[Remark | None, float]]:
+def _filtered(region: _EdgeRegion, smoothed: list[Trace], raised: list[Trace]) -> list[Trace]:
     """Estimate the error of MTF50 by a linear filter, from the correlation of the noise; other traces of filters count once.
 
-    seen: as in `_slightly_sharpened`. others: remarks and errors that were found for smoothing, and for sharpening.
+    smoothed, raised: traces of smoothing, and of sharpening.
     """
-    smoothed, raised = others
-    doubt = filter_doubt(seen, stack.frequency, stack.mtf[i], sharpened=bool(raised))
-    more = np.sqrt(max(doubt.share**2 - sum(share**2 for _, share in (*smoothed, *raised)), 0.0))
+    doubt = filter_doubt(region.correlations, region.edge.frequency, region.edge.mtf, sharpened=bool(raised))
+    more = float(np.sqrt(max(doubt.share**2 - sum(trace.share**2 for trace in (*smoothed, *raised)), 0.0)))
     if smoothed or raised or doubt.probability < 0.5:
-        return [(None, float(more))]
+        return [Trace(more)]
     kind, off = ("smooths", "low") if doubt.smooths else ("sharpens or deconvolves", "high")
     text = f"the noise of neighbours is correlated as behind a filter that {kind} (probability {doubt.probability:.1%})"
-    return [(Remark("filtered", f"{text}: MTF50 may be too {off} by {doubt.share:.0%}"), float(more))]
+    return [Trace(more, Remark("filtered", f"{text}: MTF50 may be too {off} by {doubt.share:.0%}"))]
 
 
-def _bare(fits: EdgeFits) -> BareEdge:
-    """Return an edge's cells, free of a lens."""
-    cells, used = fits.cells, fits.cells.pixels > 0
-    terms, levels, free = cells.terms[:, used], fits.free.levels, fits.state.used
-    # `light_of` and `Noise.variance` would be compiled for every number of cells
-    factor, addend = 1 + levels[2 : SHIFT - ADDED] @ terms, levels[SHIFT - ADDED :] @ terms[:ADDED]
-    expected, dim = fits.parametric.expected[used], cells.dim[used]
-    variance = fits.noise.gain * np.maximum(expected, 0.0) * dim + (fits.noise.read * dim) ** 2
-    value = cells.value[used] - addend
-    bent = value / factor * terms[free[2 : SHIFT - ADDED] > 0]
-    return BareEdge(
-        distance=np.asarray(cells.distance[used] + fits.state.linear[SHIFT]),
-        spread=np.asarray(cells.spread[used]),
-        value=np.asarray(value),
-        std=np.asarray(np.sqrt(fits.excess * variance / cells.pixels[used])),
-        step=np.asarray((levels[1] - levels[0]) * factor),
-        light=np.concatenate([factor[None], bent, terms[:ADDED][free[SHIFT - ADDED : SHIFT] > 0]]),
-        blur=float(np.hypot(fits.free.shape.sigma, fits.free.shape.half_width / np.sqrt(3))),
-    )
-
-
-def _crushed(stack: EdgeStack, i: int, piled: float) -> list[tuple[Remark, float]]:
-    """Return what a dark side of one value says."""
+def _crushed(region: _EdgeRegion) -> list[Trace]:
+    """Find a dark side of one value."""
+    piled = crushed_share(*(region.value[side] for side in region.sides))
     if not piled:
         return []
-    share = max(_CRUSHED, _effect_of_crushing(stack, i))
+    share = max(_CRUSHED, _effect_of_crushing(region))
     text = f"blacks are crushed: {piled:.0%} of the dark side has the very lowest value; MTF50 may be too high by {share:.0%}"
-    return [(Remark("crushed", text), share)]
+    return [Trace(share, Remark("crushed", text))]
 
 
-def _coarse(
-    value: FloatArray, sides: tuple[np.ndarray, np.ndarray], noise: FlatNoise, step: float
-) -> list[tuple[Remark | None, float]]:
+def _coarse(region: _EdgeRegion) -> list[Trace]:
     """Estimate the error of MTF50 by rounding to coarse levels.
 
     The mean of rounded values errs by at most (level / pi) exp(-2 pi^2 noise^2 / level^2) (Widrow & Kollar, Quantization
     Noise, 2008, ch. 9).
-
-    value: region (height, width), linear. sides: its flat parts, dark and bright, bool. step: bright less dark.
     """
+    value, sides = region.value, region.sides
     levels = np.unique(value[np.isfinite(value)])
     if not 2 <= levels.size <= _MOST_LEVELS or not all(side.any() for side in sides):
         return []
     gaps, errors = np.diff(levels), []
-    for side, variance in zip(sides, noise.variance, strict=True):
+    for side, variance in zip(sides, region.noise.variance, strict=True):
         at = int(np.searchsorted(levels, np.median(value[side])))
         apart = float(gaps[max(at - _NEAR_LEVELS, 0) : at + _NEAR_LEVELS].min())
         # rounding has a variance of its own, and noise that reaches a third level can be told from it
@@ -330,53 +337,54 @@ def _coarse(
         beyond = float(np.clip(count[:-2].sum(), 0.5, None) / count.sum())
         noisy = min(max(variance - apart**2 / 12, 0.0), (apart / ndtri(beyond / 2)) ** 2)
         errors.append(apart * np.exp(-2 * np.pi**2 * noisy / apart**2))
+    step = region.edge.bright - region.edge.dark
     share = _PER_LEVEL * float(np.hypot(*errors)) / step
-    steps = step / max(gaps.min(), 1e-300)
-    text = f"levels are coarse: {steps:.0f} of them from dark to bright, and less noise than one"
-    text += f"; MTF50 may be wrong by {share:.1%}"
-    return [(Remark("quantised", text) if share > _SMALL_DOUBT else None, share)]
+    text = (
+        f"levels are coarse: {step / max(gaps.min(), 1e-300):.0f} of them from dark to bright, and less noise than one"
+    )
+    return [
+        Trace(
+            share, Remark("quantised", f"{text}; MTF50 may be wrong by {share:.1%}") if share > _SMALL_DOUBT else None
+        )
+    ]
 
 
-def _asymmetric(stack: EdgeStack, i: int, noise: FlatNoise) -> list[tuple[Remark | None, float]]:
+def _asymmetric(region: _EdgeRegion) -> list[Trace]:
     """Estimate the error of MTF50 because an asymmetric edge response may come from a tone curve, not from the lens.
 
     A tone curve v + q v (1 - v) between the levels adds q E (1 - E) to a response E; a symmetric lens does not. The variance of
     photon noise is proportional to the light. More variance than that on the dark side makes a tone curve more probable.
     """
-    fits = tuple_map(lambda a: np.asarray(a)[i], stack.fits)
-    if ghost_of(fits.free).share > 0:
+    edge, bare, noise = region.edge, region.bare, region.noise
+    if ghost_of(edge.fits.free).share > 0:
         return []
-    edge = _bare(fits)
-    width = np.sqrt(edge.blur**2 + edge.spread)
-    at = edge.distance / width
+    at = bare.distance / np.sqrt(bare.blur**2 + bare.spread)
     response, line = ndtr(at), np.exp(-(at**2) / 2)
     # levels and light, the edge's place and its width, and a lens that is not Gaussian, are free besides
-    even = np.stack([response, line, at * line, at**3 * line]) * edge.step
-    columns = np.concatenate([(edge.step * response * (1 - response))[None], even, edge.light])
-    if stack.glare_fraction[i] > 0:
-        columns = np.concatenate([columns, (ndtr(edge.distance / stack.glare_radius[i]) * edge.step)[None]])
-    weight = 1 / np.hypot(edge.std, _LEAST_NOISE * edge.step)
+    even = np.stack([response, line, at * line, at**3 * line]) * bare.step
+    columns = np.concatenate([(bare.step * response * (1 - response))[None], even, bare.light])
+    if edge.glare_fraction > 0:
+        columns = np.concatenate([columns, (ndtr(bare.distance / edge.glare_radius) * bare.step)[None]])
+    weight = 1 / np.hypot(bare.std, _LEAST_NOISE * bare.step)
     scale = np.linalg.norm(columns * weight, axis=1)
     inverse = np.linalg.pinv((columns * weight / np.maximum(scale, 1e-300)[:, None]).T, rcond=1e-6)
-    bend = float(inverse[0] @ (edge.value * weight)) / scale[0]
+    bend = float(inverse[0] @ (bare.value * weight)) / scale[0]
     variance = float(inverse[0] @ inverse[0]) / scale[0] ** 2
     prior = _TONE_BEND**2
     gain = bend**2 / variance * prior / (prior + variance) / 2
     odds = np.exp(min(gain, 50.0)) / np.sqrt(1 + prior / variance)
-    raised = ndtr((noise.tilt - _RAISED * stack.dark[i] / stack.bright[i]) / noise.tilt_std)
+    raised = ndtr((noise.tilt - _RAISED * edge.dark / edge.bright) / noise.tilt_std)
     first = float(np.interp(raised, (0.0, 1.0), _TONE_PROBABILITIES)) if np.isfinite(raised) else _TONE_PROBABILITIES[0]
     probability = first * odds / (1 + first * (odds - 1))
     if probability < _NO_TONE:
         return []
-    lowest = float(np.clip(stack.dark[i] / stack.bright[i], 0.0, 0.9))
-    effect = _effect_of_tone(stack[i], lambda response: _shoulder_undone(response, lowest, bend))
-    share = float(np.sqrt(probability)) * effect
-    if probability < _SURE_TONE or share < _SMALL_DOUBT:
-        return [(None, share)]
+    lowest = float(np.clip(edge.dark / edge.bright, 0.0, 0.9))
+    share = float(np.sqrt(probability)) * _effect_of_tone(edge, lambda seen: _shoulder_undone(seen, lowest, bend))
     text = (
         "the edge response is not symmetric: coma of the lens, or a tone curve that bends, such as a highlight shoulder"
     )
-    return [(Remark("asymmetric", f"{text}; MTF50 may be wrong by {share:.1%}"), share)]
+    remark = Remark("asymmetric", f"{text}; MTF50 may be wrong by {share:.1%}")
+    return [Trace(share, remark if probability >= _SURE_TONE and share >= _SMALL_DOUBT else None)]
 
 
 def _shoulder_undone(response: FloatArray, lowest: float, bend: float) -> FloatArray:
@@ -409,10 +417,9 @@ def _effect_of_tone(edge: EdgeMTF, undone: Callable[[FloatArray], FloatArray]) -
     return abs(effect) if np.isfinite(effect) else 0.0
 
 
-def _effect_of_crushing(stack: EdgeStack, i: int) -> float:
+def _effect_of_crushing(region: _EdgeRegion) -> float:
     """Return by how much crushed blacks narrow the edge, relative: a Gaussian's own foot, cut or not, is fitted."""
-    cells = stack[i].samples
-    blur = float(np.hypot(stack.fits.free.shape.sigma[i], _BOX))
+    cells, blur = region.edge.samples, region.blur
     used = np.abs(cells.distance) < 6 * blur + 2
     d, value, weight = cells.distance[used], cells.value[used], 1 / np.maximum(cells.std[used], 1e-3)
 

@@ -38,8 +38,8 @@ _UNEXPLAINED = 0.015  # of the step: misfit near the edge
 CLEAR = 4.6
 """Times its blur that an edge must stand off the region's borders; nearer, its levels are unsure."""
 _SOME = 0.1  # of the rows may be nearer to a border
-_VEIL = 0.25
-"""Radius in units of a region's width beyond which strong glare is rather light or another edge."""
+VEIL = 0.25
+"""Radius in units of a region's width beyond which glare looks like light, or like another edge."""
 _VEILED, _SPOILT = 0.15, 0.002  # of the light; of the step: so much wide glare, and a misfit, are no lens's
 _BLUR = 0.2  # of the region's width: widest standard deviation of the line spread function
 
@@ -155,7 +155,7 @@ def refusals(found: EdgeFits, region: EdgeRegions, *, accept_sharpened: bool) ->
     gap = _largest_gap(region, np.where(lost[:, None], 0.0, found.curve), np.where(lost, 0.0, found.slope))
 
     glare, clear = found.free.even[:, GLARE], clearance(found, region)
-    veiled = (glare > _VEILED) & (found.free.shape.radius > _VEIL * width) & (found.misfit > _SPOILT)
+    veiled = (glare > _VEILED) & (found.free.shape.radius > VEIL * width) & (found.misfit > _SPOILT)
 
     ghost = ghost_of(found.free)
 

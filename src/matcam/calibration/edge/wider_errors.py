@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -66,11 +67,11 @@ def with_jumps(stack: EdgeStack) -> EdgeStack:
     )
 
 
-def widened(stack: EdgeStack, all_shares: np.ndarray) -> EdgeStack:
-    """Return results whose frequencies are unknown by relative shares (3, n), as in `Traces`."""
-    shares, free, glare = all_shares
-    core = np.hypot(shares, free)
-    total = np.hypot(core, glare)
+def widened(stack: EdgeStack, by_part: Mapping[str, np.ndarray]) -> EdgeStack:
+    """Return results whose frequencies are unknown by relative shares (n,): of the "lens", "free" estimates, and "glare"."""
+    shares = by_part["lens"]
+    core = np.hypot(shares, by_part["free"])
+    total = np.hypot(core, by_part["glare"])
 
     def curve(mtf: np.ndarray, std: np.ndarray, by: np.ndarray) -> np.ndarray:
         slope = np.gradient(mtf, stack.frequency, axis=-1)
