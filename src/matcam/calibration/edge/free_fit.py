@@ -52,6 +52,10 @@ _PRIOR_GHOST = 0.3  # of the step
 _FIRST_GHOST, _LAST_GHOST, _FURTHEST = 2.2, 6.0, 8.0  # s; s and px, whichever is more: where ghosts are looked for
 _GHOST_PLACES, _GHOST_ROOM = 24, 0.3  # of the region's width
 _MISFIT = 2e-4  # of the step: what bumps of 0.6 s cannot describe; weighs only in pictures with less noise than that
+VEIL = 0.25
+"""Radius in units of a region's width beyond which glare looks like uneven light, or like another edge."""
+_VEIL_COST = 4.0
+"""Rise of 2 ln likelihood that such glare must bring more than the light that looks like it: light is more frequent."""
 _LEAST_COST = 10.8  # 2 ln likelihood that a parameter of the light must bring at least: once in 1,000 by chance
 _LEVELS = SHIFT
 _COLUMN = _LEVELS + GLARE
@@ -271,6 +275,7 @@ def _chosen_light(
     that glares look alike, and neither may be taken for the other.
     """
     radii = _radii(shape)
+    unlikely = xp.where(xp.exp(radii) > VEIL * _width(cells), _VEIL_COST, 0.0)
     glare = (glare_edge(xp.exp(radii)[:, None], cells.distance, cells.spread) - pilot) * full.step
     score = full.columns @ (weight * full.residual)
     by_glare = (glare * weight) @ full.residual
@@ -297,7 +302,8 @@ def _chosen_light(
         mine, shared = solved[:, 0], solved[:, 1:]
         chi2 = before + 2 * score @ given + given @ towards - mine @ mine
         left = by_glare + cross @ given - mine @ shared
-        return chi2, xp.max(xp.maximum(left, 0.0) ** 2 / (alone - (shared**2).sum(0)))
+        rise = xp.max(xp.maximum(left, 0.0) ** 2 / (alone - (shared**2).sum(0)) - unlikely)
+        return chi2, xp.maximum(rise, 0.0)
 
     lights = xp.asarray(LIGHTS) + 0 * before  # an array of JAX where the cells are
     chi2, rise = each(judged, lights)

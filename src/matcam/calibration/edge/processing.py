@@ -18,8 +18,9 @@ from scipy.special import ndtr, ndtri
 
 from matcam.calibration.edge.edge_result import SHARPENED, EdgeMTF, EdgeStack
 from matcam.calibration.edge.free_curve import ghost_of, line_width
+from matcam.calibration.edge.free_fit import VEIL
 from matcam.calibration.edge.maximum_likelihood import ADDED, SHIFT, light_of
-from matcam.calibration.edge.rows import CLEAR, VEIL, EdgeRegions, clearance
+from matcam.calibration.edge.rows import CLEAR, EdgeRegions, clearance
 from matcam.calibration.edge.wider_errors import widened, with_core_as_total, with_ghosts, with_jumps
 from matcam.calibration.photograph.flat_noise import BENT_DOUBT, FlatNoise, crushed_share, flat_noise, smoothing_doubt
 from matcam.calibration.photograph.linear_filters import Correlations, correlations, filter_doubt, mask_gain

@@ -12,6 +12,7 @@ import numpy as np
 from scipy import ndimage
 
 from matcam.calibration.edge.free_curve import GLARE, ghost_of
+from matcam.calibration.edge.free_fit import VEIL
 from matcam.calibration.edge.measurement import EdgeFits
 from matcam.calibration.photograph.flat_noise import flat_noise
 from matcam.core.remark import Remark
@@ -38,8 +39,6 @@ _UNEXPLAINED = 0.015  # of the step: misfit near the edge
 CLEAR = 4.6
 """Times its blur that an edge must stand off the region's borders; nearer, its levels are unsure."""
 _SOME = 0.1  # of the rows may be nearer to a border
-VEIL = 0.25
-"""Radius in units of a region's width beyond which glare looks like light, or like another edge."""
 _VEILED, _SPOILT = 0.15, 0.002  # of the light; of the step: so much wide glare, and a misfit, are no lens's
 _BLUR = 0.2  # of the region's width: widest standard deviation of the line spread function
 
