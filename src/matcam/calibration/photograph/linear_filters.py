@@ -16,6 +16,7 @@ from scipy.fft import irfft2, next_fast_len, rfft2
 
 from matcam.core.arrays import FloatArray
 from matcam.numerics.crossing import first_fall
+from matcam.numerics.polynomials import plane_powers
 
 LAGS = ((0, 1), (1, 0), (1, 1), (1, -1), (0, 2), (2, 0), (1, 2), (2, 1), (1, -2), (2, -1), (2, 2), (2, -2))
 """Distances of neighbours whose correlation is compared with that of filters, rows and columns, px."""
@@ -88,15 +89,14 @@ def correlations(value: FloatArray, sides: tuple[np.ndarray, np.ndarray]) -> Cor
     Returns:
         Correlations of pixels at all distances of `LAGS` and `_FAR_LAGS`.
     """
-    height, width = value.shape
-    axes = (np.linspace(-1, 1, height)[:, None], np.linspace(-1, 1, width)[None])
-    terms = [axes[0] ** i * axes[1] ** k for i in range(_ORDER + 1) for k in range(_ORDER + 1 - i)]
+    y, x = np.meshgrid(*(np.linspace(-1, 1, size) for size in value.shape), indexing="ij")
+    terms = plane_powers(x, y, _ORDER)
     noise, there = np.zeros(value.shape), np.zeros(value.shape)
     for side in sides:
         if side.sum() < _FEWEST:
             return None
-        design = np.stack([np.broadcast_to(term, value.shape)[side] for term in terms])
-        left = value[side] - np.linalg.lstsq(design @ design.T, design @ value[side], rcond=None)[0] @ design
+        design = terms[side]
+        left = value[side] - design @ np.linalg.lstsq(design.T @ design, design.T @ value[side], rcond=None)[0]
         scale = left.std()
         if not scale > 0:
             return None
@@ -107,7 +107,7 @@ def correlations(value: FloatArray, sides: tuple[np.ndarray, np.ndarray]) -> Cor
     there *= local < _STRUCTURE * np.median(local[there > 0])
     total, pairs = (_sums_of_products(a) for a in (noise * there, there))
     # the light that was fitted to the noise makes neighbours err apart by one pair for each of its terms
-    return Correlations((total + len(sides) * len(terms)) / np.maximum(pairs, 1.0), pairs)
+    return Correlations((total + len(sides) * terms.shape[-1]) / np.maximum(pairs, 1.0), pairs)
 
 
 def _sums_of_products(values: FloatArray) -> FloatArray:

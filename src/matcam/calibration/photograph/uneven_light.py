@@ -14,6 +14,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from matcam.core.arrays import FloatArray
+from matcam.numerics.polynomials import plane_powers
 
 _BINS, _SMALLEST_BIN = 220, 4.0
 """Number of bins of a region; least side of a bin, px. Their eigenvalues are computed in 10 ms."""
@@ -173,7 +174,7 @@ def light_field(
 
 def _polynomials(x: FloatArray, y: FloatArray) -> FloatArray:
     """Compute x, y and their products to third order (9, ...)."""
-    return np.stack([x, y, x * x, x * y, y * y, x**3, x * x * y, x * y * y, y**3])
+    return np.moveaxis(plane_powers(x, y, 3)[..., 1:], -1, 0)
 
 
 def _unknown(bins: _Bins, seen: FloatArray, best: _Model, places: tuple[FloatArray, ...], blur: float) -> float:

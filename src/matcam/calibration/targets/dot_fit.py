@@ -20,6 +20,7 @@ from matcam.calibration.targets.wave_fit import noise_from_residuals
 from matcam.core.arrays import FloatArray
 from matcam.core.errors import FitError
 from matcam.numerics.linalg import scaled_inverse
+from matcam.numerics.polynomials import plane_orders, plane_powers
 
 FEWEST = 9
 SHARED = [(2, 0), (0, 2), (4, 0), (2, 2), (0, 4)]
@@ -79,9 +80,8 @@ class DotLattice(NamedTuple):
         size = max(float(np.ptp(self.u)), float(np.ptp(self.v)), 1e-9) / 2
         u, v = (self.u - self.u.mean()) / size, (self.v - self.v.mean()) / size
         degree = 4 if len(u) >= 60 else 3 if len(u) >= 30 else 2 if len(u) >= 15 else 1
-        orders = [(n - j, j) for n in range(degree + 1) for j in range(n + 1)]
+        orders, powers = plane_orders(degree), plane_powers(u, v, degree)
         zero = np.zeros_like(u)
-        powers = np.stack([u**i * v**j for i, j in orders], axis=-1)
         by_u = np.stack([i * u ** (i - 1) * v**j / size if i else zero for i, j in orders], axis=-1)
         by_v = np.stack([j * u**i * v ** (j - 1) / size if j else zero for i, j in orders], axis=-1)
         maps = np.linalg.lstsq(powers, np.stack([self.x, self.y], axis=-1), rcond=None)[0]
@@ -345,10 +345,9 @@ def _bow(lattice: DotLattice, ground: FloatArray, du: FloatArray, dv: FloatArray
     scale = max(float(np.ptp(lattice.x)), float(np.ptp(lattice.y))) / 2
     x, y = (lattice.x - lattice.x.mean()) / scale, (lattice.y - lattice.y.mean()) / scale
     degree = 4 if len(x) >= 60 else 2 if len(x) >= 15 else 0
-    orders = [(n - j, j) for n in range(degree + 1) for j in range(n + 1)]
-    found = np.linalg.lstsq(np.stack([x**i * y**j for i, j in orders], axis=-1), ground, rcond=None)[0]
+    found = np.linalg.lstsq(plane_powers(x, y, degree), ground, rcond=None)[0]
     bow = np.zeros_like(du)
-    for c, (i, j) in zip(found, orders, strict=True):
+    for c, (i, j) in zip(found, plane_orders(degree), strict=True):
         for a, b, factor in ((2, 0, i * (i - 1) / 2), (1, 1, i * j), (0, 2, j * (j - 1) / 2)):
             if factor:
                 bow += c * factor * (x ** (i - a) * y ** (j - b))[:, None] * (du / scale) ** a * (dv / scale) ** b
