@@ -10,10 +10,9 @@ from numpy.typing import ArrayLike
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
-from matcam.calibration.photograph.linear_image import local_mean
+from matcam.calibration.photograph.linear_image import smoothed
 from matcam.core.arrays import FloatArray
 
-_SMOOTH, _SMOOTH_GAPS = 0.7, 1.2  # px; of pictures without and with gaps
 _DARK = (0.6, 0.78, 0.45)  # of the paper around: where small discs run into their rings, another level parts them
 _CONCENTRIC = 0.35  # radii of the disc
 _RING, _SECOND = (2.5, 9.0), (4.5, 16.0)  # areas of the rings over the disc's: 5 and 9, in all sorts of light and blur
@@ -43,7 +42,7 @@ def find_marks(picture: FloatArray, enough: int) -> list[Mark]:
 
     enough: marks, one of them with two rings, that are not added to.
     """
-    smooth = local_mean(picture, _SMOOTH if np.isfinite(picture).all() else _SMOOTH_GAPS)
+    smooth = smoothed(picture)
     # the paper's level nearby: the brightest there is, of means that noise does not reach
     cell = max(4, round(min(picture.shape) / 60))
     coarse = ndimage.uniform_filter(smooth, 3)[::cell, ::cell]

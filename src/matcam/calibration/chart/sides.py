@@ -9,10 +9,8 @@ import numpy as np
 from scipy import ndimage
 
 from matcam.calibration.chart.chart import Chart, Square
-from matcam.calibration.photograph.linear_image import local_mean
 from matcam.core.arrays import FloatArray
 
-_SMOOTH, _SMOOTH_GAPS = 0.8, 1.2  # px; of pictures without and with gaps
 _ALONG = np.linspace(-0.32, 0.32, 9)  # of a side, from its middle: places where it is looked for
 _REACH, _FARTHEST = 0.22, 30  # of the shorter side in the picture; px
 _STEP = 0.5  # px between samples
@@ -43,11 +41,6 @@ class Sides(NamedTuple):
     def found(self) -> np.ndarray:
         """Return at which places a side was found (n, m)."""
         return np.asarray(np.isfinite(self.seen).all(2))
-
-
-def smoothed(picture: FloatArray) -> FloatArray:
-    """Return a picture without gaps, and with less noise, in which sides are looked for."""
-    return local_mean(picture, _SMOOTH if np.isfinite(picture).all() else _SMOOTH_GAPS)
 
 
 def seen_sides(smooth: FloatArray, chart: Chart, projection: Callable[[FloatArray], FloatArray]) -> Sides | None:

@@ -15,7 +15,7 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 from scipy.special import ndtr
 
-from matcam.calibration.photograph.linear_image import local_mean
+from matcam.calibration.photograph.linear_image import smoothed
 from matcam.calibration.targets.wave_fit import noise_from_residuals
 from matcam.core.arrays import FloatArray
 from matcam.core.errors import FitError
@@ -196,7 +196,7 @@ def find_dots(values: FloatArray) -> tuple[FloatArray, FloatArray]:
 
     values: (height, width), NaN where there are no data. FitError if there are not 9 dots.
     """
-    smooth = local_mean(values, 0.8 if np.isfinite(values).mean() > 0.9 else 1.3)
+    smooth = smoothed(values)
     # most pixels are background, which changes slowly
     ground = ndimage.gaussian_filter(ndimage.median_filter(smooth[::2, ::2], 15), 2)
     ground = ndimage.zoom(ground, 2, order=1)[: values.shape[0], : values.shape[1]]

@@ -16,7 +16,7 @@ import numpy as np
 from scipy import ndimage
 from scipy.optimize import least_squares
 
-from matcam.calibration.photograph.linear_image import local_mean
+from matcam.calibration.photograph.linear_image import local_mean, smoothed
 from matcam.core.arrays import FloatArray
 from matcam.core.errors import FitError
 from matcam.numerics.polynomials import plane_orders, plane_powers
@@ -111,8 +111,7 @@ def find_star(values: FloatArray, cycles: int | None = None) -> FoundStar:
 
     values: (height, width), NaN where there are no data. FitError if there is no star.
     """
-    # what is missing is filled by its neighbours
-    filled = local_mean(values, 0.7 if np.isfinite(values).mean() > 0.9 else 1.2)
+    filled = smoothed(values)
     centre = _centre(filled)
     rings = _rings(filled, centre)
     if not rings:
