@@ -73,7 +73,7 @@ _GHOST, _SURE_GHOST = 0.01, 4.0  # of the step; standard deviations, from which 
 
 
 class Trace(NamedTuple):
-    """What something has left in a picture, and what it may have done to the MTF.
+    """Trace of software or light in a picture, and its effect on the MTF.
 
     Attributes:
         share: standard deviation of MTF50 by it, relative.
