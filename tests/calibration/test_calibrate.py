@@ -41,7 +41,16 @@ def test_a_gaussian_camera_with_its_errors_and_its_origin(tmp_path):
     assert loaded.uncertainty.std()["optics.sigma_px"] == pytest.approx(fit.std[0])
     assert loaded.pixel.half_width == 0.4
     assert "16 edges" in loaded.provenance.source
-    assert found.edges_dataset().sizes["edge"] == 16
+    edges = found.edges_dataset()
+    assert edges.sizes["edge"] == 16
+    # an edge that points to the middle of the picture shows the meridional plane
+    middle = (np.array(found.shape[::-1]) - 1) / 2
+    towards = np.stack([edges.x - middle[0], edges.y - middle[1]], -1)
+    height = np.hypot(*towards.T)
+    cosine = (towards * np.stack([np.cos(edges.angle), np.sin(edges.angle)], -1)).sum(1) / height
+    assert edges.image_height.values == pytest.approx(height)
+    assert set(edges.plane.values[np.abs(cosine) > 0.8]) == {"meridional"}
+    assert set(edges.plane.values[np.abs(cosine) < 0.6]) == {"sagittal"}
     # edges tell that the blur does not grow; nothing tells the distortion
     assert loaded.field.k1 == (0.0, 0.01)
     assert abs(loaded.field.growth.value) < 4 * loaded.field.growth.std < 0.4

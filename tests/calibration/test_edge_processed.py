@@ -5,7 +5,8 @@ import pytest
 
 from matcam import edge_mtf_stack
 from matcam.calibration.photograph.flat_noise import crushed_share, flat_noise
-from matcam.calibration.photograph.slight_sharpening import effect_on_half, noise_score
+from matcam.calibration.photograph.linear_filters import correlations, mask_gain
+from matcam.calibration.photograph.slight_sharpening import effect_on_half
 from tests.oracle import processed_pictures as software
 from tests.oracle import real_edges as oracle
 
@@ -165,16 +166,16 @@ def test_noise_behind_a_mask_errs_apart():
     dark[:, :60] = True
     light = np.where(dark, 1000.0, 4000.0) * (1 + 0.3 * np.indices(dark.shape)[0] / 100)
     flat = np.roll(dark, -5, 1) & dark, np.roll(~dark, 5, 1) & ~dark
-    scores = {0.0: [], 0.1: []}
+    gains = {0.0: [], 0.1: []}
     for _ in range(40):
         counts = rng.poisson(light).astype(float)
-        for amount, of in scores.items():
-            of.append(noise_score(software.unsharp(counts, amount), flat))
-    # in this many pixels the mask is worth 3 standard deviations
-    assert abs(np.mean(scores[0.0])) < 0.6
-    assert np.std(scores[0.0]) == pytest.approx(1, abs=0.35)
-    assert np.mean(scores[0.1]) == pytest.approx(3, abs=0.8)
-    assert noise_score(np.full((50, 50), 3.0), (np.ones((50, 50), bool), np.zeros((50, 50), bool))) == 0
+        for amount, of in gains.items():
+            of.append(mask_gain(correlations(software.unsharp(counts, amount), flat)))
+    # in this many pixels the mask is worth 3 standard deviations: 2 ln likelihood is -9 +- 6 without it, and 9 +- 6 behind it
+    assert np.mean(gains[0.0]) == pytest.approx(-9, abs=3.5)
+    assert np.mean(gains[0.1]) == pytest.approx(9, abs=4.5)
+    assert np.std(gains[0.0]) == pytest.approx(6, abs=2.1)
+    assert correlations(np.full((50, 50), 3.0), (np.ones((50, 50), bool), np.zeros((50, 50), bool))) is None
 
 
 def test_what_a_mask_does_to_mtf50():

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from matcam import edge_mtf
-from matcam.calibration.photograph.linear_filters import filter_doubt, half_of
+from matcam.calibration.photograph.linear_filters import correlations, filter_doubt
 from matcam.core.errors import FitError
+from matcam.numerics.crossing import first_fall
 from tests.oracle import hard_edges as oracle
 from tests.oracle import local_regression as rival
 from tests.oracle import processed_pictures as software
@@ -99,8 +100,8 @@ def flat_sides(snr, seed):
 def test_a_filter_is_known_by_the_noise_behind_it():
     for seed in range(5):
         counts, sides = flat_sides(100, seed)
-        assert filter_doubt(counts, sides, FREQUENCY, MTF).share < 0.015
-    half = half_of(FREQUENCY, MTF)
+        assert filter_doubt(correlations(counts, sides), FREQUENCY, MTF).share < 0.015
+    half = first_fall(FREQUENCY, MTF)
     for name, filtered, width in (
         ("smooth", oracle.smoothed(counts, 0.4), 0.4),
         ("sharp", software.unsharp(counts, 0.5), None),
@@ -111,8 +112,8 @@ def test_a_filter_is_known_by_the_noise_behind_it():
         taps = (oracle.smoothed(impulse, width) if width else software.unsharp(impulse, 0.5)).sum(0)
         transfer = np.cos(2 * np.pi * FREQUENCY[:, None] * (np.arange(65) - 32)) @ taps
         behind = MTF * transfer
-        effect = half_of(FREQUENCY, behind) / half - 1
-        found = filter_doubt(filtered, sides, FREQUENCY, behind)
+        effect = first_fall(FREQUENCY, behind) / half - 1
+        found = filter_doubt(correlations(filtered, sides), FREQUENCY, behind)
         assert found.probability > 0.99, name
         assert found.smooths == (name == "smooth")
         assert found.share == pytest.approx(abs(effect), rel=0.6), name
@@ -123,7 +124,7 @@ def test_light_that_is_left_is_no_filter():
         counts, sides = flat_sides(40, seed)
         x, y = real_edges.grid(100, 80)
         counts *= 1 + 0.01 * np.sin(2 * np.pi * (x + y) / 35)
-        assert filter_doubt(counts, sides, FREQUENCY, MTF).probability < 0.5
+        assert filter_doubt(correlations(counts, sides), FREQUENCY, MTF).probability < 0.5
 
 
 def test_a_shoulder_is_remarked_on():

@@ -268,13 +268,13 @@ def _draw_field(axes: Axes, found: Calibration, picture: np.ndarray | None) -> N
         else:
             middle = ((picture.shape[1] - 1) / 2, (picture.shape[0] - 1) / 2)
         radius = np.hypot(edges.x - middle[0], edges.y - middle[1])
-        # edges whose normals point to the centre show the radial blur, the others the tangential one
+        # edges whose normals point to the middle show the meridional blur, the others the sagittal one
         along = np.abs(np.cos(edges.angle - np.arctan2(edges.y - middle[1], edges.x - middle[0])))
-        for radial, fill in ((True, COLOURS[name]), (False, "white")):
-            which = (along > np.sqrt(0.5)) == radial
+        for plane, fill in (("meridional", COLOURS[name]), ("sagittal", "white")):
+            which = (along > np.sqrt(0.5)) == (plane == "meridional")
             axes.errorbar(
                 radius[which], edges.sigma[which], edges.sigma_std[which], fmt=_MARKS[name], ms=3.5, lw=0.7,
-                color=COLOURS[name], mfc=fill, label=f"{name}, {'radial' if radial else 'tangential'}",
+                color=COLOURS[name], mfc=fill, label=f"{name}, {plane}",
             )  # fmt: skip
     axes.set(xlabel="distance from the picture's middle [px]", ylabel="blur as Gaussian sigma [px]")
     axes.legend(loc="best", fontsize=8, ncols=2, frameon=True, framealpha=0.85, edgecolor="none")

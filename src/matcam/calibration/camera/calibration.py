@@ -48,6 +48,7 @@ class Calibration(Summarised):
         remarks: what was assumed, and what a photographer should know.
         pictures: names of the pictures that were used.
         lateral_colour: by how much red and blue are larger than green, by channel. Default: {}, not known.
+        shape: height and width of the pictures, px. Default: None, they differ, or there are none.
 
     Example:
         >>> f = np.linspace(0.05, 0.5, 10)
@@ -63,6 +64,7 @@ class Calibration(Summarised):
     remarks: tuple[Remark, ...]
     pictures: tuple[str, ...]
     lateral_colour: dict[str, LateralColour] = field(default_factory=dict)
+    shape: tuple[int, int] | None = None
 
     @property
     def channel(self) -> str:
@@ -86,7 +88,9 @@ class Calibration(Summarised):
         """Return the measured edges of all channels in one data set.
 
         Returns:
-            Place, direction, blur and MTF50 of each, with units.
+            Place, direction, blur and MTF50 of each, with units. For pictures of one shape also the image height, its distance
+            from their middle, and the plane: an edge whose normal lies within 45 degrees of the radius shows the "meridional"
+            MTF, any other the "sagittal" one.
         """
         import xarray as xr
 
@@ -106,6 +110,13 @@ class Calibration(Summarised):
             name: ("edge", np.concatenate([getattr(t, name) for t in tables.values()] or [np.zeros(0)]))
             for name in names
         }
+        if self.shape is not None:
+            x, y, angle = (columns[name][1] for name in ("x", "y", "angle"))
+            dx, dy = x - (self.shape[1] - 1) / 2, y - (self.shape[0] - 1) / 2
+            meridional = np.abs(np.cos(angle - np.arctan2(dy, dx))) > np.sqrt(0.5)
+            columns["image_height"] = ("edge", np.hypot(dx, dy))
+            columns["plane"] = ("edge", np.where(meridional, "meridional", "sagittal"))
+            names |= {"image_height": "distance from the middle of the image [px]"}
         channels = [name for name, t in tables.items() for _ in range(t.x.size)]
         columns["channel"] = ("edge", np.array(channels, dtype=str))
         columns["picture"] = ("edge", np.array([str(s) for t in tables.values() for s in t.source], dtype=str))
@@ -236,18 +247,20 @@ def calibrate(
         fit = replace(fit, camera=fit.camera.with_field(evidence.field()))
         measured.remarks += fit.remarks
         fits[channel] = fit.with_provenance(measured.provenance(f"channel {channel}: {fit.headline}"))
-    lateral = _lateral_colours(fits, {f.shape for f in findings if f.shape is not None})
+    shapes = {f.shape for f in findings if f.shape is not None}
+    shape = shapes.pop() if len(shapes) == 1 else None
+    lateral = {} if shape is None else _lateral_colours(fits, shape)
     measured.remarks += [r for name, found in lateral.items() if (r := lateral_remark(found, name, _REFERENCE))]
-    return Calibration(fits, measured.failed, tuple(measured.remarks), tuple(measured.used), lateral)
+    return Calibration(fits, measured.failed, tuple(measured.remarks), tuple(measured.used), lateral, shape)
 
 
-def _lateral_colours(fits: Mapping[str, CameraFit], shapes: set[tuple[int, int]]) -> dict[str, LateralColour]:
-    """Compare the size of the other colours with green in pictures of equal shape that have enough edges."""
+def _lateral_colours(fits: Mapping[str, CameraFit], shape: tuple[int, int]) -> dict[str, LateralColour]:
+    """Compare the size of the other colours with green in pictures of one shape that have enough edges."""
     green = fits[_REFERENCE].edges if _REFERENCE in fits else None
-    if green is None or len(shapes) != 1:
+    if green is None:
         return {}
     others = {name: fit.edges for name, fit in fits.items() if name in ("R", "B")}
-    found = {name: lateral_colour(edges, green, *shapes) for name, edges in others.items() if edges is not None}
+    found = {name: lateral_colour(edges, green, shape) for name, edges in others.items() if edges is not None}
     return {name: one for name, one in found.items() if one is not None}
 
 

@@ -18,7 +18,7 @@ from matcam.calibration.chart.marks import balanced
 from matcam.calibration.chart.registration import Projection, pixel_box, register_chart
 from matcam.calibration.edge.edge_result import EdgeStack
 from matcam.calibration.edge.profiles import LensModel
-from matcam.calibration.photograph.linear_image import LinearImage, local_mean, planes_of
+from matcam.calibration.photograph.linear_image import LinearImage, planes_of, smoothed
 from matcam.calibration.photograph.tone import Tone
 from matcam.calibration.photograph.unnamed_mosaic import refuse_unnamed_mosaic
 from matcam.calibration.search.described_edges import described_edges
@@ -34,9 +34,8 @@ from matcam.files.photographs import Photograph
 LensAt = Callable[[float | None], LensModel]
 """The family of lenses in a picture taken at an f-number, None if that is not known."""
 
-_GAPS = 1.2  # px: width of the mean filter before edges are searched in a plane of a mosaic
-_MARGIN = 6  # px around a grating or star that its blur affects
-_LEAST_STD = 1e-4  # smallest standard deviation of an MTF value, so that no edge outweighs the others
+_MARGIN = 6  # px about a grating or star, where its blur is
+_LEAST_STD = 1e-4  # of an MTF value: no edge outweighs the others by more
 
 
 class EdgeTable(NamedTuple):
@@ -177,7 +176,7 @@ class PicturePlan:
             if self.cfa is not None:
                 raise ArgumentError("cfa is that of the LinearImage already: leave it out")
             planes: Iterable[LinearImage] = [replace(picture, source=name, f_number=f_number)]
-            values, mosaic = (local_mean(picture.values, _GAPS) if mosaic else picture.values), False
+            values, mosaic = (smoothed(picture.values) if mosaic else picture.values), False
         else:
             planes = planes_of(picture, self.channels, self.tone, f_number, name, self.cfa)
             values = picture.values

@@ -205,36 +205,38 @@ class JointFit(NamedTuple):
 
         groups: picture and kind of every measurement.
         """
-        names = list(dict.fromkeys(groups))
-        if len(names) < 2:
+        found = self._differences(groups, set(groups))
+        name, (difference, std) = max(found.items(), key=lambda one: abs(one[1][0]), default=("", (0.0, 0.0)))
+        if abs(difference) < max(_LARGE, _CLEAR * std):
             return None
-        members = [np.array([group == name for group in groups]) for name in names]
-        # The groups themselves cause the scatter between them, so that each is judged by the scatter of its members.
-        shift, error = (np.array(column) for column in zip(*map(self._of_group, members), strict=True))
-        found = np.array([_difference(shift, error, i) for i in range(len(names))])
-        worst = int(np.argmax(np.abs(found[:, 0])))
-        difference, clear = found[worst]
-        if abs(difference) < _LARGE or abs(difference) < _CLEAR * clear:
-            return None
-        return Contradiction(names[worst], difference, [name for i, name in enumerate(names) if i != worst])
+        return Contradiction(name, difference, [other for other in found if other != name])
 
     def strangers(self, groups: Sequence[str], candidates: Collection[str]) -> dict[str, float]:
-        """Return the candidates whose blur differs from that of all other groups, with the relative difference.
+        """Find candidates that see another blur than all other groups together, and how far off it is (relative).
 
         groups: picture and kind of every measurement.
         """
-        members = {name: np.array([group == name for group in groups]) for name in dict.fromkeys(groups)}
-        trusted = [name for name in members if name not in candidates]
-        if not trusted:
-            return {}
-        shift, error = (np.array(column) for column in zip(*map(self._of_group, members.values()), strict=True))
-        names = list(members)
-        known = np.array([name in trusted for name in names])
-        weight = error[known] ** -2 / (error[known] ** -2).sum()
-        middle, std = float(weight @ shift[known]), float((error[known] ** -2).sum() ** -0.5)
-        off = shift - middle
-        far = (np.abs(off) > _STRANGE) & (np.abs(off) > _CLEAR * np.hypot(error, std)) & ~known
-        return {names[i]: float(off[i]) for i in np.flatnonzero(far)}
+        found = self._differences(groups, set(groups) - set(candidates))
+        return {
+            name: difference
+            for name, (difference, std) in found.items()
+            if name in candidates and abs(difference) > max(_STRANGE, _CLEAR * std)
+        }
+
+    def _differences(self, groups: Sequence[str], trusted: Collection[str]) -> dict[str, tuple[float, float]]:
+        """Compute how much more blur each group sees than the other trusted ones, relative, and its standard deviation."""
+        names = list(dict.fromkeys(groups))
+        # the scatter between groups, which they cause themselves, is no excuse: each is judged by its members
+        members = (np.array([group == name for group in groups]) for name in names)
+        shift, error = (np.array(column) for column in zip(*map(self._of_group, members), strict=True))
+        found = {}
+        for i, name in enumerate(names):
+            rest = np.array([other in trusted and other != name for other in names])
+            if rest.any():
+                weight = error[rest] ** -2
+                middle, std = weight @ shift[rest] / weight.sum(), weight.sum() ** -0.5
+                found[name] = float(shift[i] - middle), float(np.hypot(error[i], std))
+        return found
 
     def _of_group(self, members: np.ndarray) -> tuple[float, float]:
         """Return the difference of the blur of a group, and its standard deviation from noise and the scatter in the group."""
@@ -333,13 +335,6 @@ def in_profile_units(lens: LensModel, parameters: np.ndarray, covariance: np.nda
     at = jnp.asarray(parameters)
     by = np.asarray(jax.jacfwd(lens.numbers)(at))
     return np.asarray(lens.numbers(at)), by @ covariance @ by.T
-
-
-def _difference(shift: np.ndarray, error: np.ndarray, one: int) -> tuple[float, float]:
-    """Return a group's difference from all others, and its standard deviation."""
-    rest = np.arange(shift.size) != one
-    weight = error[rest] ** -2 / (error[rest] ** -2).sum()
-    return float(shift[one] - weight @ shift[rest]), float(np.hypot(error[one], (error[rest] ** -2).sum() ** -0.5))
 
 
 def _after_step(

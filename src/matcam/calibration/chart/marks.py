@@ -10,16 +10,13 @@ from numpy.typing import ArrayLike
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
-from matcam.calibration.photograph.linear_image import local_mean
+from matcam.calibration.photograph.linear_image import smoothed
 from matcam.core.arrays import FloatArray
 
-_SMOOTH, _SMOOTH_GAPS = 0.7, 1.2  # px, for pictures without and with gaps
-# share of the paper level: if small discs merge with their rings, another level separates them
-_DARK = (0.6, 0.78, 0.45)
-_CONCENTRIC = 0.35  # in radii of the disc
-# area of the rings relative to that of the disc (5 and 9), with margins for light and blur
-_RING, _SECOND = (2.5, 9.0), (4.5, 16.0)
-_SMALLEST, _LARGEST = 4, 0.01  # px, and share of the picture: area of a disc
+_DARK = (0.6, 0.78, 0.45)  # of the paper around: where small discs run into their rings, another level parts them
+_CONCENTRIC = 0.35  # radii of the disc
+_RING, _SECOND = (2.5, 9.0), (4.5, 16.0)  # areas of the rings over the disc's: 5 and 9, in all sorts of light and blur
+_SMALLEST, _LARGEST = 4, 0.01  # px; of the picture: area of a disc
 
 
 class Mark(NamedTuple):
@@ -45,8 +42,8 @@ def find_marks(picture: FloatArray, enough: int) -> list[Mark]:
 
     The search stops at `enough` marks if one of them has two rings.
     """
-    smooth = local_mean(picture, _SMOOTH if np.isfinite(picture).all() else _SMOOTH_GAPS)
-    # the level of the paper nearby: the maximum of local means, which suppress noise
+    smooth = smoothed(picture)
+    # the paper's level nearby: the brightest there is, of means that noise does not reach
     cell = max(4, round(min(picture.shape) / 60))
     coarse = ndimage.uniform_filter(smooth, 3)[::cell, ::cell]
     paper = ndimage.uniform_filter(ndimage.maximum_filter(coarse, 9), 5)

@@ -9,12 +9,10 @@ import numpy as np
 from scipy import ndimage
 
 from matcam.calibration.chart.chart import Chart, Square
-from matcam.calibration.photograph.linear_image import local_mean
 from matcam.core.arrays import FloatArray
 
-_SMOOTH, _SMOOTH_GAPS = 0.8, 1.2  # px, for pictures without and with gaps
-_ALONG = np.linspace(-0.32, 0.32, 9)  # share of a side, from its centre: search range along it
-_REACH, _FARTHEST = 0.22, 30  # share of the shorter side in the picture, and px
+_ALONG = np.linspace(-0.32, 0.32, 9)  # of a side, from its middle: places where it is looked for
+_REACH, _FARTHEST = 0.22, 30  # of the shorter side in the picture; px
 _STEP = 0.5  # px between samples
 _LEAST = 0.35  # share of the described step that must be found, in any print and light
 _CORE = 3.0  # px around the steepest point that are used for the position
@@ -43,11 +41,6 @@ class Sides(NamedTuple):
     def found(self) -> np.ndarray:
         """Return a mask (n, m) of the positions at which a side was found."""
         return np.asarray(np.isfinite(self.seen).all(2))
-
-
-def smoothed(picture: FloatArray) -> FloatArray:
-    """Return a picture without gaps and with less noise, in which sides are searched."""
-    return local_mean(picture, _SMOOTH if np.isfinite(picture).all() else _SMOOTH_GAPS)
 
 
 def seen_sides(smooth: FloatArray, chart: Chart, projection: Callable[[FloatArray], FloatArray]) -> Sides | None:

@@ -1,12 +1,14 @@
 """The slanted edge (ISO 12233): a camera's MTF from one picture of one edge, or from many side by side, with error bars.
 
-Many edges run through one compiled program, ten of them at once, over and over.
+A thousand edges run through one compiled program, ten of them at once, over and over; fewer run one by one.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -25,7 +27,7 @@ from matcam.calibration.photograph.tone import Tone
 from matcam.calibration.photograph.uneven_light import LightField, light_field
 from matcam.calibration.photograph.unnamed_mosaic import refuse_unnamed_mosaic
 from matcam.core import checks
-from matcam.core.arrays import tuple_map, xp
+from matcam.core.arrays import changed, tuple_map, xp
 from matcam.core.errors import ArgumentError, FitError
 from matcam.core.registry import PARAMETRIC_LENSES
 from matcam.core.remark import Remark
@@ -129,22 +131,11 @@ def edge_mtf(
         raise FitError(problem.text)
     refuse_unnamed_mosaic(region)
     rows = edge_regions(values, mosaic=region.cfa is not None)
-    half = np.float64(settings.half_width)
-
-    def fitted(rows: EdgeRegions) -> EdgeFits:
-        fits = edge_fits(rows.value[0], rows.y, rows.start, settings.noise, half, step=rows.step, turns=rows.turns)
-        return tuple_map(lambda a: np.asarray(a)[None], fits)
-
-    even, fits, lights = fits_in_even_light(rows, fitted)
-    if model != "gaussian":
-        one = tuple_map(lambda a: a[0], fits)
-        parametric = tuple_map(lambda a: np.asarray(a)[None], lens_fit(one, half, settings.lens))
-        fits = fits._replace(parametric=parametric)
-    if problem := refusals(fits, rows, accept_sharpened=accept_sharpened)[0]:
+    rows = _placed(rows, *region.corner)
+    stack = edge_stack([(rows, [None])], settings, even_light=True)
+    if problem := stack.problems[0]:
         raise FitError(problem.text)
-    frame = rows.frame._replace(x=rows.frame.x + region.corner[0], y=rows.frame.y + region.corner[1])
-    stack = stack_result(fits, frame, settings.lens, settings.half_width, (None,))
-    result = with_traces(stack, [even], lights)[0]
+    result = stack[0]
     return replace(result, given=region.remarks + result.given)
 
 
@@ -161,8 +152,8 @@ def edge_mtf_stack(
 ) -> EdgeStack:
     """Measure the MTF across the edges of many equal regions.
 
-    This is several times faster than `edge_mtf` one at a time. All edges lie alike: all nearer to vertical, or all nearer to
-    horizontal.
+    A thousand edges or more run through one compiled program, which is several times faster than `edge_mtf` one at a time. All
+    edges lie alike: all nearer to vertical, or all nearer to horizontal.
 
     Args:
         images: regions, each with one edge: array (n, height, width) of linear values, or `LinearImage`s of one shape without a
@@ -196,86 +187,87 @@ def edge_mtf_stack(
     regions = []
     for i in range(0, len(values), AT_ONCE):
         some = values[i : i + AT_ONCE].astype(np.float64)
-        rows = edge_regions(some)
-        x, y = corners[i : i + AT_ONCE].T
-        regions.append((rows._replace(frame=rows.frame._replace(x=rows.frame.x + x, y=rows.frame.y + y)), flaws(some)))
+        rows = _placed(edge_regions(some), *corners[i : i + AT_ONCE].T)
+        regions.append((rows, flaws(some)))
         if rows.frame.transposed != regions[0][0].frame.transposed:
             raise ArgumentError(
                 f"images must have edges in similar directions: those from number {i} on are perpendicular to the first ones"
             )
-    lights: list[LightField | None] = []
-    even: list[EdgeRegions] = []
-
-    def in_even_light(rows: EdgeRegions, fitted: Fit) -> tuple[EdgeRegions, EdgeFits]:
-        found, fits, some = fits_in_even_light(rows, fitted)
-        even.append(found)
-        lights.extend(some)
-        return found, fits
-
-    return with_traces(edge_stack(regions, settings, in_even_light), even, lights)
+    return edge_stack(regions, settings, even_light=True)
 
 
 def edge_stack(
-    regions: Sequence[tuple[EdgeRegions, list[Remark | None]]],
-    settings: EdgeSettings,
-    fit: Callable[[EdgeRegions, Fit], tuple[EdgeRegions, EdgeFits]] = lambda rows, fitted: (rows, fitted(rows)),
+    regions: Sequence[tuple[EdgeRegions, list[Remark | None]]], settings: EdgeSettings, *, even_light: bool = False
 ) -> EdgeStack:
     """Measure the edges in regions of one shape.
 
     Args:
-        regions: at most `AT_ONCE` regions in each item, and the problem of each, if one is known.
-        settings: settings of the measurement.
-        fit: regions and a function that fits their edges -> regions as they were fitted, and the fits. Default: as they are.
+        regions: at most `AT_ONCE` regions in each item, and what is known beforehand to be wrong with each of them.
+        settings: how edges are measured.
+        even_light: divide uneven light out of the regions, and look for traces of software. Default: False.
     """
-    half, few = np.float64(settings.half_width), len(regions) * AT_ONCE < _MANY
+    fit = _compiled_fits if len(regions) * AT_ONCE >= _MANY else _fits
     chunks: list[EdgeFits] = []
     frames: list[RegionFrame] = []
     problems: list[Remark | None] = []
-
-    def fitted(rows: EdgeRegions) -> EdgeFits:
-        count = len(rows.value)
-        # always the same number at once, so that one compiled program serves every stack; the results of the padding
-        # are discarded
-        y, start = (np.broadcast_to(a, (count, a.shape[-1])) for a in (rows.y, rows.start))
-        value, y, start = (
-            np.concatenate([a, np.repeat(a[:1], AT_ONCE - count, axis=0)]) for a in (rows.value, y, start)
-        )
-        fits = edge_fits_of_stack(value, y, start, settings.noise, half, step=rows.step, turns=rows.turns, few=few)
-        # in sequence: programs that are queued on a processor compete for its threads
-        return tuple_map(lambda a: np.asarray(a)[:count], fits)
-
+    even: list[EdgeRegions] = []
+    lights: list[LightField | None] = []
     for given, known in regions:
-        rows, fits = fit(given, fitted)
+        rows, fits = given, fit(given, settings)
+        if even_light:
+            rows, found = _in_even_light(given, fits)
+            again = np.flatnonzero([light is not None and light.amplitude > 0 for light in found])
+            if again.size:
+                some = {name: getattr(rows, name)[again] for name in ("value", "y", "start")}
+                anew = fit(rows._replace(**some), settings)
+                fits = tuple_map(partial(_changed, again), fits, anew)
+            even.append(rows)
+            lights += found
         if settings.lens.name != "gaussian":
-            from matcam.core.jax import jax
-
-            parametric = jax.vmap(lens_fit, in_axes=(0, None, None))(fits, half, settings.lens)
-            fits = fits._replace(parametric=tuple_map(np.asarray, parametric))
+            of_lens = partial(lens_fit, half_width=np.float64(settings.half_width), lens=settings.lens)
+            fits = fits._replace(parametric=_of_each(len(fits.outliers), of_lens, fits))
         chunks.append(fits)
-        found = refusals(fits, given, accept_sharpened=settings.accept_sharpened)
-        problems += [flaw or refusal for flaw, refusal in zip(known, found, strict=True)]
+        refused = refusals(fits, given, accept_sharpened=settings.accept_sharpened)
+        problems += [flaw or refusal for flaw, refusal in zip(known, refused, strict=True)]
         frames.append(RegionFrame(*(np.broadcast_to(column, len(rows.value)) for column in rows.frame)))
     fits = tuple_map(lambda *a: np.concatenate(a), *chunks)
     frame = RegionFrame(*(np.concatenate(columns) for columns in zip(*frames, strict=True)))
-    return stack_result(fits, frame, settings.lens, settings.half_width, tuple(problems))
+    stack = stack_result(fits, frame, settings.lens, settings.half_width, tuple(problems))
+    return with_traces(stack, even, lights) if even_light else stack
 
 
-def fits_in_even_light(rows: EdgeRegions, fitted: Fit) -> tuple[EdgeRegions, EdgeFits, list[LightField | None]]:
-    """Fit edges, and once more where their light is uneven, in even light.
+def _placed(rows: EdgeRegions, x: ArrayLike, y: ArrayLike) -> EdgeRegions:
+    """Move regions by the places of their first pixels in the photograph, px."""
+    return rows._replace(frame=rows.frame._replace(x=rows.frame.x + np.asarray(x), y=rows.frame.y + np.asarray(y)))
 
-    Args:
-        rows: n regions.
-        fitted: function that fits the edges of regions; arrays of its result have a leading axis of n.
 
-    Returns:
-        The regions in even light, the fits, and the light of each region.
-    """
-    fits = fitted(rows)
-    even, lights = _in_even_light(rows, fits)
-    again = np.array([light is not None and light.amplitude > 0 for light in lights])
-    if again.any():
-        fits = tuple_map(lambda a, b: np.where(again.reshape(-1, *[1] * (a.ndim - 1)), a, b), fitted(even), fits)
-    return even, fits, lights
+def _changed(where: np.ndarray, array: np.ndarray, values: np.ndarray) -> np.ndarray:
+    return np.asarray(changed(array, where, values))
+
+
+def _of_each(count: int, function: Callable[..., Any], *edges: Any) -> Any:
+    """Apply a function to each of `count` edges, arrays with a leading axis, and stack the results."""
+    found = [function(*tuple_map(lambda a: a[i], edges)) for i in range(count)]  # noqa: B023
+    return tuple_map(lambda *a: np.stack(a), *found)
+
+
+def _fits(rows: EdgeRegions, settings: EdgeSettings) -> EdgeFits:
+    """Fit the edges of regions one by one; arrays of the result have a leading axis."""
+    half = np.float64(settings.half_width)
+    fit = partial(edge_fits, noise=settings.noise, half_width=half, step=rows.step, turns=rows.turns)
+    return _of_each(len(rows.value), fit, rows.value, rows.y, rows.start)
+
+
+def _compiled_fits(rows: EdgeRegions, settings: EdgeSettings) -> EdgeFits:
+    """Fit the edges of at most `AT_ONCE` regions side by side, as `_fits` does."""
+    count, half = len(rows.value), np.float64(settings.half_width)
+    # always as many at once, so that one compiled program serves every stack; what is repeated is thrown away
+    value, y, start = (
+        np.concatenate([a, np.repeat(a[:1], AT_ONCE - count, axis=0)]) for a in (rows.value, rows.y, rows.start)
+    )
+    fits = edge_fits_of_stack(value, y, start, settings.noise, half, step=rows.step, turns=rows.turns)
+    # one after the other: programs that are queued on a processor compete for its threads
+    return tuple_map(lambda a: np.array(a)[:count], fits)
 
 
 def _in_even_light(rows: EdgeRegions, fits: EdgeFits) -> tuple[EdgeRegions, list[LightField | None]]:
@@ -286,12 +278,12 @@ def _in_even_light(rows: EdgeRegions, fits: EdgeFits) -> tuple[EdgeRegions, list
         fits: their edges, NumPy arrays with a leading axis of n.
 
     Returns:
-        The regions in even light, and the light of each; None if two levels and a plane describe it.
+        The regions in even light, and the light of each; None where two levels in light of third order explain it.
     """
     value, fields = np.array(rows.value), list[LightField | None]()
     columns = rows.step * np.arange(value.shape[2])
     for i, region in enumerate(rows.value):
-        y, start = (np.broadcast_to(a, value.shape[:2])[i] for a in (rows.y, rows.start))
+        y, start = rows.y[i], rows.start[i]
         x, across = start[:, None] + columns, np.broadcast_to(y[:, None], region.shape)
         shape, curve = fits.free.shape, xp.asarray(fits.curve[i])
         blur = float(np.hypot(shape.sigma[i], shape.half_width[i] / np.sqrt(3)))

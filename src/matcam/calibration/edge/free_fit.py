@@ -54,9 +54,10 @@ _FIRST_GHOST, _LAST_GHOST, _FURTHEST = 2.2, 6.0, 8.0
 _GHOST_PLACES, _GHOST_ROOM = 24, 0.3  # relative to the width of the region
 _MISFIT = 2e-4  # relative to the step: deviation that bumps of 0.6 s cannot describe; matters only in pictures with less noise
 VEIL = 0.25
-"""Radius of glare, relative to the width of the region, above which it cannot be distinguished from uneven light."""
-_VEIL_COST = 4.0  # 2 ln likelihood by which such glare is preferred to the light that looks like it
-_LEAST_COST = 10.8  # smallest rise of 2 ln likelihood for a parameter of the light: by chance once in 1,000
+"""Radius in units of a region's width beyond which glare looks like uneven light, or like another edge."""
+_VEIL_COST = 4.0
+"""Rise of 2 ln likelihood that such glare must bring more than the light that looks like it: light is more frequent."""
+_LEAST_COST = 10.8  # 2 ln likelihood that a parameter of the light must bring at least: once in 1,000 by chance
 _LEVELS = SHIFT
 _COLUMN = _LEVELS + GLARE
 """Index of the glare among the columns, which are 0 there until it is searched."""
@@ -225,14 +226,11 @@ def ghost_found(fit: LinearFit, known: jax.Array) -> tuple[jax.Array, jax.Array]
     last = xp.minimum(xp.maximum(_LAST_GHOST * line_width(fit.shape), _FURTHEST), _GHOST_ROOM * _width(fit.cells))
     places = xp.linspace(first, last, _GHOST_PLACES)
 
-    def rise(place: jax.Array) -> jax.Array:
-        columns = _ghosts(beside, place)
-        weighted = columns * beside.weight
-        cross, score = weighted @ beside.columns.T, weighted @ beside.left
-        alone = weighted @ columns.T - cross @ beside.inverse @ cross.T + _PRIOR_GHOST**-2 * xp.eye(len(columns))
-        return score @ linalg.solve(alone, score)
-
-    rises = each(rise, places)
+    columns = _ghosts(beside, places)
+    weighted = columns * beside.weight
+    cross, score = weighted @ beside.columns.T, (weighted @ beside.left)[..., None]
+    alone = weighted @ columns.swapaxes(1, 2) - cross @ beside.inverse @ cross.swapaxes(1, 2)
+    rises = (score * linalg.solve(alone + _PRIOR_GHOST**-2 * xp.eye(alone.shape[1]), score)).sum((1, 2))
     best = xp.argmax(rises)
     left = (beside.chi2 - rises[best]) / beside.degrees
     found = rises[best] > GHOST_FOUND * xp.where(known, 1.0, xp.maximum(left, 1.0))
@@ -250,12 +248,12 @@ def _with_glare(fit: LinearFit, column: jax.Array) -> LinearFit:
     )
 
 
-def _ghosts(fit: LinearFit, place: jax.Array) -> jax.Array:
-    """Return the changes from ghosts of full strength (4, n): even pairs, odd pairs."""
+def _ghosts(fit: LinearFit, places: jax.Array) -> jax.Array:
+    """Return what ghosts of full strength would change (places, 6, n): even pairs, odd pairs."""
     s = line_width(fit.shape)
-    at = place + GHOST_STEP * s * xp.arange(GHOSTS.size)[:, None]
+    at = (places[:, None] + GHOST_STEP * s * xp.arange(GHOSTS.size))[..., None]
     right, left = (glare_edge(GHOST_WIDTH * s, fit.cells.distance - sign * at, fit.cells.spread) for sign in (1, -1))
-    return xp.concatenate([(right + left) / 2 - fit.pilot, (left - right) / 2]) * fit.step
+    return xp.concatenate([(right + left) / 2 - fit.pilot, (left - right) / 2], 1) * fit.step
 
 
 def _width(cells: EdgeCells) -> jax.Array:
@@ -279,7 +277,7 @@ def _chosen_light(
     """
     radii = _radii(shape)
     unlikely = xp.where(xp.exp(radii) > VEIL * _width(cells), _VEIL_COST, 0.0)
-    glare = (each(lambda r: glare_edge(xp.exp(r), cells.distance, cells.spread), radii) - pilot) * full.step
+    glare = (glare_edge(xp.exp(radii)[:, None], cells.distance, cells.spread) - pilot) * full.step
     score = full.columns @ (weight * full.residual)
     by_glare = (glare * weight) @ full.residual
     cross = (glare * weight) @ full.columns.T
@@ -396,7 +394,7 @@ def _rises(fit: LinearFit, log_radii: jax.Array) -> jax.Array:
 
     All other parameters are refitted. Negative strengths are excluded.
     """
-    columns = each(lambda r: _column(fit, r), log_radii)
+    columns = _column(fit, log_radii[:, None])
     weighted = columns * fit.weight
     cross = weighted @ fit.columns.T
     alone = (weighted * columns).sum(1) + _PRIOR_GLARE**-2 - ((cross @ fit.inverse) * cross).sum(1)

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cache, partial
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from matcam.calibration.edge import free_curve, free_fit, geometry, start
+from matcam.calibration.edge import free_curve, free_fit, geometry
 from matcam.calibration.edge.free_curve import FREQUENCIES, GHOSTS, CoreShape, FreeCurve, SampledCurve
 from matcam.calibration.edge.geometry import EdgeCells, Rows
 from matcam.calibration.edge.maximum_likelihood import (
@@ -23,9 +23,19 @@ from matcam.calibration.edge.maximum_likelihood import (
     scoring_step,
 )
 from matcam.calibration.edge.profiles import Gaussian, LensAtEdge, LensModel
+from matcam.calibration.edge.start import find_curve, in_even_rows, side_levels
 from matcam.calibration.edge.unexplained import Unexplained, estimated_noise, misfit_of, without_outliers
 from matcam.core import checks
-from matcam.core.arrays import changed, compiled_by_jax, either, jacobian, last_of, repeated, tuple_map, xp
+from matcam.core.arrays import (
+    changed,
+    compiled_by_jax,
+    either,
+    jacobian,
+    last_of,
+    repeated,
+    without_warnings,
+    xp,
+)
 from matcam.numerics.linalg import lifted_inverse
 
 if TYPE_CHECKING:
@@ -35,9 +45,6 @@ _START = -0.5  # ln px: sigma 0.6
 _STEPS, _MODEL_STEPS = 3, 12
 _LAST_LIGHT = 3  # index in `LIGHTS` of the model of the light in the last fits of profile and position
 _EXPECTED = 1.4  # chi2 per degree of freedom of about 200 cells: 4 sigma
-
-
-_Fits = TypeVar("_Fits", bound=tuple[Any, ...])
 
 
 class LensFit(NamedTuple):
@@ -118,39 +125,6 @@ class EdgeFits(NamedTuple):
     misfit: jax.Array
 
 
-class _Pilot(NamedTuple):
-    """Results for an edge before ghosts and glare are considered."""
-
-    crossing: jax.Array
-    known: jax.Array
-    noise: Noise
-    curve: jax.Array
-    to_slope: jax.Array
-    moved: CurveStep
-    cells: EdgeCells
-    model: EdgeModel
-    free: free_fit.LinearFit
-    ghost: jax.Array
-    place: jax.Array
-    outliers: jax.Array
-
-
-class _Stage(NamedTuple):
-    """Results for an edge before glare is considered."""
-
-    pilot: _Pilot
-    model: EdgeModel
-    free: free_fit.LinearFit
-    structure: free_fit.Structure
-    glare: free_fit.GlareCandidate
-    scatter: jax.Array
-
-    @property
-    def glares(self) -> jax.Array:
-        """Return whether glare was found."""
-        return self.glare.rise > free_fit.FOUND * self.scatter
-
-
 class _Turn(NamedTuple):
     """One iteration of the fits of profile and curve."""
 
@@ -175,7 +149,7 @@ def edge_fits(
     value, y, start, step: as in `geometry.Rows`. The parametric estimate is Gaussian. noise: NaN where it is to be
     estimated. turns: of profile and curve, each fitted while the other stays.
     """
-    with np.errstate(all="ignore"), checks.trusted():
+    with without_warnings(), checks.trusted():
         return _fits_of_one(value, y, start, noise, half_width, step, turns)
 
 
@@ -188,13 +162,12 @@ def edge_fits_of_stack(
     *,
     step: int,
     turns: int,
-    few: bool,
 ) -> EdgeFits:
     """Return `edge_fits` of many regions, side by side.
 
-    value: (n, rows, columns). y and start: (n, rows). few: whether there are too few calls for a long compilation.
+    values: (n, rows, columns). y and start: (n, rows).
     """
-    return _program(_fits_of_stack, "once" if few else "some")(values, y, start, noise, half_width, step, turns)
+    return _program()(values, y, start, noise, half_width, step, turns)
 
 
 def lens_fit(found: EdgeFits, half_width: AnyArray | np.float64, lens: LensModel) -> LensFit:
@@ -217,16 +190,13 @@ def _lens_fit_of(found: EdgeFits, half_width: AnyArray | np.float64, lens: LensM
 
 
 @cache
-def _program(function: Callable[..., EdgeFits], runs: Literal["once", "some"]) -> Callable[..., EdgeFits]:
-    """Return a compiled function for few or many regions.
-
-    It is cached, because it takes seconds to trace.
-    """
+def _program() -> Callable[..., EdgeFits]:
+    """Compile `_fits_of_stack`. A command keeps it: to trace it takes seconds."""
     from matcam.core.jax import jit_plainly, program_folder
     from matcam.core.programs import kept_program
 
-    plain = jit_plainly(function, runs=runs, static=("step", "turns"))
-    kept = kept_program(runs=runs, returns=EdgeFits)(function)
+    plain = jit_plainly(_fits_of_stack, runs="some", static=("step", "turns"))
+    kept = kept_program(runs="some", returns=EdgeFits)(_fits_of_stack)
     return lambda *given: (plain if program_folder() is None else kept)(*given)
 
 
@@ -239,68 +209,22 @@ def _fits_of_one(
     step: int,
     turns: int,
 ) -> EdgeFits:
-    pilot = _pilot(Rows(value, y, start, step), noise, xp.asarray(half_width), turns)
-    stage = _stage(pilot, either(pilot.ghost, _with_ghost, lambda pilot: pilot.free, pilot))
-    plain = lambda fit, _: free_fit.curve_without_glare(fit)  # noqa: E731
-    curve = either(stage.glares, free_fit.curve_with_glare, plain, stage.free, stage.glare)
-    return _edge_fits(stage, curve, xp.asarray(half_width))
-
-
-def _fits_of_stack(
-    values: jax.Array, y: jax.Array, start: jax.Array, noise: Noise, half_width: jax.Array, step: int, turns: int
-) -> EdgeFits:
-    from matcam.core.jax import jax
-
-    def of_one(value: jax.Array, y: jax.Array, start: jax.Array) -> _Pilot:
-        return _pilot(Rows(value, y, start, step), noise, half_width, turns)
-
-    def with_ghosts(pilots: _Pilot) -> free_fit.LinearFit:
-        return _where(pilots.ghost, jax.vmap(_with_ghost)(pilots), pilots.free)
-
-    pilots = jax.vmap(of_one)(values, y, start)
-    # under vmap both branches of a condition are computed: test once for all edges
-    frees = jax.lax.cond(xp.any(pilots.ghost), with_ghosts, lambda pilots: pilots.free, pilots)
-    stages = jax.vmap(_stage)(pilots, frees)
-    found = stages.glares
-
-    def without(stages: _Stage) -> FreeCurve:
-        return jax.vmap(free_fit.curve_without_glare)(stages.free)
-
-    def some(stages: _Stage) -> FreeCurve:
-        plain, glaring = without(stages), jax.vmap(free_fit.curve_with_glare)(stages.free, stages.glare)
-        return _where(found, glaring, plain)
-
-    curves = jax.lax.cond(xp.any(found), some, without, stages)
-    return jax.vmap(lambda stage, curve: _edge_fits(stage, curve, half_width))(stages, curves)
-
-
-def _where(which: jax.Array, some: _Fits, others: _Fits) -> _Fits:
-    """Select n fits from two alternatives by a condition."""
-    return tuple_map(lambda a, b: xp.where(which.reshape(-1, *[1] * (a.ndim - 1)), a, b), some, others)
-
-
-def _pilot(rows: Rows, noise: Noise, half_width: jax.Array, rounds: int) -> _Pilot:
-    """Fit curve, Gaussian lens and free curve, and search for a ghost."""
+    rows, half = Rows(value, y, start, step), xp.asarray(half_width)
     length = geometry.half_length(rows)
     to_slope = geometry.to_mean_slope(length)
-    first_curve, crossing = start.first_curve(rows)
+    first_curve, crossing = find_curve(rows)
     bare = geometry.aligned_rows(rows, first_curve)
     known = ~(xp.isnan(noise.gain) | xp.isnan(noise.read))
     noise = estimated_noise(noise, bare, geometry.edge_distance(first_curve, bare.x, bare.y[:, None]))
-    even_rows = start.in_even_rows(bare, length)
+    even_rows = in_even_rows(bare, length)
     aligned = without_outliers(even_rows, first_curve, noise)
-    outliers = (even_rows.valid - aligned.valid).sum()
-    dark, bright = start.side_levels(aligned)
-
-    def seen_along(curve: jax.Array) -> LensAtEdge:
-        return LensAtEdge(Gaussian(), xp.arctan(to_slope @ curve), half_width)
 
     def turn(at: tuple[jax.Array, State], used: jax.Array) -> tuple[tuple[jax.Array, State], _Turn]:
         """Fit profile and levels to cells, then the curve to pixels."""
         curve, state = at
         phased = geometry.phased_rows(aligned, curve)
         cells = geometry.edge_cells(phased)
-        seen = seen_along(curve)
+        seen = LensAtEdge(Gaussian(), xp.arctan(to_slope @ curve), half)
         state = _climb(cells, state._replace(used=used), seen, noise, _STEPS)
         now = edge_model(cells, state, seen.profile)
         moved = curve_step(phased, cells, now, noise, length)
@@ -308,52 +232,36 @@ def _pilot(rows: Rows, noise: Noise, half_width: jax.Array, rounds: int) -> _Pil
         return (moved.curve, centred), _Turn(curve, cells, now, moved)
 
     even = free_fit.LIGHTS[0]
-    levels = xp.append(xp.stack([dark.mean(), bright.mean()]), np.zeros(even.size - 2))
-    first = State(levels, xp.array([_START]), even)
-    # the last iteration fits light of most orders: the curve must not compensate for the levels
-    uses = free_fit.LIGHTS[np.where(np.arange(rounds) < rounds - 1, 0, _LAST_LIGHT)]
-    curve, cells, at, moved = last_of(turn, (first_curve, first), uses)
-    seen = seen_along(curve)
-    one = xp.ones(())
-    shape = CoreShape(xp.exp(at.state.profile[0]), seen.angle, half_width, radius=one, apart=one)
-    free = free_fit.linear_fit(cells, at, noise, shape)
-    ghost, place = free_fit.ghost_found(free, known)
-    return _Pilot(crossing, known, noise, curve, to_slope, moved, cells, at, free, ghost, place, outliers)
+    levels = xp.append(xp.stack([side.mean() for side in side_levels(aligned)]), np.zeros(even.size - 2))
+    # the last turn sees light of most orders: what it takes from the levels, the curve must not
+    uses = free_fit.LIGHTS[np.where(np.arange(turns) < turns - 1, 0, _LAST_LIGHT)]
+    curve, cells, at, moved = last_of(turn, (first_curve, State(levels, xp.array([_START]), even)), uses)
+    slope, one = to_slope @ curve, xp.ones(())
+    seen = LensAtEdge(Gaussian(), xp.arctan(slope), half)
+    shape = CoreShape(xp.exp(at.state.profile[0]), seen.angle, half, radius=one, apart=one)
 
+    def with_ghost(fit: free_fit.LinearFit, place: jax.Array) -> free_fit.LinearFit:
+        """Fit the free curve again, with the ghost: if nobody knows of it, it passes for light."""
+        return free_fit.linear_fit(cells, at, noise, fit.shape._replace(apart=place), 1.0)
 
-def _with_ghost(pilot: _Pilot) -> free_fit.LinearFit:
-    """Fit the free curve again with the ghost, which would otherwise be fitted as light."""
-    shape = pilot.free.shape._replace(apart=pilot.place)
-    return free_fit.linear_fit(pilot.cells, pilot.model, pilot.noise, shape, 1.0)
-
-
-def _stage(pilot: _Pilot, free: free_fit.LinearFit) -> _Stage:
-    """Fit the Gaussian lens in the selected light, and search for glare."""
-    seen = LensAtEdge(Gaussian(), free.shape.angle, free.shape.half_width)
-    chosen = pilot.model.state._replace(linear=pilot.model.state.linear * free.used, used=free.used)
-    state = _climb(pilot.cells, chosen, seen, pilot.noise, _STEPS)
-    at = edge_model(pilot.cells, state, seen.profile)
-    structure = free_fit.structure(free, at)
-    candidate = free_fit.glare_candidate(free)
-    # glare is tested by the residual with glare
-    left = (free.weight * free.left**2).sum() - candidate.rise
-    scatter = xp.where(pilot.known, 1.0, xp.maximum(left / free.degrees, 1.0))
-    return _Stage(pilot, at, free, structure, candidate, scatter)
-
-
-def _edge_fits(stage: _Stage, free: FreeCurve, half_width: jax.Array) -> EdgeFits:
-    """Compute all results from the fits."""
-    pilot = stage.pilot
-    # noise that was estimated from neighbours may be incomplete: then the scatter of the cells about the free curve is
-    # used
-    by_glare = xp.where(stage.glares, stage.glare.rise, 0.0)
-    scatter = (stage.free.chi2 - by_glare) / stage.free.degrees
+    linear = free_fit.linear_fit(cells, at, noise, shape)
+    ghost, place = free_fit.ghost_found(linear, known)
+    linear = either(ghost, with_ghost, lambda fit, _: fit, linear, place)
+    # the Gaussian lens, in the light that was chosen
+    chosen = at.state._replace(linear=at.state.linear * linear.used, used=linear.used)
+    model = edge_model(cells, _climb(cells, chosen, seen, noise, _STEPS), seen.profile)
+    # glare is judged by what is left with it
+    glare = free_fit.glare_candidate(linear)
+    left = (linear.weight * linear.left**2).sum() - glare.rise
+    glares = glare.rise > free_fit.FOUND * xp.where(known, 1.0, xp.maximum(left / linear.degrees, 1.0))
+    plain = lambda fit, _: free_fit.curve_without_glare(fit)  # noqa: E731
+    free = either(glares, free_fit.curve_with_glare, plain, linear, glare)
+    # noise that was estimated from neighbours may not be all: then the cells' scatter about the free curve speaks
+    scatter = (linear.chi2 - xp.where(glares, glare.rise, 0.0)) / linear.degrees
     excess = xp.where(scatter < _EXPECTED, 1.0, scatter)
     free = free._replace(covariance=free.covariance * excess)
-    slope = pilot.to_slope @ pilot.curve
-    seen = LensAtEdge(Gaussian(), xp.arctan(slope), half_width)
-    misfit = misfit_of(stage.free, free, excess)
-    doubt = Unexplained(pilot.moved.roughness, misfit)
+    misfit = misfit_of(linear, free, excess)
+    doubt = Unexplained(moved.roughness, misfit)
 
     def transfer(f: jax.Array) -> tuple[SampledCurve, SampledCurve]:
         total, core = free_curve.transfer(free, f)
@@ -361,27 +269,38 @@ def _edge_fits(stage: _Stage, free: FreeCurve, half_width: jax.Array) -> EdgeFit
 
     mtf, core = transfer(xp.asarray(FREQUENCIES))
     return EdgeFits(
-        curve=pilot.curve,
+        curve=curve,
         slope=slope,
-        slope_std=xp.sqrt(excess * (pilot.to_slope @ pilot.moved.covariance @ pilot.to_slope)),
+        slope_std=xp.sqrt(excess * (to_slope @ moved.covariance @ to_slope)),
         angle=seen.angle,
-        crossing=pilot.crossing,
-        noise=pilot.noise,
-        residual=pilot.moved.residual,
-        parametric=_lens_fit(pilot.cells, stage.model, pilot.noise, stage.structure, seen, excess, doubt),
+        crossing=crossing,
+        noise=noise,
+        residual=moved.residual,
+        parametric=_lens_fit(cells, model, noise, free_fit.structure(linear, model), seen, excess, doubt),
         free=free,
         mtf=mtf,
         mtf50=free_curve.half_frequency(mtf.value, lambda f: transfer(f)[0]),
         core_mtf=core,
         core_mtf50=free_curve.half_frequency(core.value, lambda f: transfer(f)[1]),
         overshoot=_overshoot(free),
-        cells=pilot.cells,
-        state=stage.model.state,
+        cells=cells,
+        state=model.state,
         excess=excess,
-        outliers=pilot.outliers,
-        roughness=pilot.moved.roughness,
+        outliers=(even_rows.valid - aligned.valid).sum(),
+        roughness=moved.roughness,
         misfit=misfit,
     )
+
+
+def _fits_of_stack(
+    values: jax.Array, y: jax.Array, start: jax.Array, noise: Noise, half_width: jax.Array, step: int, turns: int
+) -> EdgeFits:
+    from matcam.core.jax import jax
+
+    def of_one(value: jax.Array, y: jax.Array, start: jax.Array) -> EdgeFits:
+        return _fits_of_one(value, y, start, noise, half_width, step, turns)
+
+    return jax.vmap(of_one)(values, y, start)
 
 
 def _climb(cells: EdgeCells, state: State, seen: LensAtEdge, noise: Noise, steps: int) -> State:

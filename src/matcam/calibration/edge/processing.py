@@ -8,41 +8,41 @@ frequency 0 unchanged.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import least_squares
 from scipy.special import ndtr, ndtri
 
-from matcam.calibration.edge.edge_result import SHARPENED, EdgeStack
-from matcam.calibration.edge.free_curve import ghost_of
+from matcam.calibration.edge.edge_result import SHARPENED, EdgeMTF, EdgeStack
+from matcam.calibration.edge.free_curve import ghost_of, line_width
 from matcam.calibration.edge.free_fit import VEIL
-from matcam.calibration.edge.maximum_likelihood import ADDED, SHIFT
-from matcam.calibration.edge.measurement import EdgeFits
+from matcam.calibration.edge.maximum_likelihood import ADDED, SHIFT, light_of
 from matcam.calibration.edge.rows import CLEAR, EdgeRegions, clearance
 from matcam.calibration.edge.wider_errors import widened, with_core_as_total, with_ghosts, with_jumps
 from matcam.calibration.photograph.flat_noise import BENT_DOUBT, FlatNoise, crushed_share, flat_noise, smoothing_doubt
-from matcam.calibration.photograph.linear_filters import filter_doubt, half_of
+from matcam.calibration.photograph.linear_filters import Correlations, correlations, filter_doubt, mask_gain
 from matcam.calibration.photograph.slight_sharpening import (
     AMOUNT,
-    APART,
     BareEdge,
     edge_gain,
     effect_on_half,
     needed_gain,
-    noise_gain,
-    noise_score,
 )
 from matcam.calibration.photograph.uneven_light import LightField
 from matcam.core.arrays import FloatArray, tuple_map
 from matcam.core.remark import Remark
+from matcam.numerics.crossing import first_fall
 
 _REACH, _MORE = 3.0, 2.0  # multiple of the blur, and px: beyond both a side is flat
 _BOX = 0.29  # px: standard deviation of a pixel
 _GAMMA = 2.2
-_TRANSFORM = 8192
+_SIDE, _SAMPLES = 40.0, 801
+"""Distance to both sides of an edge at which its response is sampled, px; number of samples, 0.1 px apart."""
+_TRANSFORM = 4096
 """Samples of the transform of a line spread function, whose frequencies are then 2.4e-3 cycles/px apart."""
 _TONE_BEND, _TONE_PROBABILITIES, _RAISED = 0.3, (0.02, 0.5), 1.15
 """Standard deviation of the curvature of a tone curve; its probabilities if the noise of the dark side is photon noise,
@@ -75,20 +75,96 @@ _LEAST_NOISE = 2e-4  # relative to the step
 _GHOST, _SURE_GHOST = 0.01, 4.0  # relative to the step, and standard deviations, above which a ghost is reported
 
 
-class Traces(NamedTuple):
-    """Traces of processing in one picture.
+class Trace(NamedTuple):
+    """Trace of software or light in a picture, and its effect on the MTF.
 
     Attributes:
-        remarks: the traces, and their possible effects.
-        share: relative standard deviation of MTF50 from the traces.
-        free: the same, of the free estimate alone.
-        glare: the same, for curves with glare.
+        share: standard deviation of MTF50 by it, relative.
+        remark: what was seen; None: not enough to be said.
+        of: what it concerns: "lens", everything; "free", the free estimate alone; "glare", what contains glare.
     """
 
-    remarks: tuple[Remark, ...]
     share: float
-    free: float = 0.0
-    glare: float = 0.0
+    remark: Remark | None = None
+    of: str = "lens"
+
+
+@dataclass(frozen=True, eq=False)
+class _EdgeRegion:
+    """A measured edge and the pixels that it was measured in.
+
+    Attributes:
+        edge: the result.
+        value: (rows, columns), in even light; NaN where there is none.
+        distance: (rows, columns) px from the edge.
+        mosaic: whether the pixels are the sites of one colour.
+        clear: how far the edge stands off the borders, in standard deviations of its blur.
+        light: uneven light that was found; None: there is none.
+    """
+
+    edge: EdgeMTF
+    value: FloatArray
+    distance: FloatArray
+    mosaic: bool
+    clear: float
+    light: LightField | None
+
+    @cached_property
+    def blur(self) -> float:
+        """Standard deviation of the line spread function, px."""
+        return float(np.hypot(self.edge.fits.free.shape.sigma, _BOX))
+
+    @cached_property
+    def sides(self) -> tuple[np.ndarray, np.ndarray]:
+        """Flat parts, dark and bright, bool."""
+        there, reach = np.isfinite(self.value), _REACH * self.blur + _MORE
+        return there & (self.distance < -reach), there & (self.distance > reach)
+
+    @cached_property
+    def noise(self) -> FlatNoise:
+        """Noise of the flat parts."""
+        least = _LEAST_NOISE * abs(self.edge.bright - self.edge.dark)
+        return flat_noise(self.value, *self.sides, lines=not self.mosaic, least=least)
+
+    @cached_property
+    def correlations(self) -> Correlations | None:
+        """Correlations of the noise; None where nothing is known: a mosaic is filtered after it has been filled in."""
+        if self.mosaic or not np.isfinite(self.noise.alike_std):
+            return None
+        return correlations(np.where(np.isfinite(self.value), self.value, 0.0), self.sides)
+
+    @cached_property
+    def bare(self) -> BareEdge:
+        """The edge's cells, free of a lens."""
+        fits = self.edge.fits
+        cells, used = fits.cells, fits.cells.pixels > 0
+        terms, levels, free = cells.terms[:, used], fits.free.levels, fits.state.used
+        light = light_of(levels, terms)
+        variance = fits.noise.variance(fits.parametric.expected[used], cells.dim[used])
+        value = cells.value[used] - light.addend
+        bent = value / light.factor * terms[free[2 : SHIFT - ADDED] > 0]
+        return BareEdge(
+            distance=np.asarray(cells.distance[used] + fits.state.linear[SHIFT]),
+            spread=np.asarray(cells.spread[used]),
+            value=np.asarray(value),
+            std=np.asarray(np.sqrt(fits.excess * variance / cells.pixels[used])),
+            step=np.asarray((levels[1] - levels[0]) * light.factor),
+            light=np.concatenate([light.factor[None], bent, terms[:ADDED][free[SHIFT - ADDED : SHIFT] > 0]]),
+            blur=float(line_width(fits.free.shape)),
+        )
+
+    def traces(self) -> list[Trace]:
+        """List everything that is found."""
+        smoothed = _smoothed(self)
+        raised = []
+        if self.clear > CLEAR:
+            raised = _sharpened(self) or _slightly_sharpened(self)
+        filtered = [] if self.noise.compressed else _filtered(self, smoothed, raised)
+        coarse = _coarse(self)
+        toned = _bent(self) or ([] if any(trace.remark for trace in coarse) else _asymmetric(self))
+        lit = [] if self.light is None else [Trace(_PER_STEP * self.light.unknown)]
+        found = [*smoothed, *raised, *filtered, *_crushed(self), *coarse, *toned, *lit]
+        return [*found, *_narrow(self), *_veiled(self), *_ghost(self)]
 
 
 def with_traces(stack: EdgeStack, regions: Iterable[EdgeRegions], lights: Sequence[LightField | None]) -> EdgeStack:
@@ -97,107 +173,69 @@ def with_traces(stack: EdgeStack, regions: Iterable[EdgeRegions], lights: Sequen
     If glare and light cannot be distinguished, the MTF is that of the lens without glare. `stack`: results of n edges.
     `regions`: their rows, in even light. `lights`: uneven light of each, or None.
     """
-    shares, given = np.zeros((3, len(stack))), list(stack.given or [()] * len(stack))
-    first = 0
+    shares = {of: np.zeros(len(stack)) for of in ("lens", "free", "glare")}
+    given = list(stack.given or [()] * len(stack))
+    i = 0
     for rows in regions:
-        part = slice(first, first + len(rows.value))
+        part = slice(i, i + len(rows.value))
         clear = clearance(tuple_map(lambda a: a[part], stack.fits), rows)  # noqa: B023
-        for k in range(len(rows.value)):
-            i = first + k
+        for k, value in enumerate(rows.value):
             if stack.problems[i] is None:
-                traces = _traces(stack, i, rows, k, float(clear[k]), lights[i])
-                shares[:, i] = traces.share, traces.free, traces.glare
-                given[i] = given[i] + traces.remarks
-        first += len(rows.value)
+                edge = stack[i]
+                across = rows.start[k][:, None] + rows.step * np.arange(value.shape[1])
+                across = across - np.polyval(edge.fits.curve[::-1], rows.y[k])[:, None]
+                distance = across / np.hypot(1.0, float(edge.fits.slope))
+                found = _EdgeRegion(edge, value, distance, rows.step > 1, float(clear[k]), lights[i]).traces()
+                given[i] = given[i] + tuple(trace.remark for trace in found if trace.remark)
+                for trace in found:
+                    shares[trace.of][i] = np.hypot(shares[trace.of][i], trace.share)
+            i += 1
+    shares["lens"] = np.hypot(shares["lens"], _SURER * shares["free"])
     stack = with_core_as_total(stack, np.array([light is not None and light.amplitude > 0 for light in lights]))
     ghosts = np.array([0.0 if light is None else light.ghost for light in lights])
     return with_jumps(with_ghosts(widened(replace(stack, given=tuple(given)), shares), ghosts))
 
 
-def _traces(stack: EdgeStack, i: int, rows: EdgeRegions, k: int, clear: float, light: LightField | None) -> Traces:
-    """Find the traces in the region of edge i, the k-th of its regions.
-
-    `clear`: its distance from the borders, in standard deviations of its blur. `light`: uneven light that was found in
-    it.
-    """
-    value, fits = rows.value[k], stack.fits
-    y, start = (np.broadcast_to(a, (len(rows.value), value.shape[0]))[k] for a in (rows.y, rows.start))
-    place = np.polyval(np.asarray(fits.curve[i])[::-1], y)
-    across = start[:, None] + rows.step * np.arange(value.shape[1]) - place[:, None]
-    distance = across / np.hypot(1.0, float(fits.slope[i]))
-    blur = float(np.hypot(fits.free.shape.sigma[i], _BOX))
-    reach = _REACH * blur + _MORE
-    there = np.isfinite(value)
-    dark, bright = there & (distance < -reach), there & (distance > reach)
-    step = float(stack.bright[i] - stack.dark[i])
-    noise = flat_noise(value, dark, bright, lines=rows.step == 1, least=_LEAST_NOISE * abs(step))
-    found = _smoothed(noise, blur)
-    one, raised = value if rows.step == 1 else None, list[tuple[Remark | None, float]]()
-    if clear > CLEAR:
-        raised = _sharpened(stack, i, noise) or _slightly_sharpened(stack, i, noise, one, (dark, bright))
-    if one is not None and not noise.compressed and np.isfinite(noise.alike_std):
-        raised += _filtered(stack, i, np.where(there, one, 0.0), (dark, bright), (found, raised))
-    found += raised
-    found += _crushed(stack, i, crushed_share(value[dark], value[bright]))
-    coarse = _coarse(value, (dark, bright), noise, step)
-    found += coarse + (
-        _bent(stack, i, noise) or ([] if any(remark for remark, _ in coarse) else _asymmetric(stack, i, noise))
-    )
-    by_light = 0.0 if light is None else _PER_STEP * light.unknown
-    share = float(np.hypot.reduce([by_light, *(share for _, share in found)]))
-    narrow, free = _narrow(clear, blur)
-    veiled, glare = _veiled(stack, i, rows.step * (value.shape[1] - 1), light)
-    remarks = (*(remark for remark, _ in found), narrow, veiled, _ghost(stack, i))
-    return Traces(tuple(remark for remark in remarks if remark), float(np.hypot(share, free * _SURER)), free, glare)
-
-
-def _narrow(clear: float, blur: float) -> tuple[Remark | None, float]:
-    """Estimate the error of the free estimate if the blur extends to the border of the region."""
-    share = _TAILS * float(np.clip((CLEAR - clear) / _FADING, 0.0, 1.0))
+def _narrow(region: _EdgeRegion) -> list[Trace]:
+    """Find a blur that reaches the region's border, which leaves the free estimate unsure."""
+    share = _TAILS * float(np.clip((CLEAR - region.clear) / _FADING, 0.0, 1.0))
     if not share:
-        return None, 0.0
-    text = f"the blur ({blur:.1f} px) extends to the region's border, {clear:.1f} of it away, so that the levels are uncertain"
-    return Remark(
-        "narrow-region", f"{text}: MTF50 free of a model may be wrong by {share:.0%}; take a wider region"
-    ), share
+        return []
+    text = f"the blur ({region.blur:.1f} px) reaches the region's border, {region.clear:.1f} of it away, so that the "
+    text += f"levels are unsure: MTF50 free of a model may be wrong by {share:.0%}; take a wider region"
+    return [Trace(share, Remark("narrow-region", text), "free")]
 
 
-def _veiled(stack: EdgeStack, i: int, width: float, light: LightField | None) -> tuple[Remark | None, float]:
-    """Estimate the error of MTF50 because uneven light looks like glare.
-
-    width: px, of the region.
-    """
-    glare, radius = float(stack.glare_fraction[i]), float(stack.glare_radius[i])
+def _veiled(region: _EdgeRegion) -> list[Trace]:
+    """Estimate the error of MTF50 because uneven light looks like glare."""
+    edge, light = region.edge, region.light
+    glare, seen = edge.glare_fraction, f"glare of {edge.glare_fraction:.1%} over {edge.glare_radius:.0f} px may be"
     if light is not None and light.amplitude > 0:
-        text = f"uneven light of {light.amplitude:.1%}, beyond levels and a plane, was taken out"
+        text = f"uneven light of {light.amplitude:.1%}, beyond light of third order, was taken out"
         if glare > 0:
-            text += f"; glare of {glare:.1%} over {radius:.0f} px may be its remainder: the MTF is that without glare"
-        return Remark("uneven-light", text), 0.0
-    if not glare > 0:
-        return None, 0.0
-    unsure = glare if radius > VEIL * width else min(glare, 0.0 if light is None else light.possible)
+            text += f"; {seen} its remainder: the MTF is that without glare"
+        return [Trace(0.0, Remark("uneven-light", text), "glare")]
+    width = (2 if region.mosaic else 1) * (region.value.shape[1] - 1)
+    possible = 1.0 if edge.glare_radius > VEIL * width else 0.0 if light is None else light.possible
+    unsure = max(min(glare, possible), 0.0)
     share = _BY_GLARE * unsure
-    part = "" if unsure == glare else " in part"
-    text = f"glare of {glare:.1%} over {radius:.0f} px may be uneven light{part}"
-    text += f": MTF50 with it may be too low by {share:.0%}"
-    return Remark("wide-glare", text) if share > _SURE_GLARE else None, share
+    text = f"{seen} uneven light{'' if unsure == glare else ' in part'}: MTF50 with it may be too low by {share:.0%}"
+    return [Trace(share, Remark("wide-glare", text) if share > _SURE_GLARE else None, "glare")]
 
 
-def _ghost(stack: EdgeStack, i: int) -> Remark | None:
-    """Describe a second, weaker edge, whose effect is part of the measured MTF."""
-    ghost = ghost_of(tuple_map(lambda a: a[i], stack.fits.free))
+def _ghost(region: _EdgeRegion) -> list[Trace]:
+    """Find a second, weaker edge, which is part of what was measured."""
+    ghost = ghost_of(region.edge.fits.free)
     if ghost.share < max(_GHOST, _SURE_GHOST * ghost.std):
-        return None
+        return []
     side = "bright" if ghost.bright else "dark"
     text = f"a second edge of {ghost.share:.1%} of the step lies {ghost.place:.1f} px away, on the {side} side"
-    return Remark("ghost", f"{text}: a ghost; it is part of the MTF")
+    return [Trace(0.0, Remark("ghost", f"{text}: a ghost; it is part of the MTF"))]
 
 
-def _smoothed(noise: FlatNoise, blur: float) -> list[tuple[Remark | None, float]]:
-    """Estimate the error of MTF50 from smoothing, by the correlation of the noise.
-
-    `blur`: px. The wider it is, the less it is changed by smoothing over a given number of px.
-    """
+def _smoothed(region: _EdgeRegion) -> list[Trace]:
+    """Find noise that neighbours share. The wider the blur is, the less a smoothing of so many px changes it."""
+    noise = region.noise
     if not noise.smoothed:
         return []
     seen = f"the noise of neighbouring pixels is correlated ({noise.alike:.2f} of independent noise)"
@@ -207,130 +245,94 @@ def _smoothed(noise: FlatNoise, blur: float) -> list[tuple[Remark | None, float]
         )
         share = float(np.clip(_PER_BORDER * (noise.grid - _HARMLESS), 0.0, _MOST_BY_BLOCKS))
         more = f"; MTF50 may be wrong by {share:.1%}" if share else ""
-        return [(Remark("compressed", text + more), share)]
+        return [Trace(share, Remark("compressed", text + more))]
     if not noise.denoised:
         text = f"{seen}: a demosaiced picture, or one that was resampled or smoothed, whose MTF is not the lens's"
-        return [(Remark("demosaiced", text), 0.0)]
-    share = smoothing_doubt(blur, denoised=True)
+        return [Trace(0.0, Remark("demosaiced", text))]
+    share = smoothing_doubt(region.blur, denoised=True)
     text = (
         f"{seen}, over several px: a denoised picture, whose MTF is not the lens's; MTF50 may be wrong by {share:.0%}"
     )
-    return [(Remark("denoised", text), share)]
+    return [Trace(share, Remark("denoised", text))]
 
 
-def _bent(stack: EdgeStack, i: int, noise: FlatNoise) -> list[tuple[Remark | None, float]]:
-    """Describe noise that is larger in dark areas."""
-    if not noise.bent:
+def _bent(region: _EdgeRegion) -> list[Trace]:
+    """Find noise that is larger in the dark."""
+    if not region.noise.bent:
         return []
-    share = max(BENT_DOUBT, abs(_effect_of_gamma(stack, i)))
-    text = f"the noise of dark pixels is {noise.tilt:.1f} times that of bright ones: a tone curve that was not undone (--tone)"
-    return [(Remark("tone-curve", f"{text}? MTF50 may be wrong by {share:.0%}"), share)]
+    edge = region.edge
+    step = edge.bright - edge.dark
+    share = max(BENT_DOUBT, _effect_of_tone(edge, lambda seen: np.maximum(edge.dark + step * seen, 0) ** _GAMMA))
+    text = f"dark pixels err {region.noise.tilt:.1f} times as much as bright ones: a tone curve that was not undone (--tone)"
+    return [Trace(share, Remark("tone-curve", f"{text}? MTF50 may be wrong by {share:.0%}"))]
 
 
-def _sharpened(stack: EdgeStack, i: int, noise: FlatNoise) -> list[tuple[Remark | None, float]]:
-    """Estimate the error of MTF50 from sharpening, by overshoot and noise."""
-    over, std = float(stack.overshoot[i]), max(float(stack.overshoot_std[i]), 1e-4)
+def _sharpened(region: _EdgeRegion) -> list[Trace]:
+    """Find sharpening by overshoot and noise together."""
+    noise = region.noise
+    over, std = region.edge.overshoot, max(region.edge.overshoot_std, 1e-4)
     apart = 0.0 if noise.smoothed else noise.apart
     # JPEG causes ringing next to an edge
     if over < (SHARPENED if noise.compressed else _OVERSHOOT) or (over / std + apart) / np.sqrt(2) < _SURE:
         return []
     share = _PER_OVERSHOOT * over
     text = f"the edge overshoots by {over:.1%}, as in a sharpened picture: MTF50 may be too high by {share:.0%}"
-    return [(Remark("sharpened", text) if over <= SHARPENED else None, share)]
+    return [Trace(share, Remark("sharpened", text) if over <= SHARPENED else None)]
 
 
-def _slightly_sharpened(
-    stack: EdgeStack, i: int, noise: FlatNoise, value: FloatArray | None, sides: tuple[np.ndarray, np.ndarray]
-) -> list[tuple[Remark | None, float]]:
-    """Estimate the error of MTF50 from an unsharp mask without visible overshoot.
-
-    `value`: the region; None for a mosaic, which is sharpened after interpolation. `sides`: its flat areas.
-    """
-    if value is None or noise.smoothed:
+def _slightly_sharpened(region: _EdgeRegion) -> list[Trace]:
+    """Find an unsharp mask that explains edge and noise together, where no overshoot shows it."""
+    seen = region.correlations
+    # noise that speaks against the mask spares most pictures the fits
+    if seen is None or region.noise.smoothed or (gain := mask_gain(seen)) < 0:
         return []
-    apart = noise_score(value, sides)
-    if apart < APART:  # misses 1 in 50 of slightly sharpened pictures, and avoids the fits for half of all others
+    gain += edge_gain(region.bare)
+    if gain < needed_gain(region.bare.blur):
         return []
-    gain = noise_gain(apart, int(sides[0].sum() + sides[1].sum()))
-    edge = _bare(tuple_map(lambda a: np.asarray(a)[i], stack.fits))
-    gain += edge_gain(edge)
-    if gain < needed_gain(edge.blur):
-        return []
-    share = effect_on_half(stack.frequency, stack.mtf[i])
+    share = effect_on_half(region.edge.frequency, region.edge.mtf)
     text = (
         "the noise of neighbouring pixels is anticorrelated and the edge overshoots as behind an unsharp mask of "
         f"{AMOUNT:.0%} (2 ln likelihood {gain:.0f} more): a sharpened picture? MTF50 may be too high by {share:.1%}"
     )
-    return [(Remark("sharpened", text), share)]
+    return [Trace(share, Remark("sharpened", text))]
 
 
-def _filtered(
-    stack: EdgeStack,
-    i: int,
-    value: FloatArray,
-    sides: tuple[np.ndarray, np.ndarray],
-    others: tuple[list[tuple[Remark | None, float]], list[tuple[Remark | None, float]]],
-) -> list[tuple[Remark | None, float]]:
-    """Estimate the error of MTF50 by a linear filter, from the correlation of the noise; the other traces of filters
-    are not counted twice.
+def _filtered(region: _EdgeRegion, smoothed: list[Trace], raised: list[Trace]) -> list[Trace]:
+    """Estimate the error of MTF50 by a linear filter, from the correlation of the noise; other traces of filters count once.
 
-    value: of the region. sides: its flat parts. others: remarks and errors that were found for smoothing, and for sharpening.
+    smoothed, raised: traces of smoothing, and of sharpening.
     """
-    smoothed, raised = others
-    doubt = filter_doubt(value, sides, stack.frequency, stack.mtf[i], sharpened=bool(raised))
-    more = np.sqrt(max(doubt.share**2 - sum(share**2 for _, share in (*smoothed, *raised)), 0.0))
+    doubt = filter_doubt(region.correlations, region.edge.frequency, region.edge.mtf, sharpened=bool(raised))
+    more = float(np.sqrt(max(doubt.share**2 - sum(trace.share**2 for trace in (*smoothed, *raised)), 0.0)))
     if smoothed or raised or doubt.probability < 0.5:
-        return [(None, float(more))]
+        return [Trace(more)]
     kind, off = ("smooths", "low") if doubt.smooths else ("sharpens or deconvolves", "high")
     text = f"the noise of neighbours is correlated as behind a filter that {kind} (probability {doubt.probability:.1%})"
-    return [(Remark("filtered", f"{text}: MTF50 may be too {off} by {doubt.share:.0%}"), float(more))]
+    return [Trace(more, Remark("filtered", f"{text}: MTF50 may be too {off} by {doubt.share:.0%}"))]
 
 
-def _bare(fits: EdgeFits) -> BareEdge:
-    """Return the cells of an edge without lens effects."""
-    cells, used = fits.cells, fits.cells.pixels > 0
-    terms, levels, free = cells.terms[:, used], fits.free.levels, fits.state.used
-    # `light_of` and `Noise.variance` would be compiled for every number of cells
-    factor, addend = 1 + levels[2 : SHIFT - ADDED] @ terms, levels[SHIFT - ADDED :] @ terms[:ADDED]
-    expected, dim = fits.parametric.expected[used], cells.dim[used]
-    variance = fits.noise.gain * np.maximum(expected, 0.0) * dim + (fits.noise.read * dim) ** 2
-    value = cells.value[used] - addend
-    bent = value / factor * terms[free[2 : SHIFT - ADDED] > 0]
-    return BareEdge(
-        distance=np.asarray(cells.distance[used] + fits.state.linear[SHIFT]),
-        spread=np.asarray(cells.spread[used]),
-        value=np.asarray(value),
-        std=np.asarray(np.sqrt(fits.excess * variance / cells.pixels[used])),
-        step=np.asarray((levels[1] - levels[0]) * factor),
-        light=np.concatenate([factor[None], bent, terms[:ADDED][free[SHIFT - ADDED : SHIFT] > 0]]),
-        blur=float(np.hypot(fits.free.shape.sigma, fits.free.shape.half_width / np.sqrt(3))),
-    )
-
-
-def _crushed(stack: EdgeStack, i: int, piled: float) -> list[tuple[Remark, float]]:
-    """Estimate the error of MTF50 if the dark side has one value."""
+def _crushed(region: _EdgeRegion) -> list[Trace]:
+    """Find a dark side of one value."""
+    piled = crushed_share(*(region.value[side] for side in region.sides))
     if not piled:
         return []
-    share = max(_CRUSHED, _effect_of_crushing(stack, i))
+    share = max(_CRUSHED, _effect_of_crushing(region))
     text = f"blacks are crushed: {piled:.0%} of the dark side has the very lowest value; MTF50 may be too high by {share:.0%}"
-    return [(Remark("crushed", text), share)]
+    return [Trace(share, Remark("crushed", text))]
 
 
-def _coarse(
-    value: FloatArray, sides: tuple[np.ndarray, np.ndarray], noise: FlatNoise, step: float
-) -> list[tuple[Remark | None, float]]:
+def _coarse(region: _EdgeRegion) -> list[Trace]:
     """Estimate the error of MTF50 by rounding to coarse levels.
 
     The mean of rounded values errs by at most (level / pi) exp(-2 pi^2 noise^2 / level^2) (Widrow & Kollar, Quantization
     Noise, 2008, ch. 9).
-
-    value: region (height, width), linear. sides: its flat parts, dark and bright, bool. step: bright less dark.
     """
+    value, sides = region.value, region.sides
     levels = np.unique(value[np.isfinite(value)])
     if not 2 <= levels.size <= _MOST_LEVELS or not all(side.any() for side in sides):
         return []
     gaps, errors = np.diff(levels), []
-    for side, variance in zip(sides, noise.variance, strict=True):
+    for side, variance in zip(sides, region.noise.variance, strict=True):
         at = int(np.searchsorted(levels, np.median(value[side])))
         apart = float(gaps[max(at - _NEAR_LEVELS, 0) : at + _NEAR_LEVELS].min())
         # rounding adds its own variance, and noise that extends to a third level can be separated from it
@@ -338,95 +340,89 @@ def _coarse(
         beyond = float(np.clip(count[:-2].sum(), 0.5, None) / count.sum())
         noisy = min(max(variance - apart**2 / 12, 0.0), (apart / ndtri(beyond / 2)) ** 2)
         errors.append(apart * np.exp(-2 * np.pi**2 * noisy / apart**2))
+    step = region.edge.bright - region.edge.dark
     share = _PER_LEVEL * float(np.hypot(*errors)) / step
-    steps = step / max(gaps.min(), 1e-300)
-    text = f"levels are coarse: {steps:.0f} of them from dark to bright, and less noise than one"
-    text += f"; MTF50 may be wrong by {share:.1%}"
-    return [(Remark("quantised", text) if share > _SMALL_DOUBT else None, share)]
+    text = (
+        f"levels are coarse: {step / max(gaps.min(), 1e-300):.0f} of them from dark to bright, and less noise than one"
+    )
+    return [
+        Trace(
+            share, Remark("quantised", f"{text}; MTF50 may be wrong by {share:.1%}") if share > _SMALL_DOUBT else None
+        )
+    ]
 
 
-def _effect_of_gamma(stack: EdgeStack, i: int) -> float:
-    """Compute the relative change of MTF50 if a gamma is undone."""
-    distance = np.linspace(-40, 40, 1601)
-    response = np.asarray(stack[i].esf(distance).value)
-    levels = float(stack.dark[i]) + float(stack.bright[i] - stack.dark[i]) * np.clip(response, 0, 1)
-    plain, undone = (_half(distance, v) for v in (levels, np.maximum(levels, 0) ** _GAMMA))
-    return float(undone / plain - 1) if np.isfinite(undone / plain) else 0.0
-
-
-def _asymmetric(stack: EdgeStack, i: int, noise: FlatNoise) -> list[tuple[Remark | None, float]]:
+def _asymmetric(region: _EdgeRegion) -> list[Trace]:
     """Estimate the error of MTF50 because an asymmetric edge response may come from a tone curve, not from the lens.
 
     A tone curve v + q v (1 - v) between the levels adds q E (1 - E) to a response E; a symmetric lens does not. The variance of
     photon noise is proportional to the light. More variance than that on the dark side makes a tone curve more probable.
     """
-    fits = tuple_map(lambda a: np.asarray(a)[i], stack.fits)
-    if ghost_of(fits.free).share > 0:
+    edge, bare, noise = region.edge, region.bare, region.noise
+    if ghost_of(edge.fits.free).share > 0:
         return []
-    edge = _bare(fits)
-    width = np.sqrt(edge.blur**2 + edge.spread)
-    at = edge.distance / width
+    at = bare.distance / np.sqrt(bare.blur**2 + bare.spread)
     response, line = ndtr(at), np.exp(-(at**2) / 2)
-    # also free are levels and light, the position and width of the edge, and a lens that is not Gaussian
-    even = np.stack([response, line, at * line, at**3 * line]) * edge.step
-    columns = np.concatenate([(edge.step * response * (1 - response))[None], even, edge.light])
-    if stack.glare_fraction[i] > 0:
-        columns = np.concatenate([columns, (ndtr(edge.distance / stack.glare_radius[i]) * edge.step)[None]])
-    weight = 1 / np.hypot(edge.std, _LEAST_NOISE * edge.step)
+    # levels and light, the edge's place and its width, and a lens that is not Gaussian, are free besides
+    even = np.stack([response, line, at * line, at**3 * line]) * bare.step
+    columns = np.concatenate([(bare.step * response * (1 - response))[None], even, bare.light])
+    if edge.glare_fraction > 0:
+        columns = np.concatenate([columns, (ndtr(bare.distance / edge.glare_radius) * bare.step)[None]])
+    weight = 1 / np.hypot(bare.std, _LEAST_NOISE * bare.step)
     scale = np.linalg.norm(columns * weight, axis=1)
     inverse = np.linalg.pinv((columns * weight / np.maximum(scale, 1e-300)[:, None]).T, rcond=1e-6)
-    bend = float(inverse[0] @ (edge.value * weight)) / scale[0]
+    bend = float(inverse[0] @ (bare.value * weight)) / scale[0]
     variance = float(inverse[0] @ inverse[0]) / scale[0] ** 2
     prior = _TONE_BEND**2
     gain = bend**2 / variance * prior / (prior + variance) / 2
     odds = np.exp(min(gain, 50.0)) / np.sqrt(1 + prior / variance)
-    raised = ndtr((noise.tilt - _RAISED * stack.dark[i] / stack.bright[i]) / noise.tilt_std)
+    raised = ndtr((noise.tilt - _RAISED * edge.dark / edge.bright) / noise.tilt_std)
     first = float(np.interp(raised, (0.0, 1.0), _TONE_PROBABILITIES)) if np.isfinite(raised) else _TONE_PROBABILITIES[0]
     probability = first * odds / (1 + first * (odds - 1))
     if probability < _NO_TONE:
         return []
-    effect = abs(_effect_of_shoulder(stack, i, bend))
-    share = float(np.sqrt(probability)) * effect
-    if probability < _SURE_TONE or share < _SMALL_DOUBT:
-        return [(None, share)]
+    lowest = float(np.clip(edge.dark / edge.bright, 0.0, 0.9))
+    share = float(np.sqrt(probability)) * _effect_of_tone(edge, lambda seen: _shoulder_undone(seen, lowest, bend))
     text = (
         "the edge response is not symmetric: coma of the lens, or a tone curve that bends, such as a highlight shoulder"
     )
-    return [(Remark("asymmetric", f"{text}; MTF50 may be wrong by {share:.1%}"), share)]
+    remark = Remark("asymmetric", f"{text}; MTF50 may be wrong by {share:.1%}")
+    return [Trace(share, remark if probability >= _SURE_TONE and share >= _SMALL_DOUBT else None)]
 
 
-def _effect_of_shoulder(stack: EdgeStack, i: int, bend: float) -> float:
-    """Compute the relative change of MTF50 by a shoulder tanh(b v) of a given curvature.
+def _shoulder_undone(response: FloatArray, lowest: float, bend: float) -> FloatArray:
+    """Undo a shoulder tanh(b v) that bends an edge response by `bend`, q of `_asymmetric`.
 
-    `bend`: q of `_asymmetric`; negative: a shoulder in the dark.
+    lowest: light of the dark side over that of the bright one. A negative bend is a shoulder in the dark.
     """
-    distance = np.linspace(-40, 40, 1601)
-    response = np.clip(np.asarray(stack[i].esf(distance).value), 0, 1)
-    lowest = float(np.clip(stack.dark[i] / stack.bright[i], 0.0, 0.9))
     if bend < 0:
-        response, lowest = 1 - response[::-1], 0.0
+        return 1 - _shoulder_undone(1 - response, 0.0, -bend)
     shoulders = np.linspace(0.05, 3.0, 60)
     ends, middle = np.tanh(shoulders * lowest), np.tanh(shoulders * (1 + lowest) / 2)
     bends = 4 * ((middle - ends) / (np.tanh(shoulders) - ends) - 0.5)
-    b = float(np.interp(abs(bend), bends, shoulders))
-    light = np.arctanh(np.tanh(b * lowest) + (np.tanh(b) - np.tanh(b * lowest)) * response) / b
-    seen, undone = (_half(distance, levels) for levels in (response, light))
-    return float(seen / undone - 1) if np.isfinite(seen / undone) else 0.0
+    b = float(np.interp(bend, bends, shoulders))
+    return np.asarray(np.arctanh(np.tanh(b * lowest) + (np.tanh(b) - np.tanh(b * lowest)) * response) / b)
 
 
-def _half(distance: FloatArray, levels: FloatArray) -> float:
-    """Find the frequency at which the transfer of an edge response falls to one half, or NaN.
+def _effect_of_tone(edge: EdgeMTF, undone: Callable[[FloatArray], FloatArray]) -> float:
+    """Compute by how much a tone curve has changed MTF50, relative, without sign.
 
-    `distance`: px, evenly spaced.
+    undone: edge response, from 0 to 1, behind the curve -> light.
     """
-    transfer = np.abs(np.fft.rfft(np.diff(levels), _TRANSFORM)) / (levels[-1] - levels[0])
-    return half_of(np.arange(transfer.size) / (_TRANSFORM * (distance[1] - distance[0])), transfer)
+    distance = np.linspace(-_SIDE, _SIDE, _SAMPLES)
+    response = np.clip(edge.esf(distance).value, 0, 1)
+
+    def half(light: FloatArray) -> float:
+        transfer = np.abs(np.fft.rfft(np.diff(light), _TRANSFORM)) / (light[-1] - light[0])
+        return float(first_fall(np.fft.rfftfreq(_TRANSFORM, distance[1] - distance[0]), transfer))
+
+    effect = half(response) / half(undone(response)) - 1
+    return abs(effect) if np.isfinite(effect) else 0.0
 
 
-def _effect_of_crushing(stack: EdgeStack, i: int) -> float:
-    """Compute the relative narrowing of the edge by crushed blacks, from a Gaussian with and without its clipped foot."""
-    cells = stack[i].samples
-    blur = float(np.hypot(stack.fits.free.shape.sigma[i], _BOX))
+def _effect_of_crushing(region: _EdgeRegion) -> float:
+    """Return by how much crushed blacks narrow the edge, relative: a Gaussian's own foot, cut or not, is fitted."""
+    cells, blur = region.edge.samples, region.blur
     used = np.abs(cells.distance) < 6 * blur + 2
     d, value, weight = cells.distance[used], cells.value[used], 1 / np.maximum(cells.std[used], 1e-3)
 

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from functools import lru_cache
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
 from matcam.calibration.edge.geometry import EdgeCells
 from matcam.calibration.edge.maximum_likelihood import Profile
@@ -38,20 +38,17 @@ KURTOSIS = 0.02
 
 
 class LensModel(Module):
-    """Interface of a family of lenses.
+    """Family of lenses, whose fitted parameters have forms that need no bounds.
 
-    Its fitted parameters are transformed so that they need no bounds.
+    Attributes:
+        name: the family's name, as `edge_mtf` takes it.
+        names: the parameters' names, as the camera's profile has them: "optics.sigma_px".
+        longest: longest step of each parameter.
     """
 
-    @property
-    @abstractmethod
-    def name(self) -> str:
-        """Return the name of the family, as in `edge_mtf`."""
-
-    @property
-    @abstractmethod
-    def names(self) -> tuple[str, ...]:
-        """Return the names of the parameters, as in a camera profile: "optics.sigma_px"."""
+    name: ClassVar[str]
+    names: ClassVar[tuple[str, ...]]
+    longest: ClassVar[tuple[float, ...]]
 
     @abstractmethod
     def start(self, log_sigma: jax.Array) -> jax.Array:
@@ -64,11 +61,6 @@ class LensModel(Module):
     @abstractmethod
     def numbers(self, parameters: jax.Array) -> jax.Array:
         """Return the parameters (k,) in the units of their names."""
-
-    @property
-    @abstractmethod
-    def longest(self) -> tuple[float, ...]:
-        """Return the largest step of each parameter."""
 
     def profile(self, angle: jax.Array, half_width: jax.Array) -> Profile:
         """Return the edge profile at an angle to the grid."""
@@ -105,20 +97,9 @@ class LensAtEdge(NamedTuple):
 class Gaussian(LensModel):
     """Gaussian optics. Parameter: ln sigma."""
 
-    @property
-    def name(self) -> str:
-        """Return "gaussian"."""
-        return "gaussian"
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Return the parameters' names."""
-        return ("optics.sigma_px",)
-
-    @property
-    def longest(self) -> tuple[float, ...]:
-        """Return the largest step."""
-        return (0.7,)
+    name: ClassVar[str] = "gaussian"
+    names: ClassVar[tuple[str, ...]] = ("optics.sigma_px",)
+    longest: ClassVar[tuple[float, ...]] = (0.7,)
 
     def start(self, log_sigma: jax.Array) -> jax.Array:
         """Return ln sigma itself."""
@@ -151,20 +132,9 @@ class GaussianWithHalo(LensModel):
     Parameters: ln sigma, fraction, ln radius.
     """
 
-    @property
-    def name(self) -> str:
-        """Return "halo"."""
-        return "halo"
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Return the parameters' names."""
-        return ("optics.core.sigma_px", "optics.fraction", "optics.radius_px")
-
-    @property
-    def longest(self) -> tuple[float, ...]:
-        """Return the largest steps."""
-        return (0.3, 0.03, 0.3)
+    name: ClassVar[str] = "halo"
+    names: ClassVar[tuple[str, ...]] = ("optics.core.sigma_px", "optics.fraction", "optics.radius_px")
+    longest: ClassVar[tuple[float, ...]] = (0.3, 0.03, 0.3)
 
     def start(self, log_sigma: jax.Array) -> jax.Array:
         """Return a start with little glare, far wider than the core."""
@@ -198,20 +168,9 @@ class Diffraction(LensModel):
     wavelength: jax.Array
     pixel_pitch: jax.Array
 
-    @property
-    def name(self) -> str:
-        """Return "diffraction"."""
-        return "diffraction"
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Return the parameters' names."""
-        return ("optics.f_number",)
-
-    @property
-    def longest(self) -> tuple[float, ...]:
-        """Return the largest step."""
-        return (0.5,)
+    name: ClassVar[str] = "diffraction"
+    names: ClassVar[tuple[str, ...]] = ("optics.f_number",)
+    longest: ClassVar[tuple[float, ...]] = (0.5,)
 
     def start(self, log_sigma: jax.Array) -> jax.Array:
         """Return the Airy pattern with the same core width.
@@ -235,20 +194,9 @@ class Defocus(LensModel):
     wavelength: jax.Array
     pixel_pitch: jax.Array
 
-    @property
-    def name(self) -> str:
-        """Return "defocus"."""
-        return "defocus"
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Return the parameters' names."""
-        return ("optics.f_number", "optics.blur_diameter_px")
-
-    @property
-    def longest(self) -> tuple[float, ...]:
-        """Return the largest steps."""
-        return (0.3, 0.5)
+    name: ClassVar[str] = "defocus"
+    names: ClassVar[tuple[str, ...]] = ("optics.f_number", "optics.blur_diameter_px")
+    longest: ClassVar[tuple[float, ...]] = (0.3, 0.5)
 
     def start(self, log_sigma: jax.Array) -> jax.Array:
         """Return half of the variance of the blur for each.
@@ -284,20 +232,9 @@ class Separable(LensModel):
     wavelength: jax.Array
     pixel_pitch: jax.Array
 
-    @property
-    def name(self) -> str:
-        """Return "separable"."""
-        return "separable"
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Return the parameters' names."""
-        return ("optics.sigma_px", "pixel.half_width_px", "kurtosis")
-
-    @property
-    def longest(self) -> tuple[float, ...]:
-        """Return the largest steps."""
-        return (0.3, 0.08, 0.05)
+    name: ClassVar[str] = "separable"
+    names: ClassVar[tuple[str, ...]] = ("optics.sigma_px", "pixel.half_width_px", "kurtosis")
+    longest: ClassVar[tuple[float, ...]] = (0.3, 0.08, 0.05)
 
     def start(self, log_sigma: jax.Array) -> jax.Array:
         """Return a pixel of nearly full width, and a Gaussian core."""

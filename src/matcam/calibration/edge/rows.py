@@ -69,8 +69,8 @@ class EdgeRegions(NamedTuple):
 
     Attributes:
         value: (n, rows, columns) linear; NaN where there is none.
-        y: (rows,) or (n, rows) px from the region's centre: the row's place.
-        start: (rows,) or (n, rows) px: that of its first sample.
+        y: (n, rows) px from the region's centre: the row's place.
+        start: (n, rows) px: that of its first sample.
         step: px between samples.
         frame: how the regions lie in the picture.
         turns: how often the fits of the edge's profile and of its place take turns.
@@ -111,7 +111,8 @@ def edge_regions(values: np.ndarray, *, mosaic: bool = False) -> EdgeRegions:
     more = (0, value.shape[1] - turned.shape[1])
     frame = RegionFrame((values.shape[2] - 1) / 2, (values.shape[1] - 1) / 2, transposed, mirrored, float(np.ptp(y)))
     start = np.pad(first, more) - (width - 1) / 2
-    return EdgeRegions(value, np.pad(y, more), start, step, frame, _MANY_TURNS if mosaic else _FEW_TURNS)
+    y, start = (np.broadcast_to(a, value.shape[:2]) for a in (np.pad(y, more), start))
+    return EdgeRegions(value, y, start, step, frame, _MANY_TURNS if mosaic else _FEW_TURNS)
 
 
 def turns_for(cycles: float) -> int:
@@ -224,17 +225,19 @@ def what_is_seen(value: np.ndarray) -> str:
 
 
 def clearance(found: EdgeFits, region: EdgeRegions) -> np.ndarray:
-    """Return the distance of edges from the borders of their regions (n,), in standard deviations of the blur."""
-    shape = region.value.shape[:2]
-    y, start = (np.broadcast_to(a, shape) for a in (region.y, region.start))
-    curves = np.nan_to_num(np.asarray(found.curve))
-    place = np.stack([np.polyval(curve[::-1], at) for curve, at in zip(curves, y, strict=True)])
+    """Return how far edges stand off their regions' borders (n,), in standard deviations of their blur."""
+    place = _places(region, np.nan_to_num(np.asarray(found.curve)))
     there = np.isfinite(region.value)
     first, last = there.argmax(2), region.value.shape[2] - 1 - there[:, :, ::-1].argmax(2)
-    ends = [place - start - region.step * first, start + region.step * last - place]
+    ends = [place - region.start - region.step * first, region.start + region.step * last - place]
     off = np.stack([np.where(there.any(2), end, np.nan) for end in ends])
     nearest = known_quantile(off, _SOME).min(0) / np.hypot(1.0, np.nan_to_num(np.asarray(found.slope)))
     return np.asarray(nearest / np.hypot(found.free.shape.sigma, found.free.shape.half_width / np.sqrt(3)))
+
+
+def _places(region: EdgeRegions, curves: np.ndarray) -> np.ndarray:
+    """Compute where edges (n, CURVE) cross their rows (n, rows), px."""
+    return np.asarray((curves[:, :, None] * region.y[:, None] ** np.arange(curves.shape[1])[:, None]).sum(1))
 
 
 def known_quantile(values: np.ndarray, share: float) -> np.ndarray:
@@ -254,8 +257,7 @@ def _largest_gap(region: EdgeRegions, curves: np.ndarray, slopes: np.ndarray) ->
 
     curves: (n, CURVE), of each edge. slopes: (n,), their means.
     """
-    y = np.broadcast_to(region.y, region.value.shape[:2])
-    place = np.stack([np.polyval(curve[::-1], at) for curve, at in zip(curves, y, strict=True)])
+    place = _places(region, curves)
     offset = (place - region.start) / region.step
     nearest = np.clip(np.rint(offset), 0, region.value.shape[2] - 1).astype(int)
     there = np.isfinite(np.take_along_axis(region.value, nearest[..., None], axis=2)[..., 0])

@@ -35,8 +35,8 @@ _STIFF = 0.02  # px^2 over px^2: precision of the prior for a curve beyond its b
 _FAINTEST = 0.2  # for the straight line of the light
 
 
-def first_curve(rows: Rows) -> tuple[jax.Array, jax.Array]:
-    """Return a first curve, and the number of rows that it crosses.
+def find_curve(rows: Rows) -> tuple[jax.Array, jax.Array]:
+    """Return a first curve, and how many rows it crosses.
 
     The error of the curve is a few hundredths of a px, without a model of the blur. The edge of a row is at the
     position of a sharp edge with the same sum of light: unlike the centroid of the derivative, this does not amplify

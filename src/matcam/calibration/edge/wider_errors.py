@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from matcam.calibration.edge.edge_result import EdgeStack
+from matcam.numerics.crossing import first_fall
 
 _LOWEST_BY_GHOST, _FLATTEST = 0.05, 1e-3
 """Frequency below which the effect of a ghost 10 px away on an MTF decreases, cycles/px; smallest slope of an MTF at
@@ -62,8 +64,8 @@ def with_jumps(stack: EdgeStack) -> EdgeStack:
     """
 
     def std(mtf: np.ndarray, mtf_std: np.ndarray, half: np.ndarray, half_std: np.ndarray) -> np.ndarray:
-        low, high = (_first_half(stack.frequency, mtf + sign * mtf_std) for sign in (-1, 1))
-        reach = np.fmax(half - low, high - half)
+        low, high = (first_fall(stack.frequency, mtf + sign * mtf_std) for sign in (-1, 1))
+        reach = np.fmax(half - low, np.where(np.isnan(high), stack.frequency[-1], high) - half)
         return np.where(reach > _JUMP * half_std, reach, half_std)
 
     return replace(
@@ -73,20 +75,11 @@ def with_jumps(stack: EdgeStack) -> EdgeStack:
     )
 
 
-def _first_half(frequency: np.ndarray, mtf: np.ndarray) -> np.ndarray:
-    """Return the first frequency at which curves (n, frequencies) fall to one half, or the last frequency."""
-    below = mtf < 0.5
-    k = np.where(below.any(1), np.maximum(below.argmax(1), 1), frequency.size - 1)
-    after, before = (np.take_along_axis(mtf, at[:, None], 1)[:, 0] for at in (k, k - 1))
-    share = np.clip((before - 0.5) / np.where(before > after, before - after, 1.0), 0.0, 1.0)
-    return np.asarray(frequency[k - 1] + share * (frequency[k] - frequency[k - 1]))
-
-
-def widened(stack: EdgeStack, all_shares: np.ndarray) -> EdgeStack:
-    """Return results with relative errors of the frequency (3, n), as in `Traces`."""
-    shares, free, glare = all_shares
-    core = np.hypot(shares, free)
-    total = np.hypot(core, glare)
+def widened(stack: EdgeStack, by_part: Mapping[str, np.ndarray]) -> EdgeStack:
+    """Return results whose frequencies are unknown by relative shares (n,): of the "lens", "free" estimates, and "glare"."""
+    shares = by_part["lens"]
+    core = np.hypot(shares, by_part["free"])
+    total = np.hypot(core, by_part["glare"])
 
     def curve(mtf: np.ndarray, std: np.ndarray, by: np.ndarray) -> np.ndarray:
         slope = np.gradient(mtf, stack.frequency, axis=-1)

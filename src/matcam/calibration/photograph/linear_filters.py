@@ -13,8 +13,11 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy import ndimage
+from scipy.fft import irfft2, next_fast_len, rfft2
 
 from matcam.core.arrays import FloatArray
+from matcam.numerics.crossing import first_fall
+from matcam.numerics.polynomials import plane_powers
 
 LAGS = ((0, 1), (1, 0), (1, 1), (1, -1), (0, 2), (2, 0), (1, 2), (2, 1), (1, -2), (2, -1), (2, 2), (2, -2))
 """Distances of neighbours whose correlation is compared with that of filters, rows and columns, px."""
@@ -38,6 +41,14 @@ _GRID = 32
 """Samples of a transfer function along each axis, and cycles of 1/32 px."""
 _SHORT = 0.05
 """Smallest transfer by which an MTF is divided."""
+
+
+_WIDTHS = 0.25 * 1.04 ** np.arange(37)
+"""Standard deviations of the Gaussian filters, px."""
+_MASKS = [(a, r) for a in (0.05, 0.1, 0.15, 0.2, 0.3, 0.45, 0.7, 1.0) for r in (0.6, 0.8, 1.0, 1.3, 1.7)]
+"""Unsharp masks: share of the difference from its surroundings by which a pixel is raised; radius of these, px."""
+MASK = (0.1, 1.0)
+"""The mask that stands for slight sharpening where an edge is compared with it."""
 
 
 class Correlations(NamedTuple):
@@ -69,28 +80,24 @@ class _Filters(NamedTuple):
     prior: FloatArray
 
 
-def correlations(
-    value: FloatArray, sides: tuple[np.ndarray, np.ndarray], lags: tuple[tuple[int, int], ...] = LAGS
-) -> Correlations | None:
-    """Measure the correlations of the noise of a picture.
+def correlations(value: FloatArray, sides: tuple[np.ndarray, np.ndarray]) -> Correlations | None:
+    """Measure the correlations of a picture's noise; None where too little of it is known.
 
     Args:
         value: picture (height, width), any unit.
         sides: its flat parts (height, width), dark and bright, bool.
-        lags: distances of pixels, px.
 
     Returns:
-        Correlations of pixels that far apart.
+        Correlations of pixels at all distances of `LAGS` and `_FAR_LAGS`.
     """
-    height, width = value.shape
-    axes = (np.linspace(-1, 1, height)[:, None], np.linspace(-1, 1, width)[None])
-    terms = [axes[0] ** i * axes[1] ** k for i in range(_ORDER + 1) for k in range(_ORDER + 1 - i)]
+    y, x = np.meshgrid(*(np.linspace(-1, 1, size) for size in value.shape), indexing="ij")
+    terms = plane_powers(x, y, _ORDER)
     noise, there = np.zeros(value.shape), np.zeros(value.shape)
     for side in sides:
         if side.sum() < _FEWEST:
             return None
-        design = np.stack([np.broadcast_to(term, value.shape)[side] for term in terms])
-        left = value[side] - np.linalg.lstsq(design @ design.T, design @ value[side], rcond=None)[0] @ design
+        design = terms[side]
+        left = value[side] - design @ np.linalg.lstsq(design.T @ design, design.T @ value[side], rcond=None)[0]
         scale = left.std()
         if not scale > 0:
             return None
@@ -99,31 +106,47 @@ def correlations(
     weight = np.maximum(ndimage.uniform_filter(there, _PATCH), 1e-3)
     local = np.abs(ndimage.uniform_filter(noise, _PATCH) / weight)
     there *= local < _STRUCTURE * np.median(local[there > 0])
-    noise *= there
-    found, count = [], []
-    for dy, dx in lags:
-        here = (slice(dy, None), slice(max(dx, 0), width + min(dx, 0)))
-        other = (slice(None, height - dy), slice(max(-dx, 0), width - max(dx, 0)))
-        pairs = float((there[here] * there[other]).sum())
-        # each term of the light that was fitted to the noise reduces the correlation of neighbours by one pair
-        found.append((float((noise[here] * noise[other]).sum()) + len(sides) * len(terms)) / max(pairs, 1.0))
-        count.append(pairs)
-    return Correlations(np.array(found), np.array(count))
+    total, pairs = (_sums_of_products(a) for a in (noise * there, there))
+    # the light that was fitted to the noise makes neighbours err apart by one pair for each of its terms
+    return Correlations((total + len(sides) * terms.shape[-1]) / np.maximum(pairs, 1.0), pairs)
+
+
+def _sums_of_products(values: FloatArray) -> FloatArray:
+    """Compute the sums of the products of all pixels that lie `LAGS` and `_FAR_LAGS` apart."""
+    lags = np.array(LAGS + _FAR_LAGS)
+    shape = [next_fast_len(size + lags.max(), real=True) for size in values.shape]
+    products = irfft2(np.abs(rfft2(values, shape)) ** 2, shape)
+    return np.asarray(products[lags[:, 0], lags[:, 1]])
+
+
+def _log_likelihoods(seen: Correlations) -> FloatArray:
+    """Compute the logarithm of the likelihood of each of `_filters()`, but for a constant."""
+    expected = np.pad(_filters().correlation, ((0, 0), (0, len(_FAR_LAGS))))
+    # variance of a correlation behind a filter (Bartlett 1946), and of what light has left: one basis suits all filters
+    spread = 1 + 2 * (expected**2).sum(1, keepdims=True)
+    apart = np.hypot(*np.array(LAGS + _FAR_LAGS).T)
+    unit = np.sqrt(np.maximum(seen.pairs, 1.0))
+    light = _LIGHT * np.exp(-apart / np.array(_LENGTHS)[:, None]) * unit
+    power, axes = np.linalg.eigh(light.T @ light)
+    variance = spread + np.maximum(power, 0.0)
+    left = ((seen.value - expected) * unit) @ axes
+    return np.asarray(-(left**2 / variance + np.log(variance)).sum(1) / 2)
+
+
+def mask_gain(seen: Correlations) -> float:
+    """Compute by how much the unsharp mask `MASK` raises 2 ln likelihood of the noise, if the light is even."""
+    expected = _filters().correlation[1 + len(_WIDTHS) + _MASKS.index(MASK)]
+    value, pairs = seen.value[: len(LAGS)], seen.pairs[: len(LAGS)]
+    return float(pairs @ (value**2 - (value - expected) ** 2))
 
 
 def filter_doubt(
-    value: FloatArray,
-    sides: tuple[np.ndarray, np.ndarray],
-    frequency: FloatArray,
-    mtf: FloatArray,
-    *,
-    sharpened: bool = False,
+    seen: Correlations | None, frequency: FloatArray, mtf: FloatArray, *, sharpened: bool = False
 ) -> FilterDoubt:
     """Compute the effect of possible linear filters on an MTF from the noise.
 
     Args:
-        value: picture (height, width), any unit.
-        sides: its flat parts (height, width), dark and bright, bool.
+        seen: correlations of the noise; None where nothing is known.
         frequency: frequencies (n,), cycles/px.
         mtf: MTF of the picture (n,).
         sharpened: whether the edge itself shows that a filter has raised its MTF. Default: False.
@@ -131,21 +154,10 @@ def filter_doubt(
     Returns:
         The doubt; its share is 0 if the noise is unknown.
     """
-    seen = correlations(value, sides, LAGS + _FAR_LAGS)
     if seen is None:
         return FilterDoubt(0.0, 0.0, False)
-    filters = _filters()
-    expected = np.pad(filters.correlation, ((0, 0), (0, len(_FAR_LAGS))))
-    # variance of a correlation behind a filter (Bartlett 1946), and of the residual light
-    spread = 1 + 2 * (expected**2).sum(1)
-    apart = np.hypot(*np.array(LAGS + _FAR_LAGS).T)
-    light = _LIGHT * np.exp(-apart / np.array(_LENGTHS)[:, None])
-    variance = spread[:, None, None] * np.diag(1 / seen.pairs) + light.T @ light
-    left = seen.value - expected
-    misfit = (left * np.linalg.solve(variance, left[..., None])[..., 0]).sum(1)
-    log_likelihood = -(misfit + np.linalg.slogdet(variance)[1]) / 2
-    probability = filters.prior * np.exp(log_likelihood - log_likelihood.max())
-    effect = np.array([_effect(frequency, mtf, transfer) for transfer in filters.transfer])
+    log_likelihood, effect = _log_likelihoods(seen), _effects(frequency, mtf)
+    probability = _filters().prior * np.exp(log_likelihood - log_likelihood.max())
     if sharpened:
         probability *= effect > 0
     probability /= max(float(probability.sum()), 1e-300)
@@ -157,25 +169,18 @@ def filter_doubt(
     return FilterDoubt(float(share), filtered, bool(effect[likeliest] < 0))
 
 
-def _effect(frequency: FloatArray, mtf: FloatArray, transfer: FloatArray) -> float:
-    """Compute the relative change of MTF50 by a filter: negative if the filter lowered it."""
+def _effects(frequency: FloatArray, mtf: FloatArray) -> FloatArray:
+    """Compute by how much each of `_filters()` changed MTF50, relative: negative where it lowered it."""
+    transfer = _filters().transfer
     # a filter on whole pixels has a period of 1 cycle/px
     folded = np.abs((frequency + 0.5) % 1.0 - 0.5)
-    through = np.interp(folded, np.arange(transfer.size) / (2 * (transfer.size - 1)), transfer)
-    before = half_of(frequency, mtf / np.maximum(through, _SHORT))
-    after = half_of(frequency, mtf)
+    at = np.arange(transfer.shape[1]) / (2 * (transfer.shape[1] - 1))
+    through = transfer @ np.stack([np.interp(folded, at, one) for one in np.eye(at.size)])
+    after = first_fall(frequency, mtf)
     if not np.isfinite(after):
-        return 0.0
-    return float(np.clip(after / before - 1, -_LOST, _LOST)) if np.isfinite(before) else -_LOST
-
-
-def half_of(frequency: FloatArray, mtf: FloatArray) -> float:
-    """Find the lowest frequency at which an MTF is one half, cycles/px, or NaN."""
-    below = np.flatnonzero(mtf < 0.5)
-    if not below.size or below[0] == 0:
-        return float("nan")
-    k = below[0]
-    return float(np.interp(0.5, mtf[[k, k - 1]], frequency[[k, k - 1]]))
+        return np.zeros(len(transfer))
+    before = first_fall(frequency, mtf / np.maximum(through, _SHORT))
+    return np.nan_to_num(np.clip(after / before - 1, -_LOST, _LOST), nan=-_LOST)
 
 
 @cache
@@ -183,12 +188,8 @@ def _filters() -> _Filters:
     """Tabulate all filters, the identity first."""
     flat = np.ones((_GRID, _GRID // 2 + 1))
     families: list[list[FloatArray]] = [
-        [_gaussian(width) for width in 0.25 * 1.04 ** np.arange(37)],
-        [
-            flat + a * (1 - _gaussian(w))
-            for a in (0.05, 0.1, 0.15, 0.2, 0.3, 0.45, 0.7, 1.0)
-            for w in (0.6, 0.8, 1.0, 1.3, 1.7)
-        ],
+        [_gaussian(width) for width in _WIDTHS],
+        [flat + amount * (1 - _gaussian(radius)) for amount, radius in _MASKS],
         [
             np.sum([(1 - _gaussian(w)) ** k for k in range(n + 1)], axis=0)
             for w in (0.4, 0.5, 0.6, 0.7, 0.8)

@@ -14,42 +14,19 @@ import numpy as np
 from scipy.optimize import nnls
 from scipy.special import ndtr
 
-from matcam.calibration.photograph.linear_filters import LAGS, correlations, half_of
+from matcam.calibration.photograph.linear_filters import MASK
 from matcam.core.arrays import FloatArray
+from matcam.numerics.crossing import first_fall
 
-AMOUNT, RADIUS = 0.1, 1.0
-"""The mask that is tried: share of the difference from its surroundings by which a pixel is raised; their radius, px."""
-APART = 0.5
-"""Standard deviations by which neighbours must err apart, besides what `needed_gain` asks."""
+AMOUNT, RADIUS = MASK
 _FOUND, _SHARPER, _SOFT = (
     13.0,
     6.5,
     0.75,
 )  # 2 ln likelihood; how it grows with the inverse of the blur; from which blur on, px
-_LAGS = LAGS[:6]
-"""Distances of neighbours that the mask makes err apart, rows and columns, px."""
 _LEAST_WIDTH, _WIDTH, _CORE, _COARSER = 0.2, 0.3, 6.0, 0.25  # px; blurs; blurs; of the distance: the bumps
 _ROOM = 0.8  # of the region, to which bumps reach
 _LEAST_NOISE = 2e-4  # of the step: what the bumps cannot describe
-
-
-def noise_score(value: FloatArray, sides: tuple[np.ndarray, np.ndarray]) -> float:
-    """Return by how many standard deviations neighbours err apart as behind the mask; 0 where nothing is known.
-
-    Args:
-        value: picture (height, width).
-        sides: its flat parts (height, width), dark and bright, bool.
-    """
-    seen = correlations(value, sides, _LAGS)
-    if seen is None:
-        return 0.0
-    return float(_CORRELATIONS @ (seen.value * seen.pairs) / np.sqrt(_CORRELATIONS**2 @ seen.pairs))
-
-
-def noise_gain(score: float, pixels: int) -> float:
-    """Return by how much the mask lowers chi2 of the noise. pixels: of the flat parts."""
-    expected = float(np.sqrt(pixels * (_CORRELATIONS**2).sum()))
-    return 2 * expected * score - expected**2
 
 
 class BareEdge(NamedTuple):
@@ -119,7 +96,7 @@ def effect_on_half(frequency: FloatArray, mtf: FloatArray) -> float:
         mtf: MTF behind the mask, of the same shape.
     """
     before = mtf / (1 + AMOUNT * (1 - np.exp(-2 * (np.pi * RADIUS * frequency) ** 2)))
-    share = half_of(frequency, mtf) / half_of(frequency, before) - 1
+    share = float(first_fall(frequency, mtf) / first_fall(frequency, before)) - 1
     return share if np.isfinite(share) else 0.0
 
 
@@ -139,18 +116,3 @@ def _bumps(blur: float, reach: float) -> tuple[FloatArray, FloatArray]:
     return np.concatenate([-outside[::-1], core, outside]), np.concatenate(
         [wide[::-1], np.full(core.size, width), wide]
     )
-
-
-def _correlations() -> FloatArray:
-    """Return the correlation of pixels `_LAGS` apart behind the mask, if there was none before."""
-    reach = 4
-    line = np.exp(-((np.arange(-reach, reach + 1) / RADIUS) ** 2) / 2)
-    line /= line.sum()
-    mask = -AMOUNT * np.outer(line, line)
-    mask[reach, reach] += 1 + AMOUNT
-    size = 2 * mask.shape[0]
-    power = np.fft.irfft2(np.abs(np.fft.rfft2(mask, (size, size))) ** 2, (size, size))
-    return np.array([power[dy, dx] for dy, dx in _LAGS]) / power[0, 0]
-
-
-_CORRELATIONS = _correlations()

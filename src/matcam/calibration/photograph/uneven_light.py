@@ -16,6 +16,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from matcam.core.arrays import FloatArray
+from matcam.numerics.polynomials import plane_powers
 
 _BINS, _SMALLEST_BIN = 220, 4.0
 """Number of bins of a region; smallest side of a bin, px. The eigenvalues of 220 bins are computed in 10 ms."""
@@ -50,7 +51,7 @@ _FEWEST_BINS = 24
 
 
 class LightField(NamedTuple):
-    """Light of a region beyond two levels and a plane, where a polynomial of third order is not enough.
+    """Light of a region where two levels in light of third order are not enough.
 
     Attributes:
         factor: factor of each pixel (rows, columns).
@@ -175,7 +176,7 @@ def light_field(
 
 def _polynomials(x: FloatArray, y: FloatArray) -> FloatArray:
     """Compute x, y and their products to third order (9, ...)."""
-    return np.stack([x, y, x * x, x * y, y * y, x**3, x * x * y, x * y * y, y**3])
+    return np.moveaxis(plane_powers(x, y, 3)[..., 1:], -1, 0)
 
 
 def _unknown(bins: _Bins, seen: FloatArray, best: _Model, places: tuple[FloatArray, ...], blur: float) -> float:
@@ -223,15 +224,16 @@ def _bins(
     flat = np.isfinite(value) & (np.abs(distance) > reach)
     side = max(_SMALLEST_BIN, float(np.sqrt(flat.sum() / _BINS)))
     rows, columns = (np.floor((a - a.min()) / side).astype(int) for a in (y, x))
-    names = (2 * rows + (distance > 0)) * (columns.max() + 1) + columns
-    _, name = np.unique(names[flat], return_inverse=True)
+    name = ((2 * rows + (distance > 0)) * (columns.max() + 1) + columns)[flat]
     some = value[flat]
+    if not some.size:
+        return None
     count = np.bincount(name)
-    mean = np.bincount(name, some) / count
+    mean = np.bincount(name, some) / np.maximum(count, 1)
     std = np.sqrt(np.maximum(noise[0] * np.maximum(mean, 0) + noise[1] ** 2, 1e-300))
     # the first estimate of each bin is its median, which is robust to dust and hot pixels
     order = np.lexsort((some, name))
-    middle = some[order[np.cumsum(count) - (count + 1) // 2]]
+    middle = some[order[np.minimum(np.cumsum(count) - (count + 1) // 2, some.size - 1)]]
     used = np.abs(some - middle[name]) < _CLIPPED * std[name] * (1 + 1 / np.sqrt(count[name]))
     good = np.bincount(name, used) >= np.maximum(0.5 * count, 6)
     if good.sum() < _FEWEST_BINS:

@@ -12,9 +12,11 @@ from matcam.calibration.photograph.linear_image import LinearImage
 from matcam.core.arrays import FloatArray
 from matcam.core.errors import FitError
 
-_LARGEST = 1024  # px: so large a part of a picture is enough
-_DARK = 0.2  # relative to the bright light of a picture; alternation below it is noise
-_ALTERNATING, _SIGNIFICANT = 0.03, 6.0  # relative to the light; standard deviations
+_LARGEST = 1024  # px: so much of a picture is enough
+_DARK = 0.2  # of a picture's bright light, below which light that alternates is noise
+_ALTERNATING, _SIGNIFICANT = 0.03, 6.0  # of the light; standard deviations
+_FEWEST = 30
+"""Pixels whose median is known."""
 
 
 def refuse_unnamed_mosaic(plane: LinearImage) -> None:
@@ -50,17 +52,19 @@ def _of_lines(values: FloatArray) -> float:
         share = np.where(bright, (at - mean) / mean, np.nan)
     found = 0.0
     for row in (0, 1):
-        even, odd = (_median(share[row::2, column::2]) for column in (0, 1))
-        least = min(abs(even[0]), abs(odd[0]))
-        if even[0] * odd[0] < 0 and least > _SIGNIFICANT * max(even[1], odd[1]):
+        even, odd = (_known(share[row::2, column::2]) for column in (0, 1))
+        ends = [float(np.median(part)) if part.size >= _FEWEST else 0.0 for part in (even, odd)]
+        least = min(map(abs, ends))
+        if ends[0] * ends[1] < 0 and 2 * least > _ALTERNATING and least > _SIGNIFICANT * max(map(_std, (even, odd))):
             found = max(found, 2 * least)
-    return found if found > _ALTERNATING else 0.0
+    return found
 
 
-def _median(share: FloatArray) -> tuple[float, float]:
-    """Return a median and its standard deviation."""
-    used = share[np.isfinite(share)]
-    if used.size < 30:
-        return 0.0, np.inf
-    low, middle, high = np.quantile(used, (0.25, 0.5, 0.75))
-    return float(middle), float(1.25 * (high - low) / 1.35 / np.sqrt(used.size))
+def _known(share: FloatArray) -> FloatArray:
+    return share[np.isfinite(share)]
+
+
+def _std(share: FloatArray) -> float:
+    """Compute the standard deviation of a median."""
+    low, high = np.quantile(share, (0.25, 0.75))
+    return float(1.25 * (high - low) / 1.35 / np.sqrt(share.size))

@@ -11,6 +11,7 @@ from matcam.calibration.edge.edge_result import EdgeMTF
 from matcam.calibration.edge.free_curve import SampledCurve
 from matcam.core import checks
 from matcam.core.arrays import FloatArray
+from matcam.numerics.crossing import first_fall
 
 LEVELS = (0.5, 0.3, 0.2, 0.1)
 """Levels of the MTF whose frequencies are reported."""
@@ -61,14 +62,12 @@ def level_frequency(edge: EdgeMTF, level: float) -> EdgeNumber:
     checks.scalar("level", checks.within("level", level, 0, 1, open_low=True, open_high=True))
     if level == LEVELS[0]:
         return EdgeNumber(edge.mtf50, edge.mtf50_std)
-    below = np.flatnonzero(edge.mtf < level)
-    if not below.size or below[0] == 0:
+    value = float(first_fall(edge.frequency, edge.mtf, level))
+    if np.isnan(value):
         return EdgeNumber(np.nan, np.nan)
-    k = [below[0] - 1, below[0]]
-    slope = float(np.diff(edge.mtf[k])[0] / np.diff(edge.frequency[k])[0])
-    value = float(edge.frequency[k[0]] + (level - edge.mtf[k[0]]) / slope)
-    std = float(np.interp(value, edge.frequency[k], edge.mtf_std[k])) / abs(slope)
-    return EdgeNumber(value, std)
+    k = int(np.searchsorted(edge.frequency, value))
+    slope = float(edge.mtf[k] - edge.mtf[k - 1]) / float(edge.frequency[k] - edge.frequency[k - 1])
+    return EdgeNumber(value, float(np.interp(value, edge.frequency, edge.mtf_std)) / abs(slope))
 
 
 def mtf_at(edge: EdgeMTF, frequency: ArrayLike) -> SampledCurve:

@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from matcam.calibration.edge.rows import edge_regions
-from matcam.calibration.photograph.linear_filters import half_of
 from matcam.calibration.photograph.linear_image import LinearImage, flaws, region_of
 from matcam.calibration.photograph.tone import Tone
 from matcam.calibration.photograph.unnamed_mosaic import refuse_unnamed_mosaic
@@ -22,6 +21,7 @@ from matcam.core.arrays import FloatArray
 from matcam.core.errors import ArgumentError, FitError
 from matcam.core.io import plain
 from matcam.files.photographs import Photograph
+from matcam.numerics.crossing import first_fall
 
 _BINS = 4
 """Bins of the edge spread function per sample (ISO 12233:2023)."""
@@ -73,7 +73,7 @@ class ISOEdge:
         """
         found: dict[str, Any] = {}
         for level in (0.5, 0.3, 0.2, 0.1):
-            found[f"mtf{100 * level:.0f}_cycles_per_px"] = half_of(self.frequency, self.sfr * (0.5 / level))
+            found[f"mtf{100 * level:.0f}_cycles_per_px"] = float(first_fall(self.frequency, self.sfr, level))
         found["rise_10_90_px"] = self.rise
         return found | {f"mtf_at_{f:g}": float(np.interp(f, self.frequency, self.sfr)) for f in frequencies}
 
@@ -164,7 +164,7 @@ def iso12233_sfr(
     rows = edge_regions(region.values[None], mosaic=region.cfa is not None)
     value = rows.value[0][np.isfinite(rows.value[0]).any(1)]
     value = value[:, np.isfinite(value).all(0)]
-    start = rows.start[: len(value)] / rows.step
+    start = rows.start[0, : len(value)] / rows.step
     number = np.arange(len(value), dtype=float)
     if value.shape[1] < 8:
         raise FitError("the region has missing pixels: the method of ISO 12233 needs all of them")
@@ -177,10 +177,10 @@ def iso12233_sfr(
     value, start, place = value[:kept], start[:kept], place[:kept]
     esf = _edge_spread(value, start[:, None] + np.arange(value.shape[1]) - place[:, None])
     # along the normal, in px
-    across = float(np.cos(np.arctan(straight * rows.step / _row_distance(rows.y))))
+    across = float(np.cos(np.arctan(straight * rows.step / _row_distance(rows.y[0]))))
     spacing = rows.step * across / _BINS
     frequency, sfr = _response(esf, spacing)
-    sfr50, sfr10 = half_of(frequency, sfr), half_of(frequency, sfr / 0.2)
+    sfr50, sfr10 = (float(first_fall(frequency, sfr, level)) for level in (0.5, 0.1))
     return ISOEdge(frequency, sfr, sfr50, sfr10, float(np.arccos(across)), esf, spacing)
 
 

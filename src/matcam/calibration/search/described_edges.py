@@ -11,7 +11,8 @@ import numpy as np
 
 from matcam.calibration.chart.chart import Chart
 from matcam.calibration.chart.registration import Projection
-from matcam.calibration.chart.sides import seen_sides, smoothed
+from matcam.calibration.chart.sides import seen_sides
+from matcam.calibration.photograph.linear_image import smoothed
 from matcam.calibration.search.edge_search import EdgePlaces, clear_distance
 from matcam.core.arrays import FloatArray
 

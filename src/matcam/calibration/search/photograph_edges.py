@@ -25,6 +25,7 @@ from matcam.calibration.photograph.linear_image import LinearImage, flaws
 from matcam.calibration.search.edge_search import EdgePlaces
 from matcam.core.errors import FitError
 from matcam.core.remark import Remark
+from matcam.numerics.polynomials import plane_powers
 
 _ROWS = (48, 64, 96, 128, 192)
 _COLUMNS = (32, 48)
@@ -194,7 +195,7 @@ def regions_in_even_light(regions: Sequence[EdgeRegions]) -> list[EdgeRegions]:
     if good.sum() < _FEWEST:
         return list(regions)
     middle, scale = (x.mean(), y.mean()), max(float(np.ptp(x)), float(np.ptp(y)), 1.0)
-    powers = _powers((x - middle[0]) / scale, (y - middle[1]) / scale)
+    powers = plane_powers((x - middle[0]) / scale, (y - middle[1]) / scale, 2)
     level = np.log(np.where(good, bright, 1.0))
     for _ in range(_ROUNDS):
         found = np.linalg.lstsq(powers[good], level[good], rcond=1e-6)[0]
@@ -278,11 +279,6 @@ def _bright(value: np.ndarray) -> np.ndarray:
     side = there & (np.arange(value.shape[2]) >= (width - width // _SHARE)[:, None, None])
     count = side.sum((1, 2))
     return np.where(side, value, 0.0).sum((1, 2)) / np.where(count > 0, count, np.nan)
-
-
-def _powers(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Return the terms of a quadratic of x and y."""
-    return np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=-1)
 
 
 def _directional_blur(result: EdgeStack) -> str:

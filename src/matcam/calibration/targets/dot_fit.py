@@ -16,11 +16,12 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 from scipy.special import ndtr
 
-from matcam.calibration.photograph.linear_image import local_mean
+from matcam.calibration.photograph.linear_image import smoothed
 from matcam.calibration.targets.wave_fit import noise_from_residuals
 from matcam.core.arrays import FloatArray
 from matcam.core.errors import FitError
 from matcam.numerics.linalg import scaled_inverse
+from matcam.numerics.polynomials import plane_orders, plane_powers
 
 FEWEST = 9
 SHARED = [(2, 0), (0, 2), (4, 0), (2, 2), (0, 4)]
@@ -83,9 +84,8 @@ class DotLattice(NamedTuple):
         size = max(float(np.ptp(self.u)), float(np.ptp(self.v)), 1e-9) / 2
         u, v = (self.u - self.u.mean()) / size, (self.v - self.v.mean()) / size
         degree = 4 if len(u) >= 60 else 3 if len(u) >= 30 else 2 if len(u) >= 15 else 1
-        orders = [(n - j, j) for n in range(degree + 1) for j in range(n + 1)]
+        orders, powers = plane_orders(degree), plane_powers(u, v, degree)
         zero = np.zeros_like(u)
-        powers = np.stack([u**i * v**j for i, j in orders], axis=-1)
         by_u = np.stack([i * u ** (i - 1) * v**j / size if i else zero for i, j in orders], axis=-1)
         by_v = np.stack([j * u**i * v ** (j - 1) / size if j else zero for i, j in orders], axis=-1)
         maps = np.linalg.lstsq(powers, np.stack([self.x, self.y], axis=-1), rcond=None)[0]
@@ -198,7 +198,7 @@ def find_dots(values: FloatArray) -> tuple[FloatArray, FloatArray]:
 
     values: (height, width), NaN where there are no data. FitError if there are not 9 dots.
     """
-    smooth = local_mean(values, 0.8 if np.isfinite(values).mean() > 0.9 else 1.3)
+    smooth = smoothed(values)
     # most pixels are background, which changes slowly
     ground = ndimage.gaussian_filter(ndimage.median_filter(smooth[::2, ::2], 15), 2)
     ground = ndimage.zoom(ground, 2, order=1)[: values.shape[0], : values.shape[1]]
@@ -347,10 +347,9 @@ def _bow(lattice: DotLattice, ground: FloatArray, du: FloatArray, dv: FloatArray
     scale = max(float(np.ptp(lattice.x)), float(np.ptp(lattice.y))) / 2
     x, y = (lattice.x - lattice.x.mean()) / scale, (lattice.y - lattice.y.mean()) / scale
     degree = 4 if len(x) >= 60 else 2 if len(x) >= 15 else 0
-    orders = [(n - j, j) for n in range(degree + 1) for j in range(n + 1)]
-    found = np.linalg.lstsq(np.stack([x**i * y**j for i, j in orders], axis=-1), ground, rcond=None)[0]
+    found = np.linalg.lstsq(plane_powers(x, y, degree), ground, rcond=None)[0]
     bow = np.zeros_like(du)
-    for c, (i, j) in zip(found, orders, strict=True):
+    for c, (i, j) in zip(found, plane_orders(degree), strict=True):
         for a, b, factor in ((2, 0, i * (i - 1) / 2), (1, 1, i * j), (0, 2, j * (j - 1) / 2)):
             if factor:
                 bow += c * factor * (x ** (i - a) * y ** (j - b))[:, None] * (du / scale) ** a * (dv / scale) ** b

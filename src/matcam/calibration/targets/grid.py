@@ -25,6 +25,7 @@ from matcam.core.arrays import FloatArray
 from matcam.core.errors import ArgumentError, FitError
 from matcam.core.io import plain
 from matcam.files.photographs import Photograph
+from matcam.numerics.polynomials import plane_powers
 
 _REACH = 8  # px around a dot
 _ZONE = 60  # smallest number of dots in a zone
@@ -71,7 +72,7 @@ class BlurField:
         """
         middle = (float((x.min() + x.max()) / 2), float((y.min() + y.max()) / 2))
         half = float(max(np.ptp(x), np.ptp(y)) / 2)
-        terms = _terms((x - middle[0]) / half, (y - middle[1]) / half)
+        terms = plane_powers((x - middle[0]) / half, (y - middle[1]) / half, 2)
         terms = terms[:, : _FIELD if len(x) >= 4 * _FIELD else 1]
         # Equal dots get equal standard deviations: those of single dots would favour those that look sharp by chance.
         weight = 1 / np.median(std) ** 2
@@ -91,9 +92,8 @@ class BlurField:
         Returns:
             Sigma and its standard deviation, px, in the shape of `x` and `y`.
         """
-        terms = _terms(
-            (np.asarray(x, float) - self.middle[0]) / self.half, (np.asarray(y, float) - self.middle[1]) / self.half
-        )
+        u, v = ((np.asarray(at, float) - middle) / self.half for at, middle in zip((x, y), self.middle, strict=True))
+        terms = plane_powers(u, v, 2)
         square = np.maximum(terms @ self.coefficients, 1e-6)
         variance = ((terms @ self.covariance) * terms).sum(-1)
         return np.sqrt(square), np.sqrt(np.maximum(variance, 0) / square) / 2
@@ -257,11 +257,6 @@ def _expected_dots(whole: LinearImage, dots: Dots, projection: Projection) -> tu
     box = pixel_box(seen[inside], whole.shape, _REACH)
     x, y = (seen[inside] - box[:2]).T
     return region_of(whole, box), DotLattice(x, y, *printed[inside].T)
-
-
-def _terms(u: FloatArray, v: FloatArray) -> FloatArray:
-    """Return the terms of a polynomial of second order, (n, 6)."""
-    return np.stack([np.ones_like(u), u, v, u * u, u * v, v * v], axis=-1)
 
 
 def _grid_result(picture: LinearImage, fit: DotFit, half_width: float) -> DotGrid:

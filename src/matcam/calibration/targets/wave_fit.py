@@ -20,6 +20,7 @@ import numpy as np
 
 from matcam.core.arrays import FloatArray
 from matcam.numerics.linalg import scaled_inverse
+from matcam.numerics.polynomials import plane_powers
 
 _ROUNDING = 1e-13  # relative to the mean square: smallest noise, because no picture is free of it
 _STEP = 1e-3  # px
@@ -138,7 +139,8 @@ def fit_wave(
     start: parameters of the phase. steps: at most so many. rough: only the phase is wanted, to 0.01 rad.
     """
     (value, x, y), scale = pixels, phase.scale
-    powers = _powers(x, y, _DEGREE)
+    u, v = ((c - c.mean()) / max(float(np.ptp(c)) / 2, 1.0) for c in (x, y))
+    powers = plane_powers(u, v, _DEGREE)
     parameters = np.array(start, dtype=float)
     weight = np.ones_like(value)
     light = np.zeros(powers.shape[1])
@@ -244,9 +246,3 @@ def _columns(
         return np.asarray(sum(-order * np.sin(order * at) * (basis @ own) for order, basis, own in parts))
 
     return columns[0] if len(columns) == 1 else np.concatenate(columns, axis=1), slope
-
-
-def _powers(x: FloatArray, y: FloatArray, degree: int) -> FloatArray:
-    """Return polynomials of the position, (n, terms), the constant first."""
-    u, v = ((c - c.mean()) / max(float(np.ptp(c)) / 2, 1.0) for c in (x, y))
-    return np.stack([u**i * v**j for n in range(degree + 1) for i in range(n, -1, -1) for j in (n - i,)], axis=-1)

@@ -16,9 +16,10 @@ import numpy as np
 from scipy import ndimage
 from scipy.optimize import least_squares
 
-from matcam.calibration.photograph.linear_image import local_mean
+from matcam.calibration.photograph.linear_image import local_mean, smoothed
 from matcam.core.arrays import FloatArray
 from matcam.core.errors import FitError
+from matcam.numerics.polynomials import plane_orders, plane_powers
 
 MARGIN = 4.0  # px: pixels nearer than this to the border of a grating are affected by its surroundings
 _ROUNDS = 12
@@ -110,8 +111,7 @@ def find_star(values: FloatArray, cycles: int | None = None) -> FoundStar:
 
     values: (height, width), NaN where there are no data. FitError if there is no star.
     """
-    # missing pixels are filled from their neighbours
-    filled = local_mean(values, 0.7 if np.isfinite(values).mean() > 0.9 else 1.2)
+    filled = smoothed(values)
     centre = _centre(filled)
     rings = _rings(filled, centre)
     if not rings:
@@ -212,37 +212,29 @@ class GratingPhase(NamedTuple):
     Attributes:
         middle: (x, y) about which the phase is expanded, px.
         reach: half the grating's extent, px.
-        terms: number of parameters.
+        order: of the polynomial, 2 or 3.
     """
 
     middle: tuple[float, float]
     reach: float
-    terms: int
+    order: int
 
     @property
     def scale(self) -> FloatArray:
-        """Return the changes of the parameters that change phases by 1 rad."""
-        return np.array([(_UNIT / self.reach) ** order for order in (0, 1, 1, 2, 2, 2, 3, 3, 3, 3)[: self.terms]])
+        """Return changes of the parameters that turn phases by 1 rad."""
+        return np.array([(_UNIT / self.reach) ** (i + j) for i, j in plane_orders(self.order)])
 
     def at(self, parameters: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
         """Return the phase at px, rad."""
-        phase = 0.0
-        for parameter, power in zip(parameters, self._powers(x, y), strict=True):
-            phase = phase + parameter * power
-        return np.asarray(phase)
+        return np.asarray(self._powers(x, y) @ parameters)
 
     def parameters_through(self, x: FloatArray, y: FloatArray, phase: FloatArray) -> FloatArray:
-        """Return the parameters for known, unwrapped phases at px."""
-        powers = np.stack(self._powers(x, y), axis=-1)
-        return np.asarray(np.linalg.lstsq(powers, phase, rcond=None)[0], dtype=np.float64)
+        """Return the parameters that give px their known, unwrapped phases."""
+        return np.asarray(np.linalg.lstsq(self._powers(x, y), phase, rcond=None)[0], dtype=np.float64)
 
-    def _powers(self, x: FloatArray, y: FloatArray) -> list[FloatArray]:
+    def _powers(self, x: FloatArray, y: FloatArray) -> FloatArray:
         """Return the polynomials at px."""
-        u, v = (x - self.middle[0]) / _UNIT, (y - self.middle[1]) / _UNIT
-        powers = [np.ones_like(u), u, v, u * u, u * v, v * v]
-        if self.terms > len(powers):
-            powers += [u * u * u, u * u * v, u * v * v, v * v * v]
-        return powers
+        return plane_powers((x - self.middle[0]) / _UNIT, (y - self.middle[1]) / _UNIT, self.order)
 
 
 class FoundGrating(NamedTuple):
@@ -265,7 +257,7 @@ class FoundGrating(NamedTuple):
         x, y: (n,) px. phase: (n,) rad, unwrapped.
         """
         extent = float(np.sqrt(inside.sum()))
-        wave = GratingPhase((float(x.mean()), float(y.mean())), extent / 2, 10 if extent > _WIDE else 6)
+        wave = GratingPhase((float(x.mean()), float(y.mean())), extent / 2, 3 if extent > _WIDE else 2)
         return cls(wave, wave.parameters_through(x, y, phase), inside)
 
 

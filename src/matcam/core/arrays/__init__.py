@@ -23,6 +23,7 @@ from matcam.core.arrays.namespace import (
     linalg,
     scipy_linalg,
     special,
+    without_warnings,
     xp,
 )
 
@@ -47,5 +48,6 @@ __all__ = [
     "special",
     "tuple_map",
     "with_derivatives",
+    "without_warnings",
     "xp",
 ]

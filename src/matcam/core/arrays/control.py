@@ -9,7 +9,7 @@ from typing import Any, ParamSpec, TypeVar
 
 import numpy as np
 
-from matcam.core.arrays.namespace import has_jax, xp
+from matcam.core.arrays.namespace import has_jax, without_warnings, xp
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -140,7 +140,7 @@ def compiled_by_jax(function: Callable[P, T], *, static: tuple[int, ...] = ()) -
     @wraps(function)
     def call(*args: P.args, **kwargs: P.kwargs) -> T:
         if not has_jax(*args):
-            with np.errstate(all="ignore"):
+            with without_warnings():
                 return function(*args, **kwargs)
         if not programs:
             programs.append(import_module("jax").jit(function, static_argnums=static))

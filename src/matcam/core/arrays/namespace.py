@@ -11,7 +11,9 @@ Annotations name `jax.Array` for both kinds.
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext
+from contextvars import ContextVar
 from importlib import import_module
 from importlib.abc import MetaPathFinder
 from importlib.machinery import ModuleSpec
@@ -46,6 +48,23 @@ def constant(value: T) -> T:
     return import_module("jax").lax.stop_gradient(value) if has_jax(value) else value
 
 
+_silent: ContextVar[bool] = ContextVar("silent", default=False)
+
+
+@contextmanager
+def without_warnings() -> Iterator[None]:
+    """Let NumPy compute infinity and NaN without a warning, as JAX does.
+
+    Functions of `xp` do so by themselves, one by one, which costs more than a small array takes to compute.
+    """
+    token = _silent.set(True)
+    try:
+        with np.errstate(all="ignore"):
+            yield
+    finally:
+        _silent.reset(token)
+
+
 class _Namespace:
     """Functions of NumPy or SciPy, each of which is that of JAX if an argument is an array of JAX."""
 
@@ -62,7 +81,7 @@ class _Namespace:
         def function(*args: Any, **kwargs: Any) -> Any:
             if has_jax(*args, *kwargs.values()):
                 return getattr(import_module(self._homes[1]), name)(*args, **kwargs)
-            with np.errstate(all="ignore"):  # as in JAX, infinity and NaN are valid results
+            with nullcontext() if _silent.get() else np.errstate(all="ignore"):
                 try:
                     return own(*args, **kwargs)
                 except np.linalg.LinAlgError:

@@ -1,0 +1,27 @@
+"""Where a sampled curve first falls to a level."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from matcam.core.arrays import FloatArray
+
+
+def first_fall(x: FloatArray, curve: FloatArray, level: float = 0.5) -> FloatArray:
+    """Find the lowest x at which a curve falls to a level, by linear interpolation.
+
+    Args:
+        x: places of the samples (n,), rising.
+        curve: samples (..., n).
+        level: the level. Default: 0.5.
+
+    Returns:
+        The places (...); NaN where a curve begins below the level, or stays above it.
+    """
+    curve = np.asarray(curve)
+    below = curve < level
+    k = np.maximum(below.argmax(-1), 1)
+    before, after = (np.take_along_axis(curve, at[..., None], -1)[..., 0] for at in (k - 1, k))
+    crosses = below.any(-1) & ~below[..., 0]
+    share = (before - level) / np.where(crosses, before - after, 1.0)
+    return np.asarray(np.where(crosses, x[k - 1] + share * (x[k] - x[k - 1]), np.nan))

@@ -1,0 +1,28 @@
+"""Polynomials of two coordinates."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from matcam.core.arrays import FloatArray
+
+
+def plane_orders(degree: int) -> list[tuple[int, int]]:
+    """List the exponents (i, j) of x^i y^j up to a degree: 1, x, y, x^2, x y, y^2, ..."""
+    return [(n - j, j) for n in range(degree + 1) for j in range(n + 1)]
+
+
+def plane_powers(x: FloatArray, y: FloatArray, degree: int) -> FloatArray:
+    """Compute the terms of a polynomial of x and y on a last axis, in the order of `plane_orders`.
+
+    Args:
+        x: first coordinate, any shape.
+        y: second coordinate, of the same shape.
+        degree: highest order.
+    """
+    # powers as such are slow
+    of_x, of_y = [np.ones_like(x)], [np.ones_like(y)]
+    for _ in range(degree):
+        of_x.append(of_x[-1] * x)
+        of_y.append(of_y[-1] * y)
+    return np.stack([of_x[i] * of_y[j] for i, j in plane_orders(degree)], axis=-1)
