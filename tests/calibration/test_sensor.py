@@ -158,7 +158,7 @@ def test_wrong_series_are_refused_by_name(tmp_path):
         characterise_sensor(tmp_path)
     frame = np.full((8, 8), 100, np.uint16)
     tifffile.imwrite(tmp_path / "flat_1.tif", frame)
-    with pytest.raises(FileFormatError, match=r"flat_1.tif: states no exposure time, .* as in flat_20ms_1.tif"):
+    with pytest.raises(FileFormatError, match=r"flat_1.tif: has no exposure time .* as in flat_20ms_1.tif"):
         characterise_sensor(tmp_path)
     (tmp_path / "flat_1.tif").rename(tmp_path / "flat_1ms_1.tif")
     with pytest.raises(FileFormatError, match="names no dark exposure"):

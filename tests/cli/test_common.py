@@ -83,8 +83,8 @@ def test_a_rig_file_stands_for_options(matcam, rig_file):
         (RIG.replace("100", '"wide"'), "predict", "sample.radius_px must be a number, got 'wide'"),
         (RIG.replace("camera.json", "../camera.json"), "predict", "must be the plain name of a profile beside it"),
         (RIG.replace("camera.json", "x" * 300), "predict", "cannot be read: File name too long"),
-        (RIG + "[lens]\nglare = 0.01\n", "limits", "matcam limits cannot take lens.glare into account"),
-        (RIG + "[lens]\nglare = 0.01\n", "correct", "matcam correct cannot take lens.glare into account"),
+        (RIG + "[lens]\nglare = 0.01\n", "limits", "matcam limits does not support lens.glare"),
+        (RIG + "[lens]\nglare = 0.01\n", "correct", "matcam correct does not support lens.glare"),
         (RIG.replace("100", "-1"), "predict", "--radius must lie in"),
     ],
 )

@@ -48,7 +48,7 @@ COMMANDS = typer.main.get_command(app).commands
         ("chart", "fewer kinds, or more pixels_across than 300", "fewer kinds, or more --pixels than 300"),
         ("chart", "page must lie in [50, 5000] mm, got 1", "--size must lie in [50, 5000] mm, got 1"),
         ("fit", "camera='prior' needs a camera that states an uncertainty (Camera(..., uncertainty=...))",
-         "--lens prior needs a camera that states an uncertainty (--camera: a profile that states one)"),
+         "--lens prior needs a camera that states an uncertainty (--camera: a profile that gives one)"),
         ("predict", "exact=True is a real sample's: dims must be 2", "--exact is a real sample's: dims must be 2"),
         ("predict", "power belongs to epd and sgd, not to ggx, got 1", "--power belongs to epd and sgd, not to ggx, got 1"),
         ("limits", "noise.relative must lie in [0, 1), got 2", "--noise must lie in [0, 1), got 2"),

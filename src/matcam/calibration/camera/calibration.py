@@ -102,8 +102,8 @@ class Calibration(Summarised):
             "y": "position of the middle of the edge, downwards [px]",
             "angle": "direction of the normal towards the bright side [rad]",
             "sigma": "standard deviation of the Gaussian lens of the edge [px]",
-            "sigma_std": "standard deviation of sigma [px]",
             "mtf50": "frequency at which the MTF is one half [cycles/px]",
+            "sigma_std": "standard deviation of sigma [px]",
             "mtf50_std": "standard deviation of mtf50 [cycles/px]",
         }
         columns: dict[str, Any] = {
