@@ -325,7 +325,7 @@ def test_a_worker_that_hangs_is_killed(database, tmp_path):
     recipe = Recipe(rigs.merl(), Options(), corrector=simple.hanging)
     jobs = [Job(database / f"{name}.binary", tmp_path / f"{name}.binary", recipe) for name in ("poison", "a")]
     ended = {outcome.source.stem: outcome.reason for outcome in ProcessExecutor(1, time_limit=8.0).outcomes(jobs)}
-    assert ended == {"poison": f"{jobs[0].source}: the worker that held it died (no result after 8 s)", "a": None}
+    assert ended == {"poison": f"{jobs[0].source}: its worker died (no result after 8 s)", "a": None}
     assert (tmp_path / "a.json").exists()
 
 
