@@ -146,7 +146,7 @@ def exr(path, channels, **header):
 def test_exr_that_holds_something_else(tmp_path, capfd):
     path, ones = tmp_path / "a.exr", np.ones((8, 8), np.float32)
     exr(path, {"Y": ones.astype(np.float16)})
-    assert "channel 'Y' holds 16-bit floats" in refused(read_exr, path, capfd)
+    assert "channel 'Y' has 16-bit floats" in refused(read_exr, path, capfd)
     exr(path, {"Y": ones.astype(np.uint32)})
     assert "holds whole numbers" in refused(read_exr, path, capfd)
     exr(path, {"R": ones, "depth": ones})
@@ -171,7 +171,7 @@ def test_exr_with_an_absurd_header(tmp_path, capfd):
 def test_tiff_that_holds_something_else(tmp_path, capfd):
     path = tmp_path / "a.tif"
     tifffile.imwrite(path, np.ones((8, 8), np.uint16))
-    assert "holds uint16; 32-bit floats are read" in refused(read_float_tiff, path, capfd)
+    assert "has uint16; 32-bit floats are read" in refused(read_float_tiff, path, capfd)
     tifffile.imwrite(path, np.ones((8, 8), np.float64))
     assert "holds float64" in refused(read_float_tiff, path, capfd)
     tifffile.imwrite(path, np.ones((4, 8, 8), np.float32), photometric="minisblack")

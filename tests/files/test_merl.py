@@ -83,18 +83,18 @@ def bad_files():
         "header only": (good[:12], "truncated: 12 bytes, a MERL file has 34992012"),
         "truncated": (good[:-8], "truncated"),
         "oversized": (good + b"\0", "oversized: 34992013 bytes"),
-        "foreign": (b"\x89PNG\r\n\x1a\n" + bytes(1000), "bytes 0 to 11 say"),
+        "foreign": (b"\x89PNG\r\n\x1a\n" + bytes(1000), "bytes 0 to 11 are"),
         "text": (b"theta_h,theta_d,phi_d,R,G,B\n" * 100, "not a MERL file"),
-        "other grid": (struct.pack("<3i", 90, 90, 360) + good[12:], "say (90, 90, 360), not (90, 90, 180)"),
+        "other grid": (struct.pack("<3i", 90, 90, 360) + good[12:], "are (90, 90, 360), not (90, 90, 180)"),
         "huge grid": (struct.pack("<3i", 2**31 - 1, 2**31 - 1, 2**31 - 1) + good[12:], "2147483647"),
         "negative grid": (struct.pack("<3i", -90, 90, 180) + good[12:], "-90"),
         "all missing": (struct.pack("<3i", 90, 90, 180) + (-np.ones(3 * CELLS)).tobytes(), "every value is negative"),
-        "NaN inside": (struct.pack("<3i", 90, 90, 180) + changed(p1000=np.nan).tobytes(), "byte 8012 holds nan"),
+        "NaN inside": (struct.pack("<3i", 90, 90, 180) + changed(p1000=np.nan).tobytes(), "byte 8012 is nan"),
         "infinity inside": (
             struct.pack("<3i", 90, 90, 180) + changed(p2=np.inf, p5=np.inf).tobytes(),
-            "byte 28 holds inf, not a number (2 such",
+            "byte 28 is inf, not a finite number (2 such",
         ),
-        "minus infinity": (struct.pack("<3i", 90, 90, 180) + changed(p0=-np.inf).tobytes(), "byte 12 holds -inf"),
+        "minus infinity": (struct.pack("<3i", 90, 90, 180) + changed(p0=-np.inf).tobytes(), "byte 12 is -inf"),
     }
 
 

@@ -97,7 +97,7 @@ def test_fields_that_make_no_brdf_are_not_written(real_data, tmp_path):
         (fields.astype(np.float64), "must be float32"),
         (fields.assign_coords(theta_i=fields["theta_i"][::-1]), "theta_i must ascend"),
         (less, "vndf must not be negative"),
-        (nothing, "above 0 for every direction"),
+        (nothing, "a positive value for every direction"),
         (fields.isel(column=slice(8)), "must be square"),
         (fields.assign(sigma=fields["sigma"].where(fields["sigma"] < 0.5, 0)), "sigma must be above 0"),
         (fields.isel(channel=[0]), "3 channels"),
