@@ -111,7 +111,7 @@ def test_another_rig_is_refused_and_unknown_lamps_are_named(written):
     rig = read_rig(written())
     with pytest.raises(ArgumentError, match="200 x 200 px, these have 300 x 200 px"):
         known_rig(rig, NAMES, (300, 200), 25.0, 0.5)
-    with pytest.raises(ArgumentError, match="knows none of the lamp positions A, B: it has L0, L1, L2"):
+    with pytest.raises(ArgumentError, match="has none of the lamp positions A, B: it has L0, L1, L2"):
         known_rig(rig, ("A", "B"), (200, 200), 25.0, 0.5)
     known, remarks = known_rig(rig, ("L2", "X"), None, None, 0.5)
     assert known.lamps.tolist() == [2, -1]
