@@ -57,7 +57,7 @@ def test_sensor_prints_values_with_standard_deviations(matcam, folder):
     ("words", "message"),
     [
         (("--profile", "new.json"), "--profile writes the profile of --camera with this sensor: give both"),
-        (("--camera", "gaussian.json", "--profile", "new.json"), "gaussian.json states no pixel pitch: give --pitch"),
+        (("--camera", "gaussian.json", "--profile", "new.json"), "gaussian.json has no pixel pitch: give --pitch"),
         (
             ("--camera", "f8.json", "--profile", "new.json", "--pitch", "3"),
             "sensor has a pitch of 3e-06 m, but optics.pixel_pitch_m is 5e-06: give both the same",
