@@ -204,7 +204,10 @@ CAMERA = Camera(GaussianOptics(0.5))
         (lambda: picture(MATERIAL, Rig(CAMERA, Sphere(20, 5), NearLamp(3)), 2.61), "the lamp is behind the sample"),
         (lambda: picture(MATERIAL, Rig(CAMERA, SMALL), 3.2), "beyond pi the lamp is behind the sample"),
         (lambda: picture(MATERIAL, Rig(CAMERA, Sphere(20, 5), NearLamp(5)), 0.0), "the lamp is inside the camera"),
-        (lambda: picture(MATERIAL, Rig(CAMERA, SMALL), 0.5, 45), "azimuth must lie in .*, got 45; if 45 is in degrees, give np.radians"),
+        (
+            lambda: picture(MATERIAL, Rig(CAMERA, SMALL), 0.5, 45),
+            "azimuth must lie in .*, got 45; if 45 is in degrees, give np.radians",
+        ),
         (lambda: measure(MATERIAL, Rig(CAMERA, SMALL), azimuth=90), "azimuth must lie in"),
     ],
 )
