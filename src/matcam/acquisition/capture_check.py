@@ -29,7 +29,7 @@ from matcam.files.capture import Capture
 from matcam.files.capture_frames import LampGuess
 
 _WHOLE = 4
-"""Number of lamp positions of which all exposures are read."""
+"""Number of lamp positions whose exposures are all read."""
 _FIRST, _LAST, _GAP = 10.0, 70.0, 12.0
 """Degrees of theta_d: a capture should begin below, end above, and have no larger gap."""
 HARMLESS = frozenset({"clip-by-pile-up", "clip-not-seen", "gain-stated", "not-checked", "processed", "times-missing"})

@@ -18,7 +18,6 @@ from matcam.files.photographs import Photograph
 from matcam.files.tone_curve import decoded
 
 _TILES = {"R": 0, "G": 1, "B": 2}
-_EIGHT = 255
 ASSUMED_CFA = "RGGB"
 """Mosaic as which an image in full colour is read if the capture gives none: colours are not mixed, for any original mosaic."""
 

@@ -141,7 +141,7 @@ class CameraFit(Summarised):
 
     @property
     def consistent(self) -> bool:
-        """Return whether the camera explains the edges' mean MTF.
+        """Check whether the camera explains the edges' mean MTF.
 
         It does not if it misses it by more than 0.005 and 4 standard deviations.
         """

@@ -125,7 +125,7 @@ class EdgeMTF(Summarised, EdgeValues[float]):
 
     @property
     def glare_found(self) -> bool:
-        """Return whether glare was found."""
+        """Check whether glare was found."""
         return self.glare_fraction != 0
 
     @property

@@ -249,7 +249,7 @@ def _with_glare(fit: LinearFit, column: jax.Array) -> LinearFit:
 
 
 def _ghosts(fit: LinearFit, places: jax.Array) -> jax.Array:
-    """Return what ghosts of full strength would change (places, 6, n): even pairs, odd pairs."""
+    """Compute the effects of ghosts of full strength, even and odd pairs, at each position (places, 6, n)."""
     s = line_width(fit.shape)
     at = (places[:, None] + GHOST_STEP * s * xp.arange(GHOSTS.size))[..., None]
     right, left = (glare_edge(GHOST_WIDTH * s, fit.cells.distance - sign * at, fit.cells.spread) for sign in (1, -1))

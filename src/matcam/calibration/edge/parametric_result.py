@@ -109,7 +109,7 @@ class ParametricEdge(Summarised, _LensNumbers[float]):
 
     @property
     def consistent(self) -> bool:
-        """Return whether the model explains the edge, at 0.1 %."""
+        """Check whether the model explains the edge, at 0.1 %."""
         return bool(self.misfit_probability > _WRONG)
 
     @property
@@ -193,7 +193,7 @@ class ParametricStack(_LensNumbers[np.ndarray]):
 
     @property
     def consistent(self) -> np.ndarray:
-        """Return whether the model explains each edge, at 0.1 % (n,)."""
+        """Check whether the model explains each edge, at 0.1 % (n,)."""
         return self.misfit_probability > _WRONG
 
 

@@ -225,7 +225,7 @@ def what_is_seen(value: np.ndarray) -> str:
 
 
 def clearance(found: EdgeFits, region: EdgeRegions) -> np.ndarray:
-    """Return how far edges stand off their regions' borders (n,), in standard deviations of their blur."""
+    """Compute the distance of edges from the borders of their regions (n,), in standard deviations of their blur."""
     place = _places(region, np.nan_to_num(np.asarray(found.curve)))
     there = np.isfinite(region.value)
     first, last = there.argmax(2), region.value.shape[2] - 1 - there[:, :, ::-1].argmax(2)

@@ -73,23 +73,23 @@ class FlatNoise(NamedTuple):
 
     @property
     def smoothed(self) -> bool:
-        """Return whether the noise of neighbours is correlated."""
+        """Check whether the noise of neighbours is correlated."""
         return self.alike < _ALIKE and 1 - self.alike > _SURE * self.alike_std
 
     @property
     def denoised(self) -> bool:
-        """Return whether the noise of more distant pixels is correlated, too."""
+        """Check whether the noise of more distant pixels is correlated, too."""
         wide = _WIDE_IN_BLOCKS if self.grid > _GRID else _WIDE
         return self.smoothed and self.wide < wide and self.grid < _BLOCKS_ALONE
 
     @property
     def compressed(self) -> bool:
-        """Return whether JPEG blocks were found."""
+        """Check whether JPEG blocks were found."""
         return self.smoothed and self.grid > _GRID
 
     @property
     def bent(self) -> bool:
-        """Return whether the noise of dark pixels is larger than that of bright ones, as under a tone curve."""
+        """Check whether the noise of dark pixels is larger than that of bright ones, as under a tone curve."""
         return not self.smoothed and self.tilt > _BENT and self.tilt - 1 > _SURE_BENT * self.tilt_std
 
     @property

@@ -23,7 +23,7 @@ _GAMMAS = (0.2, 5.0)
 
 
 def is_linear(tone: Tone) -> bool:
-    """Return whether a tone curve does not change codes."""
+    """Check whether a tone curve does not change codes."""
     return isinstance(tone, str) and tone == "linear"
 
 

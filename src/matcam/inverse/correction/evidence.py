@@ -222,7 +222,7 @@ class Weighing(NamedTuple):
         return cls(noise, min(1.0, 1 / max(chi2, 1e-12)), chi2, known=True)
 
     def at_most(self, other: Weighing) -> Weighing:
-        """Return whichever of two has the better best explanation."""
+        """Choose the weighing with the smaller residuals."""
         return self if self.chi2 < other.chi2 else other
 
     @property

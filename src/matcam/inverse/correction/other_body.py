@@ -14,9 +14,6 @@ import numpy as np
 from matcam.core.grid import Sampling, merl_grid
 from matcam.inverse.correction.response_lattice import seen_cells
 
-_F0 = 0.04
-"""Reflectance at normal incidence of an index of 1.5, which most coatings and plastics have."""
-
 
 @cache
 def other_body(sampling: Sampling) -> np.ndarray:
@@ -24,6 +21,6 @@ def other_body(sampling: Sampling) -> np.ndarray:
     grid = merl_grid(sampling)
     th, td, ph = grid.theta_h[:, None, None], grid.theta_d[:, None], grid.phi_d
     mean, half = np.cos(th) * np.cos(td), np.sin(th) * np.sin(td) * np.cos(ph)
-    # Schlick's F: 1 - F = (1 - f0) (1 - (1 - cos)^5)
+    # Schlick's F: 1 - F = (1 - f0) (1 - (1 - cos)^5); the factor 1 - f0 cancels in the relative difference
     passed = np.prod([1 - (1 - np.clip(cos, 0, 1)) ** 5 for cos in (mean - half, mean + half)], axis=0)
     return np.abs(passed / passed[seen_cells(sampling)].mean() - 1)

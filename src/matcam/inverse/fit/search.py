@@ -56,6 +56,11 @@ def _lattice(family: str) -> np.ndarray:
     return np.array(lobes)
 
 
+def _covariance(information: np.ndarray, prior_rows: np.ndarray) -> np.ndarray:
+    """Compute the posterior covariance of parameters from the information of the data and the rows of the prior."""
+    return scaled_inverse(information + prior_rows.T @ prior_rows, undetermined=1e12)
+
+
 class Solution(NamedTuple):
     """Best parameters of a problem, and the model at them.
 
@@ -84,8 +89,7 @@ class Solution(NamedTuple):
         white = self.problem.whitening(self.model, self.weight, self.noise.picture_gain)
         flat = white(self.model.derivative).reshape(self.p.size, -1)
         rows = self.problem.prior.rows(self.problem.layout)
-        information = kappa * flat @ flat.T + rows.T @ rows
-        return self._replace(covariance=scaled_inverse(information, undetermined=1e12))
+        return self._replace(covariance=_covariance(kappa * flat @ flat.T, rows))
 
 
 class Search:
@@ -204,7 +208,7 @@ class Search:
             model, weight, noise = self._weighed(p, weight, noise)
             white = problem.whitening(model, weight, noise.picture_gain)
             flat = white(model.derivative).reshape(p.size, -1)
-            covariance = scaled_inverse(flat @ flat.T + self.prior_rows.T @ self.prior_rows, undetermined=1e12)
+            covariance = _covariance(flat @ flat.T, self.prior_rows)
             std = np.sqrt(np.maximum(np.diag(covariance), 1e-30))
             change = (p - before) / std
             if np.all(np.abs(change) < _SETTLED):
