@@ -166,7 +166,6 @@ def summary(found: dict) -> list[str]:
             "-",
             f"{np.median([one['noise']['camera'] for one in every]):.1%}",
         ),
-        ("processor time of a correction, median", "-", f"{np.median([one['seconds'] for one in every]):.1f} s"),
     ]
     return [
         "| quantity | required | measured |",

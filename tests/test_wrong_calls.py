@@ -125,6 +125,14 @@ SOURCE = matcam.UncertaintySource("a", 1.0, 0.1, 1.0, "B")
             "seed must be a whole number in [0, 2^63) or a key of jax.random, got 9223372036854775808",
         ),
         (lambda: matcam.camera.merge_bracket(2, np.ones((1, 2, 2)), [1.0]), "sensor must be a Sensor, got 2"),
+        (
+            lambda: matcam.inspect(xr.DataArray(np.ones((2, 3)), dims=("sample", "channel"))),
+            "samples must have a coordinate theta_h of numbers along sample",
+        ),
+        (
+            lambda: matcam.edge_mtf_stack([np.ones((20, 20))], gain=np.ones((2, 3)), read_noise=0.5),
+            "gain must be a single number, got an array of shape (2, 3)",
+        ),
         (lambda: matcam.io.write_budgets("a.csv", [3]), "entry 1 of budgets must be a UncertaintyBudget, got 3"),
     ],
 )

@@ -19,7 +19,7 @@ from matcam.core.io import check_output
 from matcam.files.formats import CONTENTS, MEASUREMENTS, format_for, format_named, identify, suffixes_for
 from matcam.files.merl import read_merl
 from matcam.files.rgl import check_fields
-from matcam.files.samples import samples_of, table_of
+from matcam.files.samples import checked_samples, samples_of, table_of
 from matcam.material.material import Material
 from matcam.material.measured import Adaptive, Tabulated
 
@@ -144,7 +144,7 @@ def contents_of(thing: Any) -> Contents:
         if thing.dims == DIMS:
             return Contents(table=checked_table(thing))
         if thing.dims == ("sample", "channel"):
-            return Contents(samples=thing)
+            return Contents(samples=checked_samples(thing))
         return Contents(result=thing.to_dataset(name=thing.name or "values"))
     if isinstance(thing, xr.Dataset):
         return Contents(fields=check_fields(thing)) if "vndf" in thing else Contents(result=thing)

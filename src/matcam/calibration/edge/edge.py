@@ -347,8 +347,8 @@ def _settings(
         raise ArgumentError("gain and read_noise must be given together, or neither: then both are estimated")
     noise = UNKNOWN_NOISE
     if gain is not None and read_noise is not None:
-        checks.within("gain", gain, 0, np.inf, open_high=True)
-        checks.within("read_noise", read_noise, 0, np.inf, open_high=True)
+        for name, number in (("gain", gain), ("read_noise", read_noise)):
+            checks.scalar(name, checks.within(name, number, 0, np.inf, open_high=True))
         if not (gain > 0 or read_noise > 0):
             raise ArgumentError("gain and read_noise must not both be 0: no picture is without noise")
         noise = Noise(np.float64(gain), np.float64(read_noise))
