@@ -61,7 +61,8 @@ def test_fit_sets_the_camera_against_free_shadowing(merl_file, tmp_path):
     assert done.exit_code == 0, done.output
     rival = json.loads(done.stdout)["rival"]
     assert rival["verdict"].startswith("the camera explains the data better")
-    assert rival["camera"]["akaike"] < rival["shadowing"]["akaike"]
+    assert rival["camera"]["log_evidence"] > rival["shadowing"]["log_evidence"]
+    assert rival["probability_of_camera"] > 0.95
     assert "give one file" in str(run("fit", merl_file, "--no-camera", "--rival").exception)
 
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from matcam import rivals
+from matcam.inverse import Correction
 from tests.inverse import recorded
 from tests.oracle import sphere_cells as oracle
 from tests.oracle.merl_lobe import conductor
@@ -37,8 +38,15 @@ def shadowed(random):
 def test_each_wins_on_its_own_data(made, winner):
     found = rivals(made(np.random.default_rng(1)), recorded.rig(), slice_step=EVERY)
     best = found.camera if winner == "the camera" else found.shadowing
-    print(f"{found.verdict}; parameters {found.camera.parameters:.1f} and {found.shadowing.parameters:.1f}")
+    print(f"{found.verdict}; log evidence {found.camera.log_evidence:.1f} and {found.shadowing.log_evidence:.1f}")
     assert found.verdict.startswith(f"{winner} explains the data better")
-    assert abs(found.difference) > 100
+    assert found.probability > 0.99 if winner == "the camera" else found.probability < 0.01
     assert best.fit.noise.relative == pytest.approx(0.01, rel=0.15)
-    assert 5 < best.parameters < 40
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("made", [seen_by_a_camera, shadowed])
+def test_the_verdict_is_that_of_a_correction(made):
+    table = made(np.random.default_rng(2))
+    found, corrected = rivals(table, recorded.rig(), slice_step=6), Correction.of(table, recorded.rig())
+    assert (found.probability < 0.05) == (corrected.no_camera > 0.95)

@@ -1,27 +1,31 @@
 """Two explanations of a table: its camera, or free shadowing.
 
-Both fits have a lobe of any smooth shape, and F free in every slice. One models the lobe through the camera, with
-Smith's masking, which follows from the lobe. The other has no camera and a free masking (Bagher, Snyder &
-Nowrouzezahrai 2016). Both use the same cells and estimate their own noise. Akaike's criterion penalises the parameters
-that the data determine (Akaike 1974).
+Both are explanations that `correct` weighs (`inverse/correction/explanation.py`), with F free in every slice: the most
+probable lobe through the camera, and a lobe of any smooth shape for each channel without a camera and with free masking
+(Bagher, Snyder & Nowrouzezahrai 2016). Both use the same cells, and their evidence decides.
 """
 
 from __future__ import annotations
 
 from typing import Any, NamedTuple
 
+import numpy as np
 import xarray as xr
 
-from matcam.core.workspace import Workspace
-from matcam.forward.pixel_grid import grid_of
-from matcam.inverse.fit.fit_setup import FitSetup, free_setup
+from matcam.core import checks
+from matcam.core.grid import checked_table
+from matcam.core.workspace import Workspace, default_workspace
+from matcam.inverse.correction.evidence import Weighing
+from matcam.inverse.correction.explanation import Member, explain, first_setup, with_free_masking
+from matcam.inverse.fit.fit_parameters import FAMILIES
+from matcam.inverse.fit.fit_setup import AUTO, SEARCH_STEP
 from matcam.inverse.fit.material_fit import MaterialFit
-from matcam.inverse.operator.sample_view import sample_view
+from matcam.inverse.operator.lobe_operator import check_rig
+from matcam.inverse.operator.pixel_phase import located_rig
 from matcam.rigs import Rig
 
-_BEND = 1.0
-_CLEAR = 10.0
-"""Difference of Akaike's criterion beyond which the worse of two models has no support (Burnham & Anderson 2002)."""
+_CLEAR = 0.95
+"""Probability of an explanation from which it is called the better one."""
 
 
 class Rival(NamedTuple):
@@ -29,23 +33,20 @@ class Rival(NamedTuple):
 
     Attributes:
         fit: the fit.
-        parameters: number of parameters that the data determine (no unit); those that smoothness determines do not count.
-        akaike: 2 parameters - 2 ln likelihood (no unit).
+        log_evidence: logarithm of its marginal likelihood (no unit), see `inverse/correction/evidence.py`.
     """
 
     fit: MaterialFit
-    parameters: float
-    akaike: float
+    log_evidence: float
 
     def to_dict(self) -> dict[str, Any]:
         """Return the comparison as numbers.
 
         Returns:
-            The criterion, and how well the fit explains the data.
+            The evidence, and how well the fit explains the data.
         """
         return {
-            "parameters": self.parameters,
-            "akaike": self.akaike,
+            "log_evidence": self.log_evidence,
             "misfit": self.fit.misfit,
             "degrees_of_freedom": self.fit.freedom,
             "noise": self.fit.noise._asdict(),
@@ -61,7 +62,7 @@ class Rivals(NamedTuple):
 
     Example:
         >>> found = matcam.rivals(table, matcam.rigs.merl())  # doctest: +SKIP
-        >>> found.difference > 0  # doctest: +SKIP
+        >>> found.probability > 0.95  # doctest: +SKIP
         >>> matcam.inverse.Rivals._fields
         ('camera', 'shadowing')
     """
@@ -70,9 +71,10 @@ class Rivals(NamedTuple):
     shadowing: Rival
 
     @property
-    def difference(self) -> float:
-        """Return the difference of Akaike's criterion in favour of the camera."""
-        return self.shadowing.akaike - self.camera.akaike
+    def probability(self) -> float:
+        """Return the probability of the camera (no unit); both are equally probable before the data."""
+        difference = self.camera.log_evidence - self.shadowing.log_evidence
+        return float(1 / (1 + np.exp(np.clip(-difference, -500, 500))))
 
     @property
     def verdict(self) -> str:
@@ -81,10 +83,11 @@ class Rivals(NamedTuple):
             f"a pixel's noise would be {self.camera.fit.noise.relative:.2%} with the camera, "
             f"{self.shadowing.fit.noise.relative:.2%} with free shadowing"
         )
-        if abs(self.difference) < _CLEAR:
+        if _CLEAR > self.probability > 1 - _CLEAR:
             return f"camera and free shadowing explain the data equally well: {noise}"
-        better = "the camera" if self.difference > 0 else "free shadowing"
-        return f"{better} explains the data better (Akaike's criterion differs by {abs(self.difference):.0f}): {noise}"
+        better = "the camera" if self.probability > _CLEAR else "free shadowing"
+        apart = abs(self.camera.log_evidence - self.shadowing.log_evidence)
+        return f"{better} explains the data better (the logarithm of the evidence is larger by {apart:.0f}): {noise}"
 
     def to_dict(self) -> dict[str, Any]:
         """Return the comparison as numbers and texts.
@@ -92,34 +95,38 @@ class Rivals(NamedTuple):
         Returns:
             A dictionary that `matcam fit --rival --json` prints.
         """
-        return {"verdict": self.verdict, "camera": self.camera.to_dict(), "shadowing": self.shadowing.to_dict()}
+        return {
+            "verdict": self.verdict,
+            "probability_of_camera": self.probability,
+            "camera": self.camera.to_dict(),
+            "shadowing": self.shadowing.to_dict(),
+        }
 
 
 def rivals(
-    brdf: xr.DataArray, rig: Rig, ndf: str = "ggx", *, slice_step: int = 6, workspace: Workspace | None = None
+    brdf: xr.DataArray, rig: Rig, ndf: str = AUTO, *, slice_step: int = SEARCH_STEP, workspace: Workspace | None = None
 ) -> Rivals:
-    """Fit a table through its camera, and with free shadowing instead.
+    """Explain a table by its camera, and by free shadowing instead.
 
-    Masking is not an argument, because the two fits differ in it: Smith's or free.
+    Masking is not an argument, because the two explanations differ in it: Smith's or free.
 
     Args:
         brdf: table as from `read_merl`, 1/sr.
-        rig: the rig that recorded it: a sphere; camera and lamp are distant or near.
-        ndf: family that both spline-modified lobes start from. Default: "ggx". The choice hardly matters, because the
-            splines are free.
-        slice_step: spacing of the slices of theta_d that are used (no unit). Default: 6, unlike `fit`, because
-            spline-modified lobes are slow to fit and few slices suffice.
+        rig: the rig that recorded it, with a sphere or a cylinder; camera and lamp are distant or near.
+        ndf: family of the lobe. Default: "auto", the explanations that `correct` considers.
+        slice_step: spacing of the slices of theta_d that are used (no unit). Default: 6, unlike `fit`, because few slices
+            suffice.
         workspace: keeps what depends on the rig alone for the next call. Default: None, that of the process.
 
     Returns:
-        Both fits, with Akaike's criterion of each.
+        Both fits, with the evidence of each.
 
     Raises:
         ArgumentError: an argument is wrong, or the rig is not one that a fit can follow.
         FitError: the table has no values to fit.
 
     Source:
-        Bagher, Snyder & Nowrouzezahrai (2016), free shadowing; Akaike (1974); docs/model.md section 8.
+        Bagher, Snyder & Nowrouzezahrai (2016), free shadowing; MacKay (2003), chapter 28; docs/model.md section 8.
 
     Example:
         >>> table = matcam.read_merl("chrome.binary")  # doctest: +SKIP
@@ -129,16 +136,14 @@ def rivals(
         ...
         matcam.core.errors.ArgumentError: a BRDF table must be an xarray.DataArray (see read_merl), got ndarray
     """
-    setup = free_setup([brdf], rig, slice_step=slice_step, workspace=workspace).with_(ndf=ndf)
-    camera = setup.with_(bend=_BEND).solve(start=setup.solve())
-    blind = FitSetup(
-        (brdf,), None, ndf, fresnel="free", diffuse=True, masking="smith-separable", slice_step=slice_step,
-        view=sample_view(setup.rig), pixels=grid_of(setup.rig or rig), workspace=workspace,
-    )  # fmt: skip
-    shadowing = blind.with_(bend=_BEND, free_masking=True).solve(start=blind.solve(), weights="start")
-    return Rivals(_rival(camera), _rival(shadowing))
-
-
-def _rival(found: MaterialFit) -> Rival:
-    parameters = found.effective_parameters()
-    return Rival(found, parameters, 2 * parameters - 2 * found.log_likelihood)
+    brdf = checked_table(brdf)
+    check_rig(rig)
+    checks.choice("ndf", ndf, (AUTO, *FAMILIES))
+    workspace = checks.instance("workspace", default_workspace() if workspace is None else workspace, Workspace)
+    located = located_rig(rig, brdf)
+    setup = first_setup(brdf, located.rig, masking="smith", noise=None, workspace=workspace, slice_step=slice_step)
+    explained = explain(setup, located, ndf)
+    camera = Member(explained.setup, explained.fit)
+    both = camera.fit, with_free_masking(camera, located.rig).fit
+    weighing = Weighing.of(both, explained.weighing.noise if explained.weighing.known else None)
+    return Rivals(*(Rival(fit, weighing.log_evidence(fit)) for fit in both))

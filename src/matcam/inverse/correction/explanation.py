@@ -221,7 +221,7 @@ def explain(setup: FitSetup, located: LocatedRig, ndf: str) -> Explanation:
     shadows: list[Member] = []
     weighing = _weighing([*ranked, pairs[0][1]], noise)
     if weighing.unexplained:
-        shadows.append(_shadowed(ranked[0], rig))
+        shadows.append(with_free_masking(ranked[0], rig))
         weighing = _weighing([*ranked, pairs[0][1], *shadows], noise)
     logs = [weighing.log_evidence(one.fit) for one in ranked]
     best = ranked[int(np.argmax(logs))]
@@ -305,7 +305,7 @@ def _without_camera(best: Member, rig: Rig) -> Member:
     return Member(bent, bent.solve(start=plain.fit))
 
 
-def _shadowed(core: Member, rig: Rig) -> Member:
+def with_free_masking(core: Member, rig: Rig) -> Member:
     """Fit free masking and a spline-modified lobe for each channel without a camera. core: fit whose family is used."""
     blind = _without_camera(core._replace(setup=core.setup.with_(bend=_MOST_BEND)), rig)
     setup = blind.setup.with_(masking="smith-separable", per_channel=True, free_masking=True)

@@ -167,15 +167,6 @@ def _strength_errors(solution: Solution) -> tuple[np.ndarray, np.ndarray]:
     return np.where(seen, model.strength_std, 0.0), np.where(seen, slope, 0.0)
 
 
-def effective_parameters(solution: Solution) -> float:
-    """Count the parameters that the data determine, free strengths included; parameters that the prior determines do
-    not count.
-    """
-    prior = solution.problem.prior.rows(solution.problem.layout)
-    by_prior = float(np.einsum("rp,pq,rq->", prior, solution.covariance, prior))
-    return solution.p.size - by_prior + int(solution.problem.data.used.any(-1).sum())
-
-
 class LobeVerdict(NamedTuple):
     """Verdict on the lobes of a fit.
 

@@ -21,7 +21,6 @@ from matcam.inverse.fit.fit_readings import (
     FitCoordinates,
     LinearisedFit,
     Strengths,
-    effective_parameters,
     fit_coordinates,
     fit_remarks,
     fitted_camera,
@@ -283,15 +282,6 @@ class MaterialFit(Summarised):
         place = names.index(name)
         own = len(at.lobe) + place
         return at.axes[place].square(float(at.rig[place]), float(np.sqrt(at.covariance[own, own])))
-
-    def effective_parameters(self) -> float:
-        """Count the parameters that the data determine.
-
-        Returns:
-            The count (no unit). F of every slice counts where it is free. Parameters that a prior or smoothness
-            determines do not count.
-        """
-        return effective_parameters(self._solution)
 
     def linearised(self) -> LinearisedFit:
         """Return the fit as a linear least-squares problem.
