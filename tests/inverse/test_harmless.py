@@ -151,14 +151,37 @@ def test_a_ratio_below_the_noise_multiplies_nothing():
     assert found.std[50:].min() > 1e15
 
 
+def corrected(brdf, supported, correction_std, response):
+    """Dataset of a correction, as far as a file of values alone requires it."""
+    arrays = {"supported": supported, "correction_std": correction_std}
+    done = xr.Dataset({"brdf": brdf, **{name: (brdf.dims, array) for name, array in arrays.items()}})
+    return done.assign(response=(brdf.dims[:3], np.broadcast_to(response, brdf.shape[:3])))
+
+
 def test_a_file_that_cannot_say_what_is_supported_keeps_the_recorded_value():
     table = brdf_table(np.full((90, 90, 180, 3), 0.1), "centre")
     supported = np.zeros(table.shape, bool)
     supported[5] = True
-    done = xr.Dataset({"brdf": table * 1.5, "supported": (table.dims, supported)})
-    written = supported_values(done, table).values
-    np.testing.assert_allclose(written[5], 0.15)
-    np.testing.assert_array_equal(written[6:], 0.1)
+    for ratio, std in ((1.5, 0.01), (0.5, 0.06)):
+        done = corrected(table * ratio, supported, np.full(table.shape, std), 1 / ratio)
+        written = supported_values(done, table).values
+        np.testing.assert_allclose(written[5], 0.1 * ratio)
+        np.testing.assert_array_equal(written[6:], 0.1)
+
+
+def test_a_file_does_not_keep_the_light_of_a_highlight_beside_the_corrected_one():
+    """A camera spread 1000 1/sr over five rings; the surface reflects 5000 1/sr in one ring, and 1e-6 ± 10 1/sr beside it."""
+    blurred = np.zeros((90, 90, 180, 3))
+    blurred[:5] = 1000.0
+    true = np.zeros_like(blurred)
+    true[0], true[1:5] = 5000.0, 1e-6
+    std = np.full(blurred.shape, np.nan)
+    std[:5] = 0.01
+    response = np.ones(blurred.shape[:3])
+    response[:5] = blurred[:5, ..., 0] / true[:5, ..., 0]
+    table = brdf_table(blurred, "centre")
+    done = corrected(table.copy(data=true), true > 1.0, std, response)
+    np.testing.assert_array_equal(supported_values(done, table).values, true)
 
 
 def test_what_a_rig_says_of_its_lens():

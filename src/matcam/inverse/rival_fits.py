@@ -72,7 +72,10 @@ class Rivals(NamedTuple):
 
     @property
     def probability(self) -> float:
-        """Return the probability of the camera (no unit); both are equally probable before the data."""
+        """Return the probability of the camera (no unit).
+
+        Both explanations are equally probable before the data.
+        """
         difference = self.camera.log_evidence - self.shadowing.log_evidence
         return float(1 / (1 + np.exp(np.clip(-difference, -500, 500))))
 

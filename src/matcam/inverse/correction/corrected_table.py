@@ -161,6 +161,10 @@ def recorded_table(table: xr.Dataset) -> xr.DataArray:
 def supported_values(table: xr.Dataset, recorded: xr.DataArray) -> xr.DataArray:
     """Replace unsupported values by recorded ones, for a format that cannot mark them.
 
+    Beside a highlight a corrected value is often far below the recorded one, which is light of the blurred highlight. It is
+    then not known to 5 % of itself, but to 5 % of the recorded value. It is kept, because the corrected peak contains that
+    light already.
+
     Args:
         table: Dataset as from `correct`.
         recorded: the table that was corrected, 1/sr.
@@ -171,4 +175,6 @@ def supported_values(table: xr.Dataset, recorded: xr.DataArray) -> xr.DataArray:
     Example:
         >>> matcam.write_merl("out.binary", supported_values(corrected, table))  # doctest: +SKIP
     """
-    return table["brdf"].copy(data=np.where(table["supported"].values, table["brdf"].values, recorded.values))
+    lowered = (table["response"].values > 1)[..., None] & (table["correction_std"].values < SUPPORTED)
+    kept = table["supported"].values | lowered
+    return table["brdf"].copy(data=np.where(kept, table["brdf"].values, recorded.values))
