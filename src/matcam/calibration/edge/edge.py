@@ -281,23 +281,20 @@ def _in_even_light(rows: EdgeRegions, fits: EdgeFits) -> tuple[EdgeRegions, list
         The regions in even light, and the light of each; None where two levels in light of third order explain it.
     """
     value, fields = np.array(rows.value), list[LightField | None]()
-    columns = rows.step * np.arange(value.shape[2])
-    for i, region in enumerate(rows.value):
-        y, start = rows.y[i], rows.start[i]
-        x, across = start[:, None] + columns, np.broadcast_to(y[:, None], region.shape)
+    for i, (region, x, y) in enumerate(zip(rows.value, *rows.coordinates(), strict=True)):
         shape, curve = fits.free.shape, xp.asarray(fits.curve[i])
         blur = float(np.hypot(shape.sigma[i], shape.half_width[i] / np.sqrt(3)))
         field: LightField | None = None
         if np.isfinite([*curve, blur]).all() and blur < _WIDEST * np.isfinite(region).sum(1).max() * rows.step:
-            distance = np.asarray(edge_distance(curve, x, across))
+            distance = np.asarray(edge_distance(curve, x, y))
             gain, read = (float(np.asarray(part)[i]) for part in fits.noise)
             glare = bool(fits.free.even[i, GLARE] != 0)
             if (fits.free.even[i, GHOSTS] != 0).any():  # a ghost is not uneven light
                 blur = max(blur, float(shape.apart[i]) / _GHOST_REACH + blur)
             # light along the edge is divided out of the rows in any case
-            aligned = aligned_rows(Rows(region, y, start, rows.step), curve)
-            by_row = np.asarray(in_even_rows(aligned, half_length(Rows(region, y, start, rows.step))).light)[:, None]
-            field = light_field(region / by_row, x, across, distance, (gain, read), blur=blur, glare=glare)
+            own = Rows(region, rows.y[i], rows.start[i], rows.step)
+            by_row = np.asarray(in_even_rows(aligned_rows(own, curve), half_length(own)).light)[:, None]
+            field = light_field(region / by_row, x, y, distance, (gain, read), blur=blur, glare=glare)
             if field is not None and field.amplitude and (field.amplitude > _BRIGHTEST or what_is_seen(region)):
                 field = None
             if field is not None and field.amplitude:

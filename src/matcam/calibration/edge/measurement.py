@@ -251,13 +251,13 @@ def _fits_of_one(
     chosen = at.state._replace(linear=at.state.linear * linear.used, used=linear.used)
     model = edge_model(cells, _climb(cells, chosen, seen, noise, _STEPS), seen.profile)
     # glare is judged by what is left with it
-    glare = free_fit.glare_candidate(linear)
-    left = (linear.weight * linear.left**2).sum() - glare.rise
-    glares = glare.rise > free_fit.FOUND * xp.where(known, 1.0, xp.maximum(left / linear.degrees, 1.0))
+    log_radius, rise = free_fit.glare_candidate(linear)
+    left = (linear.weight * linear.left**2).sum() - rise
+    glares = rise > free_fit.FOUND * xp.where(known, 1.0, xp.maximum(left / linear.degrees, 1.0))
     plain = lambda fit, _: free_fit.curve_without_glare(fit)  # noqa: E731
-    free = either(glares, free_fit.curve_with_glare, plain, linear, glare)
+    free = either(glares, free_fit.curve_with_glare, plain, linear, log_radius)
     # noise that was estimated from neighbours may not be all: then the cells' scatter about the free curve speaks
-    scatter = (linear.chi2 - xp.where(glares, glare.rise, 0.0)) / linear.degrees
+    scatter = (linear.chi2 - xp.where(glares, rise, 0.0)) / linear.degrees
     excess = xp.where(scatter < _EXPECTED, 1.0, scatter)
     free = free._replace(covariance=free.covariance * excess)
     misfit = misfit_of(linear, free, excess)

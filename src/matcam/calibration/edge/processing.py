@@ -20,9 +20,10 @@ from scipy.special import ndtr, ndtri
 from matcam.calibration.edge.edge_result import SHARPENED, EdgeMTF, EdgeStack
 from matcam.calibration.edge.free_curve import ghost_of, line_width
 from matcam.calibration.edge.free_fit import VEIL
+from matcam.calibration.edge.geometry import edge_distance
 from matcam.calibration.edge.maximum_likelihood import ADDED, SHIFT, light_of
 from matcam.calibration.edge.rows import CLEAR, EdgeRegions, clearance
-from matcam.calibration.edge.wider_errors import widened, with_core_as_total, with_ghosts, with_jumps
+from matcam.calibration.edge.wider_errors import widened, with_core_as_total
 from matcam.calibration.photograph.flat_noise import BENT_DOUBT, FlatNoise, crushed_share, flat_noise, smoothing_doubt
 from matcam.calibration.photograph.linear_filters import Correlations, correlations, filter_doubt, mask_gain
 from matcam.calibration.photograph.slight_sharpening import (
@@ -179,12 +180,10 @@ def with_traces(stack: EdgeStack, regions: Iterable[EdgeRegions], lights: Sequen
     for rows in regions:
         part = slice(i, i + len(rows.value))
         clear = clearance(tuple_map(lambda a: a[part], stack.fits), rows)  # noqa: B023
-        for k, value in enumerate(rows.value):
+        for k, (value, x, y) in enumerate(zip(rows.value, *rows.coordinates(), strict=True)):
             if stack.problems[i] is None:
                 edge = stack[i]
-                across = rows.start[k][:, None] + rows.step * np.arange(value.shape[1])
-                across = across - np.polyval(edge.fits.curve[::-1], rows.y[k])[:, None]
-                distance = across / np.hypot(1.0, float(edge.fits.slope))
+                distance = np.asarray(edge_distance(edge.fits.curve, x, y))
                 found = _EdgeRegion(edge, value, distance, rows.step > 1, float(clear[k]), lights[i]).traces()
                 given[i] = given[i] + tuple(trace.remark for trace in found if trace.remark)
                 for trace in found:
@@ -193,7 +192,7 @@ def with_traces(stack: EdgeStack, regions: Iterable[EdgeRegions], lights: Sequen
     shares["lens"] = np.hypot(shares["lens"], _SURER * shares["free"])
     stack = with_core_as_total(stack, np.array([light is not None and light.amplitude > 0 for light in lights]))
     ghosts = np.array([0.0 if light is None else light.ghost for light in lights])
-    return with_jumps(with_ghosts(widened(replace(stack, given=tuple(given)), shares), ghosts))
+    return widened(replace(stack, given=tuple(given)), shares, ghosts)
 
 
 def _narrow(region: _EdgeRegion) -> list[Trace]:

@@ -6,16 +6,21 @@ nothing is resampled. For a mosaic, the rows contain the sites of one colour.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from scipy import ndimage
 
 from matcam.calibration.edge.free_curve import GLARE, ghost_of
 from matcam.calibration.edge.free_fit import VEIL
+from matcam.calibration.edge.geometry import edge_place
 from matcam.calibration.edge.measurement import EdgeFits
 from matcam.calibration.photograph.flat_noise import flat_noise
 from matcam.core.remark import Remark
+from matcam.numerics.robust import robust_std
+
+if TYPE_CHECKING:
+    from matcam.core.jax import AnyArray
 
 _FEW_TURNS, _MANY_TURNS = 2, 8
 _ENOUGH_CYCLES = 4.0
@@ -83,6 +88,21 @@ class EdgeRegions(NamedTuple):
     frame: RegionFrame
     turns: int
 
+    def coordinates(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return x along the rows and y of all samples about the regions' centres, (n, rows, columns) px."""
+        x = self.start[..., None] + self.step * np.arange(self.value.shape[2])
+        return x, np.broadcast_to(self.y[..., None], x.shape)
+
+    def positions(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return x and y of all samples in the picture, (n, rows, columns) px."""
+        frame = RegionFrame(*(np.reshape(column, (-1, 1, 1)) for column in self.frame))
+        x, y = frame.in_picture(*self.coordinates())
+        return frame.x + x, frame.y + y
+
+    def crossings(self, curves: AnyArray) -> np.ndarray:
+        """Compute where edges (n, CURVE) cross the rows (n, rows), px."""
+        return np.asarray(edge_place(np.nan_to_num(np.asarray(curves)).T[..., None], self.y))
+
 
 def edge_regions(values: np.ndarray, *, mosaic: bool = False) -> EdgeRegions:
     """Return regions (n, height, width) as rows.
@@ -147,7 +167,7 @@ def refusals(found: EdgeFits, region: EdgeRegions, *, accept_sharpened: bool) ->
     over, least = found.overshoot.value, np.maximum(_OVERSHOOT, _SIGNIFICANT * found.overshoot.std)
     width = region.step * (region.value.shape[2] - 1)
     lost = ~np.isfinite(contrast + blur + over + least) | (found.crossing < _LEAST_ROWS)
-    gap = _largest_gap(region, np.where(lost[:, None], 0.0, found.curve), np.where(lost, 0.0, found.slope))
+    gap = _largest_gap(region, found)
 
     glare, clear = found.free.even[:, GLARE], clearance(found, region)
     veiled = (glare > _VEILED) & (found.free.shape.radius > VEIL * width) & (found.misfit > _SPOILT)
@@ -210,7 +230,7 @@ def what_is_seen(value: np.ndarray) -> str:
     slope = np.gradient(ndimage.gaussian_filter(np.where(known, value, middle), _BY), axis=1)[:, 2:-2]
     slope = np.where(known[:, 2:-2], slope, 0.0)
     size = np.abs(slope)
-    least = max(_STEEP * np.quantile(size, 0.995), _ABOVE * 1.48 * np.median(size))
+    least = max(_STEEP * np.quantile(size, 0.995), _ABOVE * robust_std(size))
     up, down = (
         (np.diff(there.astype(int), axis=1, prepend=0) == 1).sum(1) for there in (slope > least, slope < -least)
     )
@@ -226,38 +246,20 @@ def what_is_seen(value: np.ndarray) -> str:
 
 def clearance(found: EdgeFits, region: EdgeRegions) -> np.ndarray:
     """Compute the distance of edges from the borders of their regions (n,), in standard deviations of their blur."""
-    place = _places(region, np.nan_to_num(np.asarray(found.curve)))
-    there = np.isfinite(region.value)
+    place, there = region.crossings(found.curve), np.isfinite(region.value)
     first, last = there.argmax(2), region.value.shape[2] - 1 - there[:, :, ::-1].argmax(2)
-    ends = [place - region.start - region.step * first, region.start + region.step * last - place]
-    off = np.stack([np.where(there.any(2), end, np.nan) for end in ends])
-    nearest = known_quantile(off, _SOME).min(0) / np.hypot(1.0, np.nan_to_num(np.asarray(found.slope)))
-    return np.asarray(nearest / np.hypot(found.free.shape.sigma, found.free.shape.half_width / np.sqrt(3)))
+    off = np.stack([place - region.start - region.step * first, region.start + region.step * last - place])
+    known = there.any(2)
+    nearest = np.array(
+        [np.quantile(off[:, k, some], _SOME, axis=1).min() if some.any() else np.nan for k, some in enumerate(known)]
+    )
+    blur = np.hypot(found.free.shape.sigma, found.free.shape.half_width / np.sqrt(3))
+    return np.asarray(nearest / np.hypot(1.0, np.nan_to_num(np.asarray(found.slope))) / blur)
 
 
-def _places(region: EdgeRegions, curves: np.ndarray) -> np.ndarray:
-    """Compute where edges (n, CURVE) cross their rows (n, rows), px."""
-    return np.asarray((curves[:, :, None] * region.y[:, None] ** np.arange(curves.shape[1])[:, None]).sum(1))
-
-
-def known_quantile(values: np.ndarray, share: float) -> np.ndarray:
-    """Return a quantile over the last axis without NaN.
-
-    `numpy.nanquantile` would run row by row in Python.
-    """
-    ordered = np.sort(values, axis=-1)  # NaN comes last
-    place = share * np.maximum((~np.isnan(values)).sum(-1, keepdims=True) - 1, 0)
-    below = np.floor(place).astype(int)
-    low, high = (np.take_along_axis(ordered, i, -1) for i in (below, np.ceil(place).astype(int)))
-    return np.asarray((low + (high - low) * (place - below))[..., 0])
-
-
-def _largest_gap(region: EdgeRegions, curves: np.ndarray, slopes: np.ndarray) -> np.ndarray:
-    """Return the widest gap between the distances of samples, px (n,).
-
-    curves: (n, CURVE), of each edge. slopes: (n,), their means.
-    """
-    place = _places(region, curves)
+def _largest_gap(region: EdgeRegions, found: EdgeFits) -> np.ndarray:
+    """Return the widest gap between the distances of samples, px (n,)."""
+    place, slopes = region.crossings(found.curve), np.nan_to_num(np.asarray(found.slope))
     offset = (place - region.start) / region.step
     nearest = np.clip(np.rint(offset), 0, region.value.shape[2] - 1).astype(int)
     there = np.isfinite(np.take_along_axis(region.value, nearest[..., None], axis=2)[..., 0])

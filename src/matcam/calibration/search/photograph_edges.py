@@ -26,6 +26,7 @@ from matcam.calibration.search.edge_search import EdgePlaces
 from matcam.core.errors import FitError
 from matcam.core.remark import Remark
 from matcam.numerics.polynomials import plane_powers
+from matcam.numerics.robust import robust_fit
 
 _ROWS = (48, 64, 96, 128, 192)
 _COLUMNS = (32, 48)
@@ -33,8 +34,7 @@ _USUAL = 0.8  # quantile of the lengths of the edges that sets the number of row
 _LEAST_ROWS, _LEAST_WIDTH = 20, 16
 _MARGIN = 1.0  # px: error of the search in the position of an edge
 _FEWEST = 12  # number of edges, for the six parameters of the light
-_OUTLIER, _ROUNDS = 3.0, 6
-_LEAST_SCATTER = 0.003  # relative
+_LEAST_SCATTER = 0.002  # relative
 _SHARE = 4  # the last quarter of a row is its bright side
 _RANGE = 20.0  # largest unevenness of the light on a chart
 _SATURATED = 0.02  # share of a strip's samples
@@ -191,22 +191,25 @@ def regions_in_even_light(regions: Sequence[EdgeRegions]) -> list[EdgeRegions]:
     """
     x, y = (np.concatenate([getattr(r.frame, axis) for r in regions]) for axis in "xy")
     bright = np.concatenate([_bright(r.value) for r in regions])
-    good = np.isfinite(bright) & (bright > 0)
+    good = bright > 0
     if good.sum() < _FEWEST:
         return list(regions)
     middle, scale = (x.mean(), y.mean()), max(float(np.ptp(x)), float(np.ptp(y)), 1.0)
-    powers = plane_powers((x - middle[0]) / scale, (y - middle[1]) / scale, 2)
-    level = np.log(np.where(good, bright, 1.0))
-    for _ in range(_ROUNDS):
-        found = np.linalg.lstsq(powers[good], level[good], rcond=1e-6)[0]
-        off = np.abs(level - powers @ found)
-        scatter = max(1.5 * float(np.median(off[good])), _LEAST_SCATTER)
-        good = (bright > 0) & (off < _OUTLIER * scatter)
-        if good.sum() < _FEWEST:
-            return list(regions)
-    if np.ptp(powers[good] @ found) > np.log(_RANGE):
+
+    def powers(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        return plane_powers((x - middle[0]) / scale, (y - middle[1]) / scale, 2)
+
+    design = powers(x, y)[good]
+    light = robust_fit(design, np.log(bright[good]), least=_LEAST_SCATTER)
+    if light.kept.sum() < _FEWEST or np.ptp(design[light.kept] @ light.parameters) > np.log(_RANGE):
         return list(regions)
-    return [_in_even_light(r, found, middle, scale) for r in regions]
+
+    def even(region: EdgeRegions) -> EdgeRegions:
+        frame = region.frame
+        relative = powers(*region.positions()) - powers(np.asarray(frame.x), np.asarray(frame.y))[:, None, None]
+        return region._replace(value=region.value * np.exp(-relative @ light.parameters))
+
+    return [even(region) for region in regions]
 
 
 def _region(
@@ -254,22 +257,6 @@ def _inside(strips: Strips, shape: tuple[int, int]) -> np.ndarray:
     across, along = (np.where(strips.transposed, *pair) for pair in (shape[:2], shape[1::-1]))
     long = strips.rows / 2 + 2
     return (strips.u >= reach) & (strips.u + reach < across) & (strips.v >= long) & (strips.v + long < along)
-
-
-def _in_even_light(region: EdgeRegions, found: np.ndarray, middle: tuple[float, float], scale: float) -> EdgeRegions:
-    """Divide a region by its light relative to that at its centre."""
-    frame = region.frame
-    across = region.start[..., None] + region.step * np.arange(region.value.shape[2])
-    columns = frame._replace(
-        transposed=np.asarray(frame.transposed)[:, None, None], mirrored=np.asarray(frame.mirrored)[:, None, None]
-    )
-    dx, dy = columns.in_picture(across, np.broadcast_to(region.y[..., None], across.shape))
-    x, y = (np.asarray(a)[:, None, None] for a in (frame.x, frame.y))
-    dx, dy, x, y = dx / scale, dy / scale, (x - middle[0]) / scale, (y - middle[1]) / scale
-    # the difference of the quadratic between a position and the centre
-    _, fx, fy, fxx, fxy, fyy = found
-    bend = (fx + fxx * (2 * x + dx) + fxy * (y + dy)) * dx + (fy + fxy * x + fyy * (2 * y + dy)) * dy
-    return region._replace(value=region.value * np.exp(-bend))
 
 
 def _bright(value: np.ndarray) -> np.ndarray:

@@ -22,6 +22,7 @@ from matcam.core.arrays import FloatArray
 from matcam.core.errors import FitError
 from matcam.numerics.linalg import scaled_inverse
 from matcam.numerics.polynomials import plane_orders, plane_powers
+from matcam.numerics.robust import robust_std
 
 FEWEST = 9
 SHARED = [(2, 0), (0, 2), (4, 0), (2, 2), (0, 4)]
@@ -204,7 +205,7 @@ def find_dots(values: FloatArray) -> tuple[FloatArray, FloatArray]:
     ground = ndimage.zoom(ground, 2, order=1)[: values.shape[0], : values.shape[1]]
     ground = np.pad(ground, [(0, n - m) for n, m in zip(values.shape, ground.shape, strict=True)], mode="edge")
     off = smooth - ground
-    spread = 1.4826 * np.median(np.abs(off - np.median(off)))
+    spread = robust_std(off - np.median(off))
     sign = -1.0 if np.quantile(off, 0.001) < -np.quantile(off, 0.999) else 1.0
     label, count = ndimage.label(sign * off > max(_CLEAR * spread, 0.25 * float(np.quantile(sign * off, 0.999))))
     if count < FEWEST:
@@ -361,7 +362,7 @@ def _without_outliers(fit: DotFit) -> DotFit:
     square, std = fit.parameters[:, 6], fit.std[:, 6]
     content = fit.parameters[:, 3]
     centre = np.median(square)
-    spread = np.sqrt(std**2 + (1.4826 * np.median(np.abs(square - centre))) ** 2 + (_SAME * centre) ** 2)
+    spread = np.sqrt(std**2 + robust_std(square - centre) ** 2 + (_SAME * centre) ** 2)
     moved = np.hypot(fit.parameters[:, 4] - fit.lattice.x, fit.parameters[:, 5] - fit.lattice.y)
     good = (
         (np.abs(square - centre) < _OUTLIER * spread) & (np.abs(content / np.median(content) - 1) < 0.5) & (moved < 2)
