@@ -38,7 +38,12 @@ def robust_std(values: FloatArray) -> float:
 
 
 def robust_fit(
-    design: FloatArray, values: FloatArray, std: FloatArray | float = 1.0, *, least: float = 1e-12
+    design: FloatArray,
+    values: FloatArray,
+    std: FloatArray | float = 1.0,
+    *,
+    least: float = 1e-12,
+    resolved: float = 1e-12,
 ) -> RobustFit:
     """Fit values by least squares, and leave out those that are far from the fit.
 
@@ -47,13 +52,14 @@ def robust_fit(
         values: values, (n,).
         std: standard deviations of the values, (n,). Default: 1.0.
         least: smallest scatter, in units of `std`. Default: 1e-12.
+        resolved: smallest singular value of the design, relative to the largest: what has less is set to 0. Default: 1e-12.
     """
     design, values = design / np.broadcast_to(std, len(values))[:, None], values / std
     kept = np.ones(len(values), bool)
     for _ in range(_ROUNDS):
-        parameters = np.linalg.lstsq(design[kept], values[kept], rcond=None)[0]
+        parameters = np.linalg.lstsq(design[kept], values[kept], rcond=resolved)[0]
         left = values - design @ parameters
         kept = np.abs(left) < _FAR * max(robust_std(left[kept]), least)
     chi2 = float((left[kept] ** 2).sum()) / max(int(kept.sum()) - design.shape[1], 1)
-    covariance = np.linalg.pinv(design[kept].T @ design[kept])
-    return RobustFit(np.asarray(parameters, float), np.asarray(covariance, float), chi2, kept)
+    inverse = np.linalg.pinv(design[kept], rcond=resolved)
+    return RobustFit(np.asarray(parameters, float), np.asarray(inverse @ inverse.T, float), chi2, kept)

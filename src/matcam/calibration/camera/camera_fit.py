@@ -24,13 +24,14 @@ from matcam.calibration.camera.joint_fit import (
     in_profile_units,
 )
 from matcam.calibration.edge.free_curve import FREQUENCIES
-from matcam.calibration.edge.profiles import KURTOSIS, LensModel, Separable, lens_model
+from matcam.calibration.edge.profiles import KURTOSIS, LensModel, Separable, check_light, lens_model
 from matcam.camera.camera import Camera
 from matcam.camera.optics.gaussian import GaussianOptics
 from matcam.camera.optics.measured import MeasuredOptics
 from matcam.camera.optics.pupil import DiffractionOptics
 from matcam.camera.parameters import Provenance, Uncertainty
 from matcam.camera.pixel import BoxPixel
+from matcam.core.arrays.module import replaced
 from matcam.core.errors import ArgumentError, FitError
 from matcam.core.jax import jax, jnp
 from matcam.core.programs import kept_program
@@ -41,7 +42,6 @@ _LARGEST_STD = 0.1  # relative standard deviation; limit for lens and pixel if b
 # MTF, and standard deviations: if both are exceeded, the model does not describe the edges
 _MISSED, _SIGNIFICANT = 0.005, 4.0
 _SIGMA = 0.5  # px: start of a fit without edges
-_WAVELENGTHS, _PITCHES = (1e-9, 1e-3), (1e-8, 1e-2)  # m
 _PIXEL = 0.3  # smallest MTF of the pixel by which a curve is divided
 _STD = 0.03  # standard deviation of the lens MTF above which the curve is extrapolated
 _TAIL, _END = 24, 1e-6  # samples of the Gaussian that continues the curve, and the value that is set to 0
@@ -66,10 +66,7 @@ class CameraRequest:
         both = wavelength is not None and self.pixel_pitch is not None
         if self.model in ("diffraction", "defocus") and not both:
             raise ArgumentError(f"wavelength and pixel_pitch must be given for the {self.model} model, m")
-        if wavelength is not None and not _WAVELENGTHS[0] <= wavelength <= _WAVELENGTHS[1]:
-            raise ArgumentError(f"wavelength must lie in [1e-09, 0.001] m (550 nm is 550e-9), got {wavelength:g}")
-        if self.pixel_pitch is not None and not _PITCHES[0] <= self.pixel_pitch <= _PITCHES[1]:
-            raise ArgumentError(f"pixel_pitch must lie in [1e-08, 0.01] m (5 um is 5e-6), got {self.pixel_pitch:g}")
+        check_light(wavelength, self.pixel_pitch)
         if self.half_width is not None:
             name = "gaussian" if self.model == "measured" else self.model
             lens = lens_model(name, wavelength, self.pixel_pitch)
@@ -209,11 +206,7 @@ class CameraFit(Summarised):
         Returns:
             The same fit.
         """
-        c = self.camera
-        return replace(
-            self,
-            camera=Camera(c.optics, c.pixel, c.sensor, uncertainty=c.uncertainty, provenance=provenance, field=c.field),
-        )
+        return replace(self, camera=replaced(self.camera, "provenance", provenance))
 
     def with_wider_errors(self, std: float) -> CameraFit:
         """Return the fit with another error of its first parameter.
@@ -226,10 +219,9 @@ class CameraFit(Summarised):
         """
         covariance = self.covariance.copy()
         covariance[0, 0] += std**2
-        c, uncertainty = self.camera, self.camera.uncertainty
+        camera, uncertainty = self.camera, self.camera.uncertainty
         if uncertainty is not None and tuple(uncertainty.names) == tuple(self.names):
-            uncertainty = Uncertainty(tuple(self.names), covariance)
-        camera = Camera(c.optics, c.pixel, c.sensor, uncertainty=uncertainty, provenance=c.provenance, field=c.field)
+            camera = replaced(camera, "uncertainty", Uncertainty(tuple(self.names), covariance))
         return replace(self, camera=camera, covariance=covariance)
 
 

@@ -72,6 +72,26 @@ class EdgeTable(NamedTuple):
     mtf_std: np.ndarray
     source: np.ndarray
 
+    @classmethod
+    def joined(cls, tables: Iterable[EdgeTable]) -> EdgeTable:
+        """Join the edges of several tables.
+
+        Args:
+            tables: one or more.
+        """
+        return cls(*(np.concatenate(columns) for columns in zip(*tables, strict=True)))
+
+    def over_field(self, middle: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
+        """Compute the distance of the edges from the middle of the picture, px, and whether each is meridional.
+
+        An edge whose normal lies within 45 degrees of the radius shows the meridional MTF, any other the sagittal one.
+
+        Args:
+            middle: (x, y), px.
+        """
+        x, y = self.x - middle[0], self.y - middle[1]
+        return np.hypot(x, y), np.abs(np.cos(self.angle - np.arctan2(y, x))) > np.sqrt(0.5)
+
     def of_source(self, source: str) -> EdgeTable:
         """Return the edges of one picture.
 
@@ -335,12 +355,10 @@ class Evidence:
 
     def table(self) -> EdgeTable | None:
         """Return all edges without problems; None if there are no edges."""
-        rows = []
+        tables = []
         for edges, source, _ in self._stacks:
             fit, good = edges.parametric, edges.good
-            columns = (
-                *edges.place, edges.angle, fit.values[:, 0], np.sqrt(fit.covariance[:, 0, 0]), edges.mtf50,
-                edges.mtf50_std, edges.mtf, edges.mtf_std,
-            )  # fmt: skip
-            rows.append((*(np.asarray(column)[good] for column in columns), np.full(good.size, source)))
-        return EdgeTable(*(np.concatenate(columns) for columns in zip(*rows, strict=True))) if rows else None
+            sigma, std = fit.values[:, 0], np.sqrt(fit.covariance[:, 0, 0])
+            own = (edges.mtf50, edges.mtf50_std, edges.mtf, edges.mtf_std, np.full(len(edges), source))
+            tables.append(EdgeTable(*(column[good] for column in (*edges.place, edges.angle, sigma, std, *own))))
+        return EdgeTable.joined(tables) if tables else None

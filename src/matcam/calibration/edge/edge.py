@@ -19,7 +19,7 @@ from matcam.calibration.edge.geometry import Rows, aligned_rows, edge_distance, 
 from matcam.calibration.edge.maximum_likelihood import UNKNOWN_NOISE, Noise
 from matcam.calibration.edge.measurement import EdgeFits, edge_fits, edge_fits_of_stack, lens_fit
 from matcam.calibration.edge.processing import with_traces
-from matcam.calibration.edge.profiles import Gaussian, LensModel, lens_model
+from matcam.calibration.edge.profiles import Gaussian, LensModel, check_light, lens_model
 from matcam.calibration.edge.rows import EdgeRegions, RegionFrame, edge_regions, refusals, what_is_seen
 from matcam.calibration.edge.start import in_even_rows
 from matcam.calibration.photograph.linear_image import SMALLEST, LinearImage, flaws, region_of
@@ -336,8 +336,7 @@ def _settings(
         for name, value in (("wavelength", wavelength), ("pixel_pitch", pixel_pitch)):
             if value is None:
                 raise ArgumentError(f"{name} must be given for the {model} model, m")
-        checks.within("wavelength", float(wavelength or 0), 1e-9, 1e-3, "m (550 nm is 550e-9)")
-        checks.within("pixel_pitch", float(pixel_pitch or 0), 1e-8, 1e-2, "m (5 um is 5e-6)")
+        check_light(wavelength, pixel_pitch)
     if not (isinstance(half_width, float) and half_width == _WHOLE):
         checks.scalar("half_width", checks.within("half_width", half_width, 0, 0.5, "px", open_low=True))
     if (gain is None) != (read_noise is None):

@@ -18,13 +18,13 @@ from matcam.calibration.photograph.tone import Tone, assumed_tone, is_linear, li
 from matcam.core import checks
 from matcam.core.arrays import FloatArray
 from matcam.core.errors import ArgumentError, FitError
+from matcam.core.registry import CFAS
 from matcam.core.remark import Remark
 from matcam.files.photographs import Photograph
 from matcam.files.picture_header import Exif
 
 CHANNELS = ("R", "G", "B", "Y", "grey")
 """Names of colour planes; "Y" is the luminance of a colour picture."""
-MOSAICS = ("RGGB", "BGGR", "GRBG", "GBRG")
 SMALLEST = 16
 """Smallest side of a region that is measured, px."""
 _LUMINANCE = (0.2126, 0.7152, 0.0722)  # of linear R, G, B (IEC 61966-2-1)
@@ -157,7 +157,7 @@ class LinearImage:
         if channel is not None:
             checks.choice("channel", channel, CHANNELS)
         if cfa is not None:
-            checks.choice("cfa", cfa, MOSAICS)
+            checks.choice("cfa", cfa, CFAS)
         if isinstance(image, LinearImage):
             own = is_linear(tone) or (isinstance(tone, str) and tone == "auto")
             if channel is not None or cfa is not None or not own:
@@ -362,7 +362,7 @@ def _refuse_colour_picture(shape: tuple[int, ...]) -> None:
 
 def sites_of(cfa: str, channel: str | None) -> np.ndarray:
     """Return the sites of a colour in the first 2 x 2 px of a mosaic."""
-    checks.choice("cfa", cfa, MOSAICS)
+    checks.choice("cfa", cfa, CFAS)
     if channel not in ("R", "G", "B"):
         raise ArgumentError(f"channel must be one of 'R', 'G', 'B' with a mosaic, got {channel!r}")
     return np.array(list(cfa)).reshape(2, 2) == channel

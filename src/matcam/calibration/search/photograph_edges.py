@@ -41,6 +41,7 @@ _SATURATED = 0.02  # share of a strip's samples
 _CRUSHED = 0.02  # share of a strip at its lowest value that needs a test
 _CONTRAST = 0.2  # (bright - dark) / (bright + dark), below which it is reported
 _DIRECTIONAL, _SIGNIFICANT = 0.15, 5.0  # relative to the variance of the blur; standard deviations
+_RESOLVED = 0.03  # relative to the best known harmonic: less is not determined
 _FEW = 6  # number of edges below which directions are not compared
 
 
@@ -277,17 +278,14 @@ def _directional_blur(result: EdgeStack) -> str:
     if good.size < _FEW:
         return ""
     sigma, angle = result.parametric.values[good, 0], result.angle[good]
-    weight = 1 / (4 * sigma**2 * result.parametric.covariance[good, 0, 0])
-    # the second harmonic of the blur's variance
+    std = 2 * sigma * np.sqrt(result.parametric.covariance[good, 0, 0])
+    # the second harmonic of the blur's variance; squares have two directions only, which do not determine one
+    # combination of the harmonics: it is set to 0
     design = np.stack([np.ones_like(angle), np.cos(2 * angle), np.sin(2 * angle)], 1)
-    normal = design.T @ (weight[:, None] * design)
-    # squares have two directions only, which do not determine one combination of the harmonics: it is set to 0
-    inverse = np.linalg.pinv(normal, rcond=1e-3, hermitian=True)
-    found = inverse @ (design.T @ (weight * sigma**2))
-    left = weight * (sigma**2 - design @ found) ** 2
-    covariance = inverse * max(1.0, left.sum() / max(good.size - 3, 1))
+    fit = robust_fit(design, sigma**2, std, resolved=_RESOLVED)
+    found = fit.parameters
     size = float(np.hypot(found[1], found[2]))
-    std = float(np.sqrt(found[1:] @ covariance[1:, 1:] @ found[1:]) / max(size, 1e-30))
+    std = float(np.sqrt(found[1:] @ fit.covariance[1:, 1:] @ found[1:] * max(1.0, fit.chi2)) / max(size, 1e-30))
     if size < _DIRECTIONAL * found[0] or size < _SIGNIFICANT * std:
         return ""
     most, least = np.sqrt(found[0] + size), np.sqrt(max(found[0] - size, 0.0))
