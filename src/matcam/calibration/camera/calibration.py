@@ -341,8 +341,6 @@ def _checked_f_numbers(f_numbers: Any, count: int) -> list[float | None]:
     if f_numbers is None:
         return [None] * count
     numbers = np.asarray(checks.within("f_numbers", f_numbers, 0.3, 200.0), dtype=float)
-    if numbers.ndim == 0:
-        return [float(numbers)] * count
-    if numbers.shape != (count,):
+    if numbers.shape not in ((), (count,)):
         raise ArgumentError(f"f_numbers must be one, or one for each of the {count} pictures, got {numbers.size}")
-    return [float(n) for n in numbers]
+    return list(np.broadcast_to(numbers, count).tolist())

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from scipy import ndimage
 
-from matcam.calibration.edge.free_curve import GLARE, ghost_of
+from matcam.calibration.edge.free_curve import GLARE, ghost_of, line_width
 from matcam.calibration.edge.free_fit import VEIL
 from matcam.calibration.edge.geometry import edge_place
 from matcam.calibration.edge.measurement import EdgeFits
@@ -27,7 +27,11 @@ _ENOUGH_CYCLES = 4.0
 _LEAST_ROWS = 10
 _LEAST_CONTRAST = 3.0  # standard deviations of a pixel
 _WIDEST_GAP = 0.55  # px: the MTF50 of a sharp lens is not determined if the edge is sampled more coarsely
-_OVERSHOOT, _SIGNIFICANT = 0.02, 5.0  # relative to the step, and standard deviations
+SHARPENED = 0.02
+"""Overshoot, relative to the step, above which an edge is sharpened."""
+MISFIT = 0.002
+"""Misfit, relative to the step, above which it is not that of a lens."""
+_SIGNIFICANT = 5.0  # standard deviations of an overshoot
 _ANYTHING = "a ghost, a second edge, a shadow's border or dirt lies in it"
 # px of smoothing; share of the steepest slope, and standard deviations, above which a slope is a step
 _BY, _STEEP, _ABOVE = 1.0, 0.3, 4.0
@@ -39,8 +43,7 @@ _UNEXPLAINED = 0.015  # relative to the step: misfit near the edge
 CLEAR = 4.6
 """Smallest distance of an edge from the borders of the region, in widths of its blur; below it the levels are uncertain."""
 _SOME = 0.1  # share of the rows that may be nearer to a border
-# relative to the light, and to the step: glare and misfit above both are not those of a lens
-_VEILED, _SPOILT = 0.15, 0.002
+_VEILED = 0.15  # relative to the light: more glare, with a misfit, is not that of a lens
 _BLUR = 0.2  # relative to the width of the region: widest standard deviation of the line spread function
 
 
@@ -163,14 +166,14 @@ def refusals(found: EdgeFits, region: EdgeRegions, *, accept_sharpened: bool) ->
     """
     dark, bright = found.state.linear[:, 0], found.state.linear[:, 1]
     contrast = (bright - dark) / np.maximum(found.residual, 1e-300)
-    blur = np.hypot(found.free.shape.sigma, found.free.shape.half_width / np.sqrt(3))
-    over, least = found.overshoot.value, np.maximum(_OVERSHOOT, _SIGNIFICANT * found.overshoot.std)
+    blur = np.asarray(line_width(found.free.shape))
+    over, least = found.overshoot.value, np.maximum(SHARPENED, _SIGNIFICANT * found.overshoot.std)
     width = region.step * (region.value.shape[2] - 1)
     lost = ~np.isfinite(contrast + blur + over + least) | (found.crossing < _LEAST_ROWS)
     gap = _largest_gap(region, found)
 
     glare, clear = found.free.even[:, GLARE], clearance(found, region)
-    veiled = (glare > _VEILED) & (found.free.shape.radius > VEIL * width) & (found.misfit > _SPOILT)
+    veiled = (glare > _VEILED) & (found.free.shape.radius > VEIL * width) & (found.misfit > MISFIT)
 
     ghost = ghost_of(found.free)
 
@@ -192,23 +195,24 @@ def refusals(found: EdgeFits, region: EdgeRegions, *, accept_sharpened: bool) ->
                 "too-narrow",
                 f"region of {width:.0f} px is too narrow for an edge whose blur has a standard deviation of {blur[i]:.1f} px",
             )
-        if not accept_sharpened and over[i] > least[i] and clear[i] > CLEAR:
+        if accept_sharpened:
+            return None
+        if over[i] > least[i] and clear[i] > CLEAR:
             return Remark(
                 "sharpened",
                 f"picture is sharpened: the edge overshoots its levels by {over[i]:.1%}, which no lens does; use the raw "
                 "picture, or accept the MTF of lens and sharpening together (accept_sharpened=True)",
             )
-        if not accept_sharpened and veiled[i]:
+        if veiled[i]:
             text = f"glare of {glare[i]:.0%}, as wide as the region, with {found.misfit[i]:.1%} of the step left, is no lens's"
             why = what_is_seen(region.value[i]) or "a ghost, a second edge or dirt lies in it"
             return Remark("unexplained", f"{text}: {why}: choose another region")
         second = bool(ghost.share[i] > _SECOND)
-        odd = not accept_sharpened and (second or found.misfit[i] > _SPOILT)
-        seen = what_is_seen(region.value[i]) if odd else ""
-        if not accept_sharpened and second:
+        seen = what_is_seen(region.value[i]) if second or found.misfit[i] > MISFIT else ""
+        if second:
             text = seen or f"there are 2 edges in it, {ghost.place[i]:.1f} px apart"
             return Remark("unexplained", f"the region contains no single edge: {text}: choose another region")
-        if seen or (not accept_sharpened and found.misfit[i] > _UNEXPLAINED):
+        if seen or found.misfit[i] > _UNEXPLAINED:
             return Remark(
                 "unexplained",
                 f"neither a lens nor smooth light explains the region: {found.misfit[i]:.1%} of the step remains; "
@@ -253,8 +257,7 @@ def clearance(found: EdgeFits, region: EdgeRegions) -> np.ndarray:
     nearest = np.array(
         [np.quantile(off[:, k, some], _SOME, axis=1).min() if some.any() else np.nan for k, some in enumerate(known)]
     )
-    blur = np.hypot(found.free.shape.sigma, found.free.shape.half_width / np.sqrt(3))
-    return np.asarray(nearest / np.hypot(1.0, np.nan_to_num(np.asarray(found.slope))) / blur)
+    return np.asarray(nearest / np.hypot(1.0, np.nan_to_num(np.asarray(found.slope))) / line_width(found.free.shape))
 
 
 def _largest_gap(region: EdgeRegions, found: EdgeFits) -> np.ndarray:

@@ -21,7 +21,7 @@ from matcam.calibration.edge.edge import AT_ONCE, EdgeSettings, edge_stack
 from matcam.calibration.edge.edge_result import EdgeStack
 from matcam.calibration.edge.rows import EdgeRegions, RegionFrame, turns_for
 from matcam.calibration.photograph.flat_noise import crushed_share
-from matcam.calibration.photograph.linear_image import LinearImage, flaws
+from matcam.calibration.photograph.linear_image import LinearImage, flaw
 from matcam.calibration.search.edge_search import EdgePlaces
 from matcam.core.errors import FitError
 from matcam.core.remark import Remark
@@ -38,7 +38,6 @@ _LEAST_SCATTER = 0.002  # relative
 _SHARE = 4  # the last quarter of a row is its bright side
 _RANGE = 20.0  # largest unevenness of the light on a chart
 _SATURATED = 0.02  # share of a strip's samples
-_CRUSHED = 0.02  # share of a strip at its lowest value that needs a test
 _CONTRAST = 0.2  # (bright - dark) / (bright + dark), below which it is reported
 _DIRECTIONAL, _SIGNIFICANT = 0.15, 5.0  # relative to the variance of the blur; standard deviations
 _RESOLVED = 0.03  # relative to the best known harmonic: less is not determined
@@ -92,8 +91,8 @@ def plane_edge_stack(
         [
             Remark("saturated", f"saturated: {share:.0%} of its samples")
             if share > _SATURATED
-            else flaw or _crushed(value)
-            for share, flaw, value in zip(shares, flaws(rows.value), rows.value, strict=True)
+            else flaw(value) or _crushed(value)
+            for share, value in zip(shares, rows.value, strict=True)
         ]
         for rows, shares in zip(regions, saturated, strict=True)
     ]
@@ -110,10 +109,7 @@ def plane_edge_stack(
 def _crushed(value: np.ndarray) -> Remark | None:
     """Describe the crushed dark side of a strip, or return None."""
     used = value[np.isfinite(value)]
-    low = used.min()
-    if (used == low).mean() < _CRUSHED:
-        return None
-    bright = used > (low + used.max()) / 2
+    bright = used > (used.min() + used.max()) / 2
     share = crushed_share(used[~bright], used[bright])
     return (
         Remark("crushed", f"blacks are crushed: {share:.0%} of its dark side has the very lowest value")
