@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from matcam.calibration.edge.edge import AT_ONCE, EdgeSettings, edge_mtf_stack, edge_stack
-from matcam.calibration.photograph.linear_image import LinearImage, flaws
+from matcam.calibration.photograph.linear_image import LinearImage, flaw
 from matcam.calibration.search.edge_search import find_edges
 from matcam.calibration.search.photograph_edges import strip_regions, strips_along
 from matcam.files.photographs import read_photograph
@@ -19,7 +19,7 @@ def measured(picture, cfa=None, channel=None):
     plane = LinearImage.of(picture, channel, cfa)
     strips = strips_along(find_edges(picture, mosaic=cfa is not None), plane.shape)
     regions = [rows for rows, _ in strip_regions(strips, plane, AT_ONCE)]
-    return edge_stack([(rows, flaws(rows.value)) for rows in regions], EdgeSettings())
+    return edge_stack([(rows, [flaw(value) for value in rows.value]) for rows in regions], EdgeSettings())
 
 
 def matched(x, y, angle, sides):

@@ -267,11 +267,9 @@ def _draw_field(axes: Axes, found: Calibration, picture: np.ndarray | None) -> N
             middle = (edges.x.mean(), edges.y.mean())
         else:
             middle = ((picture.shape[1] - 1) / 2, (picture.shape[0] - 1) / 2)
-        radius = np.hypot(edges.x - middle[0], edges.y - middle[1])
-        # edges whose normals point to the middle show the meridional blur, the others the sagittal one
-        along = np.abs(np.cos(edges.angle - np.arctan2(edges.y - middle[1], edges.x - middle[0])))
+        radius, meridional = edges.over_field(middle)
         for plane, fill in (("meridional", COLOURS[name]), ("sagittal", "white")):
-            which = (along > np.sqrt(0.5)) == (plane == "meridional")
+            which = meridional == (plane == "meridional")
             axes.errorbar(
                 radius[which], edges.sigma[which], edges.sigma_std[which], fmt=_MARKS[name], ms=3.5, lw=0.7,
                 color=COLOURS[name], mfc=fill, label=f"{name}, {plane}",

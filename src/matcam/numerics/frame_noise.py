@@ -7,10 +7,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from matcam.numerics.robust import robust_std
+
 _OUTLIER = 8.0
 """Robust standard deviations beyond which a difference is a cosmic ray or a hot pixel; probability of normal values: 1e-15."""
-_ROBUST = 1.4826
-"""Standard deviation of normal values over their median absolute value."""
 _SMALLEST_SPREAD = 0.5
 """Smallest robust standard deviation, codes: most pixels of a quiet frame have one code."""
 _SIGNIFICANT = 5.0
@@ -26,7 +26,7 @@ def clipped_variance(values: np.ndarray) -> float:
     Returns:
         Variance, DN^2; 0 of no values.
     """
-    width = _OUTLIER * max(_ROBUST * float(np.median(np.abs(values))), _SMALLEST_SPREAD)
+    width = _OUTLIER * max(robust_std(values), _SMALLEST_SPREAD)
     kept = values[np.abs(values) <= width]
     return float(kept.var(dtype=np.float64)) if kept.size else 0.0
 

@@ -26,3 +26,21 @@ def plane_powers(x: FloatArray, y: FloatArray, degree: int) -> FloatArray:
         of_x.append(of_x[-1] * x)
         of_y.append(of_y[-1] * y)
     return np.stack([of_x[i] * of_y[j] for i, j in plane_orders(degree)], axis=-1)
+
+
+def plane_fit(x: FloatArray, y: FloatArray, values: FloatArray, degree: int) -> FloatArray:
+    """Fit a polynomial of x and y by least squares.
+
+    Args:
+        x: first coordinate, (n,).
+        y: second coordinate, (n,).
+        values: values, (n, ...).
+        degree: highest order.
+
+    Returns:
+        Coefficients of x^i y^j, (degree + 1, degree + 1, ...), as `numpy.polynomial.polynomial.polyval2d` takes them.
+    """
+    found = np.zeros((degree + 1, degree + 1, *values.shape[1:]))
+    i, j = np.transpose(plane_orders(degree))
+    found[i, j] = np.linalg.lstsq(plane_powers(x, y, degree), values, rcond=None)[0]
+    return found

@@ -13,12 +13,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from matcam.calibration.camera.camera_fit import CameraFit, CameraRequest, fit_camera
-from matcam.calibration.camera.evidence import Evidence, Finding, PicturePlan
+from matcam.calibration.camera.evidence import EdgeTable, Evidence, Finding, PicturePlan
 from matcam.calibration.camera.lateral_colour import LateralColour, lateral_colour, lateral_remark
 from matcam.calibration.camera.processed_pictures import doubt_of
 from matcam.calibration.chart.chart import Chart
 from matcam.calibration.chart.chart_file import read_chart
-from matcam.calibration.photograph.linear_image import CHANNELS, MOSAICS, LinearImage, as_photograph
+from matcam.calibration.photograph.linear_image import CHANNELS, LinearImage, as_photograph
 from matcam.calibration.photograph.tone import Tone
 from matcam.calibration.targets.mtf_samples import MTFSamples
 from matcam.camera.camera import Camera
@@ -26,7 +26,7 @@ from matcam.camera.parameters import Provenance
 from matcam.core import checks
 from matcam.core.errors import ArgumentError, FitError, MatcamError
 from matcam.core.io import plain
-from matcam.core.registry import FITTED_LENSES
+from matcam.core.registry import CFAS, FITTED_LENSES
 from matcam.core.remark import Remark, texts
 from matcam.core.results.summary import Quantity, Summarised, Summary
 from matcam.files.photographs import Photograph, open_photograph
@@ -106,20 +106,15 @@ class Calibration(Summarised):
             "sigma_std": "standard deviation of sigma [px]",
             "mtf50_std": "standard deviation of mtf50 [cycles/px]",
         }
-        columns: dict[str, Any] = {
-            name: ("edge", np.concatenate([getattr(t, name) for t in tables.values()] or [np.zeros(0)]))
-            for name in names
-        }
+        edges = EdgeTable.joined(tables.values()) if tables else EdgeTable(*[np.zeros(0)] * len(EdgeTable._fields))
+        columns: dict[str, Any] = {name: ("edge", getattr(edges, name)) for name in names}
         if self.shape is not None:
-            x, y, angle = (columns[name][1] for name in ("x", "y", "angle"))
-            dx, dy = x - (self.shape[1] - 1) / 2, y - (self.shape[0] - 1) / 2
-            meridional = np.abs(np.cos(angle - np.arctan2(dy, dx))) > np.sqrt(0.5)
-            columns["image_height"] = ("edge", np.hypot(dx, dy))
+            height, meridional = edges.over_field(((self.shape[1] - 1) / 2, (self.shape[0] - 1) / 2))
+            columns["image_height"] = ("edge", height)
             columns["plane"] = ("edge", np.where(meridional, "meridional", "sagittal"))
             names |= {"image_height": "distance from the middle of the image [px]"}
-        channels = [name for name, t in tables.items() for _ in range(t.x.size)]
-        columns["channel"] = ("edge", np.array(channels, dtype=str))
-        columns["picture"] = ("edge", np.array([str(s) for t in tables.values() for s in t.source], dtype=str))
+        channels = np.repeat(list(tables), [table.x.size for table in tables.values()])
+        columns |= {"channel": ("edge", channels.astype(str)), "picture": ("edge", edges.source.astype(str))}
         return named(xr.Dataset(columns), names)
 
     def _summary(self) -> Summary:
@@ -222,7 +217,7 @@ def calibrate(
     for name in () if channels is None else channels:
         checks.choice("channel", name, CHANNELS)
     if cfa is not None:
-        checks.choice("cfa", cfa, MOSAICS)
+        checks.choice("cfa", cfa, CFAS)
     checks.flag("accept_sharpened", accept_sharpened)
     samples = checks.instances("samples", samples, MTFSamples)
     if not len(pictures) and not len(samples):
@@ -346,8 +341,6 @@ def _checked_f_numbers(f_numbers: Any, count: int) -> list[float | None]:
     if f_numbers is None:
         return [None] * count
     numbers = np.asarray(checks.within("f_numbers", f_numbers, 0.3, 200.0), dtype=float)
-    if numbers.ndim == 0:
-        return [float(numbers)] * count
-    if numbers.shape != (count,):
+    if numbers.shape not in ((), (count,)):
         raise ArgumentError(f"f_numbers must be one, or one for each of the {count} pictures, got {numbers.size}")
-    return [float(n) for n in numbers]
+    return list(np.broadcast_to(numbers, count).tolist())

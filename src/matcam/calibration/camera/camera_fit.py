@@ -7,7 +7,7 @@ because core and diffraction together are no family of their own.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -19,29 +19,31 @@ from matcam.calibration.camera.joint_fit import (
     EdgeMeasurements,
     JointFit,
     Measurements,
-    Unknowns,
     fit_jointly,
     in_profile_units,
 )
 from matcam.calibration.edge.free_curve import FREQUENCIES
-from matcam.calibration.edge.profiles import KURTOSIS, LensModel, Separable, lens_model
+from matcam.calibration.edge.profiles import KURTOSIS, LensModel, Separable, check_light, lens_model
 from matcam.camera.camera import Camera
 from matcam.camera.optics.gaussian import GaussianOptics
 from matcam.camera.optics.measured import MeasuredOptics
 from matcam.camera.optics.pupil import DiffractionOptics
 from matcam.camera.parameters import Provenance, Uncertainty
 from matcam.camera.pixel import BoxPixel
+from matcam.core.arrays.module import replaced
 from matcam.core.errors import ArgumentError, FitError
 from matcam.core.jax import jax, jnp
 from matcam.core.programs import kept_program
 from matcam.core.remark import Remark
 from matcam.core.results.summary import Quantity, Summarised, Summary, correlations, parameters
 
+# relative differences of the blur, and standard deviations: a target of a chart is left out if it differs by more from
+# the edges of the chart; other measurements contradict each other
+_STRANGE, _LARGE, _CLEAR = 0.03, 0.1, 5.0
 _LARGEST_STD = 0.1  # relative standard deviation; limit for lens and pixel if both are fitted
 # MTF, and standard deviations: if both are exceeded, the model does not describe the edges
 _MISSED, _SIGNIFICANT = 0.005, 4.0
 _SIGMA = 0.5  # px: start of a fit without edges
-_WAVELENGTHS, _PITCHES = (1e-9, 1e-3), (1e-8, 1e-2)  # m
 _PIXEL = 0.3  # smallest MTF of the pixel by which a curve is divided
 _STD = 0.03  # standard deviation of the lens MTF above which the curve is extrapolated
 _TAIL, _END = 24, 1e-6  # samples of the Gaussian that continues the curve, and the value that is set to 0
@@ -66,10 +68,7 @@ class CameraRequest:
         both = wavelength is not None and self.pixel_pitch is not None
         if self.model in ("diffraction", "defocus") and not both:
             raise ArgumentError(f"wavelength and pixel_pitch must be given for the {self.model} model, m")
-        if wavelength is not None and not _WAVELENGTHS[0] <= wavelength <= _WAVELENGTHS[1]:
-            raise ArgumentError(f"wavelength must lie in [1e-09, 0.001] m (550 nm is 550e-9), got {wavelength:g}")
-        if self.pixel_pitch is not None and not _PITCHES[0] <= self.pixel_pitch <= _PITCHES[1]:
-            raise ArgumentError(f"pixel_pitch must lie in [1e-08, 0.01] m (5 um is 5e-6), got {self.pixel_pitch:g}")
+        check_light(wavelength, self.pixel_pitch)
         if self.half_width is not None:
             name = "gaussian" if self.model == "measured" else self.model
             lens = lens_model(name, wavelength, self.pixel_pitch)
@@ -209,11 +208,7 @@ class CameraFit(Summarised):
         Returns:
             The same fit.
         """
-        c = self.camera
-        return replace(
-            self,
-            camera=Camera(c.optics, c.pixel, c.sensor, uncertainty=c.uncertainty, provenance=provenance, field=c.field),
-        )
+        return replace(self, camera=replaced(self.camera, "provenance", provenance))
 
     def with_wider_errors(self, std: float) -> CameraFit:
         """Return the fit with another error of its first parameter.
@@ -226,10 +221,9 @@ class CameraFit(Summarised):
         """
         covariance = self.covariance.copy()
         covariance[0, 0] += std**2
-        c, uncertainty = self.camera, self.camera.uncertainty
+        camera, uncertainty = self.camera, self.camera.uncertainty
         if uncertainty is not None and tuple(uncertainty.names) == tuple(self.names):
-            uncertainty = Uncertainty(tuple(self.names), covariance)
-        camera = Camera(c.optics, c.pixel, c.sensor, uncertainty=uncertainty, provenance=c.provenance, field=c.field)
+            camera = replaced(camera, "uncertainty", Uncertainty(tuple(self.names), covariance))
         return replace(self, camera=camera, covariance=covariance)
 
 
@@ -244,11 +238,13 @@ def fit_camera(evidence: Evidence, channel: str, request: CameraRequest) -> Came
     separable = isinstance(lens, Separable)
     start = np.asarray(lens.start(jnp.asarray(np.log(_SIGMA if table is None else np.median(table.sigma)))))
     precision = np.array([0.0, 0.0, KURTOSIS**-2]) if separable else np.zeros(start.size)
-    unknowns = Unknowns(start, lens.longest, precision)
-    fitted, strangers = _without_strangers(measurements, unknowns, request.half_width or 0.5, channel)
+    half = float(request.half_width or 0.5)
+    fitted, strangers = _without_strangers(
+        measurements, lambda some: fit_jointly(some, start, lens.longest, precision, half), channel
+    )
     covariance = fitted.observed_covariance()
     parameters = _within_the_pitch(fitted.parameters, covariance) if separable else fitted.parameters
-    found = _FittedLens(lens, parameters, covariance, float(request.half_width or 0.5))
+    found = _FittedLens(lens, parameters, covariance, half)
     if separable:
         _refuse_unseparated(found, table)
     curve = _mean_curve(found, measurements.edges, table)
@@ -286,24 +282,30 @@ def fit_camera(evidence: Evidence, channel: str, request: CameraRequest) -> Came
 
 
 def _without_strangers(
-    measurements: Measurements, unknowns: Unknowns, half_width: float, channel: str
+    measurements: Measurements, fit: Callable[[Measurements], JointFit], channel: str
 ) -> tuple[JointFit, dict[str, float]]:
     """Fit without the targets that the edges of their chart contradict, and list these with the difference of their
     blur.
 
-    half_width: px, of the pixel. FitError where edges do not decide which measurements are wrong; channel: for its message.
+    FitError where edges do not decide which measurements are wrong; channel: for its message.
     """
-    strangers: dict[str, float] = {}
+    groups, replaceable, strangers = measurements.groups, measurements.replaceable, dict[str, float]()
     while True:
-        fitted = fit_jointly(measurements.without(strangers), unknowns, half_width)
-        more = fitted.strangers(measurements.groups, measurements.replaceable - strangers.keys())
+        fitted = fit(measurements.without(strangers))
+        candidates = replaceable - strangers.keys()
+        off = fitted.differences(groups, set(groups) - candidates)
+        more = {k: d for k, (d, std) in off.items() if k in candidates and abs(d) > max(_STRANGE, _CLEAR * std)}
         if not more:
-            worst = fitted.contradiction(measurements.groups)
-            if worst is None:
+            off = fitted.differences(groups, groups)
+            name, (difference, std) = max(off.items(), key=lambda one: abs(one[1][0]), default=("", (0.0, 0.0)))
+            if abs(difference) < max(_LARGE, _CLEAR * std):
                 return fitted, strangers
-            if worst.name not in measurements.replaceable or worst.name in strangers:
-                raise FitError(f"contradictory measurements, channel {channel}: {worst}")
-            more = {worst.name: worst.difference}
+            if name not in candidates:
+                others = [other for other in off if other != name]
+                text = f"{name} sees a blur {difference:+.0%} against that of {', '.join(others[:2])}"
+                text += f" and {len(others) - 2} others" if len(others) > 2 else ""
+                raise FitError(f"contradictory measurements, channel {channel}: {text}")
+            more = {name: difference}
         strangers |= more
 
 

@@ -15,6 +15,7 @@ import numpy as np
 from matcam.calibration.edge.edge_result import EdgeStack
 from matcam.core.errors import FitError
 from matcam.core.remark import Remark
+from matcam.numerics.robust import robust_std
 
 FEWEST_EDGES = 8
 _APART = np.radians(20.0)  # smallest angle between two directions
@@ -33,7 +34,7 @@ def in_consensus(stacks: Sequence[EdgeStack]) -> list[EdgeStack]:
     value = np.concatenate([np.log(s.parametric.values[g, 0]) for s, g in zip(stacks, good, strict=True)])
     std = np.concatenate([_relative_std(s, g) for s, g in zip(stacks, good, strict=True)])
     middle = np.median(value)
-    scatter = 1.4826 * np.median(np.abs(value - middle))
+    scatter = robust_std(value - middle)
     far = np.abs(value - middle) > np.maximum(_FAR * np.hypot(std, scatter), _LEAST)
     result = []
     for stack, which, off in zip(stacks, good, np.split(far, np.cumsum(counts)[:-1]), strict=True):

@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 
 from matcam.calibration.camera.consensus import in_consensus, refuse_too_few
 from matcam.calibration.camera.joint_fit import Measurements, edge_measurements, value_measurements
-from matcam.calibration.camera.lens_over_field import BlurPlaces, DotPlaces, lens_over_field
+from matcam.calibration.camera.lens_over_field import BlurPlaces, lens_over_field
 from matcam.calibration.camera.processed_pictures import Processed, processed
 from matcam.calibration.chart.chart import Chart, Dots, Grating, Star
 from matcam.calibration.chart.marks import balanced
@@ -71,6 +71,34 @@ class EdgeTable(NamedTuple):
     mtf: np.ndarray
     mtf_std: np.ndarray
     source: np.ndarray
+
+    @classmethod
+    def joined(cls, tables: Iterable[EdgeTable]) -> EdgeTable:
+        """Join the edges of several tables.
+
+        Args:
+            tables: one or more.
+        """
+        return cls(*(np.concatenate(columns) for columns in zip(*tables, strict=True)))
+
+    def over_field(self, middle: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
+        """Compute the distance of the edges from the middle of the picture, px, and whether each is meridional.
+
+        An edge whose normal lies within 45 degrees of the radius shows the meridional MTF, any other the sagittal one.
+
+        Args:
+            middle: (x, y), px.
+        """
+        x, y = self.x - middle[0], self.y - middle[1]
+        return np.hypot(x, y), np.abs(np.cos(self.angle - np.arctan2(y, x))) > np.sqrt(0.5)
+
+    def of_source(self, source: str) -> EdgeTable:
+        """Return the edges of one picture.
+
+        Args:
+            source: name of the picture.
+        """
+        return EdgeTable(*(column[self.source == source] for column in self))
 
     @property
     def weights(self) -> np.ndarray:
@@ -148,7 +176,7 @@ class Finding(NamedTuple):
     f_number: float | None
     edges: EdgeStack | None
     samples: tuple[MTFSamples, ...]
-    dots: tuple[DotPlaces, ...] = ()
+    dots: tuple[BlurPlaces, ...] = ()
     shape: tuple[int, int] | None = None
     software: Processed | None = None
 
@@ -197,7 +225,7 @@ class PicturePlan:
             remarks += [Remark(r.code, f"{plane.channel}: {r.text}") for r in software.remarks]
             result: EdgeStack | None = None
             samples: tuple[MTFSamples, ...] = ()
-            dots: tuple[DotPlaces, ...] = ()
+            dots: tuple[BlurPlaces, ...] = ()
             if self.chart is not None:
                 targets = measure_targets(plane, self.chart, registration=registration, half_width=self.half_width)
                 samples = targets.samples
@@ -242,7 +270,7 @@ def _nothing_measured(chart: Chart, registration: Projection) -> FitError:
     )
 
 
-def dot_places(chart: Chart, targets: Targets) -> tuple[DotPlaces, ...]:
+def dot_places(chart: Chart, targets: Targets) -> tuple[BlurPlaces, ...]:
     """Return the positions of all measured dots in the picture and on the page, from the registration."""
     printed = [np.array(one.centres, dtype=float) for one in chart.elements if isinstance(one, Dots)]
     if not printed or not targets.grids:
@@ -252,8 +280,8 @@ def dot_places(chart: Chart, targets: Targets) -> tuple[DotPlaces, ...]:
     places = []
     for grid in targets.grids:
         seen = np.column_stack([grid.x, grid.y])
-        places.append((page[expected.query(seen)[1]], seen, grid.sigma, grid.sigma_std))
-    return (DotPlaces(*(np.concatenate(column) for column in zip(*places, strict=True))),)
+        places.append((seen, grid.sigma, grid.sigma_std, page[expected.query(seen)[1]]))
+    return (BlurPlaces(*(np.concatenate(column) for column in zip(*places, strict=True))),)
 
 
 def _group(samples: MTFSamples) -> str:
@@ -318,24 +346,19 @@ class Evidence:
         shapes = {f.shape for f in self._findings if f.shape is not None}
         if len(shapes) != 1:
             return None
-        dots = [one for f in self._findings for one in f.dots]
-        edges, (shape,) = self.table(), shapes
+        places, edges = [one for f in self._findings for one in f.dots], self.table()
         # Pictures with other apertures have another blur.
-        blurs = [BlurPlaces(one.seen[:, 0], one.seen[:, 1], one.sigma, one.sigma_std) for one in dots]
-        for source in () if edges is None else dict.fromkeys(edges.source.tolist()):
-            assert edges is not None
-            of = edges.source == source
-            blurs.append(BlurPlaces(edges.x[of], edges.y[of], edges.sigma[of], edges.sigma_std[of]))
-        return lens_over_field(dots, blurs, shape)
+        if edges is not None:
+            pictures = map(edges.of_source, dict.fromkeys(edges.source.tolist()))
+            places += [BlurPlaces(np.column_stack([of.x, of.y]), of.sigma, of.sigma_std) for of in pictures]
+        return lens_over_field(places, *shapes)
 
     def table(self) -> EdgeTable | None:
         """Return all edges without problems; None if there are no edges."""
-        rows = []
+        tables = []
         for edges, source, _ in self._stacks:
             fit, good = edges.parametric, edges.good
-            columns = (
-                *edges.place, edges.angle, fit.values[:, 0], np.sqrt(fit.covariance[:, 0, 0]), edges.mtf50,
-                edges.mtf50_std, edges.mtf, edges.mtf_std,
-            )  # fmt: skip
-            rows.append((*(np.asarray(column)[good] for column in columns), np.full(good.size, source)))
-        return EdgeTable(*(np.concatenate(columns) for columns in zip(*rows, strict=True))) if rows else None
+            sigma, std = fit.values[:, 0], np.sqrt(fit.covariance[:, 0, 0])
+            own = (edges.mtf50, edges.mtf50_std, edges.mtf, edges.mtf_std, np.full(len(edges), source))
+            tables.append(EdgeTable(*(column[good] for column in (*edges.place, edges.angle, sigma, std, *own))))
+        return EdgeTable.joined(tables) if tables else None

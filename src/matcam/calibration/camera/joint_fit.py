@@ -30,10 +30,6 @@ _ROUNDS, _DONE, _WORSE = 40, 1e-3, 1.05
 _AT_ONCE = 16  # number of edges in one block
 
 
-# standard deviations and relative difference of the blur above which measurements contradict each other
-_CLEAR, _LARGE = 5.0, 0.1
-# relative: a target of a chart is rejected if its blur differs by more from that of the edges of the chart
-_STRANGE = 0.03
 _DOUBT = 1e-3  # probability below which noise does not explain the scatter
 
 
@@ -105,20 +101,6 @@ class Measurements(NamedTuple):
         return self._replace(values=self.values._replace(weight=weight))
 
 
-class Unknowns(NamedTuple):
-    """Start and limits of the fit.
-
-    Attributes:
-        start: (k,) parameters.
-        longest: (k,) steps that are not exceeded.
-        precision: (k,) of a prior about 0; 0 where nothing is known.
-    """
-
-    start: np.ndarray
-    longest: Sequence[float]
-    precision: np.ndarray
-
-
 class Shares(NamedTuple):
     """Share of each of n measurements in the fit.
 
@@ -133,24 +115,6 @@ class Shares(NamedTuple):
     score: AnyArray
     chi2: AnyArray
     degrees: AnyArray
-
-
-class Contradiction(NamedTuple):
-    """Disagreement of one group of measurements with all others.
-
-    Attributes:
-        name: name of the group.
-        difference: relative difference of the blur that the group sees.
-        others: names of the other groups.
-    """
-
-    name: str
-    difference: float
-    others: list[str]
-
-    def __str__(self) -> str:
-        more = f" and {len(self.others) - 2} others" if len(self.others) > 2 else ""
-        return f"{self.name} sees a blur {self.difference:+.0%} against that of {', '.join(self.others[:2])}{more}"
 
 
 class JointFit(NamedTuple):
@@ -200,31 +164,11 @@ class JointFit(NamedTuple):
         grown = wide if (ratio > 1).all() else self.covariance * np.outer(ratio, ratio)
         return (grown + grown.T) / 2
 
-    def contradiction(self, groups: Sequence[str]) -> Contradiction | None:
-        """Find the group of measurements that contradicts the others most, or return None.
+    def differences(self, groups: Sequence[str], trusted: Collection[str]) -> dict[str, tuple[float, float]]:
+        """Compute how much more blur each group sees than the other trusted ones, relative, and its standard deviation.
 
         groups: picture and kind of every measurement.
         """
-        found = self._differences(groups, set(groups))
-        name, (difference, std) = max(found.items(), key=lambda one: abs(one[1][0]), default=("", (0.0, 0.0)))
-        if abs(difference) < max(_LARGE, _CLEAR * std):
-            return None
-        return Contradiction(name, difference, [other for other in found if other != name])
-
-    def strangers(self, groups: Sequence[str], candidates: Collection[str]) -> dict[str, float]:
-        """Find candidates that see another blur than all other groups together, and how far off it is (relative).
-
-        groups: picture and kind of every measurement.
-        """
-        found = self._differences(groups, set(groups) - set(candidates))
-        return {
-            name: difference
-            for name, (difference, std) in found.items()
-            if name in candidates and abs(difference) > max(_STRANGE, _CLEAR * std)
-        }
-
-    def _differences(self, groups: Sequence[str], trusted: Collection[str]) -> dict[str, tuple[float, float]]:
-        """Compute how much more blur each group sees than the other trusted ones, relative, and its standard deviation."""
         names = list(dict.fromkeys(groups))
         # the scatter between groups, which they cause themselves, is no excuse: each is judged by its members
         members = (np.array([group == name for group in groups]) for name in names)
@@ -240,25 +184,23 @@ class JointFit(NamedTuple):
 
     def _of_group(self, members: np.ndarray) -> tuple[float, float]:
         """Return the difference of the blur of a group, and its standard deviation from noise and the scatter in the group."""
-        information = max(float(self.shares.information[members, 0, 0].sum()), 1e-300)
-        shift = float(self.shares.score[members, 0].sum()) / information
-        return shift, float(np.sqrt(self._excess_within(members, shift) / information))
-
-    def _excess_within(self, members: np.ndarray, shift: float) -> float:
-        """Return chi2 per degree of freedom within one group, at least 1."""
-        information = self.shares.information[members, 0, 0]
-        residual = self.shares.score[members, 0] - shift * information
-        return max((residual**2 / np.maximum(information, 1e-300)).sum() / max(members.sum() - 1, 1), 1.0)
+        information = np.maximum(self.shares.information[members, 0, 0], 1e-300)
+        score, total = self.shares.score[members, 0], float(information.sum())
+        shift = float(score.sum()) / total
+        chi2 = float(((score - shift * information) ** 2 / information).sum())
+        return shift, float(np.sqrt(max(chi2 / max(members.sum() - 1, 1), 1.0) / total))
 
 
-def fit_jointly(measurements: Measurements, unknowns: Unknowns, half_width: float) -> JointFit:
+def fit_jointly(
+    measurements: Measurements, start: np.ndarray, longest: Sequence[float], prior: np.ndarray, half_width: float
+) -> JointFit:
     """Fit the most probable parameters to all measurements.
 
+    start: (k,) parameters. longest: (k,) steps that are not exceeded. prior: (k,) precision of a prior about 0.
     half_width: px, of the pixel where it is not among the parameters. FitError if the measurements do not determine the
     parameters, or no end is found.
     """
-    theta = np.asarray(unknowns.start, dtype=np.float64)
-    prior, longest = unknowns.precision, np.array(unknowns.longest)
+    theta = np.asarray(start, dtype=np.float64)
     edges, values = measurements.edges, measurements.values
     count = 0 if edges is None else len(edges.angle)
     edges = None if edges is None else _with_empty_edges(edges)
@@ -281,7 +223,7 @@ def fit_jointly(measurements: Measurements, unknowns: Unknowns, half_width: floa
         lowest, best, best_response = misfit, (theta, edges), response
         covariance = _inverse(shares.information.sum(0) + np.diag(prior))
         wanted = covariance @ (shares.score.sum(0) - prior * theta)
-        step = np.clip(wanted, -longest, longest)
+        step = np.clip(wanted, -np.array(longest), longest)
         theta, edges = _after_step(theta, edges, step, response)
         if (np.abs(wanted) <= _DONE * np.sqrt(np.diag(covariance))).all():
             return JointFit(theta, covariance, shares, prior)

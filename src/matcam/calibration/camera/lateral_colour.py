@@ -13,11 +13,11 @@ from scipy.spatial import cKDTree
 
 from matcam.calibration.camera.evidence import EdgeTable
 from matcam.core.remark import Remark
+from matcam.numerics.robust import robust_fit
 
 _SAME = 2.0  # px: largest distance between the centres of one edge in two colours
 _ALIKE = np.radians(3.0)  # largest angle between their normals
 _FEWEST, _MANY = 12, 24  # fewest edges for a magnification, and for one that changes over the field
-_FAR, _ROUNDS = 4.0, 3  # standard deviations: an edge with a larger residual is left out
 _REMARKABLE, _SURE = 0.1, 5.0  # px in the corners, and standard deviations
 
 
@@ -51,20 +51,17 @@ def lateral_colour(of: EdgeTable, reference: EdgeTable, shape: tuple[int, int]) 
     """
     middle, unit = (np.array(shape[::-1]) - 1) / 2, float(np.hypot(*shape) / 2)
     places, moved, normals = [], [], []
-    for source in dict.fromkeys(of.source.tolist()):
-        mine, theirs = np.flatnonzero(of.source == source), np.flatnonzero(reference.source == source)
-        if not theirs.size:
-            continue
-        here, there = (np.column_stack([a.x, a.y])[at] for a, at in ((of, mine), (reference, theirs)))
+    for source in set(of.source) & set(reference.source):
+        mine, theirs = of.of_source(source), reference.of_source(source)
+        here, there = (np.column_stack([edges.x, edges.y]) for edges in (mine, theirs))
         far, nearest = cKDTree(there).query(here)
-        turn = of.angle[mine] - reference.angle[theirs][nearest]
-        same = (far < _SAME) & (np.abs(np.angle(np.exp(1j * turn))) < _ALIKE)
-        angle = reference.angle[theirs][nearest][same]
-        normal = np.column_stack([np.cos(angle), np.sin(angle)])
+        angle = theirs.angle[nearest]
+        same = (far < _SAME) & (np.abs(np.angle(np.exp(1j * (mine.angle - angle)))) < _ALIKE)
+        normal = np.column_stack([np.cos(angle), np.sin(angle)])[same]
         places.append(there[nearest][same])
         normals.append(normal)
         moved.append(((here - there[nearest])[same] * normal).sum(1))
-    if not places or sum(map(len, places)) < _FEWEST:
+    if sum(map(len, places)) < _FEWEST:
         return None
     at, normal, off = (np.concatenate(parts) for parts in (places, normals, moved))
     from_middle = (at - middle) / unit
@@ -72,20 +69,14 @@ def lateral_colour(of: EdgeTable, reference: EdgeTable, shape: tuple[int, int]) 
     columns = [normal[:, 0], normal[:, 1], out]
     if len(off) >= _MANY:
         columns.append(out * (from_middle**2).sum(1))
-    design, keep = np.column_stack(columns), np.ones(len(off), bool)
-    for _ in range(_ROUNDS):
-        found = np.linalg.lstsq(design[keep], off[keep], rcond=None)[0]
-        left = off - design @ found
-        keep = np.abs(left) < _FAR * max(1.4826 * float(np.median(np.abs(left[keep]))), 1e-9)
-    spare = max(int(keep.sum()) - design.shape[1], 1)
-    covariance = np.linalg.pinv(design[keep].T @ design[keep]) * float((left[keep] ** 2).sum()) / spare
-    corner = (np.arange(design.shape[1]) >= 2).astype(float)
+    fit = robust_fit(np.column_stack(columns), off)
+    covariance, corner = fit.covariance * fit.chi2, (np.arange(len(columns)) >= 2).astype(float)
     return LateralColour(
-        float(corner @ found),
+        float(corner @ fit.parameters),
         float(np.sqrt(corner @ covariance @ corner)),
-        float(found[2]) / unit,
+        float(fit.parameters[2]) / unit,
         float(np.sqrt(covariance[2, 2])) / unit,
-        int(keep.sum()),
+        int(fit.kept.sum()),
     )
 
 

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import ndimage
 
-from matcam.calibration.photograph.flat_noise import BENT_DOUBT, FlatNoise, flat_noise, smoothing_doubt
+from matcam.calibration.photograph.flat_noise import BENT_DOUBT, LEAST_NOISE, FlatNoise, flat_noise, smoothing_doubt
 from matcam.calibration.photograph.linear_image import LinearImage
 from matcam.core.errors import FitError
 from matcam.core.remark import Remark
@@ -19,7 +19,6 @@ from matcam.core.remark import Remark
 _LARGEST = 1500  # px: so large a part of a picture is enough
 # px, px, share of the range: an area is even if the smoothed light varies by less over a window
 _SMOOTH, _WINDOW, _EVEN = 2.0, 9, 0.06
-_LEAST_NOISE = 2e-4  # share of the range
 _PIXEL = 1 / 12  # px^2
 
 
@@ -93,7 +92,7 @@ def picture_noise(values: np.ndarray) -> FlatNoise:
     varies = ndimage.maximum_filter(smooth, _WINDOW) - ndimage.minimum_filter(smooth, _WINDOW)
     even = known & (varies < _EVEN * (high - low))
     dark = smooth < (low + high) / 2
-    return flat_noise(middle, even & dark, even & ~dark, least=_LEAST_NOISE * (high - low))
+    return flat_noise(middle, even & dark, even & ~dark, least=LEAST_NOISE * (high - low))
 
 
 def doubt_of(pictures: Iterable[Processed], sigma: float) -> float:

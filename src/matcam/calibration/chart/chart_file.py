@@ -21,13 +21,14 @@ Places are in mm on the page, x right and y down from the upper left corner. Lev
 from __future__ import annotations
 
 import json
+from dataclasses import fields
 from importlib import metadata
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Union, get_args
 
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError, create_model
 
-from matcam.calibration.chart.chart import Chart, Dots, Element, Fiducial, Grating, Patch, Square, Star
+from matcam.calibration.chart.chart import Chart, Element, Fiducial
 from matcam.core import checks
 from matcam.core.errors import ArgumentError, FileFormatError
 from matcam.core.io import write_json
@@ -63,13 +64,10 @@ def read_chart(path: str | Path) -> Chart:
     document = read_json(path, _WHAT)
     checked_version(document, path, _WHAT, FORMAT, (VERSION,))
     try:
-        found = _Document.model_validate(document)
-        return Chart(
-            (found.page_mm[0], found.page_mm[1]),
-            tuple(Fiducial(**_without_units(f.model_dump())) for f in found.fiducials),
-            tuple(_CLASSES[e.kind](**_without_units(e.model_dump(exclude={"kind"}))) for e in found.elements),
-            found.ink_level,
-        )
+        found = _Document.model_validate(document).model_dump()
+        fiducials = tuple(Fiducial(**_without_units(mark)) for mark in found["fiducials"])
+        elements = tuple(_CLASSES[one.pop("kind")](**_without_units(one)) for one in found["elements"])
+        return Chart(_tuples(found["page_mm"]), fiducials, elements, found["ink_level"])
     except ValidationError as error:
         raise FileFormatError(f"{path}: {first_problem(error)}") from None
     except ArgumentError as error:
@@ -132,103 +130,79 @@ def description_path(page: str | Path) -> Path:
 
 def chart_schema() -> dict[str, Any]:
     """Return the JSON Schema of a chart's description."""
-    return _Document.model_json_schema()
+    schema: dict[str, Any] = _Document.model_json_schema()
+    return schema
 
 
 _Positive = Annotated[FiniteFloat, Field(gt=0)]
 _Level = Annotated[FiniteFloat, Field(ge=0, le=1)]
 _Point = Annotated[list[FiniteFloat], Field(min_length=2, max_length=2)]
+_Sides = Annotated[list[_Positive], Field(min_length=2, max_length=2)]
 _Corners = Annotated[list[_Point], Field(min_length=4, max_length=4)]
-
-
-# Models have no docstrings: pydantic would put them into the published schema.
+_FIELDS: dict[str, tuple[str, Any]] = {
+    "profile": ("profile", Literal["sine", "bars", "lines"]),
+    "corners": ("corners_mm", _Corners),
+    "centre": ("centre_mm", _Point),
+    "centres": ("centres_mm", Annotated[list[_Point], Field(min_length=1)]),
+    "size": ("size_mm", _Sides),
+    "inner": ("inner_mm", Annotated[FiniteFloat, Field(ge=0)]),
+    "outer": ("outer_mm", _Positive),
+    "radius": ("radius_mm", _Positive),
+    "pitch": ("pitch_mm", _Positive),
+    "period": ("period_mm", _Positive),
+    "angle": ("angle_rad", FiniteFloat),
+    "phase": ("phase_rad", FiniteFloat),
+    "cycles": ("cycles", Annotated[int, Field(ge=8, le=2000)]),
+    "rings": ("rings", Annotated[int, Field(ge=1, le=2)]),
+    "level": ("level", _Level),
+    "dark": ("dark", _Level),
+    "bright": ("bright", _Level),
+    "duty": ("duty", FiniteFloat),
+}
+"""Name in the file and type of every field of elements and fiducials."""
+_NAMES = {there: here for here, (there, _) in _FIELDS.items()}
 
 
 class _Strict(BaseModel):
+    # no docstring: pydantic would put it into the published schema
     model_config = ConfigDict(extra="forbid", strict=True)
 
 
-class _Square(_Strict):
-    kind: Literal["square"]
-    corners_mm: _Corners
-    level: _Level
+def _model(name: str, types: dict[str, Any]) -> Any:
+    """Make the model of an object, all of whose fields must be there."""
+    given: dict[str, Any] = {field: (kind, ...) for field, kind in types.items()}
+    return create_model(f"_{name}", __base__=_Strict, **given)
 
 
-class _Patch(_Strict):
-    kind: Literal["patch"]
-    corners_mm: _Corners
-    level: _Level
+def _model_of(printed: type, **more: Any) -> Any:
+    """Make the model of an element or a fiducial."""
+    return _model(printed.__name__, more | dict(_FIELDS[field.name] for field in fields(printed)))
 
 
-class _Grating(_Strict):
-    kind: Literal["grating"]
-    profile: Literal["sine", "bars", "lines"]
-    centre_mm: _Point
-    size_mm: Annotated[list[_Positive], Field(min_length=2, max_length=2)]
-    angle_rad: FiniteFloat
-    period_mm: _Positive
-    phase_rad: FiniteFloat
-    dark: _Level
-    bright: _Level
-    duty: FiniteFloat
-
-
-class _Star(_Strict):
-    kind: Literal["star"]
-    centre_mm: _Point
-    inner_mm: Annotated[FiniteFloat, Field(ge=0)]
-    outer_mm: _Positive
-    cycles: Annotated[int, Field(ge=8, le=2000)]
-    phase_rad: FiniteFloat
-    dark: _Level
-    bright: _Level
-
-
-class _Dots(_Strict):
-    kind: Literal["dots"]
-    centres_mm: Annotated[list[_Point], Field(min_length=1)]
-    radius_mm: _Positive
-    pitch_mm: _Positive
-    level: _Level
-
-
-class _Fiducial(_Strict):
-    centre_mm: _Point
-    radius_mm: _Positive
-    rings: Annotated[int, Field(ge=1, le=2)]
-
-
-class _Document(_Strict):
-    format: Literal["matcam chart"]
-    version: Literal[1]
-    software: str
-    page_mm: Annotated[list[_Positive], Field(min_length=2, max_length=2)]
-    ink_level: _Level
-    fiducials: list[_Fiducial]
-    elements: list[Annotated[_Square | _Grating | _Star | _Dots | _Patch, Field(discriminator="kind")]]
-
-
-_CLASSES: dict[str, type[Element]] = {
-    "square": Square, "grating": Grating, "star": Star, "dots": Dots, "patch": Patch,
-}  # fmt: skip
-_UNITS = {
-    **dict.fromkeys(("centre", "size", "corners", "centres", "inner", "outer", "radius", "pitch", "period"), "_mm"),
-    **dict.fromkeys(("angle", "phase"), "_rad"),
-}
+_CLASSES: dict[str, type] = {one.__name__.lower(): one for one in get_args(Element)}
+_ELEMENTS: Any = tuple(_model_of(one, kind=Literal[kind]) for kind, one in _CLASSES.items())
+_Document = _model(
+    "Document",
+    {
+        "format": Literal["matcam chart"],
+        "version": Literal[1],
+        "software": str,
+        "page_mm": _Sides,
+        "ink_level": _Level,
+        "fiducials": list[_model_of(Fiducial)],  # type: ignore[misc]
+        "elements": list[Annotated[Union[_ELEMENTS], Field(discriminator="kind")]],  # noqa: UP007
+    },
+)
 
 
 def _with_units(thing: Element | Fiducial) -> dict[str, Any]:
-    """Return an element's fields, with units in their names."""
-    return {f"{name}{_UNITS.get(name, '')}": value for name, value in vars(thing).items()}
+    """Return the fields of an element under their names in the file."""
+    return {_FIELDS[name][0]: value for name, value in vars(thing).items()}
 
 
 def _without_units(document: dict[str, Any]) -> dict[str, Any]:
-    """Return a document's fields under their names in Python, lists as tuples."""
-
-    def plain(name: str) -> str:
-        return name.removesuffix("_mm").removesuffix("_rad")
-
-    return {plain(name): _tuples(value) for name, value in document.items()}
+    """Return the fields of an element under their names in Python, lists as tuples."""
+    return {_NAMES[name]: _tuples(value) for name, value in document.items()}
 
 
 def _tuples(value: Any) -> Any:

@@ -14,17 +14,17 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from matcam.calibration.edge.edge_result import EdgeMTF, EdgeStack, stack_result
-from matcam.calibration.edge.free_curve import GHOSTS, GLARE
+from matcam.calibration.edge.free_curve import GHOSTS, GLARE, line_width
 from matcam.calibration.edge.geometry import Rows, aligned_rows, edge_distance, half_length
 from matcam.calibration.edge.maximum_likelihood import UNKNOWN_NOISE, Noise
-from matcam.calibration.edge.measurement import EdgeFits, edge_fits, edge_fits_of_stack, lens_fit
+from matcam.calibration.edge.measurement import EdgeFits, edge_fits, fits_program, lens_fit
 from matcam.calibration.edge.processing import with_traces
-from matcam.calibration.edge.profiles import Gaussian, LensModel, lens_model
+from matcam.calibration.edge.profiles import Gaussian, LensModel, check_light, lens_model
 from matcam.calibration.edge.rows import EdgeRegions, RegionFrame, edge_regions, refusals, what_is_seen
 from matcam.calibration.edge.start import in_even_rows
-from matcam.calibration.photograph.linear_image import SMALLEST, LinearImage, flaws, region_of
+from matcam.calibration.photograph.linear_image import SMALLEST, LinearImage, flaw, region_of
 from matcam.calibration.photograph.tone import Tone
-from matcam.calibration.photograph.uneven_light import LightField, light_field
+from matcam.calibration.photograph.uneven_light import REACH, LightField, light_field
 from matcam.calibration.photograph.unnamed_mosaic import refuse_unnamed_mosaic
 from matcam.core import checks
 from matcam.core.arrays import changed, tuple_map, xp
@@ -43,8 +43,6 @@ _WIDEST = 0.1
 """Largest blur relative to the region's width with which a flat side remains to measure the illumination."""
 _BRIGHTEST = 0.2
 """Relative standard deviation of the light over a region above which it is a pattern of the scene."""
-_GHOST_REACH = 3.5
-"""Distance from an edge, in widths of the blur, beyond which a side is flat."""
 _WHOLE = 0.5  # px: half width of a pixel that is sensitive over its whole area
 
 
@@ -126,11 +124,10 @@ def edge_mtf(
     """
     settings = _settings(model, wavelength, pixel_pitch, half_width, gain, read_noise, accept_sharpened)
     region = region_of(image, roi, channel=channel, cfa=cfa, tone=tone)
-    values = region.values[None]
-    if problem := flaws(values)[0]:
+    if problem := flaw(region.values):
         raise FitError(problem.text)
     refuse_unnamed_mosaic(region)
-    rows = edge_regions(values, mosaic=region.cfa is not None)
+    rows = edge_regions(region.values[None], mosaic=region.cfa is not None)
     rows = _placed(rows, *region.corner)
     stack = edge_stack([(rows, [None])], settings, even_light=True)
     if problem := stack.problems[0]:
@@ -188,7 +185,7 @@ def edge_mtf_stack(
     for i in range(0, len(values), AT_ONCE):
         some = values[i : i + AT_ONCE].astype(np.float64)
         rows = _placed(edge_regions(some), *corners[i : i + AT_ONCE].T)
-        regions.append((rows, flaws(some)))
+        regions.append((rows, [flaw(one) for one in some]))
         if rows.frame.transposed != regions[0][0].frame.transposed:
             raise ArgumentError(
                 f"images must have edges in similar directions: those from number {i} on are perpendicular to the first ones"
@@ -224,11 +221,11 @@ def edge_stack(
             even.append(rows)
             lights += found
         if settings.lens.name != "gaussian":
-            of_lens = partial(lens_fit, half_width=np.float64(settings.half_width), lens=settings.lens)
+            of_lens = lambda edge: lens_fit(edge, np.float64(settings.half_width), settings.lens)  # noqa: E731
             fits = fits._replace(parametric=_of_each(len(fits.outliers), of_lens, fits))
         chunks.append(fits)
         refused = refusals(fits, given, accept_sharpened=settings.accept_sharpened)
-        problems += [flaw or refusal for flaw, refusal in zip(known, refused, strict=True)]
+        problems += [before or refusal for before, refusal in zip(known, refused, strict=True)]
         frames.append(RegionFrame(*(np.broadcast_to(column, len(rows.value)) for column in rows.frame)))
     fits = tuple_map(lambda *a: np.concatenate(a), *chunks)
     frame = RegionFrame(*(np.concatenate(columns) for columns in zip(*frames, strict=True)))
@@ -265,7 +262,7 @@ def _compiled_fits(rows: EdgeRegions, settings: EdgeSettings) -> EdgeFits:
     value, y, start = (
         np.concatenate([a, np.repeat(a[:1], AT_ONCE - count, axis=0)]) for a in (rows.value, rows.y, rows.start)
     )
-    fits = edge_fits_of_stack(value, y, start, settings.noise, half, step=rows.step, turns=rows.turns)
+    fits = fits_program()(value, y, start, settings.noise, half, rows.step, rows.turns)
     # one after the other: programs that are queued on a processor compete for its threads
     return tuple_map(lambda a: np.array(a)[:count], fits)
 
@@ -281,23 +278,21 @@ def _in_even_light(rows: EdgeRegions, fits: EdgeFits) -> tuple[EdgeRegions, list
         The regions in even light, and the light of each; None where two levels in light of third order explain it.
     """
     value, fields = np.array(rows.value), list[LightField | None]()
-    columns = rows.step * np.arange(value.shape[2])
-    for i, region in enumerate(rows.value):
-        y, start = rows.y[i], rows.start[i]
-        x, across = start[:, None] + columns, np.broadcast_to(y[:, None], region.shape)
+    widths = np.asarray(line_width(fits.free.shape))
+    for i, (region, x, y) in enumerate(zip(rows.value, *rows.coordinates(), strict=True)):
         shape, curve = fits.free.shape, xp.asarray(fits.curve[i])
-        blur = float(np.hypot(shape.sigma[i], shape.half_width[i] / np.sqrt(3)))
+        blur = float(widths[i])
         field: LightField | None = None
         if np.isfinite([*curve, blur]).all() and blur < _WIDEST * np.isfinite(region).sum(1).max() * rows.step:
-            distance = np.asarray(edge_distance(curve, x, across))
+            distance = np.asarray(edge_distance(curve, x, y))
             gain, read = (float(np.asarray(part)[i]) for part in fits.noise)
             glare = bool(fits.free.even[i, GLARE] != 0)
             if (fits.free.even[i, GHOSTS] != 0).any():  # a ghost is not uneven light
-                blur = max(blur, float(shape.apart[i]) / _GHOST_REACH + blur)
+                blur = max(blur, float(shape.apart[i]) / REACH + blur)
             # light along the edge is divided out of the rows in any case
-            aligned = aligned_rows(Rows(region, y, start, rows.step), curve)
-            by_row = np.asarray(in_even_rows(aligned, half_length(Rows(region, y, start, rows.step))).light)[:, None]
-            field = light_field(region / by_row, x, across, distance, (gain, read), blur=blur, glare=glare)
+            own = Rows(region, rows.y[i], rows.start[i], rows.step)
+            by_row = np.asarray(in_even_rows(aligned_rows(own, curve), half_length(own)).light)[:, None]
+            field = light_field(region / by_row, x, y, distance, (gain, read), blur=blur, glare=glare)
             if field is not None and field.amplitude and (field.amplitude > _BRIGHTEST or what_is_seen(region)):
                 field = None
             if field is not None and field.amplitude:
@@ -339,8 +334,7 @@ def _settings(
         for name, value in (("wavelength", wavelength), ("pixel_pitch", pixel_pitch)):
             if value is None:
                 raise ArgumentError(f"{name} must be given for the {model} model, m")
-        checks.within("wavelength", float(wavelength or 0), 1e-9, 1e-3, "m (550 nm is 550e-9)")
-        checks.within("pixel_pitch", float(pixel_pitch or 0), 1e-8, 1e-2, "m (5 um is 5e-6)")
+        check_light(wavelength, pixel_pitch)
     if not (isinstance(half_width, float) and half_width == _WHOLE):
         checks.scalar("half_width", checks.within("half_width", half_width, 0, 0.5, "px", open_low=True))
     if (gain is None) != (read_noise is None):

@@ -22,7 +22,7 @@ from matcam.calibration.edge.parametric_result import (
     with_nan,
 )
 from matcam.calibration.edge.profiles import LensModel
-from matcam.calibration.edge.rows import RegionFrame
+from matcam.calibration.edge.rows import MISFIT, SHARPENED, RegionFrame
 from matcam.core import checks
 from matcam.core.arrays import tuple_map, xp
 from matcam.core.io import plain
@@ -32,12 +32,6 @@ from matcam.core.results.summary import Quantity, Summarised, Summary
 if TYPE_CHECKING:
     import xarray as xr
 
-    from matcam.core.jax import AnyArray
-
-SHARPENED = 0.02
-"""Overshoot, relative to the step, above which an edge gets a remark of its own."""
-MISFIT = 0.002
-"""Misfit, relative to the step, above which an edge gets a remark."""
 _NAMES = {
     "mtf": "MTF of lens and pixel", "mtf_std": "standard deviation of mtf", "core_mtf": "MTF without glare",
     "core_mtf_std": "standard deviation of core_mtf", "parametric_mtf": "MTF of the fitted model",
@@ -387,41 +381,32 @@ def stack_result(
     levels = np.moveaxis(np.asarray(free.levels), -1, 0)
     bad = np.array([problem is not None for problem in problems])
 
-    def numbers(values: AnyArray | np.float64) -> np.ndarray:
-        return with_nan(values, bad)
-
     nx, ny = frame.in_picture(1.0, -slope)
     x, y = frame.in_picture(offset, 0.0)
-    gx, gy = frame.in_picture(levels[2], levels[3])
-    return EdgeStack(
-        frequency=FREQUENCIES,
-        mtf=numbers(fits.mtf.value),
-        mtf_std=numbers(fits.mtf.std),
-        mtf50=numbers(fits.mtf50.value),
-        mtf50_std=numbers(fits.mtf50.std),
-        core_mtf=numbers(fits.core_mtf.value),
-        core_mtf_std=numbers(fits.core_mtf.std),
-        core_mtf50=numbers(fits.core_mtf50.value),
-        core_mtf50_std=numbers(fits.core_mtf50.std),
-        glare_fraction=numbers(glare),
-        glare_fraction_std=numbers(np.sqrt(np.maximum(free.covariance[..., GLARE, GLARE], 0.0))),
-        glare_radius=numbers(np.where(glare != 0, free.shape.radius, np.nan)),
-        angle=numbers(np.arctan2(ny, nx)),
-        angle_std=numbers(np.asarray(fits.slope_std) / (1 + slope**2)),
+    numbers: dict[str, Any] = {
+        "glare_fraction": glare,
+        "glare_fraction_std": np.sqrt(np.maximum(free.covariance[..., GLARE, GLARE], 0.0)),
+        "glare_radius": np.where(glare != 0, free.shape.radius, np.nan),
+        "angle": np.arctan2(ny, nx),
+        "angle_std": np.asarray(fits.slope_std) / (1 + slope**2),
         # the centre is below the chord by the even powers of the curve at its ends, measured along x
-        bow=numbers(-(curve[2] * half**2 + curve[4] * half**4) / np.hypot(1, slope)),
-        place=(numbers(frame.x + x), numbers(frame.y + y)),
-        dark=numbers(levels[0]),
-        bright=numbers(levels[1]),
-        light=(numbers(gx), numbers(gy)),
-        gain=numbers(fits.noise.gain),
-        read_noise=numbers(fits.noise.read),
-        excess=numbers(fits.excess),
+        "bow": -(curve[2] * half**2 + curve[4] * half**4) / np.hypot(1, slope),
+        "dark": levels[0],
+        "bright": levels[1],
+        "gain": fits.noise.gain,
+        "read_noise": fits.noise.read,
+    }
+    numbers |= {name: getattr(fits, name) for name in ("excess", "roughness", "misfit")}
+    for name in ("mtf", "mtf50", "core_mtf", "core_mtf50", "overshoot"):
+        found = getattr(fits, name)
+        numbers |= {name: found.value, f"{name}_std": found.std}
+    known: dict[str, Any] = {name: with_nan(value, bad) for name, value in numbers.items()}
+    for name, pair in (("place", (frame.x + x, frame.y + y)), ("light", frame.in_picture(levels[2], levels[3]))):
+        known[name] = tuple(with_nan(part, bad) for part in pair)
+    return EdgeStack(
+        **known,
+        frequency=FREQUENCIES,
         outliers=np.asarray(fits.outliers).astype(int),
-        roughness=numbers(fits.roughness),
-        misfit=numbers(fits.misfit),
-        overshoot=numbers(fits.overshoot.value),
-        overshoot_std=numbers(fits.overshoot.std),
         problems=problems,
         parametric=parametric_stack(fits.parametric, (fits.mtf, fits.mtf50), bad, lens, half_width),
         fits=fits,

@@ -24,7 +24,6 @@ import numpy as np
 
 from matcam.camera.kernel import edge_and_slopes
 from matcam.core.arrays import changed, slope_along, special, xp
-from matcam.numerics.normal import normal_density
 
 if TYPE_CHECKING:
     from matcam.core.jax import AnyArray, jax
@@ -155,21 +154,6 @@ def glare_edge(radius: jax.Array, distance: jax.Array, spread: jax.Array) -> jax
     return _step(distance / xp.sqrt(radius**2 + spread))
 
 
-def line_basis(shape: CoreShape, distance: jax.Array) -> Basis:
-    """Return the basis as line spread functions at `distance` px, 1/px."""
-    places, width = _bumps(shape)
-
-    def line(x: jax.Array) -> jax.Array:
-        return edge_and_slopes(x, shape.angle, shape.half_width, shape.sigma)[1]
-
-    pilot, moved = line(distance), slope_along(line, distance, line_width(shape))
-    right, left = (normal_density(distance - sign * places[:, None], width[:, None]) for sign in (1, -1))
-    reach = _TAIL * line_width(shape)
-    tail = reach / (xp.pi * (distance**2 + reach**2))
-    even = xp.concatenate([(right + left) / 2, tail[None], normal_density(distance, shape.radius)[None]])
-    return Basis(pilot, even, xp.concatenate([(left - right) / 2, moved[None]]))
-
-
 def transfer_basis(shape: CoreShape, f: jax.Array) -> Basis:
     """Return the Fourier transforms of the basis at f cycles/px.
 
@@ -197,8 +181,10 @@ def edge_response(curve: FreeCurve, distance: jax.Array) -> SampledCurve:
 
 def line_response(curve: FreeCurve, distance: jax.Array) -> SampledCurve:
     """Return the LSF at px from the edge, 1/px."""
-    basis = line_basis(curve.shape, distance)
-    return _combined(curve, basis.pilot, basis.even - basis.pilot, basis.odd)
+    width = line_width(curve.shape)
+    slopes = slope_along(lambda d: tuple(edge_basis(curve.shape, d, xp.zeros(()))), distance, width)
+    pilot, even, odd = (slope / width for slope in slopes)
+    return _combined(curve, pilot, even - pilot, odd)
 
 
 def transfer(curve: FreeCurve, f: jax.Array) -> tuple[SampledCurve, SampledCurve]:

@@ -33,8 +33,8 @@ from matcam.calibration.edge.free_curve import (
     line_width,
 )
 from matcam.calibration.edge.geometry import TERMS, EdgeCells
-from matcam.calibration.edge.maximum_likelihood import ADDED, SHIFT, EdgeModel, Noise, light_of
-from matcam.core.arrays import changed, each, last_of, linalg, repeated, scipy_linalg, slope_along, tuple_map, xp
+from matcam.calibration.edge.maximum_likelihood import ADDED, LINEAR, SHIFT, EdgeModel, Noise, light_of
+from matcam.core.arrays import changed, each, last_of, linalg, repeated, scipy_linalg, slope_along, xp
 from matcam.numerics.linalg import FLOOR, lifted_inverse
 
 if TYPE_CHECKING:
@@ -67,7 +67,7 @@ _CANDIDATES, _REFINEMENTS = 9, 3
 
 
 class LinearFit(NamedTuple):
-    """Solution without glare: n cells, p columns.
+    """Linear problem about given levels, without glare, and its solution: n cells, p columns.
 
     Attributes:
         shape: of the basis.
@@ -78,14 +78,11 @@ class LinearFit(NamedTuple):
         used: (LINEAR,) which of them are free.
         weight: (n,).
         variance: (n,) of a pixel.
-        columns: (p, n) levels and light, even strengths, odd strengths.
-        inverse: (p, p) A^-1.
-        normal: (p, p) what the cells alone say.
         residual: (n,) before the fit.
-        left: (n,) after the fit.
+        columns: (p, n) levels and light, even strengths, odd strengths; 0 for those that are not free.
+        normal: (p, p) what the cells alone say.
+        inverse: (p, p) A^-1.
         strength: (p,).
-        chi2: of the cells, under the noise.
-        degrees: of freedom: cells less what the fit has taken up.
     """
 
     shape: CoreShape
@@ -96,19 +93,38 @@ class LinearFit(NamedTuple):
     used: jax.Array
     weight: jax.Array
     variance: jax.Array
-    columns: jax.Array
-    inverse: jax.Array
-    normal: jax.Array
     residual: jax.Array
-    left: jax.Array
+    columns: jax.Array
+    normal: jax.Array
+    inverse: jax.Array
     strength: jax.Array
-    chi2: jax.Array
-    degrees: jax.Array
+
+    @property
+    def left(self) -> jax.Array:
+        """Return the residual after the fit (n,)."""
+        return self.residual - self.strength @ self.columns
+
+    @property
+    def chi2(self) -> jax.Array:
+        """Return chi2 of the cells, under the noise."""
+        return (self.cells.pixels / self.variance * self.left**2).sum()
+
+    @property
+    def degrees(self) -> jax.Array:
+        """Return the degrees of freedom: cells less what the fit has taken up."""
+        return xp.maximum((self.cells.pixels > 0).sum() - xp.trace(self.inverse @ self.normal), 1.0)
 
     @property
     def noisy(self) -> jax.Array:
         """Return weight^2 times the variance of a cell (n,)."""
         return self.weight**2 * self.variance / xp.maximum(self.cells.pixels, 1.0)
+
+    def solved(self, columns: jax.Array) -> LinearFit:
+        """Return the solution for some columns."""
+        normal = (columns * self.weight) @ columns.T
+        inverse = lifted_inverse(normal + xp.diag(_PRECISIONS))
+        strength = inverse @ (columns @ (self.weight * self.residual))
+        return self._replace(columns=columns, normal=normal, inverse=inverse, strength=strength)
 
 
 class Structure(NamedTuple):
@@ -125,29 +141,6 @@ class Structure(NamedTuple):
     variance: jax.Array
 
 
-class GlareCandidate(NamedTuple):
-    """Best of a row of radii.
-
-    Attributes:
-        log_radius: ln px.
-        rise: of 2 ln likelihood.
-        spacing: of the row, in ln radius.
-    """
-
-    log_radius: jax.Array
-    rise: jax.Array
-    spacing: jax.Array
-
-
-class _Columns(NamedTuple):
-    """Linear problem about given levels."""
-
-    columns: jax.Array
-    normal: jax.Array
-    residual: jax.Array
-    step: jax.Array
-
-
 def linear_fit(
     cells: EdgeCells, at: EdgeModel, noise: Noise, shape: CoreShape, ghost: jax.Array | float = 0.0
 ) -> LinearFit:
@@ -155,7 +148,7 @@ def linear_fit(
 
     at: Gaussian model about which the curve is fitted, in light of all orders. ghost: 1 where there is one, or 0.
     """
-    state = at.state
+    state, unknown = at.state, xp.zeros(())
     cells = cells._replace(distance=cells.distance + state.linear[SHIFT])
     basis = edge_basis(shape, cells.distance, cells.spread)
     even = changed(basis.even - basis.pilot, GLARE, 0.0)
@@ -163,55 +156,27 @@ def linear_fit(
     variance = noise.variance(at.value, cells.dim)
     weight = cells.pixels / (variance + cells.pixels * (_MISFIT * (state.linear[1] - state.linear[0])) ** 2)
 
-    def problem(linear: jax.Array) -> _Columns:
+    def problem(linear: jax.Array, used: jax.Array) -> LinearFit:
         light = light_of(linear, cells.terms)
         step = (linear[1] - linear[0]) * light.factor
         level = linear[0] + (linear[1] - linear[0]) * basis.pilot
         levels = xp.stack([(1 - basis.pilot) * light.factor, basis.pilot * light.factor])
-        columns = xp.concatenate([levels, level * cells.terms, cells.terms[:ADDED], even * step, odd * step])
+        levels = xp.concatenate([levels, level * cells.terms, cells.terms[:ADDED]]) * used[:_LEVELS, None]
+        columns = xp.concatenate([levels, even * step, odd * step])
         residual = cells.value - level * light.factor - light.addend
-        return _Columns(columns, (columns * weight) @ columns.T, residual, step)
-
-    used = _chosen_light(problem(state.linear), state.linear, cells, weight, basis.pilot, shape)
-    free = xp.concatenate([used[:_LEVELS], xp.ones(EVEN + ODD)])
-
-    def solved(linear: jax.Array, _: int) -> tuple[jax.Array, tuple[jax.Array, ...]]:
-        columns, normal, residual, step = problem(linear)
-        columns, normal = columns * free[:, None], normal * free * free[:, None]
-        inverse = lifted_inverse(normal + xp.diag(_PRECISIONS))
-        strength = inverse @ (columns @ (weight * residual))
-        return changed(linear, slice(_LEVELS), linear[:_LEVELS] + strength[:_LEVELS]), (
-            linear,
-            step,
-            columns,
-            normal,
-            inverse,
-            residual,
-            strength,
+        return LinearFit(
+            shape, cells, basis.pilot, step, linear, used, weight, variance, residual, columns, *[unknown] * 3
         )
 
+    used = _chosen_light(problem(state.linear, xp.ones(LINEAR)))
+
+    def corrected(linear: jax.Array, _: int) -> tuple[jax.Array, LinearFit]:
+        fit = problem(linear, used)
+        fit = fit.solved(fit.columns)
+        return changed(linear, slice(_LEVELS), linear[:_LEVELS] + fit.strength[:_LEVELS]), fit
+
     # light is a factor: if the pilot has an error in it, the second pass starts from the corrected light
-    levels, step, columns, normal, inverse, residual, strength = last_of(solved, state.linear * used, np.arange(2))
-    left = residual - strength @ columns
-    degrees = xp.maximum((cells.pixels > 0).sum() - xp.trace(inverse @ normal), 1.0)
-    return LinearFit(
-        shape=shape,
-        cells=cells,
-        pilot=basis.pilot,
-        step=step,
-        levels=levels,
-        used=used,
-        weight=weight,
-        variance=variance,
-        columns=columns,
-        inverse=inverse,
-        normal=normal,
-        residual=residual,
-        left=left,
-        strength=strength,
-        chi2=(cells.pixels / variance * left**2).sum(),
-        degrees=degrees,
-    )
+    return last_of(corrected, state.linear * used, np.arange(2))
 
 
 def ghost_found(fit: LinearFit, known: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -219,9 +184,8 @@ def ghost_found(fit: LinearFit, known: jax.Array) -> tuple[jax.Array, jax.Array]
 
     `known`: whether the noise is known; else it follows from the residual. Structure of glare is not a ghost.
     """
-    glare = glare_candidate(fit)
-    beside = _with_glare(fit, _column(fit, glare.log_radius))
-    beside = tuple_map(lambda a, b: xp.where(glare.rise > FOUND, a, b), beside, fit)
+    log_radius, rise = glare_candidate(fit)
+    beside = fit.solved(changed(fit.columns, _COLUMN, xp.where(rise > FOUND, _column(fit, log_radius), 0.0)))
     first = _FIRST_GHOST * line_width(fit.shape)
     last = xp.minimum(xp.maximum(_LAST_GHOST * line_width(fit.shape), _FURTHEST), _GHOST_ROOM * _width(fit.cells))
     places = xp.linspace(first, last, _GHOST_PLACES)
@@ -235,17 +199,6 @@ def ghost_found(fit: LinearFit, known: jax.Array) -> tuple[jax.Array, jax.Array]
     left = (beside.chi2 - rises[best]) / beside.degrees
     found = rises[best] > GHOST_FOUND * xp.where(known, 1.0, xp.maximum(left, 1.0))
     return found & (first < last), places[best]
-
-
-def _with_glare(fit: LinearFit, column: jax.Array) -> LinearFit:
-    """Return the fit with the glare that `ghost_found` needs."""
-    columns = changed(fit.columns, _COLUMN, column)
-    normal = (columns * fit.weight) @ columns.T
-    inverse = lifted_inverse(normal + xp.diag(_PRECISIONS))
-    left = fit.residual - (inverse @ (columns @ (fit.weight * fit.residual))) @ columns
-    return fit._replace(
-        columns=columns, inverse=inverse, left=left, chi2=(fit.cells.pixels / fit.variance * left**2).sum()
-    )
 
 
 def _ghosts(fit: LinearFit, places: jax.Array) -> jax.Array:
@@ -263,21 +216,27 @@ def _width(cells: EdgeCells) -> jax.Array:
 
 
 def structure(fit: LinearFit, tested: EdgeModel) -> Structure:
-    """Apply the free curve to the residuals of another model."""
-    return _structure(fit.columns, fit.weight, fit.inverse, fit.normal, fit.cells.value - tested.value, tested.design)
+    """Apply the free curve to the residuals of another model: the quadratic form s' A^-1 s of the scores and its moments.
+
+    Under noise the covariance of the scores is the information minus the part that the tested fit has absorbed.
+    """
+    score = fit.columns @ (fit.weight * (fit.cells.value - tested.value))
+    shared = (fit.columns * fit.weight) @ tested.design.T
+    absorbed = shared @ lifted_inverse((tested.design * fit.weight) @ tested.design.T) @ shared.T
+    spread = fit.inverse @ (fit.normal - absorbed)
+    return Structure(score @ fit.inverse @ score, xp.trace(spread), 2 * xp.sum(spread * spread.T))
 
 
-def _chosen_light(
-    full: _Columns, linear: jax.Array, cells: EdgeCells, weight: jax.Array, pilot: jax.Array, shape: CoreShape
-) -> jax.Array:
+def _chosen_light(full: LinearFit) -> jax.Array:
     """Select the linear parameters (LINEAR,) that are free.
 
     The selection is the one of `LIGHTS` that Schwarz's criterion (1978) prefers, with glare or without: uneven light
     and glare look alike, and neither may be taken for the other.
     """
-    radii = _radii(shape)
+    radii, cells, weight = _radii(full.shape), full.cells, full.weight
     unlikely = xp.where(xp.exp(radii) > VEIL * _width(cells), _VEIL_COST, 0.0)
-    glare = (glare_edge(xp.exp(radii)[:, None], cells.distance, cells.spread) - pilot) * full.step
+    glare = _column(full, radii[:, None])
+    normal = (full.columns * weight) @ full.columns.T
     score = full.columns @ (weight * full.residual)
     by_glare = (glare * weight) @ full.residual
     cross = (glare * weight) @ full.columns.T
@@ -285,17 +244,17 @@ def _chosen_light(
     per_parameter = xp.log(xp.maximum(cells.pixels.sum(), 2.0))
     degrees = xp.maximum((cells.pixels > 0).sum() - len(_PRECISIONS), 1.0)
     before = (weight * full.residual**2).sum()
-    size = xp.diagonal(full.normal) + _PRECISIONS
+    size = xp.diagonal(normal) + _PRECISIONS
     unit = xp.where(size > 0, 1 / xp.sqrt(xp.where(size > 0, size, 1.0)), 0.0)
 
     def judged(used: jax.Array) -> tuple[jax.Array, jax.Array]:
         """Return chi2, and its decrease by glare."""
         free = xp.concatenate([used[:_LEVELS], xp.ones(EVEN + ODD)])
         # parameters that are not free are 0: in everything linear this adds to the residual
-        given = xp.concatenate([(linear * (1 - used))[:_LEVELS], xp.zeros(EVEN + ODD)])
-        towards = full.normal @ given
+        given = xp.concatenate([(full.levels * (1 - used))[:_LEVELS], xp.zeros(EVEN + ODD)])
+        towards = normal @ given
         # in units in which the diagonal is 1; a parameter that is not free is decoupled
-        precise = (full.normal + xp.diag(_PRECISIONS)) * free * free[:, None] * unit * unit[:, None]
+        precise = (normal + xp.diag(_PRECISIONS)) * free * free[:, None] * unit * unit[:, None]
         root = linalg.cholesky(precise + xp.diag(xp.where(free * unit > 0, FLOOR, 1.0)))
         mine, shared = (score + towards) * free * unit, cross * free * unit
         both = xp.concatenate([mine[None], shared]).T
@@ -325,15 +284,15 @@ def curve_without_glare(fit: LinearFit) -> FreeCurve:
     return _per_step(fit, fit.strength, xp.pad(covariance, ((0, 1), (0, 1))), xp.ones(()))
 
 
-def glare_candidate(fit: LinearFit) -> GlareCandidate:
-    """Return the most probable glare of a row of radii."""
+def glare_candidate(fit: LinearFit) -> tuple[jax.Array, jax.Array]:
+    """Return ln of the most probable radius of glare, px, and the rise of 2 ln likelihood by it."""
     radii = _radii(fit.shape)
     rises = _rises(fit, radii)
     best = xp.argmax(rises)
-    return GlareCandidate(radii[best], rises[best], radii[1] - radii[0])
+    return radii[best], rises[best]
 
 
-def curve_with_glare(fit: LinearFit, seen: GlareCandidate) -> FreeCurve:
+def curve_with_glare(fit: LinearFit, log_radius: jax.Array) -> FreeCurve:
     """Return the curve with glare near a candidate, whose radius is one more parameter."""
 
     def refine(at: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
@@ -343,18 +302,17 @@ def curve_with_glare(fit: LinearFit, seen: GlareCandidate) -> FreeCurve:
         bend = three[0] - 2 * three[1] + three[2]
         vertex = middle + width / 2 * xp.clip((three[0] - three[2]) / xp.where(bend < 0, 2 * bend, -1.0), -1, 1)
         better = xp.where(bend < 0, vertex, nearby[xp.argmax(three)])
-        return xp.clip(better, _narrowest(fit.shape), xp.log(_WIDEST)), width / 2
+        return xp.clip(better, radii[0], radii[-1]), width / 2
 
-    log_radius, _ = repeated(_REFINEMENTS, refine, (seen.log_radius, seen.spacing))
-    column, slope = _column(fit, log_radius), slope_along(lambda r: _column(fit, r), log_radius, 1.0)
-    full = changed(fit.columns, _COLUMN, column)
-    strength = lifted_inverse((full * fit.weight) @ full.T + xp.diag(_PRECISIONS)) @ (
-        full @ (fit.weight * fit.residual)
-    )
+    radii = _radii(fit.shape)
+    log_radius, _ = repeated(_REFINEMENTS, refine, (log_radius, radii[1] - radii[0]))
+    glaring = fit.solved(changed(fit.columns, _COLUMN, _column(fit, log_radius)))
+    slope = slope_along(lambda r: _column(fit, r), log_radius, 1.0)
     # already at the optimum: the step only provides the covariance of the radius
-    full = xp.concatenate([full, strength[_COLUMN] * slope[None]])
+    full = xp.concatenate([glaring.columns, glaring.strength[_COLUMN] * slope[None]])
     inverse = lifted_inverse((full * fit.weight) @ full.T + xp.diag(xp.append(_PRECISIONS, _PRIOR_RADIUS**-2)))
-    return _per_step(fit, strength, inverse @ ((full * fit.noisy) @ full.T) @ inverse, xp.exp(log_radius))
+    covariance = inverse @ ((full * fit.noisy) @ full.T) @ inverse
+    return _per_step(fit, glaring.strength, covariance, xp.exp(log_radius))
 
 
 def _per_step(fit: LinearFit, strength: jax.Array, covariance: jax.Array, radius: jax.Array) -> FreeCurve:
@@ -375,20 +333,6 @@ def _per_step(fit: LinearFit, strength: jax.Array, covariance: jax.Array, radius
     return FreeCurve(shape, relative[:EVEN], relative[EVEN:], levels, jacobian @ covariance @ jacobian.T)
 
 
-def _structure(
-    columns: jax.Array, weight: jax.Array, inverse: jax.Array, normal: jax.Array, residual: jax.Array, design: jax.Array
-) -> Structure:
-    """Return the quadratic form s' A^-1 s of the scores and its moments.
-
-    Under noise the covariance of the scores is the information minus the part that the tested fit has absorbed.
-    """
-    score = columns @ (weight * residual)
-    shared = (columns * weight) @ design.T
-    absorbed = shared @ lifted_inverse((design * weight) @ design.T) @ shared.T
-    spread = inverse @ (normal - absorbed)
-    return Structure(score @ inverse @ score, xp.trace(spread), 2 * xp.sum(spread * spread.T))
-
-
 def _rises(fit: LinearFit, log_radii: jax.Array) -> jax.Array:
     """Return the rise of 2 ln likelihood by glare of each radius.
 
@@ -406,14 +350,10 @@ def _column(fit: LinearFit, log_radius: jax.Array) -> jax.Array:
     return (glare_edge(xp.exp(log_radius), fit.cells.distance, fit.cells.spread) - fit.pilot) * fit.step
 
 
-def _narrowest(shape: CoreShape) -> jax.Array:
-    """Return ln of the smallest radius that is tried, px."""
-    return xp.log(xp.maximum(_NARROWEST, _NARROWEST_OF_SCALE * line_width(shape)))
-
-
 def _radii(shape: CoreShape) -> jax.Array:
     """Return ln of the radii that are tried, px."""
-    return xp.linspace(_narrowest(shape), xp.log(_WIDEST), _CANDIDATES)
+    narrowest = xp.maximum(_NARROWEST, _NARROWEST_OF_SCALE * line_width(shape))
+    return xp.linspace(xp.log(narrowest), xp.log(_WIDEST), _CANDIDATES)
 
 
 def _lights() -> np.ndarray:

@@ -134,13 +134,14 @@ class _Turn(NamedTuple):
     moved: CurveStep
 
 
+@without_warnings()
+@checks.trusted()
 def edge_fits(
     value: AnyArray,
     y: AnyArray,
     start: AnyArray,
     noise: Noise,
     half_width: AnyArray | np.float64,
-    *,
     step: int,
     turns: int,
 ) -> EdgeFits:
@@ -149,66 +150,6 @@ def edge_fits(
     value, y, start, step: as in `geometry.Rows`. The parametric estimate is Gaussian. noise: NaN where it is to be
     estimated. turns: of profile and curve, each fitted while the other stays.
     """
-    with without_warnings(), checks.trusted():
-        return _fits_of_one(value, y, start, noise, half_width, step, turns)
-
-
-def edge_fits_of_stack(
-    values: AnyArray,
-    y: AnyArray,
-    start: AnyArray,
-    noise: Noise,
-    half_width: AnyArray | np.float64,
-    *,
-    step: int,
-    turns: int,
-) -> EdgeFits:
-    """Return `edge_fits` of many regions, side by side.
-
-    values: (n, rows, columns). y and start: (n, rows).
-    """
-    return _program()(values, y, start, noise, half_width, step, turns)
-
-
-def lens_fit(found: EdgeFits, half_width: AnyArray | np.float64, lens: LensModel) -> LensFit:
-    """Return the parametric estimate by another family of lenses."""
-    with checks.trusted():
-        return _lens_fit_of(found, half_width, lens)
-
-
-@compiled_by_jax
-def _lens_fit_of(found: EdgeFits, half_width: AnyArray | np.float64, lens: LensModel) -> LensFit:
-    seen = LensAtEdge(lens, found.angle, xp.asarray(half_width))
-    first = found.state._replace(profile=lens.start(found.state.profile[0]))
-    fitted = _climb(found.cells, first, seen, found.noise, _MODEL_STEPS)
-    tested = edge_model(found.cells, fitted, seen.profile)
-    at = edge_model(found.cells, found.state, seen._replace(lens=Gaussian()).profile)
-    ghost = (found.free.even[GHOSTS] != 0).any()
-    fit = free_fit.linear_fit(found.cells, at, found.noise, found.free.shape, ghost)
-    doubt = Unexplained(found.roughness, found.misfit)
-    return _lens_fit(found.cells, tested, found.noise, free_fit.structure(fit, tested), seen, found.excess, doubt)
-
-
-@cache
-def _program() -> Callable[..., EdgeFits]:
-    """Compile `_fits_of_stack`. A command keeps it: to trace it takes seconds."""
-    from matcam.core.jax import jit_plainly, program_folder
-    from matcam.core.programs import kept_program
-
-    plain = jit_plainly(_fits_of_stack, runs="some", static=("step", "turns"))
-    kept = kept_program(runs="some", returns=EdgeFits)(_fits_of_stack)
-    return lambda *given: (plain if program_folder() is None else kept)(*given)
-
-
-def _fits_of_one(
-    value: AnyArray,
-    y: AnyArray,
-    start: AnyArray,
-    noise: Noise,
-    half_width: AnyArray | np.float64,
-    step: int,
-    turns: int,
-) -> EdgeFits:
     rows, half = Rows(value, y, start, step), xp.asarray(half_width)
     length = geometry.half_length(rows)
     to_slope = geometry.to_mean_slope(length)
@@ -251,13 +192,13 @@ def _fits_of_one(
     chosen = at.state._replace(linear=at.state.linear * linear.used, used=linear.used)
     model = edge_model(cells, _climb(cells, chosen, seen, noise, _STEPS), seen.profile)
     # glare is judged by what is left with it
-    glare = free_fit.glare_candidate(linear)
-    left = (linear.weight * linear.left**2).sum() - glare.rise
-    glares = glare.rise > free_fit.FOUND * xp.where(known, 1.0, xp.maximum(left / linear.degrees, 1.0))
+    log_radius, rise = free_fit.glare_candidate(linear)
+    left = (linear.weight * linear.left**2).sum() - rise
+    glares = rise > free_fit.FOUND * xp.where(known, 1.0, xp.maximum(left / linear.degrees, 1.0))
     plain = lambda fit, _: free_fit.curve_without_glare(fit)  # noqa: E731
-    free = either(glares, free_fit.curve_with_glare, plain, linear, glare)
+    free = either(glares, free_fit.curve_with_glare, plain, linear, log_radius)
     # noise that was estimated from neighbours may not be all: then the cells' scatter about the free curve speaks
-    scatter = (linear.chi2 - xp.where(glares, glare.rise, 0.0)) / linear.degrees
+    scatter = (linear.chi2 - xp.where(glares, rise, 0.0)) / linear.degrees
     excess = xp.where(scatter < _EXPECTED, 1.0, scatter)
     free = free._replace(covariance=free.covariance * excess)
     misfit = misfit_of(linear, free, excess)
@@ -292,13 +233,43 @@ def _fits_of_one(
     )
 
 
+@compiled_by_jax
+@checks.trusted()
+def lens_fit(found: EdgeFits, half_width: AnyArray | np.float64, lens: LensModel) -> LensFit:
+    """Return the parametric estimate by another family of lenses."""
+    seen = LensAtEdge(lens, found.angle, xp.asarray(half_width))
+    first = found.state._replace(profile=lens.start(found.state.profile[0]))
+    fitted = _climb(found.cells, first, seen, found.noise, _MODEL_STEPS)
+    tested = edge_model(found.cells, fitted, seen.profile)
+    at = edge_model(found.cells, found.state, seen._replace(lens=Gaussian()).profile)
+    ghost = (found.free.even[GHOSTS] != 0).any()
+    fit = free_fit.linear_fit(found.cells, at, found.noise, found.free.shape, ghost)
+    doubt = Unexplained(found.roughness, found.misfit)
+    return _lens_fit(found.cells, tested, found.noise, free_fit.structure(fit, tested), seen, found.excess, doubt)
+
+
+@cache
+def fits_program() -> Callable[..., EdgeFits]:
+    """Return `edge_fits` of many regions, side by side, as a compiled program.
+
+    Its arguments are those of `edge_fits`, regions (n, rows, columns), and y and start (n, rows). A command keeps the
+    program: to trace it takes seconds.
+    """
+    from matcam.core.jax import jit_plainly, program_folder
+    from matcam.core.programs import kept_program
+
+    plain = jit_plainly(_fits_of_stack, runs="some", static=("step", "turns"))
+    kept = kept_program(runs="some", returns=EdgeFits)(_fits_of_stack)
+    return lambda *given: (plain if program_folder() is None else kept)(*given)
+
+
 def _fits_of_stack(
     values: jax.Array, y: jax.Array, start: jax.Array, noise: Noise, half_width: jax.Array, step: int, turns: int
 ) -> EdgeFits:
     from matcam.core.jax import jax
 
     def of_one(value: jax.Array, y: jax.Array, start: jax.Array) -> EdgeFits:
-        return _fits_of_one(value, y, start, noise, half_width, step, turns)
+        return edge_fits(value, y, start, noise, half_width, step, turns)
 
     return jax.vmap(of_one)(values, y, start)
 

@@ -212,18 +212,21 @@ def parametric_stack(
         off = np.asarray(own.value) - np.asarray(other.value)
         return np.hypot(own.std, np.where(wrong.reshape(-1, *[1] * (off.ndim - 1)), off, 0.0))
 
+    numbers: dict[str, Any] = {
+        "values": fit.numbers,
+        "covariance": fit.numbers_covariance,
+        "mtf": fit.mtf.value,
+        "mtf_std": std(fit.mtf, free[0]),
+        "mtf50": fit.mtf50.value,
+        "mtf50_std": std(fit.mtf50, free[1]),
+        "chi2": fit.chi2,
+        "misfit_probability": probability,
+    }
     return ParametricStack(
         model=lens.name,
         names=lens.names,
-        values=with_nan(fit.numbers, bad),
-        covariance=with_nan(fit.numbers_covariance, bad),
-        mtf=with_nan(fit.mtf.value, bad),
-        mtf_std=with_nan(std(fit.mtf, free[0]), bad),
-        mtf50=with_nan(fit.mtf50.value, bad),
-        mtf50_std=with_nan(std(fit.mtf50, free[1]), bad),
-        chi2=with_nan(fit.chi2, bad),
+        **{name: with_nan(value, bad) for name, value in numbers.items()},
         degrees=np.asarray(fit.degrees),
-        misfit_probability=with_nan(probability, bad),
         lens=lens,
         fitted=np.asarray(fit.state.profile),
         half_width=half_width,

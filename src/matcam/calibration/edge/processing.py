@@ -17,13 +17,21 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.special import ndtr, ndtri
 
-from matcam.calibration.edge.edge_result import SHARPENED, EdgeMTF, EdgeStack
+from matcam.calibration.edge.edge_result import EdgeMTF, EdgeStack
 from matcam.calibration.edge.free_curve import ghost_of, line_width
 from matcam.calibration.edge.free_fit import VEIL
+from matcam.calibration.edge.geometry import edge_distance
 from matcam.calibration.edge.maximum_likelihood import ADDED, SHIFT, light_of
-from matcam.calibration.edge.rows import CLEAR, EdgeRegions, clearance
-from matcam.calibration.edge.wider_errors import widened, with_core_as_total, with_ghosts, with_jumps
-from matcam.calibration.photograph.flat_noise import BENT_DOUBT, FlatNoise, crushed_share, flat_noise, smoothing_doubt
+from matcam.calibration.edge.rows import CLEAR, SHARPENED, EdgeRegions, clearance
+from matcam.calibration.edge.wider_errors import widened, with_core_as_total
+from matcam.calibration.photograph.flat_noise import (
+    BENT_DOUBT,
+    LEAST_NOISE,
+    FlatNoise,
+    crushed_share,
+    flat_noise,
+    smoothing_doubt,
+)
 from matcam.calibration.photograph.linear_filters import Correlations, correlations, filter_doubt, mask_gain
 from matcam.calibration.photograph.slight_sharpening import (
     AMOUNT,
@@ -38,7 +46,6 @@ from matcam.core.remark import Remark
 from matcam.numerics.crossing import first_fall
 
 _REACH, _MORE = 3.0, 2.0  # multiple of the blur, and px: beyond both a side is flat
-_BOX = 0.29  # px: standard deviation of a pixel
 _GAMMA = 2.2
 _SIDE, _SAMPLES = 40.0, 801
 """Distance to both sides of an edge at which its response is sampled, px; number of samples, 0.1 px apart."""
@@ -71,7 +78,6 @@ _PER_STEP = 1.5
 """Relative error of MTF50 by a step of the light across the edge, in units of the step: penumbrae of tests/oracle."""
 _BY_GLARE = 0.72  # of MTF50 per share of glare, at an MTF of one half
 _PER_BORDER, _HARMLESS, _MOST_BY_BLOCKS = 0.006, 3.0, 0.05  # of MTF50 per strength of the JPEG block borders
-_LEAST_NOISE = 2e-4  # relative to the step
 _GHOST, _SURE_GHOST = 0.01, 4.0  # relative to the step, and standard deviations, above which a ghost is reported
 
 
@@ -112,7 +118,7 @@ class _EdgeRegion:
     @cached_property
     def blur(self) -> float:
         """Standard deviation of the line spread function, px."""
-        return float(np.hypot(self.edge.fits.free.shape.sigma, _BOX))
+        return float(line_width(self.edge.fits.free.shape))
 
     @cached_property
     def sides(self) -> tuple[np.ndarray, np.ndarray]:
@@ -123,7 +129,7 @@ class _EdgeRegion:
     @cached_property
     def noise(self) -> FlatNoise:
         """Noise of the flat parts."""
-        least = _LEAST_NOISE * abs(self.edge.bright - self.edge.dark)
+        least = LEAST_NOISE * abs(self.edge.bright - self.edge.dark)
         return flat_noise(self.value, *self.sides, lines=not self.mosaic, least=least)
 
     @cached_property
@@ -150,7 +156,7 @@ class _EdgeRegion:
             std=np.asarray(np.sqrt(fits.excess * variance / cells.pixels[used])),
             step=np.asarray((levels[1] - levels[0]) * light.factor),
             light=np.concatenate([light.factor[None], bent, terms[:ADDED][free[SHIFT - ADDED : SHIFT] > 0]]),
-            blur=float(line_width(fits.free.shape)),
+            blur=self.blur,
         )
 
     def traces(self) -> list[Trace]:
@@ -179,12 +185,10 @@ def with_traces(stack: EdgeStack, regions: Iterable[EdgeRegions], lights: Sequen
     for rows in regions:
         part = slice(i, i + len(rows.value))
         clear = clearance(tuple_map(lambda a: a[part], stack.fits), rows)  # noqa: B023
-        for k, value in enumerate(rows.value):
+        for k, (value, x, y) in enumerate(zip(rows.value, *rows.coordinates(), strict=True)):
             if stack.problems[i] is None:
                 edge = stack[i]
-                across = rows.start[k][:, None] + rows.step * np.arange(value.shape[1])
-                across = across - np.polyval(edge.fits.curve[::-1], rows.y[k])[:, None]
-                distance = across / np.hypot(1.0, float(edge.fits.slope))
+                distance = np.asarray(edge_distance(edge.fits.curve, x, y))
                 found = _EdgeRegion(edge, value, distance, rows.step > 1, float(clear[k]), lights[i]).traces()
                 given[i] = given[i] + tuple(trace.remark for trace in found if trace.remark)
                 for trace in found:
@@ -193,7 +197,7 @@ def with_traces(stack: EdgeStack, regions: Iterable[EdgeRegions], lights: Sequen
     shares["lens"] = np.hypot(shares["lens"], _SURER * shares["free"])
     stack = with_core_as_total(stack, np.array([light is not None and light.amplitude > 0 for light in lights]))
     ghosts = np.array([0.0 if light is None else light.ghost for light in lights])
-    return with_jumps(with_ghosts(widened(replace(stack, given=tuple(given)), shares), ghosts))
+    return widened(replace(stack, given=tuple(given)), shares, ghosts)
 
 
 def _narrow(region: _EdgeRegion) -> list[Trace]:
@@ -368,7 +372,7 @@ def _asymmetric(region: _EdgeRegion) -> list[Trace]:
     columns = np.concatenate([(bare.step * response * (1 - response))[None], even, bare.light])
     if edge.glare_fraction > 0:
         columns = np.concatenate([columns, (ndtr(bare.distance / edge.glare_radius) * bare.step)[None]])
-    weight = 1 / np.hypot(bare.std, _LEAST_NOISE * bare.step)
+    weight = 1 / np.hypot(bare.std, LEAST_NOISE * bare.step)
     scale = np.linalg.norm(columns * weight, axis=1)
     inverse = np.linalg.pinv((columns * weight / np.maximum(scale, 1e-300)[:, None]).T, rcond=1e-6)
     bend = float(inverse[0] @ (bare.value * weight)) / scale[0]
@@ -426,13 +430,10 @@ def _effect_of_crushing(region: _EdgeRegion) -> float:
     used = np.abs(cells.distance) < 6 * blur + 2
     d, value, weight = cells.distance[used], cells.value[used], 1 / np.maximum(cells.std[used], 1e-3)
 
-    def whole(p: np.ndarray) -> np.ndarray:
-        return np.asarray((ndtr((d - p[0]) / p[1]) - value) * weight)
-
     def cut(p: np.ndarray) -> np.ndarray:
         return np.asarray((np.maximum(ndtr((d - p[0]) / p[1]) - p[2], 0) / (1 - p[2]) - value) * weight)
 
-    plain = least_squares(whole, [0.0, blur], bounds=([-5, 0.05], [5, 50]))
+    plain = least_squares(lambda p: cut(np.append(p, 0.0)), [0.0, blur], bounds=([-5, 0.05], [5, 50]))
     starts = ([0.0, max(blur, 0.06), share] for share in (0.02, 0.1, 0.3))
     fits = [least_squares(cut, start, bounds=([-5, 0.05, 0.0], [5, 50, 0.8])) for start in starts]
     best = min(fits, key=lambda fit: fit.cost)

@@ -24,6 +24,7 @@ from matcam.camera.optics.halo import HaloOptics
 from matcam.camera.optics.optics import Optics
 from matcam.camera.optics.pupil import DefocusOptics, DiffractionOptics
 from matcam.camera.pixel import BoxPixel
+from matcam.core import checks
 from matcam.core.arrays import changed, fft, jacobian, xp
 from matcam.core.arrays.module import Module
 
@@ -262,6 +263,14 @@ class Separable(LensModel):
         pixel = BoxPixel(parameters[1])
         box = pixel.mtf(f * xp.cos(angle)) * pixel.mtf(f * xp.sin(angle))
         return core * xp.where(there, lens.mtf(f), 1.0) * box
+
+
+def check_light(wavelength: float | None, pixel_pitch: float | None) -> None:
+    """Raise ArgumentError for a wavelength or a pitch that no camera has, m."""
+    if wavelength is not None:
+        checks.within("wavelength", wavelength, 1e-9, 1e-3, "m (550 nm is 550e-9)")
+    if pixel_pitch is not None:
+        checks.within("pixel_pitch", pixel_pitch, 1e-8, 1e-2, "m (5 um is 5e-6)")
 
 
 @lru_cache

@@ -6,23 +6,32 @@ nothing is resampled. For a mosaic, the rows contain the sites of one colour.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from scipy import ndimage
 
-from matcam.calibration.edge.free_curve import GLARE, ghost_of
+from matcam.calibration.edge.free_curve import GLARE, ghost_of, line_width
 from matcam.calibration.edge.free_fit import VEIL
+from matcam.calibration.edge.geometry import edge_place
 from matcam.calibration.edge.measurement import EdgeFits
 from matcam.calibration.photograph.flat_noise import flat_noise
 from matcam.core.remark import Remark
+from matcam.numerics.robust import robust_std
+
+if TYPE_CHECKING:
+    from matcam.core.jax import AnyArray
 
 _FEW_TURNS, _MANY_TURNS = 2, 8
 _ENOUGH_CYCLES = 4.0
 _LEAST_ROWS = 10
 _LEAST_CONTRAST = 3.0  # standard deviations of a pixel
 _WIDEST_GAP = 0.55  # px: the MTF50 of a sharp lens is not determined if the edge is sampled more coarsely
-_OVERSHOOT, _SIGNIFICANT = 0.02, 5.0  # relative to the step, and standard deviations
+SHARPENED = 0.02
+"""Overshoot, relative to the step, above which an edge is sharpened."""
+MISFIT = 0.002
+"""Misfit, relative to the step, above which it is not that of a lens."""
+_SIGNIFICANT = 5.0  # standard deviations of an overshoot
 _ANYTHING = "a ghost, a second edge, a shadow's border or dirt lies in it"
 # px of smoothing; share of the steepest slope, and standard deviations, above which a slope is a step
 _BY, _STEEP, _ABOVE = 1.0, 0.3, 4.0
@@ -34,8 +43,7 @@ _UNEXPLAINED = 0.015  # relative to the step: misfit near the edge
 CLEAR = 4.6
 """Smallest distance of an edge from the borders of the region, in widths of its blur; below it the levels are uncertain."""
 _SOME = 0.1  # share of the rows that may be nearer to a border
-# relative to the light, and to the step: glare and misfit above both are not those of a lens
-_VEILED, _SPOILT = 0.15, 0.002
+_VEILED = 0.15  # relative to the light: more glare, with a misfit, is not that of a lens
 _BLUR = 0.2  # relative to the width of the region: widest standard deviation of the line spread function
 
 
@@ -82,6 +90,21 @@ class EdgeRegions(NamedTuple):
     step: int
     frame: RegionFrame
     turns: int
+
+    def coordinates(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return x along the rows and y of all samples about the regions' centres, (n, rows, columns) px."""
+        x = self.start[..., None] + self.step * np.arange(self.value.shape[2])
+        return x, np.broadcast_to(self.y[..., None], x.shape)
+
+    def positions(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return x and y of all samples in the picture, (n, rows, columns) px."""
+        frame = RegionFrame(*(np.reshape(column, (-1, 1, 1)) for column in self.frame))
+        x, y = frame.in_picture(*self.coordinates())
+        return frame.x + x, frame.y + y
+
+    def crossings(self, curves: AnyArray) -> np.ndarray:
+        """Compute where edges (n, CURVE) cross the rows (n, rows), px."""
+        return np.asarray(edge_place(np.nan_to_num(np.asarray(curves)).T[..., None], self.y))
 
 
 def edge_regions(values: np.ndarray, *, mosaic: bool = False) -> EdgeRegions:
@@ -143,14 +166,14 @@ def refusals(found: EdgeFits, region: EdgeRegions, *, accept_sharpened: bool) ->
     """
     dark, bright = found.state.linear[:, 0], found.state.linear[:, 1]
     contrast = (bright - dark) / np.maximum(found.residual, 1e-300)
-    blur = np.hypot(found.free.shape.sigma, found.free.shape.half_width / np.sqrt(3))
-    over, least = found.overshoot.value, np.maximum(_OVERSHOOT, _SIGNIFICANT * found.overshoot.std)
+    blur = np.asarray(line_width(found.free.shape))
+    over, least = found.overshoot.value, np.maximum(SHARPENED, _SIGNIFICANT * found.overshoot.std)
     width = region.step * (region.value.shape[2] - 1)
     lost = ~np.isfinite(contrast + blur + over + least) | (found.crossing < _LEAST_ROWS)
-    gap = _largest_gap(region, np.where(lost[:, None], 0.0, found.curve), np.where(lost, 0.0, found.slope))
+    gap = _largest_gap(region, found)
 
     glare, clear = found.free.even[:, GLARE], clearance(found, region)
-    veiled = (glare > _VEILED) & (found.free.shape.radius > VEIL * width) & (found.misfit > _SPOILT)
+    veiled = (glare > _VEILED) & (found.free.shape.radius > VEIL * width) & (found.misfit > MISFIT)
 
     ghost = ghost_of(found.free)
 
@@ -172,23 +195,24 @@ def refusals(found: EdgeFits, region: EdgeRegions, *, accept_sharpened: bool) ->
                 "too-narrow",
                 f"region of {width:.0f} px is too narrow for an edge whose blur has a standard deviation of {blur[i]:.1f} px",
             )
-        if not accept_sharpened and over[i] > least[i] and clear[i] > CLEAR:
+        if accept_sharpened:
+            return None
+        if over[i] > least[i] and clear[i] > CLEAR:
             return Remark(
                 "sharpened",
                 f"picture is sharpened: the edge overshoots its levels by {over[i]:.1%}, which no lens does; use the raw "
                 "picture, or accept the MTF of lens and sharpening together (accept_sharpened=True)",
             )
-        if not accept_sharpened and veiled[i]:
+        if veiled[i]:
             text = f"glare of {glare[i]:.0%}, as wide as the region, with {found.misfit[i]:.1%} of the step left, is no lens's"
             why = what_is_seen(region.value[i]) or "a ghost, a second edge or dirt lies in it"
             return Remark("unexplained", f"{text}: {why}: choose another region")
         second = bool(ghost.share[i] > _SECOND)
-        odd = not accept_sharpened and (second or found.misfit[i] > _SPOILT)
-        seen = what_is_seen(region.value[i]) if odd else ""
-        if not accept_sharpened and second:
+        seen = what_is_seen(region.value[i]) if second or found.misfit[i] > MISFIT else ""
+        if second:
             text = seen or f"there are 2 edges in it, {ghost.place[i]:.1f} px apart"
             return Remark("unexplained", f"the region contains no single edge: {text}: choose another region")
-        if seen or (not accept_sharpened and found.misfit[i] > _UNEXPLAINED):
+        if seen or found.misfit[i] > _UNEXPLAINED:
             return Remark(
                 "unexplained",
                 f"neither a lens nor smooth light explains the region: {found.misfit[i]:.1%} of the step remains; "
@@ -210,7 +234,7 @@ def what_is_seen(value: np.ndarray) -> str:
     slope = np.gradient(ndimage.gaussian_filter(np.where(known, value, middle), _BY), axis=1)[:, 2:-2]
     slope = np.where(known[:, 2:-2], slope, 0.0)
     size = np.abs(slope)
-    least = max(_STEEP * np.quantile(size, 0.995), _ABOVE * 1.48 * np.median(size))
+    least = max(_STEEP * np.quantile(size, 0.995), _ABOVE * robust_std(size))
     up, down = (
         (np.diff(there.astype(int), axis=1, prepend=0) == 1).sum(1) for there in (slope > least, slope < -least)
     )
@@ -226,38 +250,19 @@ def what_is_seen(value: np.ndarray) -> str:
 
 def clearance(found: EdgeFits, region: EdgeRegions) -> np.ndarray:
     """Compute the distance of edges from the borders of their regions (n,), in standard deviations of their blur."""
-    place = _places(region, np.nan_to_num(np.asarray(found.curve)))
-    there = np.isfinite(region.value)
+    place, there = region.crossings(found.curve), np.isfinite(region.value)
     first, last = there.argmax(2), region.value.shape[2] - 1 - there[:, :, ::-1].argmax(2)
-    ends = [place - region.start - region.step * first, region.start + region.step * last - place]
-    off = np.stack([np.where(there.any(2), end, np.nan) for end in ends])
-    nearest = known_quantile(off, _SOME).min(0) / np.hypot(1.0, np.nan_to_num(np.asarray(found.slope)))
-    return np.asarray(nearest / np.hypot(found.free.shape.sigma, found.free.shape.half_width / np.sqrt(3)))
+    off = np.stack([place - region.start - region.step * first, region.start + region.step * last - place])
+    known = there.any(2)
+    nearest = np.array(
+        [np.quantile(off[:, k, some], _SOME, axis=1).min() if some.any() else np.nan for k, some in enumerate(known)]
+    )
+    return np.asarray(nearest / np.hypot(1.0, np.nan_to_num(np.asarray(found.slope))) / line_width(found.free.shape))
 
 
-def _places(region: EdgeRegions, curves: np.ndarray) -> np.ndarray:
-    """Compute where edges (n, CURVE) cross their rows (n, rows), px."""
-    return np.asarray((curves[:, :, None] * region.y[:, None] ** np.arange(curves.shape[1])[:, None]).sum(1))
-
-
-def known_quantile(values: np.ndarray, share: float) -> np.ndarray:
-    """Return a quantile over the last axis without NaN.
-
-    `numpy.nanquantile` would run row by row in Python.
-    """
-    ordered = np.sort(values, axis=-1)  # NaN comes last
-    place = share * np.maximum((~np.isnan(values)).sum(-1, keepdims=True) - 1, 0)
-    below = np.floor(place).astype(int)
-    low, high = (np.take_along_axis(ordered, i, -1) for i in (below, np.ceil(place).astype(int)))
-    return np.asarray((low + (high - low) * (place - below))[..., 0])
-
-
-def _largest_gap(region: EdgeRegions, curves: np.ndarray, slopes: np.ndarray) -> np.ndarray:
-    """Return the widest gap between the distances of samples, px (n,).
-
-    curves: (n, CURVE), of each edge. slopes: (n,), their means.
-    """
-    place = _places(region, curves)
+def _largest_gap(region: EdgeRegions, found: EdgeFits) -> np.ndarray:
+    """Return the widest gap between the distances of samples, px (n,)."""
+    place, slopes = region.crossings(found.curve), np.nan_to_num(np.asarray(found.slope))
     offset = (place - region.start) / region.step
     nearest = np.clip(np.rint(offset), 0, region.value.shape[2] - 1).astype(int)
     there = np.isfinite(np.take_along_axis(region.value, nearest[..., None], axis=2)[..., 0])

@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 
 _REACH = 8  # px on both sides of the edge that are used for its position in a row
 _MARGIN = 3  # px to the border within which the edge of a row is ignored
-_NARROW = 3  # px, smallest value in narrow regions
 _WEAK = 0.4  # relative to the median step: a row with a smaller step has no edge
 _ROUNDS = 4  # of the fit of a line
 _OUTLIER = 3.0  # px
@@ -132,7 +131,7 @@ def _largest_steps(rows: Rows) -> tuple[jax.Array, jax.Array]:
     else 1.
     """
     width = rows.value.shape[1]
-    reach = max(min(_REACH // rows.step, width // 4), _NARROW)
+    reach = max(min(_REACH // rows.step, width // 4), _MARGIN)
     there = xp.isfinite(rows.value)
     # between columns k - 1 and k: the window on the right minus that on the left, clipped at the borders
 

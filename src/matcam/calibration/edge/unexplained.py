@@ -130,37 +130,22 @@ def misfit_of(fit: LinearFit, curve: FreeCurve, excess: jax.Array) -> jax.Array:
     curve: with its glare, if there is any; fit: without. excess: factor by which all variances were raised; 1 where the cells
     as a whole scatter no more than their noise.
     """
-    everywhere = xp.where(excess > 1, xp.sqrt(1 - 1 / excess) * _residual(fit), 0.0)
-    return xp.maximum(everywhere, _local_misfit(fit, _left(fit, curve), excess))
-
-
-def _left(fit: LinearFit, curve: FreeCurve) -> jax.Array:
-    """Compute the residuals of the cells from a curve."""
-    basis = edge_basis(curve.shape, fit.cells.distance, fit.cells.spread)
+    distance, there = fit.cells.distance, fit.cells.pixels > 0
+    basis = edge_basis(curve.shape, distance, fit.cells.spread)
     response = basis.pilot + curve.even @ (basis.even - basis.pilot) + curve.odd @ basis.odd
     light = light_of(curve.levels, fit.cells.terms)
     dark, bright = curve.levels[:2]
-    return fit.cells.value - light.addend - light.factor * (dark + (bright - dark) * response)
-
-
-def _residual(fit: LinearFit) -> jax.Array:
-    """Return the standard deviation of the cells near the edge about the free curve, in units of the step."""
-    near = (fit.cells.pixels > 0) & (xp.abs(fit.cells.distance) < _CORE)
-    return xp.sqrt((near * (fit.left / fit.step) ** 2).sum() / xp.maximum(near.sum(), 1.0))
-
-
-def _local_misfit(fit: LinearFit, left: jax.Array, excess: jax.Array) -> jax.Array:
-    """Return the largest misfit of adjacent cells over the core: a ghost affects few of many cells.
-
-    Windows of 2 px count if their chi2 exceeds that of noise by 6 standard deviations.
-    """
-    distance = fit.cells.distance
-    there, variance = fit.cells.pixels > 0, excess / fit.weight
+    left = fit.cells.value - light.addend - light.factor * (dark + (bright - dark) * response)
+    core = there & (xp.abs(distance) < _CORE)
+    everywhere = (1 - 1 / excess) * xp.where(core, (left / fit.step) ** 2, 0.0).sum()
+    # a ghost affects few of many cells: windows of 2 px count if their chi2 exceeds that of noise by 6 standard deviations
+    variance = excess / fit.weight
     window = there & (distance >= _WINDOWS[:, None]) & (distance < _WINDOWS[:, None] + _WINDOW)
     count = window.sum(1)
     beyond = (window * left**2 / variance).sum(1) - count
     off = (count >= _FEWEST) & (beyond > _TOGETHER * xp.sqrt(2.0 * count))
     spoilt = (window & off[:, None]).any(0)
-    more = xp.where(spoilt, (left**2 - variance) / fit.step**2, 0.0).sum()  # the variance of an empty cell is infinite
-    core = (there & (xp.abs(distance) < _CORE)).sum()
-    return xp.sqrt(xp.maximum(more, 0.0) / xp.maximum(core, 1.0))
+    locally = xp.where(
+        spoilt, (left**2 - variance) / fit.step**2, 0.0
+    ).sum()  # the variance of an empty cell is infinite
+    return xp.sqrt(xp.maximum(xp.maximum(everywhere, locally), 0.0) / xp.maximum(core.sum(), 1.0))

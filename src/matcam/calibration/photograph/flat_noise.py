@@ -36,6 +36,8 @@ _BLOCKS_ALONE = 4.0
 _DENOISED, _DEMOSAICED = 0.2, 0.15
 _MOST = 0.4  # of MTF50
 _PILED, _LEAST_PILE = 2.0, 0.05  # multiple of the share at the next level; share of the dark side at the lowest level
+LEAST_NOISE = 2e-4
+"""Smallest noise of a photograph, relative to the step of its light: a smooth render has less."""
 BENT_DOUBT = 0.03
 """Smallest relative standard deviation of a blur behind a tone curve that was not undone."""
 

@@ -18,20 +18,19 @@ from matcam.calibration.photograph.tone import Tone, assumed_tone, is_linear, li
 from matcam.core import checks
 from matcam.core.arrays import FloatArray
 from matcam.core.errors import ArgumentError, FitError
+from matcam.core.registry import CFAS
 from matcam.core.remark import Remark
 from matcam.files.photographs import Photograph
 from matcam.files.picture_header import Exif
+from matcam.numerics.robust import robust_std
 
 CHANNELS = ("R", "G", "B", "Y", "grey")
 """Names of colour planes; "Y" is the luminance of a colour picture."""
-MOSAICS = ("RGGB", "BGGR", "GRBG", "GBRG")
 SMALLEST = 16
 """Smallest side of a region that is measured, px."""
 _LUMINANCE = (0.2126, 0.7152, 0.0722)  # of linear R, G, B (IEC 61966-2-1)
 _SATURATED = 0.02  # share of full pixels above which a region is rejected
 _FLAT_TOP = 0.05  # share of pixels with the brightest value that needs a test
-_QUARTILES = 1.35
-"""Distance between the quartiles of a normal distribution, in standard deviations."""
 _SPREAD = 3.0
 """Noise of the dark side, in levels, above which the bright side of a picture cannot have noise below half a level.
 
@@ -157,7 +156,7 @@ class LinearImage:
         if channel is not None:
             checks.choice("channel", channel, CHANNELS)
         if cfa is not None:
-            checks.choice("cfa", cfa, MOSAICS)
+            checks.choice("cfa", cfa, CFAS)
         if isinstance(image, LinearImage):
             own = is_linear(tone) or (isinstance(tone, str) and tone == "auto")
             if channel is not None or cfa is not None or not own:
@@ -174,7 +173,8 @@ class LinearImage:
             raise ArgumentError("camera raw is linear: it has no tone curve to be undone")
         if codes.ndim == 3:
             if mosaic is not None:
-                _refuse_colour_picture(photograph.values.shape)
+                shape = photograph.values.shape
+                raise ArgumentError(f"cfa is for a mosaic of shape (height, width), got an image of shape {shape}")
             channel = checks.choice("channel", channel or "Y", ("R", "G", "B", "Y"))
         elif mosaic is None:
             if channel not in (None, "grey"):
@@ -258,17 +258,6 @@ def region_of(
     return region
 
 
-def flaws(values: np.ndarray) -> list[Remark | None]:
-    """Return the `flaw` of every region of a stack.
-
-    A quick test comes first.
-    """
-    low, high = values.min((1, 2)), values.max((1, 2))
-    share = (values == high[:, None, None]).mean((1, 2))
-    doubtful = ~((low < high) & (share <= _FLAT_TOP))  # NaN fails this test
-    return [flaw(value) if look else None for value, look in zip(values, doubtful, strict=True)]
-
-
 def flaw(values: np.ndarray) -> Remark | None:
     """Explain why a region cannot be measured.
 
@@ -286,7 +275,8 @@ def flaw(values: np.ndarray) -> Remark | None:
         flat = (used == high).sum() / (used > middle).sum()
         levels, index, count = np.unique(used, return_inverse=True, return_counts=True)
         dark = levels <= middle
-        spread = np.subtract(*np.quantile(index[used <= middle], (0.75, 0.25))) / _QUARTILES
+        below = index[used <= middle]
+        spread = robust_std(below - np.median(below))
         if count[dark].max() / count[dark].sum() < flat / 2 and spread > _SPREAD:
             text = f"region is saturated: {flat:.0%} of its bright samples have the very same value, {high:g}"
             return Remark("saturated", text)
@@ -321,17 +311,12 @@ def planes_of(
     Raises:
         ArgumentError: the photograph has not one of the channels, or camera raw, which is linear, is given a tone curve.
     """
-    if cfa is not None:
-        _refuse_colour_picture(photograph.values.shape)
-        sites_of(cfa, "G")
     there: tuple[str, ...] = ("R", "G", "B")
     if (cfa or photograph.cfa) is None and photograph.values.ndim == 2:
         there = ("grey",)
     for channel in channels or ():
         if channel not in there and not (channel == "Y" and photograph.values.ndim == 3):
             raise ArgumentError(f"channel {channel!r} is not in this picture; it has {', '.join(there)}")
-    if photograph.cfa is not None and not is_linear(tone) and not (isinstance(tone, str) and tone == "auto"):
-        raise ArgumentError("camera raw is linear: it has no tone curve to be undone")
     names = there if channels is None else channels
     return (LinearImage.of(photograph, name, cfa, tone, f_number=f_number, source=source) for name in names)
 
@@ -354,15 +339,9 @@ def as_photograph(
     return Photograph(values[..., :3] if values.ndim == 3 else values, None, full, True, Exif())
 
 
-def _refuse_colour_picture(shape: tuple[int, ...]) -> None:
-    """Raise ArgumentError for a picture of three channels that is declared as a mosaic."""
-    if len(shape) == 3:
-        raise ArgumentError(f"cfa is for a mosaic of shape (height, width), got an image of shape {shape}")
-
-
 def sites_of(cfa: str, channel: str | None) -> np.ndarray:
     """Return the sites of a colour in the first 2 x 2 px of a mosaic."""
-    checks.choice("cfa", cfa, MOSAICS)
+    checks.choice("cfa", cfa, CFAS)
     if channel not in ("R", "G", "B"):
         raise ArgumentError(f"channel must be one of 'R', 'G', 'B' with a mosaic, got {channel!r}")
     return np.array(list(cfa)).reshape(2, 2) == channel

@@ -14,6 +14,7 @@ import numpy as np
 from scipy.optimize import nnls
 from scipy.special import ndtr
 
+from matcam.calibration.photograph.flat_noise import LEAST_NOISE
 from matcam.calibration.photograph.linear_filters import MASK
 from matcam.core.arrays import FloatArray
 from matcam.numerics.crossing import first_fall
@@ -26,7 +27,6 @@ _FOUND, _SHARPER, _SOFT = (
 )  # 2 ln likelihood; how it grows with the inverse of the blur; from which blur on, px
 _LEAST_WIDTH, _WIDTH, _CORE, _COARSER = 0.2, 0.3, 6.0, 0.25  # px; blurs; blurs; of the distance: the bumps
 _ROOM = 0.8  # of the region, to which bumps reach
-_LEAST_NOISE = 2e-4  # of the step: what the bumps cannot describe
 
 
 class BareEdge(NamedTuple):
@@ -53,7 +53,7 @@ class BareEdge(NamedTuple):
 
 def edge_gain(edge: BareEdge) -> float:
     """Return by how much the mask lowers chi2 of an edge, behind any non-negative line spread function."""
-    weight = 1 / np.hypot(edge.std, _LEAST_NOISE * edge.step)
+    weight = 1 / np.hypot(edge.std, LEAST_NOISE * edge.step)
     given = edge.light * weight
     # what is free of any bound is taken out of everything
     basis = np.linalg.qr((given / np.maximum(np.linalg.norm(given, axis=1), 1e-300)[:, None]).T)[0]

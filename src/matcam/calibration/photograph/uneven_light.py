@@ -13,18 +13,18 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import ndtr
+from scipy.special import logsumexp, ndtr
 
 from matcam.core.arrays import FloatArray
 from matcam.numerics.polynomials import plane_powers
 
 _BINS, _SMALLEST_BIN = 220, 4.0
 """Number of bins of a region; smallest side of a bin, px. The eigenvalues of 220 bins are computed in 10 ms."""
-_REACH = (3.5, 1.5)
+REACH, _MORE = 3.5, 1.5
 """Distance from the edge within which pixels are in no bin: in standard deviations of the blur, plus px."""
 _LENGTHS = (8.0, 20.0, 50.0)
 """Correlation lengths of the light that are tried, px."""
-_AMPLITUDES = 1e-3 * 2.0 ** np.arange(9)
+_AMPLITUDES: FloatArray = 1e-3 * 2.0 ** np.arange(9)
 """Standard deviations of the light that are tried, relative: 0.1 to 25 %."""
 _GLARE = 0.1
 """Prior standard deviation of the share of light in glare."""
@@ -81,30 +81,54 @@ class _Bins(NamedTuple):
     std: FloatArray
 
 
-_Kind = tuple[float, float, bool]
-"""Amplitude of a light, correlation length in px, and whether it adds to the scene."""
-
-
-class _Model(NamedTuple):
-    """One model of the light, with or without glare.
+class _Family(NamedTuple):
+    """Models of the light with one correlation length, of several amplitudes.
 
     Attributes:
-        log_evidence: logarithm of its probability, but for a constant.
-        amplitude: standard deviation of the light, relative.
         length: correlation length, px.
         adds: whether the light adds to the scene; else it multiplies it.
-        glares: whether there is glare.
-        weights: weights of the data (p,) in the light's mean.
-        noise: variance of the bins, in units of that of independent noise.
+        amplitudes: standard deviations of the light, relative, (a,).
+        seen: effect of the light of the bins on the data (n, p).
+        power: variances of the data by light of amplitude 1, in independent directions (p,).
+        vectors: these directions (p, p).
+        data: residuals of the bins after levels and plane, in these directions (p,).
+        glares: the same of glare of full strength, of every radius (radii, p).
     """
 
-    log_evidence: float
-    amplitude: float
     length: float
     adds: bool
-    glares: bool
-    weights: FloatArray
-    noise: float = 1.0
+    amplitudes: FloatArray
+    seen: FloatArray
+    power: FloatArray
+    vectors: FloatArray
+    data: FloatArray
+    glares: FloatArray
+
+    def precision(self, amplitude: FloatArray | float, noise: FloatArray | float) -> FloatArray:
+        """Compute the inverse variances of the data."""
+        return np.asarray(1 / (noise + amplitude**2 * self.power))
+
+    def by_glare(self, precision: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Compute score and information of the share of light in glare of every radius, (..., radii)."""
+        score = np.maximum((precision * self.data) @ self.glares.T, 0.0)
+        return score, precision @ (self.glares**2).T + _GLARE**-2
+
+    def log_evidence(self) -> FloatArray:
+        """Compute the logarithm of the probability without glare and with it, (2, a, noises)."""
+        precision = self.precision(self.amplitudes[:, None, None], np.array(_NOISES)[:, None])
+        without = (np.log(precision) - self.data**2 * precision).sum(-1) / 2
+        score, alone = self.by_glare(precision)
+        gain = logsumexp((score**2 / alone - np.log(alone * _GLARE**2)) / 2, axis=-1) - np.log(len(_RADII))
+        prior = np.log([1 - _GLARE_PROBABILITY, _GLARE_PROBABILITY])[:, None, None]
+        return np.asarray(prior + np.stack([without, without + gain]))
+
+    def weights(self, amplitude: float, noise: float, glaring: bool) -> FloatArray:
+        """Compute the weights of the data (p,) in the mean of the light."""
+        precision = self.precision(amplitude, noise)
+        score, alone = self.by_glare(precision)
+        k = int(np.argmax(score**2 / alone - np.log(alone)))
+        share = score[k] / alone[k] if glaring else 0.0
+        return self.vectors @ (precision * (self.data - share * self.glares[k]))
 
 
 def light_field(
@@ -131,7 +155,7 @@ def light_field(
     Returns:
         The most probable light.
     """
-    bins = _bins(value, x, y, distance, noise, _REACH[0] * blur + _REACH[1])
+    bins = _bins(value, x, y, distance, noise, REACH * blur + _MORE)
     if bins is None:
         return None
     bright = bins.distance > 0
@@ -144,29 +168,32 @@ def light_field(
     if not glare and data @ data < data.size + _SUSPECT * np.sqrt(2 * data.size):
         return None
     columns = np.stack([(ndtr(bins.distance / radius) - bright) * step / bins.std for radius in _RADII]) @ basis
-    models = _models(bins, basis, data, columns, step)
-    evidence = np.array([model.log_evidence for model in models])
+    families = _families(bins, basis, data, columns, step)
+    kinds = [(family, amplitude, noise) for family in families for amplitude in family.amplitudes for noise in _NOISES]
+    # half of the prior probability is that of even light
+    prior = [np.log(1.0 if not family.length else 2 * len(_LENGTHS) * _AMPLITUDES.size) for family, _, _ in kinds]
+    evidence = np.concatenate([family.log_evidence().reshape(2, -1) for family in families], axis=1) - prior
     probability = np.exp(evidence - evidence.max())
-    glaring = np.array([model.glares for model in models])
-    of_glare = float(probability[glaring].sum() / probability.sum())
+    probability /= probability.sum()
+    glaring = bool(probability[1].sum() > 0.5)
     # the light is that of the more probable hypothesis
-    best = max((model for model in models if model.glares == (of_glare > 0.5)), key=lambda model: model.log_evidence)
-    possible = float(np.sqrt(probability @ np.array([m.amplitude for m in models]) ** 2 / probability.sum()))
+    best, power, unexplained = kinds[int(np.argmax(evidence[int(glaring)]))]
+    possible = float(np.sqrt(probability.sum(0) @ np.array([kind[1] for kind in kinds]) ** 2))
     factor, addend = np.ones_like(value), np.zeros_like(value)
-    if not best.amplitude:
+    if not power:
         return LightField(factor, addend, 0.0, possible) if glare else None
-    seen = basis * ((step if best.adds else bins.level) / bins.std)[:, None]
-    light = best.amplitude**2 * (seen @ best.weights)
+    weights = best.weights(power, unexplained, glaring)
+    light = power**2 * (best.seen @ weights)
     field = (_correlation(x.ravel(), y.ravel(), bins, best.length) @ light).reshape(value.shape)
     # the polynomials next to it are fitted to the bins without the light
     by_light = _correlation(bins.x, bins.y, bins, best.length) @ light * (step if best.adds else bins.level)
-    left = (bins.value - by_light) / bins.std - best.noise * (basis @ best.weights)
+    left = (bins.value - by_light) / bins.std - unexplained * (basis @ weights)
     strengths = np.linalg.lstsq(design, left, rcond=None)[0][2:]
     strengths[:2] = 0.0  # a plane is left to the fit of the edge
     polynomial = np.tensordot(strengths, _polynomials(x / scales[0], y / scales[1]), 1)
     amplitude = float(np.std(field[np.isfinite(value)]))
     ghost = _ghost(field[np.isfinite(value)], distance[np.isfinite(value)])
-    unknown = _unknown(bins, seen, best, (x, y, distance), blur)
+    unknown = _unknown(bins, best, power, unexplained, (x, y, distance), blur)
     factor = np.maximum(factor + polynomial, _DARKEST)
     if best.adds:
         return LightField(factor, field * step, amplitude, possible, ghost, unknown)
@@ -179,10 +206,13 @@ def _polynomials(x: FloatArray, y: FloatArray) -> FloatArray:
     return np.moveaxis(plane_powers(x, y, 3)[..., 1:], -1, 0)
 
 
-def _unknown(bins: _Bins, seen: FloatArray, best: _Model, places: tuple[FloatArray, ...], blur: float) -> float:
+def _unknown(
+    bins: _Bins, best: _Family, amplitude: float, noise: float, places: tuple[FloatArray, ...], blur: float
+) -> float:
     """Compute the standard deviation of the light's step across the edge, mean along the edge, relative.
 
-    seen: light of the bins -> data (n, p). places: x, y and distance of all pixels, px.
+    amplitude, noise: of the light, relative, and of the bins, as a variance in units of that of independent noise.
+    places: x, y and distance of all pixels, px.
     """
     x, y, distance = places
     # in every few rows, the pixels whose centres are one width of the blur from the edge on both sides
@@ -191,10 +221,9 @@ def _unknown(bins: _Bins, seen: FloatArray, best: _Model, places: tuple[FloatArr
     px, py = (np.concatenate([a[rows, columns] for columns in at]) for a in (x, y))
     mean = np.repeat([1.0, -1.0], rows.size) / rows.size
     own = _correlation(px, py, bins._replace(x=px, y=py), best.length)
-    cross = mean @ _correlation(px, py, bins, best.length) @ seen
-    power = best.amplitude**2
-    data = power * seen.T @ _correlation(bins.x, bins.y, bins, best.length) @ seen + best.noise * np.eye(seen.shape[1])
-    variance = power * mean @ own @ mean - power**2 * cross @ np.linalg.solve(data, cross)
+    cross = mean @ _correlation(px, py, bins, best.length) @ best.seen @ best.vectors
+    power = amplitude**2
+    variance = power * mean @ own @ mean - power**2 * cross**2 @ best.precision(amplitude, noise)
     return float(np.sqrt(max(float(variance), 0.0)))
 
 
@@ -250,54 +279,20 @@ def _bins(
     return _Bins(mean_x, mean_y, apart, level, np.where(bright, high, low), std)
 
 
-def _models(bins: _Bins, basis: FloatArray, data: FloatArray, glares: FloatArray, step: float) -> list[_Model]:
-    """Evaluate all models of the light, without glare and with glare of every radius.
+def _families(bins: _Bins, basis: FloatArray, data: FloatArray, glares: FloatArray, step: float) -> list[_Family]:
+    """List all models of the light, even light first.
 
     `data`, `glares`: residuals of the bins, and of glare of full strength, after levels and plane: (p,), (radii, p).
     """
-    models: list[_Model] = []
-
-    def add(power: FloatArray, vectors: FloatArray, turned: FloatArray, columns: FloatArray, kind: _Kind) -> None:
-        """Add the models of one light, for every noise. power: variances (p,) of the light in the directions `vectors`."""
-        for noise in _NOISES:
-            scale = np.sqrt(noise)
-            some = _with_glare(power / noise, vectors, turned / scale, columns / scale, kind)
-            cost = data.size * np.log(scale) + np.log(2 * len(_LENGTHS) * _AMPLITUDES.size if kind[0] else 1.0)
-            models.extend(
-                m._replace(log_evidence=m.log_evidence - cost, weights=m.weights / scale, noise=noise) for m in some
-            )
-
-    add(0 * data, np.eye(data.size), data, glares, (0.0, 0.0, False))
+    families = [_Family(0.0, False, np.zeros(1), basis, np.zeros(data.size), np.eye(data.size), data, glares)]
     for length in _LENGTHS:
         correlation = _correlation(bins.x, bins.y, bins, length)
         for adds in (False, True):
             seen = basis * ((step if adds else bins.level) / bins.std)[:, None]
-            power, vectors = np.linalg.eigh(seen.T @ correlation @ seen)
-            turned, columns = vectors.T @ data, glares @ vectors
-            for amplitude in _AMPLITUDES:
-                add(amplitude**2 * np.maximum(power, 0), vectors, turned, columns, (float(amplitude), length, adds))
-    return models
-
-
-def _with_glare(
-    light: FloatArray, vectors: FloatArray, data: FloatArray, glares: FloatArray, kind: _Kind
-) -> list[_Model]:
-    """Evaluate one light without glare, and with glare of every radius.
-
-    light: variances (p,) in the directions of `vectors`, in which data and glares stand. kind: amplitude, length, adds.
-    """
-    precision = 1 / (1 + light)
-    log_evidence = -(data**2 * precision + np.log1p(light)).sum() / 2
-    weighted = glares * precision
-    alone, score = (weighted * glares).sum(1) + _GLARE**-2, np.maximum(weighted @ data, 0.0)
-    gain = (score**2 / alone - np.log(alone * _GLARE**2)) / 2
-    k = int(np.argmax(gain))
-    mean_gain = gain[k] + np.log(np.exp(gain - gain[k]).mean())
-    without, with_it = (precision * d for d in (data, data - score[k] / alone[k] * glares[k]))
-    return [
-        _Model(log_evidence + np.log(1 - _GLARE_PROBABILITY), *kind, False, vectors @ without),
-        _Model(log_evidence + mean_gain + np.log(_GLARE_PROBABILITY), *kind, True, vectors @ with_it),
-    ]
+            power, axes = np.linalg.eigh(seen.T @ correlation @ seen)
+            power = np.asarray(np.maximum(power, 0.0), float)
+            families.append(_Family(length, adds, _AMPLITUDES, seen, power, axes, axes.T @ data, glares @ axes))
+    return families
 
 
 def _correlation(x: FloatArray, y: FloatArray, bins: _Bins, length: float) -> FloatArray:

@@ -11,6 +11,7 @@ import numpy as np
 from matcam.calibration.photograph.linear_image import LinearImage
 from matcam.core.arrays import FloatArray
 from matcam.core.errors import FitError
+from matcam.numerics.robust import robust_std
 
 _LARGEST = 1024  # px: so much of a picture is enough
 _DARK = 0.2  # of a picture's bright light, below which light that alternates is noise
@@ -52,19 +53,13 @@ def _of_lines(values: FloatArray) -> float:
         share = np.where(bright, (at - mean) / mean, np.nan)
     found = 0.0
     for row in (0, 1):
-        even, odd = (_known(share[row::2, column::2]) for column in (0, 1))
-        ends = [float(np.median(part)) if part.size >= _FEWEST else 0.0 for part in (even, odd)]
-        least = min(map(abs, ends))
-        if ends[0] * ends[1] < 0 and 2 * least > _ALTERNATING and least > _SIGNIFICANT * max(map(_std, (even, odd))):
-            found = max(found, 2 * least)
+        parts = [share[row::2, column::2] for column in (0, 1)]
+        parts = [part[np.isfinite(part)] for part in parts]
+        if min(part.size for part in parts) >= _FEWEST:
+            ends = [float(np.median(part)) for part in parts]
+            # standard deviation of a median
+            std = max(1.25 * robust_std(part - end) / np.sqrt(part.size) for part, end in zip(parts, ends, strict=True))
+            least = min(map(abs, ends))
+            if ends[0] * ends[1] < 0 and 2 * least > _ALTERNATING and least > _SIGNIFICANT * std:
+                found = max(found, 2 * least)
     return found
-
-
-def _known(share: FloatArray) -> FloatArray:
-    return share[np.isfinite(share)]
-
-
-def _std(share: FloatArray) -> float:
-    """Compute the standard deviation of a median."""
-    low, high = np.quantile(share, (0.25, 0.75))
-    return float(1.25 * (high - low) / 1.35 / np.sqrt(share.size))

@@ -8,14 +8,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from matcam.calibration.edge.edge_result import EdgeMTF
-from matcam.calibration.edge.free_curve import SampledCurve
+from matcam.calibration.edge.free_curve import SampledCurve, line_width
 from matcam.core import checks
 from matcam.core.arrays import FloatArray
 from matcam.numerics.crossing import first_fall
 
 LEVELS = (0.5, 0.3, 0.2, 0.1)
 """Levels of the MTF whose frequencies are reported."""
-_RISE = (0.1, 0.9)
 _SAMPLES = 512
 """Samples of the edge response between which its rise is interpolated."""
 _HIGHEST = 1.25
@@ -117,23 +116,36 @@ def rise_distance(edge: EdgeMTF) -> EdgeNumber:
         2.2
     """
     checks.instance("edge", edge, EdgeMTF)
-    shape = edge.fits.free.shape
-    reach = 6 * float(np.hypot(shape.sigma, shape.half_width / np.sqrt(3)))
+    reach = 6 * float(line_width(edge.fits.free.shape))
     distance = np.linspace(-reach, reach, _SAMPLES)
-    response = edge.esf(distance)
-    middle = int(np.argmin(np.abs(response.value - 0.5)))
-    ends, variance = [], 0.0
-    for level, side in zip(_RISE, (slice(middle, None, -1), slice(middle, None)), strict=True):
-        off = np.asarray(response.value)[side] - level
-        crossed = np.flatnonzero(off <= 0 if level < 0.5 else off >= 0)
-        if not crossed.size or crossed[0] == 0:
-            return EdgeNumber(np.nan, np.nan)
-        k = crossed[0]
-        d, std = distance[side], np.asarray(response.std)[side]
-        slope = (off[k] - off[k - 1]) / (d[k] - d[k - 1])
-        ends.append(float(d[k - 1] - off[k - 1] / slope))
-        variance += float(std[k] / slope) ** 2
-    return EdgeNumber(ends[1] - ends[0], float(np.sqrt(variance)))
+    return rise(distance, edge.esf(distance))
+
+
+def _passage(position: FloatArray, response: SampledCurve, level: float, side: int) -> EdgeNumber:
+    """Find where an edge response passes a level on one side of its middle, by linear interpolation; NaN: nowhere.
+
+    position: (n,) rising. response: 0 to 1, (n,). side: -1 for the dark side, 1 for the bright one.
+    """
+    value = np.asarray(response.value)
+    outwards = np.arange(int(np.argmin(np.abs(value - 0.5))), value.size if side > 0 else -1, side)
+    k = int(np.argmax(side * (value[outwards] - level) >= 0))
+    if not k:
+        return EdgeNumber(np.nan, np.nan)
+    before, after = outwards[k - 1], outwards[k]
+    slope = (value[after] - value[before]) / (position[after] - position[before])
+    place = position[before] + (level - value[before]) / slope
+    return EdgeNumber(float(place), float(np.asarray(response.std)[after] / slope))
+
+
+def rise(position: FloatArray, response: SampledCurve) -> EdgeNumber:
+    """Measure the 10 % to 90 % rise of an edge response, in the unit of its positions; NaN where it does not rise so far.
+
+    Args:
+        position: positions (n,), rising.
+        response: edge response at these, 0 to 1, (n,).
+    """
+    low, high = (_passage(position, response, level, side) for level, side in ((0.1, -1), (0.9, 1)))
+    return EdgeNumber(high.value - low.value, float(np.hypot(low.std, high.std)))
 
 
 def readings(edge: EdgeMTF, frequencies: FloatArray | tuple[float, ...] = ()) -> dict[str, Any]:

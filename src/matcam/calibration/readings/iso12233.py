@@ -13,10 +13,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from matcam.calibration.edge.free_curve import SampledCurve
 from matcam.calibration.edge.rows import edge_regions
-from matcam.calibration.photograph.linear_image import LinearImage, flaws, region_of
+from matcam.calibration.photograph.linear_image import LinearImage, flaw, region_of
 from matcam.calibration.photograph.tone import Tone
 from matcam.calibration.photograph.unnamed_mosaic import refuse_unnamed_mosaic
+from matcam.calibration.readings.edge_numbers import LEVELS, rise
 from matcam.core.arrays import FloatArray
 from matcam.core.errors import ArgumentError, FitError
 from matcam.core.io import plain
@@ -72,7 +74,7 @@ class ISOEdge:
             Numbers by name, with units in the names, as `matcam edge` prints them.
         """
         found: dict[str, Any] = {}
-        for level in (0.5, 0.3, 0.2, 0.1):
+        for level in LEVELS:
             found[f"mtf{100 * level:.0f}_cycles_per_px"] = float(first_fall(self.frequency, self.sfr, level))
         found["rise_10_90_px"] = self.rise
         return found | {f"mtf_at_{f:g}": float(np.interp(f, self.frequency, self.sfr)) for f in frequencies}
@@ -86,14 +88,8 @@ class ISOEdge:
         end = max(self.esf.size // 8, 1)
         dark, bright = self.esf[:end].mean(), self.esf[-end:].mean()
         share = (self.esf - dark) / (bright - dark)
-        middle = int(np.argmin(np.abs(share - 0.5)))
-        low, high = np.flatnonzero(share[:middle] < 0.1), np.flatnonzero(share[middle:] > 0.9)
-        if not low.size or not high.size:
-            return float("nan")
-        i, k = int(low[-1]), middle + int(high[0])
-        first = i + (0.1 - share[i]) / (share[i + 1] - share[i])
-        last = k - 1 + (0.9 - share[k - 1]) / (share[k] - share[k - 1])
-        return float((last - first) * self.spacing)
+        position = self.spacing * np.arange(share.size)
+        return rise(position, SampledCurve(share, np.zeros(share.size))).value
 
     def to_dict(self) -> dict[str, Any]:
         """Return the result as a JSON object.
@@ -158,7 +154,7 @@ def iso12233_sfr(
     if not (isinstance(order, int) and _ORDERS[0] <= order <= _ORDERS[1]):
         raise ArgumentError(f"order must be a whole number from {_ORDERS[0]} to {_ORDERS[1]}, got {order!r:.40}")
     region = region_of(image, roi, channel=channel, cfa=cfa, tone=tone)
-    if problem := flaws(region.values[None])[0]:
+    if problem := flaw(region.values):
         raise FitError(problem.text)
     refuse_unnamed_mosaic(region)
     rows = edge_regions(region.values[None], mosaic=region.cfa is not None)
@@ -177,16 +173,11 @@ def iso12233_sfr(
     value, start, place = value[:kept], start[:kept], place[:kept]
     esf = _edge_spread(value, start[:, None] + np.arange(value.shape[1]) - place[:, None])
     # along the normal, in px
-    across = float(np.cos(np.arctan(straight * rows.step / _row_distance(rows.y[0]))))
+    across = float(np.cos(np.arctan(straight * rows.step / (rows.y[0, 1] - rows.y[0, 0]))))
     spacing = rows.step * across / _BINS
     frequency, sfr = _response(esf, spacing)
     sfr50, sfr10 = (float(first_fall(frequency, sfr, level)) for level in (0.5, 0.1))
     return ISOEdge(frequency, sfr, sfr50, sfr10, float(np.arccos(across)), esf, spacing)
-
-
-def _row_distance(y: FloatArray) -> float:
-    """Compute the distance of neighbouring rows along the normal, px."""
-    return float(y[1] - y[0])
 
 
 def _edge_places(value: FloatArray, start: FloatArray, number: FloatArray, order: int) -> FloatArray:

@@ -13,7 +13,7 @@ from matcam.calibration.chart.chart import Chart
 from matcam.calibration.chart.registration import Projection
 from matcam.calibration.chart.sides import seen_sides
 from matcam.calibration.photograph.linear_image import smoothed
-from matcam.calibration.search.edge_search import EdgePlaces, clear_distance
+from matcam.calibration.search.edge_search import EdgePlaces, clear_edges, moments
 from matcam.core.arrays import FloatArray
 
 _CORNER = 3.5  # px that are cut off both ends of a side
@@ -31,24 +31,10 @@ def described_edges(values: FloatArray, chart: Chart, projection: Projection) ->
     sides = seen_sides(smooth, chart, projection)
     if sides is None:
         return None
-    found = sides.found
-    some = found.sum(1) >= _FEWEST
-    seen, known = np.where(found[..., None], sides.seen, 0.0)[some], found[some][..., None]
-    count = known.sum(1)
-    middle = seen.sum(1) / count
-    off = np.where(known, seen - middle[:, None], 0.0)
-    # the direction of largest scatter is that of the side
-    xx, yy, xy = (off[..., 0] ** 2).sum(1), (off[..., 1] ** 2).sum(1), (off[..., 0] * off[..., 1]).sum(1)
-    turn = np.arctan2(2 * xy, xx - yy) / 2 + np.pi / 2
-    outwards = np.where(known, sides.normal[some], 0.0).sum(1)
-    turn = np.where(np.cos(turn) * outwards[:, 0] + np.sin(turn) * outwards[:, 1] < 0, turn + np.pi, turn)
-    across = off[..., 0] * np.cos(turn)[:, None] + off[..., 1] * np.sin(turn)[:, None]
-    good = np.sqrt((across**2).sum(1) / count[:, 0]) < _STRAIGHT
-    # positions that were not found do not affect the centre
-    length = np.where(good, sides.length[some], 0.0)
-    x, y, angle = middle[good, 0], middle[good, 1], np.angle(np.exp(1j * turn[good]))
-    clear, step = clear_distance(smooth, x, y, angle, length[good])
-    length = length[good] - 2 * _CORNER
-    order = np.argsort(-step * length, kind="stable")
-    order = order[(clear > 0)[order]]
-    return EdgePlaces(*(column[order] for column in (x, y, angle, length, clear.astype(float))))
+    found = sides.found & (sides.found.sum(1) >= _FEWEST)[:, None]
+    square, place = np.nonzero(found)
+    some, one = np.unique(square, return_inverse=True)
+    (x, y), (nx, ny) = sides.seen[square, place].T, sides.normal[square, place].T
+    x, y, angle, _, width = moments(one, some.size, x, y, nx, ny, np.ones(one.size))[0].T
+    good = width < np.sqrt(12) * _STRAIGHT
+    return clear_edges(smooth, x[good], y[good], angle[good], sides.length[some[good]], _CORNER)

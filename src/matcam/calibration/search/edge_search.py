@@ -69,12 +69,9 @@ def _at_scale(picture: np.ndarray, factor: int) -> EdgePlaces:
     small = _reduced(picture, factor)
     ribbons = _ribbons(small) if min(small.shape) > 2 * _SHORTEST else np.zeros((0, 4))
     x, y, angle, length = ribbons.T
-    clear, step = clear_distance(small, x, y, angle, length)
-    length = length - 2 * _CORNER
-    order = np.argsort(-step * length, kind="stable")
-    order = order[(clear > 0)[order]]
-    place = (column * factor + (factor - 1) / 2 for column in (x, y))
-    return EdgePlaces(*(column[order] for column in (*place, angle, factor * length, factor * clear)))
+    edges = clear_edges(small, x, y, angle, length, _CORNER)
+    x, y = (column * factor + (factor - 1) / 2 for column in (edges.x, edges.y))
+    return EdgePlaces(x, y, edges.angle, factor * edges.length, factor * edges.clear)
 
 
 def _reduced(picture: np.ndarray, factor: int) -> np.ndarray:
@@ -109,7 +106,7 @@ def _ribbons(small: np.ndarray) -> np.ndarray:
         mask[rows[near], columns[near]] = 1
         label, count = ndimage.label(mask, np.ones((3, 3)))
         one = label[rows[near], columns[near]] - 1
-        ribbon, direction = _moments(one, count, *(a[near] for a in (columns, rows, gx, gy, size)))
+        ribbon, direction = moments(one, count, *(a[near] for a in (columns, rows, gx, gy, size)))
         # an edge is found in three sectors, and is assigned to the one that contains its mean direction
         mine = np.floor((direction + np.pi) / width).astype(int) % _SECTORS == centre
         found.append(ribbon[mine])
@@ -118,7 +115,7 @@ def _ribbons(small: np.ndarray) -> np.ndarray:
     return ribbon[(length >= _SHORTEST) & (length >= _SLENDER * thickness)][:, :4]
 
 
-def _moments(
+def moments(
     one: np.ndarray, count: int, x: np.ndarray, y: np.ndarray, gx: np.ndarray, gy: np.ndarray, size: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the moments of components, and their mean directions.
@@ -137,6 +134,20 @@ def _moments(
     # a uniform ribbon of length l has a variance of l^2 / 12
     length, thickness = np.sqrt(12 * (half + apart)), np.sqrt(12 * np.maximum(half - apart, 0))
     return np.stack([mx, my, np.angle(np.exp(1j * normal)), length, thickness], 1), direction
+
+
+def clear_edges(
+    small: np.ndarray, x: np.ndarray, y: np.ndarray, angle: np.ndarray, length: np.ndarray, corner: float
+) -> EdgePlaces:
+    """Select the edges that are even on both sides, and cut their ends off.
+
+    small, x, y, angle, length: as in `clear_distance`. corner: px that are cut off both ends.
+    """
+    clear, step = clear_distance(small, x, y, angle, length)
+    length = length - 2 * corner
+    order = np.argsort(-step * length, kind="stable")
+    order = order[(clear > 0)[order]]
+    return EdgePlaces(*(column[order] for column in (x, y, angle, length, clear.astype(float))))
 
 
 def clear_distance(

@@ -21,11 +21,12 @@ from matcam.calibration.edge.edge import AT_ONCE, EdgeSettings, edge_stack
 from matcam.calibration.edge.edge_result import EdgeStack
 from matcam.calibration.edge.rows import EdgeRegions, RegionFrame, turns_for
 from matcam.calibration.photograph.flat_noise import crushed_share
-from matcam.calibration.photograph.linear_image import LinearImage, flaws
+from matcam.calibration.photograph.linear_image import LinearImage, flaw
 from matcam.calibration.search.edge_search import EdgePlaces
 from matcam.core.errors import FitError
 from matcam.core.remark import Remark
 from matcam.numerics.polynomials import plane_powers
+from matcam.numerics.robust import robust_fit
 
 _ROWS = (48, 64, 96, 128, 192)
 _COLUMNS = (32, 48)
@@ -33,14 +34,13 @@ _USUAL = 0.8  # quantile of the lengths of the edges that sets the number of row
 _LEAST_ROWS, _LEAST_WIDTH = 20, 16
 _MARGIN = 1.0  # px: error of the search in the position of an edge
 _FEWEST = 12  # number of edges, for the six parameters of the light
-_OUTLIER, _ROUNDS = 3.0, 6
-_LEAST_SCATTER = 0.003  # relative
+_LEAST_SCATTER = 0.002  # relative
 _SHARE = 4  # the last quarter of a row is its bright side
 _RANGE = 20.0  # largest unevenness of the light on a chart
 _SATURATED = 0.02  # share of a strip's samples
-_CRUSHED = 0.02  # share of a strip at its lowest value that needs a test
 _CONTRAST = 0.2  # (bright - dark) / (bright + dark), below which it is reported
 _DIRECTIONAL, _SIGNIFICANT = 0.15, 5.0  # relative to the variance of the blur; standard deviations
+_RESOLVED = 0.03  # relative to the best known harmonic: less is not determined
 _FEW = 6  # number of edges below which directions are not compared
 
 
@@ -91,8 +91,8 @@ def plane_edge_stack(
         [
             Remark("saturated", f"saturated: {share:.0%} of its samples")
             if share > _SATURATED
-            else flaw or _crushed(value)
-            for share, flaw, value in zip(shares, flaws(rows.value), rows.value, strict=True)
+            else flaw(value) or _crushed(value)
+            for share, value in zip(shares, rows.value, strict=True)
         ]
         for rows, shares in zip(regions, saturated, strict=True)
     ]
@@ -109,10 +109,7 @@ def plane_edge_stack(
 def _crushed(value: np.ndarray) -> Remark | None:
     """Describe the crushed dark side of a strip, or return None."""
     used = value[np.isfinite(value)]
-    low = used.min()
-    if (used == low).mean() < _CRUSHED:
-        return None
-    bright = used > (low + used.max()) / 2
+    bright = used > (used.min() + used.max()) / 2
     share = crushed_share(used[~bright], used[bright])
     return (
         Remark("crushed", f"blacks are crushed: {share:.0%} of its dark side has the very lowest value")
@@ -191,22 +188,25 @@ def regions_in_even_light(regions: Sequence[EdgeRegions]) -> list[EdgeRegions]:
     """
     x, y = (np.concatenate([getattr(r.frame, axis) for r in regions]) for axis in "xy")
     bright = np.concatenate([_bright(r.value) for r in regions])
-    good = np.isfinite(bright) & (bright > 0)
+    good = bright > 0
     if good.sum() < _FEWEST:
         return list(regions)
     middle, scale = (x.mean(), y.mean()), max(float(np.ptp(x)), float(np.ptp(y)), 1.0)
-    powers = plane_powers((x - middle[0]) / scale, (y - middle[1]) / scale, 2)
-    level = np.log(np.where(good, bright, 1.0))
-    for _ in range(_ROUNDS):
-        found = np.linalg.lstsq(powers[good], level[good], rcond=1e-6)[0]
-        off = np.abs(level - powers @ found)
-        scatter = max(1.5 * float(np.median(off[good])), _LEAST_SCATTER)
-        good = (bright > 0) & (off < _OUTLIER * scatter)
-        if good.sum() < _FEWEST:
-            return list(regions)
-    if np.ptp(powers[good] @ found) > np.log(_RANGE):
+
+    def powers(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        return plane_powers((x - middle[0]) / scale, (y - middle[1]) / scale, 2)
+
+    design = powers(x, y)[good]
+    light = robust_fit(design, np.log(bright[good]), least=_LEAST_SCATTER)
+    if light.kept.sum() < _FEWEST or np.ptp(design[light.kept] @ light.parameters) > np.log(_RANGE):
         return list(regions)
-    return [_in_even_light(r, found, middle, scale) for r in regions]
+
+    def even(region: EdgeRegions) -> EdgeRegions:
+        frame = region.frame
+        relative = powers(*region.positions()) - powers(np.asarray(frame.x), np.asarray(frame.y))[:, None, None]
+        return region._replace(value=region.value * np.exp(-relative @ light.parameters))
+
+    return [even(region) for region in regions]
 
 
 def _region(
@@ -256,22 +256,6 @@ def _inside(strips: Strips, shape: tuple[int, int]) -> np.ndarray:
     return (strips.u >= reach) & (strips.u + reach < across) & (strips.v >= long) & (strips.v + long < along)
 
 
-def _in_even_light(region: EdgeRegions, found: np.ndarray, middle: tuple[float, float], scale: float) -> EdgeRegions:
-    """Divide a region by its light relative to that at its centre."""
-    frame = region.frame
-    across = region.start[..., None] + region.step * np.arange(region.value.shape[2])
-    columns = frame._replace(
-        transposed=np.asarray(frame.transposed)[:, None, None], mirrored=np.asarray(frame.mirrored)[:, None, None]
-    )
-    dx, dy = columns.in_picture(across, np.broadcast_to(region.y[..., None], across.shape))
-    x, y = (np.asarray(a)[:, None, None] for a in (frame.x, frame.y))
-    dx, dy, x, y = dx / scale, dy / scale, (x - middle[0]) / scale, (y - middle[1]) / scale
-    # the difference of the quadratic between a position and the centre
-    _, fx, fy, fxx, fxy, fyy = found
-    bend = (fx + fxx * (2 * x + dx) + fxy * (y + dy)) * dx + (fy + fxy * x + fyy * (2 * y + dy)) * dy
-    return region._replace(value=region.value * np.exp(-bend))
-
-
 def _bright(value: np.ndarray) -> np.ndarray:
     """Return the mean of the bright side of every strip (n,)."""
     there = np.isfinite(value)
@@ -290,17 +274,14 @@ def _directional_blur(result: EdgeStack) -> str:
     if good.size < _FEW:
         return ""
     sigma, angle = result.parametric.values[good, 0], result.angle[good]
-    weight = 1 / (4 * sigma**2 * result.parametric.covariance[good, 0, 0])
-    # the second harmonic of the blur's variance
+    std = 2 * sigma * np.sqrt(result.parametric.covariance[good, 0, 0])
+    # the second harmonic of the blur's variance; squares have two directions only, which do not determine one
+    # combination of the harmonics: it is set to 0
     design = np.stack([np.ones_like(angle), np.cos(2 * angle), np.sin(2 * angle)], 1)
-    normal = design.T @ (weight[:, None] * design)
-    # squares have two directions only, which do not determine one combination of the harmonics: it is set to 0
-    inverse = np.linalg.pinv(normal, rcond=1e-3, hermitian=True)
-    found = inverse @ (design.T @ (weight * sigma**2))
-    left = weight * (sigma**2 - design @ found) ** 2
-    covariance = inverse * max(1.0, left.sum() / max(good.size - 3, 1))
+    fit = robust_fit(design, sigma**2, std, resolved=_RESOLVED)
+    found = fit.parameters
     size = float(np.hypot(found[1], found[2]))
-    std = float(np.sqrt(found[1:] @ covariance[1:, 1:] @ found[1:]) / max(size, 1e-30))
+    std = float(np.sqrt(found[1:] @ fit.covariance[1:, 1:] @ found[1:] * max(1.0, fit.chi2)) / max(size, 1e-30))
     if size < _DIRECTIONAL * found[0] or size < _SIGNIFICANT * std:
         return ""
     most, least = np.sqrt(found[0] + size), np.sqrt(max(found[0] - size, 0.0))

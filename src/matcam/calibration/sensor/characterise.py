@@ -101,8 +101,9 @@ def characterise_sensor(
     if dsnu.value == 0:
         remarks.append(Remark("dsnu-not-seen", "the pixels' dark signals differ by no more than chance"))
     judged = np.concatenate([plane.departure[plane.judged] for plane in planes])
-    charge = max(float(plane.signal.max()) for plane in planes) / gain.value if saturated else saturation.value
-    full_well = Stated(charge, charge * gain.std / gain.value) if saturated else saturation
+    full_well = saturation
+    if saturated:
+        full_well = _per_gain(Stated(max(float(plane.signal.max()) for plane in planes)), gain)
     return SensorCharacteristics(
         gain=gain,
         read_noise=read_noise,
@@ -119,7 +120,9 @@ def characterise_sensor(
         dsnu=dsnu,
         dsnu_time=float(shade.exposure.time),
         linearity_error=(float(judged.min()), float(judged.max())) if judged.size else (math.nan, math.nan),
-        quantum_efficiency=_quantum_efficiency(planes, gain) if series.light_unit == "photons" else _UNKNOWN,
+        quantum_efficiency=_per_gain(max(plane.responsivity for plane in planes), gain)
+        if series.light_unit == "photons"
+        else _UNKNOWN,
         bits=bits,
         cfa=reader.cfa,
         prnu_map=patterns.response_map(),
@@ -154,8 +157,8 @@ def _read_noise(dark: Sequence[ExposureStatistics], gain: Stated) -> tuple[State
         first = int(np.argmin(times))
         dark_variance, std = float(variance[first]), float(error[first])
     hidden = dark_variance < _HIDDEN
-    noise = math.sqrt(max(dark_variance, _HIDDEN) - _ROUNDING) / gain.value
-    return Stated(noise, math.hypot(std / (2 * noise * gain.value**2), noise * gain.std / gain.value)), hidden
+    noise = math.sqrt(max(dark_variance, _HIDDEN) - _ROUNDING)
+    return _per_gain(Stated(noise, std / (2 * noise)), gain), hidden
 
 
 def _black_level(dark: Sequence[ExposureStatistics]) -> Stated:
@@ -168,21 +171,20 @@ def _growth(dark, gain, of, power):  # type: ignore[no-untyped-def]
     times = np.array([one.exposure.time for one in dark])
     if len(np.unique(times)) < _TIMES:
         return _UNKNOWN
-    slope, _ = _line(times, np.array([float(of(one).mean()) for one in dark]))
-    scale = gain.value**power
-    return Stated(
-        slope.value / scale, math.hypot(slope.std / scale, power * slope.value / scale * gain.std / gain.value)
-    )
+    return _per_gain(_line(times, np.array([float(of(one).mean()) for one in dark]))[0], gain, power)
 
 
 def _line(x: np.ndarray, y: np.ndarray) -> tuple[Stated, Stated]:
     """Fit slope and offset of a straight line by ordinary least squares, with standard deviations from the scatter."""
-    matrix = np.stack([x - x.mean(), np.ones_like(x)], axis=1)
-    (slope, middle), *_ = np.linalg.lstsq(matrix, y, rcond=None)
-    scatter = float(np.sum((y - matrix @ (slope, middle)) ** 2)) / max(len(x) - 2, 1)
-    spread = float(np.sum((x - x.mean()) ** 2))
-    offset_std = math.sqrt(scatter * (1 / len(x) + x.mean() ** 2 / spread))
-    return Stated(float(slope), math.sqrt(scatter / spread)), Stated(float(middle - slope * x.mean()), offset_std)
+    parameters, covariance = np.polyfit(x, y, 1, cov=True)
+    slope, offset = (Stated(float(p), float(s)) for p, s in zip(parameters, np.sqrt(np.diag(covariance)), strict=True))
+    return slope, offset
+
+
+def _per_gain(value: Stated, gain: Stated, power: int = 1) -> Stated:
+    """Divide a value by a power of the gain, which is known independently of it."""
+    scaled = value.value / gain.value**power
+    return Stated(scaled, math.hypot(value.std / gain.value**power, power * scaled * gain.std / gain.value))
 
 
 def _saturation(planes: Sequence[Transfer], gain: Stated) -> tuple[Stated, bool]:
@@ -195,15 +197,9 @@ def _saturation(planes: Sequence[Transfer], gain: Stated) -> tuple[Stated, bool]
     at = plane.saturation
     distances = np.abs(plane.light - plane.light[at])
     step = float(np.min(distances, where=distances > 0, initial=np.inf)) / math.sqrt(12) / plane.light[at]
-    charge = plane.responsivity.value * plane.light[at] / gain.value
-    relative = math.hypot(plane.responsivity.std / plane.responsivity.value, gain.std / gain.value, step)
-    return Stated(float(charge), float(charge * relative)), plane.saturated
-
-
-def _quantum_efficiency(planes: Sequence[Transfer], gain: Stated) -> Stated:
-    plane = max(planes, key=lambda one: one.responsivity.value)
-    value = plane.responsivity.value / gain.value
-    return Stated(value, value * math.hypot(plane.responsivity.std / plane.responsivity.value, gain.std / gain.value))
+    signal = float(plane.responsivity.value * plane.light[at])
+    relative = math.hypot(plane.responsivity.std / plane.responsivity.value, step)
+    return _per_gain(Stated(signal, signal * relative), gain), plane.saturated
 
 
 def _chosen(lit: Sequence[ExposureStatistics], planes: Sequence[Transfer]) -> ExposureStatistics | None:
@@ -249,16 +245,12 @@ class _Patterns:
         of = self._of[which]
         mean, frames = self._reader.planes(self._mean[which])[plane], len(of.exposure.files)
         temporal = float(of.variance[plane])
-        measured = float(mean.var(ddof=1))
-        chance = temporal
+        value = fixed_pattern_variance(float(mean.var(ddof=1)), temporal, frames)
         if own:
             # EMVA 1288, 8.2.3: the means of the rows and columns reduce the degrees of freedom
-            rows, columns = mean.shape
-            shared = [float(mean.mean(axis).var()) - temporal / (frames * n) for axis, n in ((0, rows), (1, columns))]
-            total = fixed_pattern_variance(measured, temporal, frames)
-            value = (total - sum(shared)) * mean.size / (mean.size - rows - columns)
-        else:
-            value = fixed_pattern_variance(measured, chance, frames)
+            for axis, count in enumerate(mean.shape):
+                value -= fixed_pattern_variance(float(mean.mean(axis).var()), temporal, frames * count)
+            value *= mean.size / (mean.size - sum(mean.shape))
         return Stated(value, fixed_pattern_variance_error(value, temporal, frames, mean.size))
 
     def _planes(self, of: np.ndarray) -> list[float]:
@@ -276,8 +268,7 @@ class _Patterns:
         """Compute the standard deviation of the dark signals of pixels, e-."""
         parts = [self._variance(1, plane, False) for plane in range(len(self._of[1].mean))]
         found = _root(float(np.mean([p.value for p in parts])), math.hypot(*(p.std for p in parts)) / len(parts))
-        value = found.value / gain.value
-        return Stated(value, math.hypot(found.std / gain.value, value * gain.std / gain.value))
+        return _per_gain(found, gain)
 
     def response_map(self) -> np.ndarray:
         """Compute the sensitivity of each pixel relative to the mean of its plane."""

@@ -130,8 +130,8 @@ class SensorCharacteristics(Summarised):
             bits=self.bits,
             cfa=self.cfa,
             prnu=min(self.prnu_pixel.value, 1.0),
-            dark_current=max(_or_zero(self.dark_current.value), 0.0),
-            dark_nonuniformity=min(_or_zero(self.dark_nonuniformity.value), 10.0),
+            dark_current=max(np.nan_to_num(self.dark_current.value), 0.0),
+            dark_nonuniformity=min(np.nan_to_num(self.dark_nonuniformity.value), 10.0),
             black_level=max(self.black_level.value, 0.0),
             dsnu=self._offset_nonuniformity,
         )
@@ -141,7 +141,10 @@ class SensorCharacteristics(Summarised):
         """Compute the standard deviation of the offsets of pixels, e-: `dsnu` without the contribution of dark currents
         in its exposure time.
         """
-        current, relative = max(_or_zero(self.dark_current.value), 0.0), _or_zero(self.dark_nonuniformity.value)
+        current, relative = (
+            max(np.nan_to_num(self.dark_current.value), 0.0),
+            np.nan_to_num(self.dark_nonuniformity.value),
+        )
         grown = relative * current * self.dsnu_time
         return math.sqrt(max(self.dsnu.value**2 - grown**2, 0.0))
 
@@ -199,12 +202,12 @@ class SensorCharacteristics(Summarised):
             ("black level, DN", self.black_level),
             ("saturation capacity" + ("" if self.saturated else " (lower limit)") + ", e-", self.saturation),
             ("full well, e-", self.full_well),
-            ("PRNU, %", _scaled(self.prnu, 100)),
-            ("PRNU of single pixels, %", _scaled(self.prnu_pixel, 100)),
+            ("PRNU, %", _percent(self.prnu)),
+            ("PRNU of single pixels, %", _percent(self.prnu_pixel)),
             ("DSNU, e-", self.dsnu),
             ("largest signal over noise", self.snr_max),
             ("dynamic range", self.dynamic_range),
-            ("quantum efficiency, %", _scaled(self.quantum_efficiency, 100)),
+            ("quantum efficiency, %", _percent(self.quantum_efficiency)),
         ]
         return [Quantity(name, value, std) for name, (value, std) in rows if np.isfinite(value)]
 
@@ -246,9 +249,5 @@ class SensorCharacteristics(Summarised):
         }
 
 
-def _or_zero(value: float) -> float:
-    return value if math.isfinite(value) else 0.0
-
-
-def _scaled(value: Stated, factor: float) -> Stated:
-    return Stated(factor * value.value, factor * value.std)
+def _percent(share: Stated) -> Stated:
+    return Stated(100 * share.value, 100 * share.std)

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
+from numpy.polynomial.polynomial import polyder, polyval2d
 from scipy import ndimage
 from scipy.spatial import cKDTree
 from scipy.special import ndtr
@@ -21,7 +22,8 @@ from matcam.calibration.targets.wave_fit import noise_from_residuals
 from matcam.core.arrays import FloatArray
 from matcam.core.errors import FitError
 from matcam.numerics.linalg import scaled_inverse
-from matcam.numerics.polynomials import plane_orders, plane_powers
+from matcam.numerics.polynomials import plane_fit
+from matcam.numerics.robust import robust_std
 
 FEWEST = 9
 SHARED = [(2, 0), (0, 2), (4, 0), (2, 2), (0, 4)]
@@ -84,12 +86,9 @@ class DotLattice(NamedTuple):
         size = max(float(np.ptp(self.u)), float(np.ptp(self.v)), 1e-9) / 2
         u, v = (self.u - self.u.mean()) / size, (self.v - self.v.mean()) / size
         degree = 4 if len(u) >= 60 else 3 if len(u) >= 30 else 2 if len(u) >= 15 else 1
-        orders, powers = plane_orders(degree), plane_powers(u, v, degree)
-        zero = np.zeros_like(u)
-        by_u = np.stack([i * u ** (i - 1) * v**j / size if i else zero for i, j in orders], axis=-1)
-        by_v = np.stack([j * u**i * v ** (j - 1) / size if j else zero for i, j in orders], axis=-1)
-        maps = np.linalg.lstsq(powers, np.stack([self.x, self.y], axis=-1), rcond=None)[0]
-        return np.stack([by_u @ maps, by_v @ maps], axis=-1)
+        maps = plane_fit(u, v, np.stack([self.x, self.y], axis=-1), degree)
+        slopes = [polyval2d(u, v, polyder(maps, axis=axis)) / size for axis in (0, 1)]
+        return np.asarray(np.stack(slopes).transpose(2, 1, 0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -204,7 +203,7 @@ def find_dots(values: FloatArray) -> tuple[FloatArray, FloatArray]:
     ground = ndimage.zoom(ground, 2, order=1)[: values.shape[0], : values.shape[1]]
     ground = np.pad(ground, [(0, n - m) for n, m in zip(values.shape, ground.shape, strict=True)], mode="edge")
     off = smooth - ground
-    spread = 1.4826 * np.median(np.abs(off - np.median(off)))
+    spread = robust_std(off - np.median(off))
     sign = -1.0 if np.quantile(off, 0.001) < -np.quantile(off, 0.999) else 1.0
     label, count = ndimage.label(sign * off > max(_CLEAR * spread, 0.25 * float(np.quantile(sign * off, 0.999))))
     if count < FEWEST:
@@ -346,14 +345,11 @@ def _bow(lattice: DotLattice, ground: FloatArray, du: FloatArray, dv: FloatArray
     """
     scale = max(float(np.ptp(lattice.x)), float(np.ptp(lattice.y))) / 2
     x, y = (lattice.x - lattice.x.mean()) / scale, (lattice.y - lattice.y.mean()) / scale
-    degree = 4 if len(x) >= 60 else 2 if len(x) >= 15 else 0
-    found = np.linalg.lstsq(plane_powers(x, y, degree), ground, rcond=None)[0]
-    bow = np.zeros_like(du)
-    for c, (i, j) in zip(found, plane_orders(degree), strict=True):
-        for a, b, factor in ((2, 0, i * (i - 1) / 2), (1, 1, i * j), (0, 2, j * (j - 1) / 2)):
-            if factor:
-                bow += c * factor * (x ** (i - a) * y ** (j - b))[:, None] * (du / scale) ** a * (dv / scale) ** b
-    return bow
+    du, dv = du / scale, dv / scale
+    light = plane_fit(x, y, ground, 4 if len(x) >= 60 else 2 if len(x) >= 15 else 0)
+    by_x, by_y = (polyval2d(x, y, polyder(light, axis=axis)) for axis in (0, 1))
+    tangent = polyval2d(x, y, light)[:, None] + by_x[:, None] * du + by_y[:, None] * dv
+    return np.asarray(polyval2d(x[:, None] + du, y[:, None] + dv, light) - tangent)
 
 
 def _without_outliers(fit: DotFit) -> DotFit:
@@ -361,7 +357,7 @@ def _without_outliers(fit: DotFit) -> DotFit:
     square, std = fit.parameters[:, 6], fit.std[:, 6]
     content = fit.parameters[:, 3]
     centre = np.median(square)
-    spread = np.sqrt(std**2 + (1.4826 * np.median(np.abs(square - centre))) ** 2 + (_SAME * centre) ** 2)
+    spread = np.sqrt(std**2 + robust_std(square - centre) ** 2 + (_SAME * centre) ** 2)
     moved = np.hypot(fit.parameters[:, 4] - fit.lattice.x, fit.parameters[:, 5] - fit.lattice.y)
     good = (
         (np.abs(square - centre) < _OUTLIER * spread) & (np.abs(content / np.median(content) - 1) < 0.5) & (moved < 2)

@@ -8,17 +8,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.spatial import ConvexHull
 
 from matcam.calibration.chart.chart import PROFILES, Grating
 from matcam.calibration.chart.registration import Projection, check_projection_given, pixel_box
 from matcam.calibration.photograph.linear_image import SMALLEST, LinearImage, flaw, region_of
 from matcam.calibration.photograph.tone import Tone
 from matcam.calibration.targets.mtf_samples import MTFSamples
-from matcam.calibration.targets.wave_fit import Modulation, WaveFit, WavePixels, fit_wave, local_wave
+from matcam.calibration.targets.wave_fit import WaveFit, WavePixels, fit_wave, local_wave
 from matcam.calibration.targets.wave_search import MARGIN, FoundGrating, find_grating
 from matcam.core import checks
 from matcam.core.arrays import FloatArray
@@ -149,9 +150,8 @@ def grating_mtf(
         whole = LinearImage.of(image, channel, cfa, tone)
         found, box = _expected_grating(grating, projection, whole.shape)
         picture = region_of(whole, box)
-        fit, orders, wave = _fit_grating(picture.values, found, grating)
-        signs = np.ones(len(orders))
-        return _grating_result(picture, fit, grating, orders, signs, wave)
+        fit, orders, *wave = _fit_grating(picture.values, found, grating)
+        return _grating_result(picture, fit, grating, orders, np.ones(len(orders)), *wave)
     if contrast is None:
         raise ArgumentError("contrast of the print must be given: (bright - dark) / (bright + dark), linear")
     checks.within("contrast", contrast, 0, 1, open_low=True)
@@ -164,10 +164,10 @@ def grating_mtf(
     picture = region_of(image, roi, channel=channel, cfa=cfa, tone=tone)
     if problem := flaw(picture.values):
         raise FitError(str(problem))
-    fit, orders, wave = _fit_grating(picture.values, find_grating(picture.values, near), printed)
+    fit, orders, *wave = _fit_grating(picture.values, find_grating(picture.values, near), printed)
     # the positions of the bright lines are unknown: the camera does not invert the first harmonic
     signs = np.ones(len(orders)) if fit.coefficients[0] >= 0 else (-1.0) ** np.array(orders)
-    return _grating_result(picture, fit, printed, orders, signs, wave)
+    return _grating_result(picture, fit, printed, orders, signs, *wave)
 
 
 def coltman(frequency: ArrayLike, contrast: ArrayLike) -> FloatArray:
@@ -224,13 +224,9 @@ def _moebius(k: int) -> int:
 
 def _inside_polygon(corners: FloatArray, shape: tuple[int, int]) -> np.ndarray:
     """Return a mask of the pixels that are deeper than the margin inside a convex polygon."""
-    y, x = np.indices(shape).astype(float)
-    middle, inside = corners.mean(0), np.ones(shape, bool)
-    for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True):
-        normal = np.array([a[1] - b[1], b[0] - a[0]]) / np.hypot(*(b - a))
-        normal *= np.sign(normal @ (middle - a))
-        inside &= (x - a[0]) * normal[0] + (y - a[1]) * normal[1] > MARGIN
-    return inside
+    outwards = ConvexHull(corners).equations
+    y, x = np.indices(shape)
+    return np.all([a * x + b * y + c < -MARGIN for a, b, c in outwards], axis=0)
 
 
 def _expected_grating(
@@ -255,8 +251,8 @@ def _expected_grating(
 
 def _fit_grating(
     values: FloatArray, found: FoundGrating, printed: Grating
-) -> tuple[WaveFit, tuple[int, ...], _MeanWave]:
-    """Return the fit of the wave, its orders, and its mean."""
+) -> tuple[WaveFit, tuple[int, ...], FloatArray, FloatArray]:
+    """Return the fit of the wave, its orders, its mean frequency (2,), cycles/px, and its mean position (2,), px."""
     pixels = WavePixels.where(values, found.inside)
     pixels = pixels.at(pixels.subset())
     frequency = local_wave(found.phase, found.parameters, pixels.x, pixels.y).frequency
@@ -267,8 +263,8 @@ def _fit_grating(
     # the fundamental alone is fitted first: it determines the phase up to the error from its harmonics
     fit = None
     if pixels.value.size:
-        fit = fit_wave(pixels, found.phase, found.parameters, Modulation(_constant), steps=4, rough=True)
-    fit = fit and fit_wave(pixels, found.phase, fit.parameters, Modulation(_constant, orders))
+        fit = fit_wave(pixels, found.phase, found.parameters, _constant, steps=4, rough=True)
+    fit = fit and fit_wave(pixels, found.phase, fit.parameters, _constant, orders)
     if not fit:
         raise FitError("the grating's pixels do not determine its contrast: too few of them in this picture")
     if not fit.signal > _CLEAR:
@@ -278,17 +274,8 @@ def _fit_grating(
     if other := _other_wave(pixels, fit, values.shape):
         raise FitError(f"region contains no grating that can be measured: {other}")
     wave = local_wave(found.phase, fit.parameters, pixels.x, pixels.y)
-    fx, fy = (wave.frequency * np.cos(wave.direction)).mean(), (wave.frequency * np.sin(wave.direction)).mean()
-    return fit, orders, _MeanWave(float(fx), float(fy), float(pixels.x.mean()), float(pixels.y.mean()))
-
-
-class _MeanWave(NamedTuple):
-    """Mean frequency of a grating, cycles/px, and its mean position, px."""
-
-    fx: float
-    fy: float
-    x: float
-    y: float
+    mean = (wave.frequency * np.exp(1j * wave.direction)).mean()
+    return fit, orders, np.array([mean.real, mean.imag]), np.array([pixels.x.mean(), pixels.y.mean()])
 
 
 def _other_wave(pixels: WavePixels, fit: WaveFit, shape: tuple[int, ...]) -> str:
@@ -311,13 +298,14 @@ def _constant(frequency: FloatArray, direction: FloatArray) -> FloatArray:
 
 
 def _grating_result(
-    picture: LinearImage, fit: WaveFit, printed: Grating, orders: tuple[int, ...], signs: FloatArray, wave: _MeanWave
-) -> GratingMTF:
+    picture: LinearImage, fit: WaveFit, printed: Grating, orders: tuple[int, ...], signs: FloatArray,
+    frequency: FloatArray, place: FloatArray,
+) -> GratingMTF:  # fmt: skip
     """Return the MTF of a grating from its harmonics and those of the print.
 
     signs: of the harmonics, where the phase was not known.
     """
-    f, direction = float(np.hypot(wave.fx, wave.fy)), float(np.arctan2(wave.fy, wave.fx))
+    f, direction = float(np.hypot(*frequency)), float(np.arctan2(*frequency[::-1]))
     modulation = signs * fit.coefficients
     std = np.sqrt(np.diag(fit.covariance))
     size = np.array([printed.harmonic(n) for n in orders])
@@ -328,7 +316,9 @@ def _grating_result(
         )
     scale = (signs / size)[useful]
     samples = MTFSamples.of_region(
-        "grating", picture, (wave.x, wave.y), f * np.array(orders)[useful], np.full(useful.size, direction),
+        "grating", picture, place, f * np.array(orders)[useful], np.full(useful.size, direction),
         modulation[useful] / size[useful], fit.covariance[np.ix_(useful, useful)] * np.outer(scale, scale),
     )  # fmt: skip
-    return GratingMTF(samples, (wave.fx, wave.fy), orders, modulation, std, fit.gain, fit.read_variance)
+    return GratingMTF(
+        samples, (float(frequency[0]), float(frequency[1])), orders, modulation, std, fit.gain, fit.read_variance
+    )

@@ -26,6 +26,7 @@ from matcam.core.errors import ArgumentError, FitError
 from matcam.core.io import plain
 from matcam.files.photographs import Photograph
 from matcam.numerics.polynomials import plane_powers
+from matcam.numerics.robust import robust_fit
 
 _REACH = 8  # px around a dot
 _ZONE = 60  # smallest number of dots in a zone
@@ -75,11 +76,9 @@ class BlurField:
         terms = plane_powers((x - middle[0]) / half, (y - middle[1]) / half, 2)
         terms = terms[:, : _FIELD if len(x) >= 4 * _FIELD else 1]
         # Equal dots get equal standard deviations: those of single dots would favour those that look sharp by chance.
-        weight = 1 / np.median(std) ** 2
-        inverse = np.linalg.inv(terms.T @ terms * weight)
-        found, covariance = np.zeros(_FIELD), np.zeros((_FIELD, _FIELD))
-        found[: terms.shape[1]] = inverse @ (terms.T @ (weight * variance))
-        covariance[: terms.shape[1], : terms.shape[1]] = inverse
+        fit = robust_fit(terms, variance, float(np.median(std)))
+        more = (0, _FIELD - terms.shape[1])
+        found, covariance = np.pad(fit.parameters, more), np.pad(fit.covariance, (more, more))
         return cls(found, covariance, middle, half)
 
     def sigma_at(self, x: ArrayLike, y: ArrayLike) -> tuple[FloatArray, FloatArray]:
@@ -287,19 +286,20 @@ def _zone_samples(picture: LinearImage, dots: DotFit, half_width: float) -> MTFS
     It is that of the zone's mean Gaussian, times 1 + a polynomial of the frequencies, which its dots share.
     """
     own = dots.design[:, :, :6]
-    weight, shared = dots.weight, dots.shared
-    pilot = dots.parameters[:, 6]
+    pilot, root = dots.parameters[:, 6], np.sqrt(dots.weight)[..., None]
     mean = float(np.mean(pilot))
     # relative to one sigma for all: the deviation of each dot is removed to first order
     residual = dots.residual + dots.design[:, :, 6] * (pilot - mean)[:, None]
-    by_own, by_shared = ((part * weight[..., None]).transpose(0, 2, 1) for part in (own, shared))
-    b, r = by_own @ shared, by_own @ residual[..., None]
-    solved = np.linalg.solve(by_own @ own, np.concatenate([b, r], axis=2))
-    back = b.transpose(0, 2, 1)
-    normal = (by_shared @ shared - back @ solved[:, :, :5]).sum(0)
-    right = (by_shared @ residual[..., None] - back @ solved[:, :, 5:])[..., 0].sum(0)
-    covariance = np.linalg.inv(normal)
-    found = covariance @ right
+    basis = np.linalg.qr(root * own)[0]
+
+    def beyond(columns: FloatArray) -> FloatArray:
+        """Take what the own parameters of each dot explain out of weighted columns."""
+        columns = root * columns
+        return np.asarray(columns - basis @ (basis.transpose(0, 2, 1) @ columns)).reshape(-1, columns.shape[-1])
+
+    shared = beyond(dots.shared)
+    covariance = np.linalg.inv(shared.T @ shared)
+    found = (covariance @ (shared.T @ beyond(residual[..., None])))[:, 0]
     wx, wy = (2 * np.pi * _FREQUENCY * t for t in (np.cos(_DIRECTION), np.sin(_DIRECTION)))
     turned = np.stack([(1 if (i + j) % 4 == 0 else -1) * wx**i * wy**j for i, j in SHARED], axis=-1)
     box = np.sinc(half_width * wx / np.pi) * np.sinc(half_width * wy / np.pi)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -77,7 +78,7 @@ class MTFSamples:
 
     @classmethod
     def of_region(
-        cls, kind: str, region: LinearImage, place: tuple[float, float], frequency: np.ndarray, direction: np.ndarray,
+        cls, kind: str, region: LinearImage, place: Sequence[float] | np.ndarray, frequency: np.ndarray, direction: np.ndarray,
         mtf: np.ndarray, covariance: np.ndarray,
     ) -> MTFSamples:  # fmt: skip
         """Return samples that were measured in a region, with their position.

@@ -14,13 +14,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.interpolate import BSpline
+from scipy.linalg import polar
 
 from matcam.calibration.chart.chart import Star
 from matcam.calibration.chart.registration import Projection, check_projection_given, pixel_box
 from matcam.calibration.photograph.linear_image import SMALLEST, LinearImage, flaw, region_of
 from matcam.calibration.photograph.tone import Tone
 from matcam.calibration.targets.mtf_samples import MTFSamples
-from matcam.calibration.targets.wave_fit import Modulation, WaveFit, WavePixels, fit_wave, local_wave
+from matcam.calibration.targets.wave_fit import WaveFit, WavePixels, fit_wave, local_wave
 from matcam.calibration.targets.wave_search import FoundStar, StarPhase, find_star
 from matcam.core import checks
 from matcam.core.arrays import FloatArray
@@ -186,10 +187,8 @@ def _stretch(star: Star, projection: Projection) -> tuple[float, float]:
     """Return the stretch of the image of a star, as defined in `StarPhase`."""
     step = star.outer / 2 * np.array([[-1, 0], [1, 0], [0, -1], [0, 1]])
     left, right, upper, lower = projection(np.array(star.centre) + step)
-    to_page = np.linalg.pinv(np.stack([right - left, lower - upper], axis=-1))
-    _, size, v = np.linalg.svd(to_page)
     # a rotation after a symmetric map, whose trace does not matter
-    symmetric = v.T @ np.diag(size) @ v
+    _, symmetric = polar(np.linalg.pinv(np.stack([right - left, lower - upper], axis=-1)))
     symmetric *= 2 / np.trace(symmetric)
     return float(symmetric[0, 0] - 1), float(symmetric[0, 1])
 
@@ -212,7 +211,7 @@ def _fit_star(values: FloatArray, found: FoundStar) -> tuple[WaveFit, tuple[floa
         used = pixels.subset(mask, None if highest == _HIGHEST else _SOME)
         some = pixels.at(used)
         edges = float(frequency[used].min()), float(frequency[used].max())
-        fit = fit_wave(some, phase, parameters, Modulation(partial(_basis, edges=edges)), steps=4)
+        fit = fit_wave(some, phase, parameters, partial(_basis, edges=edges), steps=4)
         if fit is None:
             raise FitError("the star's pixels do not determine its MTF: it is too small in this picture")
         parameters = fit.parameters

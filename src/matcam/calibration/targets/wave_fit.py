@@ -31,6 +31,10 @@ _MOST = 200_000  # number of pixels: more take memory, and add little informatio
 _FEWEST = 3.0  # number of pixels for each parameter
 
 
+Basis = Callable[[FloatArray, FloatArray], FloatArray]
+"""Functions b_k of frequency and direction (n,) -> (n, k) for one harmonic; the frequency is the own of the harmonic."""
+
+
 class Phase(Protocol):
     """Interface for the phase of a printed wave at pixels."""
 
@@ -77,19 +81,6 @@ class WavePixels(NamedTuple):
         return WavePixels(*(column[indices] for column in self))
 
 
-@dataclass(frozen=True)
-class Modulation:
-    """Functions b_k cos(h_k Phi) of which the modulation consists.
-
-    Attributes:
-        basis: functions of frequency and direction (n,) -> (n, k) for one harmonic; the frequency is the harmonic's own.
-        orders: h_k.
-    """
-
-    basis: Callable[[FloatArray, FloatArray], FloatArray]
-    orders: tuple[int, ...] = (1,)
-
-
 @dataclass(frozen=True, eq=False)
 class WaveFit:
     """Fitted modulation and phase of a wave, with their errors.
@@ -132,11 +123,19 @@ class LocalWave(NamedTuple):
 
 
 def fit_wave(
-    pixels: WavePixels, phase: Phase, start: FloatArray, modulation: Modulation, *, steps: int = 8, rough: bool = False
+    pixels: WavePixels,
+    phase: Phase,
+    start: FloatArray,
+    basis: Basis,
+    orders: tuple[int, ...] = (1,),
+    *,
+    steps: int = 8,
+    rough: bool = False,
 ) -> WaveFit | None:
     """Fit a wave to pixels, or return None if they do not determine it.
 
-    start: parameters of the phase. steps: at most so many. rough: only the phase is wanted, to 0.01 rad.
+    start: parameters of the phase. basis: functions b_k. orders: h_k. steps: at most so many. rough: only the phase is
+    wanted, to 0.01 rad.
     """
     (value, x, y), scale = pixels, phase.scale
     u, v = ((c - c.mean()) / max(float(np.ptp(c)) / 2, 1.0) for c in (x, y))
@@ -148,7 +147,7 @@ def fit_wave(
     coefficients: FloatArray = np.zeros(0)
     gain, read = 0.0, float(value.var())
     for step in range(steps + 2):
-        columns, slope = _columns(phase, parameters, x, y, modulation)
+        columns, slopes = _columns(phase, parameters, x, y, basis, orders)
         if not step:
             coefficients = np.zeros(columns.shape[1])
         level, wave = powers @ light, columns @ coefficients
@@ -156,7 +155,7 @@ def fit_wave(
         moving = step > 1
         design = [powers * (1 + wave)[:, None], level[:, None] * columns]
         if moving:
-            tilt = level * slope(coefficients)
+            tilt = level * (slopes @ coefficients)
             at = phase.at(parameters, x, y)
             for i, size in enumerate(scale * 1e-4):
                 moved = parameters.copy()
@@ -231,18 +230,11 @@ def noise_from_residuals(residual: np.ndarray, value: np.ndarray) -> tuple[float
 
 
 def _columns(
-    phase: Phase, parameters: FloatArray, x: FloatArray, y: FloatArray, modulation: Modulation
-) -> tuple[FloatArray, Callable[[FloatArray], FloatArray]]:
-    """Return the functions at the pixels (n, orders * k), and the derivative of their sum by the phase.
-
-    The latter is a function of the coefficients.
-    """
+    phase: Phase, parameters: FloatArray, x: FloatArray, y: FloatArray, basis: Basis, orders: tuple[int, ...]
+) -> tuple[FloatArray, FloatArray]:
+    """Return the functions at the pixels (n, orders * k), and their derivatives by the phase."""
     at, frequency, direction = local_wave(phase, parameters, x, y)
-    bases = [modulation.basis(order * frequency, direction) for order in modulation.orders]
-    columns = [basis * np.cos(order * at)[:, None] for order, basis in zip(modulation.orders, bases, strict=True)]
-
-    def slope(coefficients: FloatArray) -> FloatArray:
-        parts = zip(modulation.orders, bases, np.split(coefficients, len(bases)), strict=True)
-        return np.asarray(sum(-order * np.sin(order * at) * (basis @ own) for order, basis, own in parts))
-
-    return columns[0] if len(columns) == 1 else np.concatenate(columns, axis=1), slope
+    bases = [basis(order * frequency, direction) for order in orders]
+    columns = [own * np.cos(order * at)[:, None] for order, own in zip(orders, bases, strict=True)]
+    slopes = [own * (-order * np.sin(order * at))[:, None] for order, own in zip(orders, bases, strict=True)]
+    return np.concatenate(columns, axis=1), np.concatenate(slopes, axis=1)

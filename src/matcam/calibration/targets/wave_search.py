@@ -158,17 +158,15 @@ def _centre(filled: FloatArray) -> tuple[float, float]:
     nx, ny = gx / np.maximum(length, 1e-300), gy / np.maximum(length, 1e-300)
     strength = np.minimum(length, np.quantile(length, 0.9)) ** 2
     at = np.array([(filled.shape[1] - 1) / 2, (filled.shape[0] - 1) / 2])
+    normals, found = np.stack([nx.ravel(), ny.ravel()]), (nx * x + ny * y).ravel()
     reach = max(filled.shape) / 3
     for _ in range(_ROUNDS):
-        off = nx * (x - at[0]) + ny * (y - at[1])
         # gradients in other directions (a rim, another target) get a lower weight
-        weight = strength / (1 + (off / reach) ** 2) ** 2
-        normal = np.array([[(weight * nx * nx).sum(), (weight * nx * ny).sum()], [0, (weight * ny * ny).sum()]])
-        normal[1, 0] = normal[0, 1]
+        weight = strength.ravel() / (1 + ((found - at @ normals) / reach) ** 2) ** 2
+        normal = (normals * weight) @ normals.T
         if np.linalg.det(normal) <= 1e-12 * np.trace(normal) ** 2:
             raise FitError("region contains no Siemens star: its brightness changes in one direction only")
-        found = nx * x + ny * y
-        at = np.linalg.solve(normal, np.array([(weight * nx * found).sum(), (weight * ny * found).sum()]))
+        at = np.linalg.solve(normal, normals @ (weight * found))
         reach = max(reach * 0.7, 3.0)
     if not (0 <= at[0] < filled.shape[1] and 0 <= at[1] < filled.shape[0]):
         raise FitError("region contains no Siemens star: its rays do not meet inside it")
