@@ -6,11 +6,18 @@ import pytest
 from matcam import Microfacet, Rig, Schlick, Sphere, fit, fresnel, measure, rigs
 from matcam.camera import PixelNoise
 from matcam.core.errors import FitError
+from matcam.core.workspace import Workspace
 from matcam.forward import with_pixel_noise
+from matcam.forward.pixel_grid import grid_of
 from matcam.inverse import Correction
+from matcam.inverse.correction.real_pixels import Lattices, pixel_log_ratio
+from matcam.inverse.correction.response_lattice import COARSE, FINE, response_lattice
+from matcam.inverse.fit.fit_parameters import LobeKind
+from matcam.inverse.fit.fit_readings import FitCoordinates
 from matcam.inverse.operator.chosen_cells import chosen_cells
 from matcam.inverse.operator.lobe_operator import lobe_operator, perfect_operator
 from matcam.inverse.operator.pixel_phase import cell_rule, located_rig
+from matcam.inverse.operator.rig_axes import EIGHTH, SHAPE, SIXTH, change_axis
 from matcam.inverse.operator.sample_view import SampleView
 from matcam.material.ndf.ggx import GGX
 from tests.inverse import recorded
@@ -210,6 +217,28 @@ def test_a_camera_that_sees_points_reads_the_pixels(rule, azimuth):
         few = 1e-9 if rule != "mean" else 5e-5  # of more than four pixels on a side the mean and covariance are kept
         faint = 1e-9 * record[s].max() if rule == "mean" and azimuth else 0.0
         np.testing.assert_allclose(record[s][good], (found.share * light).sum(1), rtol=few, atol=faint)
+
+
+def test_the_pixels_of_a_lens_of_fitted_shape():
+    """Small moments of the lens make faint records negative; bright ones stay the oracle's, to 0.5 %."""
+    shot, lobe = real_shot("bilinear", PHASES["bilinear"], 30), oracle.EPD(0.005, 1.0)
+    rig, workspace = recorded.rig(cell_value="bilinear", pixel_phase=PHASES["bilinear"]), Workspace()
+    axes, fitted = tuple(map(change_axis, (SHAPE, SIXTH, EIGHTH))), np.array([-0.025, -0.125, -0.225])
+    lattices = Lattices(
+        response_lattice(rig, "centre", FINE, (), workspace),
+        response_lattice(rig, "centre", COARSE, axes, workspace),
+        fitted,
+    )
+    found = FitCoordinates(LobeKind("epd", "smith"), np.log([0.005, 1.0]), axes, fitted, np.zeros((5, 5)))
+    log, _ = pixel_log_ratio(lattices, found, grid_of(rig), 256.0, 0.0)
+    for s, of_pixels in enumerate(shot.truth.values(shot.truth.pixels(lobe))):
+        i, k = (index[: 9 * 180 : 7] for index in (shot.i[s], shot.k[s]))
+        cells = oracle.Cells(recorded.GRID.theta_h[i][None], shot.theta_d[[s]], recorded.GRID.phi_d[k][None])
+        own, of_pixels = cells.ways(lobe).mean(-1)[0], of_pixels[: 9 * 180 : 7]
+        bright = of_pixels > 1e-3 * np.nanmax(of_pixels)
+        assert bright.sum() > 150
+        off = log[i, shot.slices[s], k] - np.log(own / of_pixels)
+        assert np.abs(off[bright]).max() < 0.005
 
 
 @pytest.mark.slow

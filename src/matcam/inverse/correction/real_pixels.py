@@ -17,6 +17,7 @@ from matcam.core.grid import GRID_SHAPE, merl_grid
 from matcam.core.jax import jax, placed
 from matcam.core.programs import kept_program
 from matcam.forward.pixel_grid import PixelGrid, pixel_angles
+from matcam.inverse.correction.corrected_table import OPERATOR_ACCURACY
 from matcam.inverse.correction.response_lattice import VANISHED, ResponseLattice, Spacing, seen_cells
 from matcam.inverse.fit.fit_parameters import LobeKind
 from matcam.inverse.fit.fit_readings import FitCoordinates
@@ -51,10 +52,10 @@ def pixel_log_ratio(
     std: of the pixels' phase, px.
     """
     fine, coarse, fitted = lattices
-    splines = [_splines(fine, _record(fine, at, np.zeros(0)))]
+    splines = [_splines(fine, np.log(np.maximum(_record(fine, at, np.zeros(0)), VANISHED)))]
     if fitted.any():
-        change = _record(coarse, at, fitted) - _record(coarse, at, np.zeros(fitted.size))
-        splines.append(_splines(coarse, change))
+        records = (_record(coarse, at, shifts) for shifts in (np.zeros(fitted.size), fitted))
+        splines.append(_splines(coarse, _log_change(*records)))
     mirrored = fine.spacing.mirrored
     grid = merl_grid(fine.sampling)
     seen = seen_cells(fine.sampling)
@@ -112,23 +113,33 @@ def _ways(operator: LobeOperator, kind: LobeKind, q: jax.Array, shifts: jax.Arra
 
 
 def _record(where: ResponseLattice, at: FitCoordinates, shifts: np.ndarray) -> np.ndarray:
-    """Compute the log record in each direction on a lattice, (slices, rings, azimuths as of `_around`)."""
+    """Compute the record in each direction on a lattice, (slices, rings, azimuths as of `_around`); NaN where unknown."""
     rings, slices, azimuths = where.spacing
     both = np.asarray(_ways(where.recorded, at.kind, placed(at.lobe), placed(shifts)))
-    log = np.log(np.maximum(np.where(where.cells.valid[..., None], both, np.nan), VANISHED))
-    log = log.reshape(len(slices), len(rings), len(azimuths), 2)
+    both = np.where(where.cells.valid[..., None], both, np.nan).reshape(len(slices), len(rings), len(azimuths), 2)
     if where.spacing.mirrored:  # the first direction lies at 180 degrees less phi_d, the second, mirrored, at phi_d
-        whole = np.concatenate([log[..., 1], log[:, :, -2::-1, 0]], axis=-1)
+        whole = np.concatenate([both[..., 1], both[:, :, -2::-1, 0]], axis=-1)
     else:  # the second lies at 360 degrees less phi_d
-        turn = np.concatenate([log[:, :, ::-1, 0], log[:, :, ::-1, 1]], axis=-1)
+        turn = np.concatenate([both[:, :, ::-1, 0], both[:, :, ::-1, 1]], axis=-1)
         whole = np.concatenate([turn[..., -_OVERLAP:], turn, turn[..., :_OVERLAP]], axis=-1)
     for s in range(1, len(slices)):
         whole[s] = np.where(np.isfinite(whole[s]), whole[s], whole[s - 1])
-    return np.round(np.nan_to_num(whole), 12)
+    return whole
 
 
-def _splines(where: ResponseLattice, values: np.ndarray) -> list[RectBivariateSpline]:
-    """Build splines over (ring, azimuth in degrees) for every slice of a table."""
+def _log_change(before: np.ndarray, after: np.ndarray) -> np.ndarray:
+    """Compute the change of the log record on a lattice, which vanishes where records are below the operator's accuracy.
+
+    A change of the lens is a polynomial of its coordinates, so a faint record may be negative. The logarithm of what is left
+    of it would jump there, and splines would spread the jump to brighter rings.
+    """
+    accuracy = OPERATOR_ACCURACY * np.nanmax(before, axis=(1, 2), keepdims=True)
+    return np.log(np.maximum(after, 0) + accuracy) - np.log(np.maximum(before, 0) + accuracy)
+
+
+def _splines(where: ResponseLattice, logs: np.ndarray) -> list[RectBivariateSpline]:
+    """Build splines over (ring, azimuth in degrees) for every slice of a table. logs: on the lattice, 0 where unknown."""
+    values = np.round(np.nan_to_num(logs), 12)  # smaller slopes overflow in the harmonic means of the interpolator
     along = PchipInterpolator(where.spacing.slices, values, axis=0)(np.arange(GRID_SHAPE[1]))
     around = _around(where.spacing)
     return [RectBivariateSpline(where.spacing.rings, around, one, kx=_CUBIC, ky=_CUBIC) for one in along]
