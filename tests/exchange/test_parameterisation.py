@@ -6,10 +6,10 @@ import pytest
 
 from matcam import GGX, Conductor, Flat, GaussianOptics, Microfacet, Rig, measure, read_merl, rigs
 from matcam.core.errors import ArgumentError
-from matcam.core.grid import brdf_table
+from matcam.core.grid import brdf_table, merl_grid
 from matcam.exchange import adaptive_grid
 from matcam.io import write_rgl
-from matcam.material import Adaptive, AnisotropicGGX, Tabulated
+from matcam.material import Adaptive, AnisotropicGGX, Tabulated, albedo
 from tests.material.test_adaptive import directions, outgoing
 from tests.oracle import measured_bsdf
 
@@ -96,6 +96,16 @@ def test_a_grey_material_with_gaps(tmp_path):
     np.testing.assert_allclose(
         outgoing(Adaptive(fields), light, view), 0.2 / np.pi * view[:, 2:].repeat(3, 1), rtol=0.05
     )
+
+
+def test_a_lobe_that_is_wider_at_grazing_angles():
+    """As a camera records it: 0.003 rad, and 0.05 rad beyond 80 degrees. The file reflects the light of the table."""
+    grid = merl_grid("centre")
+    width = np.where(grid.theta_d < np.radians(80), 0.003, 0.05)[:, None]
+    lobe = np.exp(-((grid.theta_h[:, None, None] / width) ** 2)) / np.cos(grid.theta_d)[:, None]
+    material = Tabulated(brdf_table(np.broadcast_to(1e3 * lobe[..., None], (90, 90, 180, 3)).copy(), "centre"))
+    angles = np.radians([30, 70, 82, 85])
+    np.testing.assert_allclose(albedo(Adaptive(adaptive_grid(material)), angles), albedo(material, angles), rtol=0.1)
 
 
 def test_it_renders(tmp_path):

@@ -217,10 +217,11 @@ def _nodes(material: Material) -> int:
 def _facets(material: Material, u: np.ndarray) -> np.ndarray:
     """Return D at the nodes, (n,).
 
-    The integral of D cos over the hemisphere is 1.
+    The integral of D cos over the hemisphere is 1. Difference angles extend to the horizon: a camera widens a lobe there,
+    and the values are divided by D.
     """
     theta_h = (u**2 * _HALF_PI)[:, None, None]
-    theta_d = np.radians(np.arange(2.5, 80, 5))[:, None]
+    theta_d = np.radians(np.arange(2.5, 90, 5))[:, None]
     phi_d = np.radians(np.arange(0, 180, 30.0))
     cos_mean = np.cos(theta_h) * np.cos(theta_d)
     cos_half = np.sin(theta_h) * np.sin(theta_d) * np.cos(phi_d)
