@@ -99,9 +99,11 @@ def rule_arrays(rig: Rig, cells: ChosenCells, axes: tuple[Axis, ...]) -> dict[st
         lamp_angle = padded(view.lamp_angles(cells.theta_h, cells.theta_d[:, None], cells.phi_d).ravel()[flat])
     own = blur_of(rig, in_discs=True, whole=not view.line)
     moved, changes = [MovedBlur(own), *blurs_along(rig, own, axes)], change_kernels(own, axes)
-    gaussian = own.rest is None and own.stds.size == 1
-    if gaussian:  # its rule and those of the changes share their nodes
-        moved, changes = moved + changes, []
+    if (
+        own.rest is None and own.stds.size == 1
+    ):  # the rule of a Gaussian and those of round Gaussians share their program
+        round_ones = [one for one in changes if not any(one.stretch)]
+        moved, changes = moved + round_ones, changes[len(round_ones) :]
     count = len(moved) + len(changes)
 
     def full(part: np.ndarray) -> np.ndarray:
@@ -336,11 +338,12 @@ def _sphere_rules(
         tuple(np.sum(arrays, axis=0) for arrays in zip(*by_column[column], strict=True)) for column in sorted(by_column)
     ]
     weights, *moments = zip(*found, strict=True)
-    if len(widths) == len(first) == 1 and own == finest and np.array_equal(widths[0].reaches[0], largest):
+    lens = [through for through in widths if through.columns[0] == 0]
+    if len(lens) == len(first) == 1 and own == finest and np.array_equal(lens[0].reaches[0], largest):
         shown = first[0]  # the circles are those of the whole range
     else:
-        by = widths[0] if len(widths) == 1 else _standing_for(widths)
-        shown = rule(by, 0, widest, widths[-1].reaches[0])
+        by = lens[0] if len(lens) == 1 else _standing_for(lens)
+        shown = rule(by, 0, widest, lens[-1].reaches[0])
     theta = onto.nodes()[0]
     # without the symmetry of an aligned, distant rig no polynomial fits G close to the limb
     at = SAMPLED if view.distant and not view.azimuth else np.arange(NODES[0].size)
@@ -360,7 +363,7 @@ def _standing_for(widths: list[_Blurs]) -> _Blurs:
     The blur itself has negative shares, so means over it may lie outside the range. The widths agree where the transfer
     function of the terms is one half.
     """
-    own = [through.blurs[0] for through in widths if through.columns[0] == 0]
+    own = [through.blurs[0] for through in widths]
     weights, stds = (np.concatenate([np.asarray(getattr(blur, name)) for blur in own]) for name in ("weights", "stds"))
     std = max(std_of_half(weights, stds), np.max(widths[-1].reaches[0]) / _RESOLVED)
     stand_in = dataclasses.replace(own[0], weights=jnp.ones(1), stds=jnp.array([std]), rest=None)

@@ -310,10 +310,11 @@ def change_kernels(own: Blur, axes: Sequence[Axis]) -> list[MovedBlur]:
 
 
 def _change_variances(axes: Sequence[Axis]) -> list[tuple[float, float]]:
-    """List the variances of the Gaussians that the changes along axes consist of, each once."""
+    """List the variances of the Gaussians that the changes along axes consist of, each once, round ones first."""
     changes = (CHANGES[axis.name] for axis in axes if axis.name in CHANGES)
     terms = (term for change in changes for terms in change.points.values() for term in terms)
-    return list(dict.fromkeys((along, across) for along, across, _ in terms))
+    variances = dict.fromkeys((along, across) for along, across, _ in terms)
+    return sorted(variances, key=lambda pair: pair[0] != pair[1])
 
 
 def along_axes(axes: tuple[Axis, ...], name: str, along: str, values: Sequence[np.ndarray]) -> dict[str, np.ndarray]:
