@@ -24,7 +24,7 @@ from matcam.core.readers.texts import read_json
 from matcam.core.workspace import Workspace
 from matcam.inverse import Correction
 from matcam.inverse.correction.corrected_table import supported_values
-from matcam.inverse.correction.harmless import albedo
+from matcam.inverse.correction.correction_limits import albedo
 
 ROOT = Path(__file__).resolve().parents[1]
 SHARED = ROOT.parent / "shared"

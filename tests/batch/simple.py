@@ -47,7 +47,7 @@ def brighter(table, rig, options):
         "degrees_of_freedom": 10, "remarks": [],
     }  # fmt: skip
     document = {
-        "camera": rig.camera.profile(), "fit": summary, "doubts": {}, "glare": options.glare,
+        "camera": rig.camera.profile(), "fit": summary, "refits": {}, "glare": options.glare,
         "shape": {"scale": 0.0, "b": []}, "determination": "determined", "supported_share": 1.0, "peak_gain_75": GAIN,
         "peak_lost": {"5": 0.1, "45": None, "75": 1 - 1 / GAIN}, "verdict": "Well determined.",
         "remarks": [],

@@ -24,8 +24,7 @@ from matcam.core.grid import brdf_table
 from matcam.core.jax import jnp
 from matcam.inverse import Correction
 from matcam.inverse.correction.corrected_table import supported_values
-from matcam.inverse.correction.explanation import Explanation
-from matcam.inverse.correction.harmless import (
+from matcam.inverse.correction.correction_limits import (
     ROWS,
     LobeRatio,
     above_noise,
@@ -34,6 +33,7 @@ from matcam.inverse.correction.harmless import (
     shrunk,
     withheld,
 )
+from matcam.inverse.correction.explanation import Explanation
 from matcam.inverse.operator.lobe_operator import lobe_operator
 from matcam.inverse.operator.rig_axes import EIGHTH, LENS, SHAPE, SIXTH, STRETCH, free_axis, known_lens, shape_axes
 from tests.inverse import recorded

@@ -8,7 +8,7 @@ import pytest
 from matcam import GGX, BoxPixel, Camera, GaussianOptics, Rig, Sphere, WindowedGaussianPixel, fit
 from matcam.camera import PixelNoise
 from matcam.forward.integral.blur import blur_of
-from matcam.inverse.correction.doubts import rig_doubts
+from matcam.inverse.correction.rig_refits import rig_refits
 from matcam.inverse.fit.fit_setup import free_setup
 from matcam.inverse.operator.chosen_cells import ChosenCells, chosen_cells, places_in
 from matcam.inverse.operator.lamp_lines import lamp_discs, lamp_kernel
@@ -199,8 +199,8 @@ def test_a_doubt_of_the_lamp_goes_as_far_as_the_data_ask(degrees, far):
         np.asarray(operator.record(GGX(0.003), "smith", ())) * conductor(cells.theta_d, *recorded.CHROMIUM)[:, None]
     )
     setup = free_setup([recorded.table_of(cells, values)], recorded.rig(), noise=PixelNoise(1e-3, 1e-5), slice_step=18)
-    (doubt,) = rig_doubts(setup, setup.rig, setup.solve(), ("lamp_radius",))
-    print(f"{degrees} degrees: {np.degrees(doubt.value):.4f} +- {np.degrees(doubt.std):.1g}, up to {doubt.axis.high}")
-    assert (doubt.axis.high > 0.1) is far
-    assert doubt.contradicts is (degrees > 0)
-    assert np.degrees(doubt.value) == pytest.approx(degrees, abs=2e-3 if degrees else 0.02)
+    (refit,) = rig_refits(setup, setup.rig, setup.solve(), ("lamp_radius",))
+    print(f"{degrees} degrees: {np.degrees(refit.value):.4f} +- {np.degrees(refit.std):.1g}, up to {refit.axis.high}")
+    assert (refit.axis.high > 0.1) is far
+    assert refit.contradicts is (degrees > 0)
+    assert np.degrees(refit.value) == pytest.approx(degrees, abs=2e-3 if degrees else 0.02)

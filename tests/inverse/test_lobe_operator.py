@@ -121,7 +121,7 @@ def test_the_camera_is_followed():
 
 
 def test_a_part_of_a_rule_is_the_rule_itself():
-    """Fewer slices, and without a doubted lamp, whose nearby discs ask for no nodes of their own."""
+    """Fewer slices, and without a refitted lamp, whose nearby discs ask for no nodes of their own."""
     axis, lamp = prior_axis("optics.sigma_px", 0.5, 0.02), free_axis("lamp_radius", rigs.merl(), nearby=True)
     cells, own = lobe_operator(rigs.merl(), "centre", EVERY, (axis,), Workspace())
     some, part = lobe_operator(rigs.merl(), "centre", EVERY, (axis,), Workspace(), WholeRule(EVERY // 3, (axis, lamp)))

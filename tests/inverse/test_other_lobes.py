@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from matcam.inverse import FitSetup
-from matcam.inverse.correction.bent_lobe import in_all_slices, learned_bend
 from matcam.inverse.correction.evidence import UNKNOWN_SHARE as KAPPA
 from matcam.inverse.correction.other_maskings import other_maskings
+from matcam.inverse.correction.spline_lobe import in_all_slices, learned_bend
 from matcam.material.masking import MASKINGS
 from tests.inverse import recorded
 from tests.oracle import sphere_cells as oracle

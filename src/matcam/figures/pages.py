@@ -277,7 +277,7 @@ def _free_parameter(name: str, scale: float = 1.0) -> Callable[[dict[str, Any]],
     """Build the column of a fitted parameter of the rig."""
 
     def cell(record: dict[str, Any]) -> _Cell:
-        fit = (record.get("doubts") or {}).get(name)
+        fit = (record.get("refits") or {}).get(name)
         return _with_std(fit["params"].get(name), fit["std"].get(name), scale) if fit else _Cell("", "-")
 
     return cell

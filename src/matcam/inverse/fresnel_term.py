@@ -171,10 +171,10 @@ def fresnel(
         for other in explained.others
     ]
     others = []
-    for doubt in explained.doubts:
-        if doubt.contradicts and doubt.counted:  # F is given only where `correct` supports it
-            free = explained.setup.with_(slice_step=slice_step, also=(doubt.axis.name,)).solve(start=doubt.fit)
-            others.append((doubt.axis.name, NormalisedFresnel(free, normalise), doubt.counted))
+    for refit in explained.refits:
+        if refit.contradicts and refit.counted:  # F is given only where `correct` supports it
+            free = explained.setup.with_(slice_step=slice_step, also=(refit.axis.name,)).solve(start=refit.fit)
+            others.append((refit.axis.name, NormalisedFresnel(free, normalise), refit.counted))
     lobe, theta_d = found.ndf, found.theta_d
     term = averaged(terms, members, others, weight, held_back=held_back)
     gain = picture_gain(theta_d, term.normalised, term.relative)

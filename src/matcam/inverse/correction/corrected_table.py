@@ -10,8 +10,8 @@ import xarray as xr
 from matcam.camera.sensor import PixelNoise
 from matcam.core.grid import Sampling, sampling_of
 from matcam.core.results.labelled import named
+from matcam.inverse.correction.correction_limits import PEAK, ROWS, EnergyLimit, LobeRatio, above_noise, energy_limit
 from matcam.inverse.correction.farthest_glare import FarthestGlare
-from matcam.inverse.correction.harmless import PEAK, ROWS, EnergyLimit, LobeRatio, above_noise, energy_limit
 from matcam.inverse.correction.other_body import other_body
 from matcam.inverse.correction.response_lattice import seen_cells
 from matcam.inverse.fit.material_fit import MaterialFit

@@ -19,17 +19,18 @@ from matcam.core.results.summary import Quantity, Summarised, Summary, parameter
 from matcam.core.threads import done_behind
 from matcam.core.workspace import Workspace, default_workspace
 from matcam.inverse.correction.corrected_table import CORRECTED, corrected_table
-from matcam.inverse.correction.doubts import Doubt, ShapeUncertainty
-from matcam.inverse.correction.evidence import UNKNOWN_SHARE
-from matcam.inverse.correction.explanation import UNEXPLAINED, explain, first_setup
-from matcam.inverse.correction.farthest_glare import farthest_glare
-from matcam.inverse.correction.harmless import (
+from matcam.inverse.correction.correction_limits import (
     LobeRatio,
     shrunk,
     withheld,
 )
+from matcam.inverse.correction.evidence import UNKNOWN_SHARE
+from matcam.inverse.correction.explanation import UNEXPLAINED, explain, first_setup
+from matcam.inverse.correction.farthest_glare import farthest_glare
 from matcam.inverse.correction.lobe_ratio import CorrectionFits, lattices_ahead, lobe_ratio
+from matcam.inverse.correction.lobe_shape import ShapeUncertainty
 from matcam.inverse.correction.other_maskings import other_maskings
+from matcam.inverse.correction.rig_refits import RigRefit
 from matcam.inverse.fit.fit_setup import AUTO
 from matcam.inverse.fit.material_fit import MaterialFit
 from matcam.inverse.normalised_fresnel import NO_CAMERA
@@ -67,7 +68,7 @@ class Correction(Summarised):
         table: Dataset as from `correct`.
         recorded: the table that was corrected, 1/sr.
         fit: fit of the lobe through the camera.
-        doubts: fits with one parameter of the rig free each.
+        refits: fits with one parameter of the rig free each.
         shape: uncertainty of the shape of the lobe.
         remarks: remarks on the correction.
         without_camera: fit of the same lobe as a perfect camera would have recorded it; with free shadowing and a lobe for each
@@ -81,13 +82,13 @@ class Correction(Summarised):
         >>> print(done.summary())  # doctest: +SKIP
         >>> axes = done.plot(theta_d=np.radians(45))  # doctest: +SKIP
         >>> list(matcam.inverse.Correction.__dataclass_fields__)
-        ['table', 'recorded', 'fit', 'doubts', 'shape', 'remarks', 'without_camera', 'no_camera', 'withheld', 'peak_parts']
+        ['table', 'recorded', 'fit', 'refits', 'shape', 'remarks', 'without_camera', 'no_camera', 'withheld', 'peak_parts']
     """
 
     table: xr.Dataset
     recorded: xr.DataArray
     fit: MaterialFit
-    doubts: tuple[Doubt, ...]
+    refits: tuple[RigRefit, ...]
     shape: ShapeUncertainty
     remarks: tuple[Remark, ...]
     without_camera: MaterialFit
@@ -140,14 +141,14 @@ class Correction(Summarised):
         workspace = checks.instance("workspace", default_workspace() if workspace is None else workspace, Workspace)
         sampling, located = sampling_of(brdf), located_rig(rig, brdf)
         setup = first_setup(brdf, located.rig, masking=masking, noise=noise, workspace=workspace)
-        expected = setup.axes_with_doubts
+        expected = setup.axes_with_refits
         setup.rule()  # alone: the programs that it compiles serve the other fits
         with done_behind(lambda: lattices_ahead(located.rig, sampling, expected, workspace)):
             found = explain(setup, located, ndf)
         best = found.fit
         # the linear step to another masking is approximate, so at most this share of a log likelihood counts
         maskings = other_maskings(best, min(found.weighing.kappa, UNKNOWN_SHARE))
-        fits = CorrectionFits(best, found.shape, found.base, found.doubts, found.others, maskings, expected)
+        fits = CorrectionFits(best, found.shape, found.base, found.refits, found.others, maskings, expected)
         fitted = lobe_ratio(located.rig, sampling, fits, workspace, located.std)
         held_back = found.contradicts and not force_correction
         said = held_back and _matters(fitted)
@@ -183,7 +184,7 @@ class Correction(Summarised):
             camera_uncertainty=known_lens(rig.camera).words, withheld=int(said),
         )  # fmt: skip
         return cls(
-            table, brdf, best, found.doubts, found.shape, remarks, found.without_camera, found.no_camera, said, parts
+            table, brdf, best, found.refits, found.shape, remarks, found.without_camera, found.no_camera, said, parts
         )
 
     def uncertainty_budget(self, theta_d: float, channel: int | None = None) -> UncertaintyBudget:
@@ -324,7 +325,7 @@ class Correction(Summarised):
         lost = self.peak_loss(np.radians(_ANGLES))
         return {
             "fit": self.fit.to_dict(),
-            "doubts": {doubt.axis.name: doubt.to_dict() for doubt in self.doubts},
+            "refits": {refit.axis.name: refit.to_dict() for refit in self.refits},
             "shape": {"scale": self.shape.scale},
             "no_camera": {"probability": self.no_camera, "noise": self.without_camera.noise._asdict()},
             "supported_share": self.supported_share,

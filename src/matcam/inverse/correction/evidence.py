@@ -23,7 +23,7 @@ import numpy as np
 
 from matcam.camera.sensor import PixelNoise
 from matcam.core.grid import merl_grid, sampling_of
-from matcam.inverse.correction.bent_lobe import TRIED_BENDS
+from matcam.inverse.correction.spline_lobe import TRIED_BENDS
 from matcam.inverse.fit.fit_data import (
     FitData,
     cell_variance,
@@ -128,6 +128,20 @@ def _of_pairs(data: FitData, difference: np.ndarray, value: np.ndarray) -> Pixel
     for _ in range(2):  # the weights of the start take gains out
         noise = estimate_noise(data, difference / np.sqrt(2), value, 0, noise)
     return noise
+
+
+class OtherLobe(NamedTuple):
+    """Another lobe through the same camera.
+
+    Attributes:
+        fit: of it.
+        setup: of `fit`.
+        probability: that it, of all lobes, made the table (no unit).
+    """
+
+    fit: MaterialFit
+    setup: FitSetup
+    probability: float
 
 
 class Explained(NamedTuple):

@@ -25,16 +25,10 @@ from matcam.core.errors import FitError
 from matcam.core.remark import Remark
 from matcam.core.workspace import Workspace
 from matcam.forward.pixel_grid import grid_of
-from matcam.inverse.correction.bent_lobe import in_all_slices
-from matcam.inverse.correction.doubts import (
-    Doubt,
-    OtherLobe,
-    ShapeUncertainty,
-    known_shape,
-    rig_doubts,
-    shape_uncertainty,
-)
-from matcam.inverse.correction.evidence import Weighing, noise_without_model
+from matcam.inverse.correction.evidence import OtherLobe, Weighing, noise_without_model
+from matcam.inverse.correction.lobe_shape import ShapeUncertainty, known_shape, shape_uncertainty
+from matcam.inverse.correction.rig_refits import RigRefit, rig_refits
+from matcam.inverse.correction.spline_lobe import in_all_slices
 from matcam.inverse.fit.fit_parameters import STUDENT, TWO_LOBES
 from matcam.inverse.fit.fit_setup import AUTO, CANDIDATES, SEARCH_STEP, FitSetup, free_setup
 from matcam.inverse.fit.material_fit import MaterialFit
@@ -84,9 +78,9 @@ class Explanation(NamedTuple):
         candidates: fits of the lobes through the camera that may matter.
         fit: the most probable of them.
         shape: uncertainty of its shape.
-        base: the same lobe in the slices that `doubts` are fitted to.
+        base: the same lobe in the slices that `refits` are fitted to.
         others: the other lobes through the same camera, with their probabilities.
-        doubts: fits with a parameter of the rig free.
+        refits: fits with a parameter of the rig free.
         blind_setup: of `blind`.
         blind: the lobe without a camera.
         no_camera: probability that no camera, rather than this one, made the table.
@@ -101,7 +95,7 @@ class Explanation(NamedTuple):
     shape: ShapeUncertainty
     base: MaterialFit
     others: tuple[OtherLobe, ...]
-    doubts: tuple[Doubt, ...]
+    refits: tuple[RigRefit, ...]
     blind_setup: FitSetup
     blind: MaterialFit
     no_camera: float
@@ -124,7 +118,7 @@ class Explanation(NamedTuple):
         return (
             self.located.unexplained
             or self.no_blur
-            or any(doubt.contradicts for doubt in self.doubts if doubt.axis.name == LENS)
+            or any(refit.contradicts for refit in self.refits if refit.axis.name == LENS)
         )
 
     @property
@@ -168,7 +162,7 @@ class Explanation(NamedTuple):
                     f"({self.weighing.noise.relative:.1%}): no lobe of the list explains the data fully",
                 )
             )
-        return (*remarks, *(doubt.remark for doubt in self.doubts if doubt.contradicts))
+        return (*remarks, *(refit.remark for refit in self.refits if refit.contradicts))
 
 
 def first_setup(
@@ -191,8 +185,8 @@ def first_setup(
         slice_step: spacing of the slices that are used (no unit).
     """
     setup = free_setup([brdf], rig, masking=masking, noise=noise, slice_step=slice_step, workspace=workspace)
-    doubted = tuple(name for name in (LAMP,) if name in widths_of(rig))
-    return setup.with_(lens_shape=not known_lens(rig.camera).exact, doubted=doubted)
+    refitted = tuple(name for name in (LAMP,) if name in widths_of(rig))
+    return setup.with_(lens_shape=not known_lens(rig.camera).exact, refitted=refitted)
 
 
 def explain(setup: FitSetup, located: LocatedRig, ndf: str) -> Explanation:
@@ -259,7 +253,7 @@ def explain(setup: FitSetup, located: LocatedRig, ndf: str) -> Explanation:
     base = kept[first] if found.fit.is_bent else found
     return Explanation(
         located=located, setup=found.setup, candidates=[one.fit for one in whole], fit=found.fit, shape=shape,
-        base=base.fit, others=averaged, doubts=rig_doubts(base.setup, rig, base.fit), blind_setup=blind.setup,
+        base=base.fit, others=averaged, refits=rig_refits(base.setup, rig, base.fit), blind_setup=blind.setup,
         blind=blind.fit, no_camera=no_camera, shadowed=shadowed, weighing=weighing,
     )  # fmt: skip
 

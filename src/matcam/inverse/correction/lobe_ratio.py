@@ -12,8 +12,9 @@ from matcam.core.jax import jax, jnp, placed
 from matcam.core.programs import kept_program
 from matcam.core.workspace import Workspace
 from matcam.forward.pixel_grid import grid_of
-from matcam.inverse.correction.doubts import Doubt, OtherLobe, ShapeUncertainty, known_shape, shape_records
-from matcam.inverse.correction.harmless import PEAK, LobeRatio
+from matcam.inverse.correction.correction_limits import PEAK, LobeRatio
+from matcam.inverse.correction.evidence import OtherLobe
+from matcam.inverse.correction.lobe_shape import ShapeUncertainty, known_shape, shape_records
 from matcam.inverse.correction.other_maskings import OtherMasking
 from matcam.inverse.correction.real_pixels import Lattices, pixel_log_ratio
 from matcam.inverse.correction.response_lattice import (
@@ -24,6 +25,7 @@ from matcam.inverse.correction.response_lattice import (
     on_table,
     response_lattice,
 )
+from matcam.inverse.correction.rig_refits import RigRefit
 from matcam.inverse.fit.fit_parameters import LobeKind
 from matcam.inverse.fit.fit_readings import FitCoordinates
 from matcam.inverse.fit.fit_statements import fit_readings_source
@@ -42,8 +44,8 @@ class CorrectionFits(NamedTuple):
     Attributes:
         fit: of the lobe that is corrected for.
         shape: uncertainty of its shape.
-        base: the same lobe in the slices of `doubts`, which are compared with it.
-        doubts: fits with a parameter of the rig free.
+        base: the same lobe in the slices of `refits`, which are compared with it.
+        refits: fits with a parameter of the rig free.
         others: other lobes through the same camera, over which the ratio is averaged.
         maskings: predictions of `fit` under other maskings, whose difference counts as uncertainty.
         expected: parameters of the rig that such fits may have, as given to `lattices_ahead`.
@@ -52,7 +54,7 @@ class CorrectionFits(NamedTuple):
     fit: MaterialFit
     shape: ShapeUncertainty
     base: MaterialFit
-    doubts: Sequence[Doubt]
+    refits: Sequence[RigRefit]
     others: Sequence[OtherLobe] = ()
     maskings: Sequence[OtherMasking] = ()
     expected: tuple[Axis, ...] = ()
@@ -63,9 +65,9 @@ class CorrectionFits(NamedTuple):
         at, base = self.fit.coordinates, self.base.coordinates
         return [
             *(
-                (f"{doubt.axis.name} left free", base, doubt.fit.coordinates, doubt.counted)
-                for doubt in self.doubts
-                if doubt.counted
+                (f"{refit.axis.name} left free", base, refit.fit.coordinates, refit.counted)
+                for refit in self.refits
+                if refit.counted
             ),
             *(
                 (f"masking: {other.coordinates.kind.masking}", at, other.coordinates, other.weight)

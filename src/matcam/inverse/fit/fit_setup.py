@@ -89,7 +89,7 @@ class FitSetup:
         free: names of the rig's parameters that "free" fits. Default: the width of a Gaussian lens.
         also: names of parameters of the rig that are fitted without a prior, beside those with one. Default: ().
         nearby: whether a lamp in `also` is fitted only near the value of the rig. Default: False.
-        doubted: names of parameters that a later fit has in `also`, nearby; their rules are computed with those of this
+        refitted: names of parameters that a later fit has in `also`, nearby; their rules are computed with those of this
             fit. Default: ().
         lens_shape: whether the shape of the kernel of the lens is fitted, too (`rig_axes.shape_axes`). Default: False.
         bend: allowed departure of ln D from its family (no unit). Default: 0, not at all.
@@ -127,7 +127,7 @@ class FitSetup:
     free: tuple[str, ...] = (LENS,)
     also: tuple[str, ...] = ()
     nearby: bool = False
-    doubted: tuple[str, ...] = ()
+    refitted: tuple[str, ...] = ()
     lens_shape: bool = False
     bend: float = 0.0
     stiff_below: float = 0.0
@@ -271,16 +271,16 @@ class FitSetup:
         return FitProblem(fit_data(self.tables, cells), cells, operator, layout, self.prior, radius)
 
     @property
-    def axes_with_doubts(self) -> tuple[Axis, ...]:
+    def axes_with_refits(self) -> tuple[Axis, ...]:
         """Return the parameters of the rig that any fit changes."""
-        return self.with_(also=self.doubted, nearby=True).prior.axes
+        return self.with_(also=self.refitted, nearby=True).prior.axes
 
     @property
     def _whole(self) -> WholeRule:
         """Return the slices and axes that the rule is computed for: those of a search, and of later fits in its slices."""
         slice_step, axes = SEARCH_STEP if self.slice_step == _LOOK_STEP else self.slice_step, self.prior.axes
-        doubted = self.axes_with_doubts if slice_step >= SEARCH_STEP else axes
-        return WholeRule(slice_step, doubted if set(axes) <= set(doubted) else axes)
+        refitted = self.axes_with_refits if slice_step >= SEARCH_STEP else axes
+        return WholeRule(slice_step, refitted if set(axes) <= set(refitted) else axes)
 
     @cached_property
     def layout(self) -> Layout:

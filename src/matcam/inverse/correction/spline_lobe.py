@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from matcam.inverse.correction.doubts import linear_evidence
+from matcam.inverse.correction.lobe_shape import linear_evidence
 from matcam.inverse.fit.fit_setup import FitSetup
 from matcam.inverse.fit.material_fit import MaterialFit
 
