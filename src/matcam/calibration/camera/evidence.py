@@ -21,8 +21,7 @@ from matcam.calibration.edge.profiles import LensModel
 from matcam.calibration.photograph.linear_image import LinearImage, planes_of, smoothed
 from matcam.calibration.photograph.tone import Tone
 from matcam.calibration.photograph.unnamed_mosaic import refuse_unnamed_mosaic
-from matcam.calibration.search.described_edges import described_edges
-from matcam.calibration.search.edge_search import find_edges
+from matcam.calibration.search.edge_search import described_edges, find_edges
 from matcam.calibration.search.photograph_edges import edge_remarks, plane_edge_stack
 from matcam.calibration.targets.mtf_samples import MTFSamples
 from matcam.calibration.targets.targets import Targets, measure_targets

@@ -32,12 +32,15 @@ from matcam.calibration.photograph.flat_noise import (
     flat_noise,
     smoothing_doubt,
 )
-from matcam.calibration.photograph.linear_filters import Correlations, correlations, filter_doubt, mask_gain
-from matcam.calibration.photograph.slight_sharpening import (
+from matcam.calibration.photograph.linear_filters import (
     AMOUNT,
     BareEdge,
+    Correlations,
+    correlations,
     edge_gain,
     effect_on_half,
+    filter_doubt,
+    mask_gain,
     needed_gain,
 )
 from matcam.calibration.photograph.uneven_light import LightField
