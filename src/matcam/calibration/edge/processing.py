@@ -245,7 +245,7 @@ def _smoothed(region: _EdgeRegion) -> list[Trace]:
     noise = region.noise
     if not noise.smoothed:
         return []
-    seen = f"the noise of neighbouring pixels is correlated ({noise.alike:.2f} of independent noise)"
+    seen = noise.correlation
     if noise.compressed and not noise.denoised:
         text = (
             f"{seen} and there are borders every 8 px: JPEG; it is unknown whether it was denoised or sharpened before"
