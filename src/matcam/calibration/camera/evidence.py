@@ -81,12 +81,15 @@ class EdgeTable(NamedTuple):
         return cls(*(np.concatenate(columns) for columns in zip(*tables, strict=True)))
 
     def over_field(self, middle: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
-        """Compute the distance of the edges from the middle of the picture, px, and whether each is meridional.
+        """Compute distances from the middle, and find meridional edges.
 
         An edge whose normal lies within 45 degrees of the radius shows the meridional MTF, any other the sagittal one.
 
         Args:
-            middle: (x, y), px.
+            middle: (x, y) of the middle of the picture, px.
+
+        Returns:
+            Distances (n,), px, and a mask (n,) of the meridional edges.
         """
         x, y = self.x - middle[0], self.y - middle[1]
         return np.hypot(x, y), np.abs(np.cos(self.angle - np.arctan2(y, x))) > np.sqrt(0.5)

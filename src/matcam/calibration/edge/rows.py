@@ -17,7 +17,7 @@ from matcam.calibration.edge.geometry import edge_place
 from matcam.calibration.edge.measurement import EdgeFits
 from matcam.calibration.photograph.flat_noise import flat_noise
 from matcam.core.remark import Remark
-from matcam.numerics.robust import robust_std
+from matcam.numerics.normal import robust_std
 
 if TYPE_CHECKING:
     from matcam.core.jax import AnyArray

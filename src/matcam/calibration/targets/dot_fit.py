@@ -22,8 +22,8 @@ from matcam.calibration.targets.wave_fit import noise_from_residuals
 from matcam.core.arrays import FloatArray
 from matcam.core.errors import FitError
 from matcam.numerics.linalg import scaled_inverse
+from matcam.numerics.normal import robust_std
 from matcam.numerics.polynomials import plane_fit
-from matcam.numerics.robust import robust_std
 
 FEWEST = 9
 SHARED = [(2, 0), (0, 2), (4, 0), (2, 2), (0, 4)]
