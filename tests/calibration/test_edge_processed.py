@@ -5,8 +5,7 @@ import pytest
 
 from matcam import edge_mtf_stack
 from matcam.calibration.photograph.flat_noise import crushed_share, flat_noise
-from matcam.calibration.photograph.linear_filters import correlations, mask_gain
-from matcam.calibration.photograph.slight_sharpening import effect_on_half
+from matcam.calibration.photograph.linear_filters import correlations, effect_on_half, mask_gain
 from tests.oracle import processed_pictures as software
 from tests.oracle import real_edges as oracle
 

@@ -1,10 +1,13 @@
 """What is computed over thousands of edges at once, against what does it one by one."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from matcam.calibration.camera.consensus import widest_angle
-from matcam.calibration.edge.rows import known_quantile
+from matcam.calibration.edge.free_curve import CoreShape
+from matcam.calibration.edge.rows import EdgeRegions, clearance
 
 
 @pytest.mark.parametrize("spread", [0.01, 0.5, np.pi])
@@ -23,11 +26,16 @@ def test_a_right_angle_is_the_widest():
 
 
 @pytest.mark.filterwarnings("ignore:All-NaN slice")
-def test_the_quantile_of_what_is_known_is_numpys():
+def test_the_clearance_is_a_quantile_of_the_rows_with_samples():
     rng = np.random.default_rng(2)
-    values = rng.normal(size=(2, 7, 30))
-    values[rng.random(values.shape) < 0.3] = np.nan
-    values[0, 3], values[1, 2, 1:] = np.nan, np.nan
-    for share in (0.0, 0.1, 0.37, 1.0):
-        expected = np.nanquantile(values, share, axis=-1)
-        np.testing.assert_allclose(known_quantile(values, share), expected, rtol=1e-13, equal_nan=True)
+    value, y, x = rng.normal(size=(3, 30, 41)), np.arange(30) - 14.5, np.arange(-20.0, 21.0)
+    value[rng.random(value.shape) < 0.3] = np.nan
+    value[0, 3], value[1, 2:9], value[2] = np.nan, np.nan, np.nan
+    curve, sigma = rng.normal(size=(3, 6)) * [1, 0.1, 0, 0, 0, 0], np.array([0.5, 0.8, 1.0])
+    shape = CoreShape(sigma, np.zeros(3), np.full(3, 0.5), np.ones(3), np.ones(3))
+    found = SimpleNamespace(curve=curve, slope=curve[:, 1], free=SimpleNamespace(shape=shape))
+    rows = EdgeRegions(value, np.tile(y, (3, 1)), np.full((3, 30), x[0]), 1, None, 2)
+    known, place = np.where(np.isfinite(value), x, np.nan), curve[:, :1] + curve[:, 1:2] * y
+    ends = np.stack([place - np.nanmin(known, 2), np.nanmax(known, 2) - place])
+    expected = np.nanquantile(ends, 0.1, axis=2).min(0) / np.hypot(1, curve[:, 1]) / np.sqrt(sigma**2 + 1 / 12)
+    np.testing.assert_allclose(clearance(found, rows), expected, rtol=1e-12, equal_nan=True)

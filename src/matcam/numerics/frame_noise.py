@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from matcam.numerics.robust import robust_std
+from matcam.numerics.normal import robust_std
 
 _OUTLIER = 8.0
 """Robust standard deviations beyond which a difference is a cosmic ray or a hot pixel; probability of normal values: 1e-15."""

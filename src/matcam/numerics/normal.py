@@ -1,19 +1,75 @@
-"""Density of the normal distribution."""
+"""The normal distribution: its density, the scatter of values with outliers, and linear least squares without outliers."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from matcam.core.arrays import xp
+from matcam.core.arrays import FloatArray, xp
 
 if TYPE_CHECKING:
     from jax.typing import ArrayLike
 
     from matcam.core.jax import jax
 
+_ROBUST = 1.4826
+"""Standard deviation of normal values over their median absolute value."""
+_FAR = 4.0
+"""Standard deviations above which a residual is an outlier: by chance once in 16,000."""
+_ROUNDS = 4
+"""Fits, each without the outliers of the one before."""
+
 
 def normal_density(x: ArrayLike, std: ArrayLike = 1.0) -> jax.Array:
     """Evaluate exp(-x^2 / (2 std^2)) / (sqrt(2 pi) std)."""
     return xp.exp(-xp.square(xp.divide(x, std)) / 2) / (np.sqrt(2 * np.pi) * std)
+
+
+class RobustFit(NamedTuple):
+    """Linear fit without outliers.
+
+    Attributes:
+        parameters: fitted parameters, (k,).
+        covariance: their covariance, from the standard deviations of the values, (k, k).
+        chi2: chi2 per degree of freedom: `covariance` times this follows from the scatter of the values.
+        kept: values that are no outliers, bool, (n,).
+    """
+
+    parameters: FloatArray
+    covariance: FloatArray
+    chi2: float
+    kept: np.ndarray
+
+
+def robust_std(values: FloatArray) -> float:
+    """Estimate the standard deviation of values about 0, most of which are normal; outliers have no effect."""
+    return _ROBUST * float(np.median(np.abs(values)))
+
+
+def robust_fit(
+    design: FloatArray,
+    values: FloatArray,
+    std: FloatArray | float = 1.0,
+    *,
+    least: float = 1e-12,
+    resolved: float = 1e-12,
+) -> RobustFit:
+    """Fit values by least squares, and leave out those that are far from the fit.
+
+    Args:
+        design: derivatives of the values by the parameters, (n, k).
+        values: values, (n,).
+        std: standard deviations of the values, (n,). Default: 1.0.
+        least: smallest scatter, in units of `std`. Default: 1e-12.
+        resolved: smallest singular value of the design, relative to the largest: what has less is set to 0. Default: 1e-12.
+    """
+    design, values = design / np.broadcast_to(std, len(values))[:, None], values / std
+    kept = np.ones(len(values), bool)
+    for _ in range(_ROUNDS):
+        parameters = np.linalg.lstsq(design[kept], values[kept], rcond=resolved)[0]
+        left = values - design @ parameters
+        kept = np.abs(left) < _FAR * max(robust_std(left[kept]), least)
+    chi2 = float((left[kept] ** 2).sum()) / max(int(kept.sum()) - design.shape[1], 1)
+    inverse = np.linalg.pinv(design[kept], rcond=resolved)
+    return RobustFit(np.asarray(parameters, float), np.asarray(inverse @ inverse.T, float), chi2, kept)

@@ -7,6 +7,7 @@ because core and diffraction together are no family of their own.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
@@ -20,12 +21,10 @@ from matcam.calibration.camera.joint_fit import (
     JointFit,
     Measurements,
     fit_jointly,
-    in_profile_units,
 )
 from matcam.calibration.edge.free_curve import FREQUENCIES
 from matcam.calibration.edge.profiles import KURTOSIS, LensModel, Separable, check_light, lens_model
 from matcam.camera.camera import Camera
-from matcam.camera.optics.gaussian import GaussianOptics
 from matcam.camera.optics.measured import MeasuredOptics
 from matcam.camera.optics.pupil import DiffractionOptics
 from matcam.camera.parameters import Provenance, Uncertainty
@@ -272,11 +271,7 @@ def fit_camera(evidence: Evidence, channel: str, request: CameraRequest) -> Came
         spread=0.0 if table is None else table.spread,
         edges=table,
         curve=curve,
-        measurements={
-            name: measurements.groups.count(name)
-            for name in dict.fromkeys(measurements.groups)
-            if name not in strangers
-        },
+        measurements={name: n for name, n in Counter(measurements.groups).items() if name not in strangers},
         remarks=strangers_remarks(strangers, channel),
     )
 
@@ -323,7 +318,9 @@ class _FittedLens:
 
     def __init__(self, lens: LensModel, parameters: np.ndarray, covariance: np.ndarray, half: float) -> None:
         self.lens, self.parameters, self.covariance = lens, parameters, covariance
-        self.values, self.errors = in_profile_units(lens, parameters, covariance)
+        at = jnp.asarray(parameters)
+        by = np.asarray(jax.jacfwd(lens.numbers)(at))
+        self.values, self.errors = np.asarray(lens.numbers(at)), by @ covariance @ by.T
         self.half = float(self.values[1]) if isinstance(lens, Separable) else half
 
 
@@ -415,11 +412,10 @@ def _separated_camera(found: _FittedLens) -> Camera:
     lens, theta = found.lens, jnp.asarray(found.parameters)
     assert isinstance(lens, Separable)
     core = lens.optics(theta)
-    sigma = float(core.sigma) if isinstance(core, GaussianOptics) else float("nan")
     if not float(lens.f_number) > 0:
         return Camera(core, BoxPixel(found.half), uncertainty=_uncertainty(lens.names[:2], found.errors[:2, :2]))
     diffraction = DiffractionOptics(lens.f_number, lens.wavelength, lens.pixel_pitch)
-    f = np.linspace(0, min(diffraction.band(), np.sqrt(-np.log(_END) / 2) / (np.pi * sigma)), _SAMPLES)
+    f = np.linspace(0, min(diffraction.band(), np.sqrt(-np.log(_END) / 2) / (np.pi * found.values[0])), _SAMPLES)
 
     def curve(theta: jax.Array) -> jax.Array:
         values = lens.mtf(theta, jnp.asarray(f[:-1]), jnp.zeros(()), jnp.zeros(())) / BoxPixel(theta[1]).mtf(f[:-1])

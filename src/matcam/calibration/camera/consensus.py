@@ -15,7 +15,7 @@ import numpy as np
 from matcam.calibration.edge.edge_result import EdgeStack
 from matcam.core.errors import FitError
 from matcam.core.remark import Remark
-from matcam.numerics.robust import robust_std
+from matcam.numerics.normal import robust_std
 
 FEWEST_EDGES = 8
 _APART = np.radians(20.0)  # smallest angle between two directions

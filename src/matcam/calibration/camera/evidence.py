@@ -21,8 +21,7 @@ from matcam.calibration.edge.profiles import LensModel
 from matcam.calibration.photograph.linear_image import LinearImage, planes_of, smoothed
 from matcam.calibration.photograph.tone import Tone
 from matcam.calibration.photograph.unnamed_mosaic import refuse_unnamed_mosaic
-from matcam.calibration.search.described_edges import described_edges
-from matcam.calibration.search.edge_search import find_edges
+from matcam.calibration.search.edge_search import described_edges, find_edges
 from matcam.calibration.search.photograph_edges import edge_remarks, plane_edge_stack
 from matcam.calibration.targets.mtf_samples import MTFSamples
 from matcam.calibration.targets.targets import Targets, measure_targets
@@ -82,12 +81,15 @@ class EdgeTable(NamedTuple):
         return cls(*(np.concatenate(columns) for columns in zip(*tables, strict=True)))
 
     def over_field(self, middle: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
-        """Compute the distance of the edges from the middle of the picture, px, and whether each is meridional.
+        """Compute distances from the middle, and find meridional edges.
 
         An edge whose normal lies within 45 degrees of the radius shows the meridional MTF, any other the sagittal one.
 
         Args:
-            middle: (x, y), px.
+            middle: (x, y) of the middle of the picture, px.
+
+        Returns:
+            Distances (n,), px, and a mask (n,) of the meridional edges.
         """
         x, y = self.x - middle[0], self.y - middle[1]
         return np.hypot(x, y), np.abs(np.cos(self.angle - np.arctan2(y, x))) > np.sqrt(0.5)

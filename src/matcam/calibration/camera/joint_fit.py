@@ -272,13 +272,6 @@ def value_measurements(sets: Sequence[tuple[MTFSamples, LensModel]]) -> ValueMea
     return ValueMeasurements(frequency, direction, mtf, np.stack(weights), _stack_lenses([lens for _, lens in sets]))
 
 
-def in_profile_units(lens: LensModel, parameters: np.ndarray, covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return a lens's parameters in a profile's units, and their covariance."""
-    at = jnp.asarray(parameters)
-    by = np.asarray(jax.jacfwd(lens.numbers)(at))
-    return np.asarray(lens.numbers(at)), by @ covariance @ by.T
-
-
 def _after_step(
     theta: np.ndarray, edges: EdgeMeasurements | None, step: np.ndarray, response: tuple[np.ndarray, np.ndarray] | None
 ) -> tuple[np.ndarray, EdgeMeasurements | None]:

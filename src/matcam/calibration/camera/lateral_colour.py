@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 
 from matcam.calibration.camera.evidence import EdgeTable
 from matcam.core.remark import Remark
-from matcam.numerics.robust import robust_fit
+from matcam.numerics.normal import robust_fit
 
 _SAME = 2.0  # px: largest distance between the centres of one edge in two colours
 _ALIKE = np.radians(3.0)  # largest angle between their normals

@@ -15,7 +15,7 @@ import numpy as np
 from matcam.calibration.chart.registration import radial_distortion
 from matcam.camera.lens_field import Coefficient, LensField
 from matcam.core.errors import FitError
-from matcam.numerics.robust import robust_fit
+from matcam.numerics.normal import robust_fit
 
 _UNKNOWN = 0.01
 """Standard deviation of k1 where no dots have been measured."""

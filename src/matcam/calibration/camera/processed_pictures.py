@@ -58,28 +58,20 @@ def processed(plane: LinearImage, *, accept: bool) -> Processed:
     noise = picture_noise(plane.values)
     if noise.denoised or noise.compressed:
         what = "compressed as JPEG, and may have been denoised" if noise.compressed else "denoised"
-        text = f"the noise of neighbouring pixels is correlated ({noise.alike:.2f} of independent noise): it was {what}"
+        text = f"this is a processed picture; its MTF is not the lens's: {noise.correlation}: it was {what}"
         if not accept:
             raise FitError(
-                f"this is a processed picture; its MTF is not the lens's: {text}: use camera raw, or accept "
-                "the MTF of lens and software together (accept_sharpened)"
+                f"{text}: use camera raw, or accept the MTF of lens and software together (accept_sharpened)"
             )
-        return Processed(
-            (Remark("processed", f"this is a processed picture; its MTF is not the lens's: {text}"),), noise
-        )
-    if noise.smoothed:
-        text = (
-            f"the noise of neighbouring pixels is correlated ({noise.alike:.2f} of independent noise): "
-            "demosaiced, which blurs; use camera raw"
-        )
-        return Processed((Remark("demosaiced", text),), noise)
-    if noise.bent:
-        text = (
-            f"the noise of dark pixels is {noise.tilt:.1f} times that of bright ones: "
-            "a tone curve that was not undone (--tone)?"
-        )
-        return Processed((Remark("tone-curve", text),), noise)
-    return Processed((), None)
+        remark = Remark("processed", text)
+    elif noise.smoothed:
+        remark = Remark("demosaiced", f"{noise.correlation}: demosaiced, which blurs; use camera raw")
+    elif noise.bent:
+        text = f"the noise of dark pixels is {noise.tilt:.1f} times that of bright ones: "
+        remark = Remark("tone-curve", f"{text}a tone curve that was not undone (--tone)?")
+    else:
+        return Processed((), None)
+    return Processed((remark,), noise)
 
 
 def picture_noise(values: np.ndarray) -> FlatNoise:

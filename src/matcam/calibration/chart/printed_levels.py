@@ -105,8 +105,7 @@ def printed_levels(values: FloatArray, chart: Chart, projection: Projection) -> 
     level, printed, std = np.array(sorted(rows)).T
     # The levels of a print change smoothly: a patch far from the line was covered, or not lit like its paper.
     x, y = np.log(level), np.log(printed)
-    slopes = [y[i] / x[i] for i in range(len(x)) if level[i] < 1]
-    slope = float(np.median(slopes))
+    slope = float(np.median(y[x < 0] / x[x < 0]))
     bend = np.abs(y - slope * x) < _OFF * np.maximum(np.abs(slope * x), 0.3)
     good = bend & (np.append(True, np.diff(printed) > 0))
     if good.sum() < _FEWEST:
@@ -135,7 +134,7 @@ def _over_paper(values: FloatArray, patch: Patch, projection: Projection) -> tup
     shortest = max(min(float(np.hypot(*(end - middle))) for end in ends), 1e-9)
     inner = (1 - np.clip(_CLEAR / shortest, *_INSIDE)) * line
     own = level(inner, inner)
-    parts = [level(u, v) for u in (inner[: _GRID // 2], inner[_GRID // 2 :]) for v in (inner,)]
+    parts = [level(half, inner) for half in np.split(inner, 2)]
     if own is None or not own[0] > 0:
         return None
     uneven = [abs(part[0] - own[0]) - 3 * part[1] for part in parts if part is not None]

@@ -15,8 +15,7 @@ from numpy.typing import ArrayLike
 from scipy.optimize import least_squares
 
 from matcam.calibration.chart.chart import Chart, Element
-from matcam.calibration.chart.marks import balanced, find_marks
-from matcam.calibration.chart.matching import match_marks
+from matcam.calibration.chart.marks import balanced, find_marks, match_marks
 from matcam.calibration.chart.sides import Sides, seen_sides
 from matcam.calibration.photograph.linear_image import LinearImage, smoothed
 from matcam.core import checks

@@ -22,20 +22,16 @@ class Sides(NamedTuple):
     """Measured sides of n squares, each at m positions.
 
     Attributes:
-        square: (n,) index of the element.
         page: (n, m, 2) places on the page, mm.
         seen: (n, m, 2) where the step across the side was found, px; NaN where it was not.
         normal: (n, m, 2) unit vectors outwards, towards the bright side.
         length: (n,) px.
-        depth: (n,) px from a side to the opposite one.
     """
 
-    square: np.ndarray
     page: FloatArray
     seen: FloatArray
     normal: FloatArray
     length: FloatArray
-    depth: FloatArray
 
     @property
     def found(self) -> np.ndarray:
@@ -48,10 +44,9 @@ def seen_sides(smooth: FloatArray, chart: Chart, projection: Callable[[FloatArra
 
     `smooth`: (height, width) picture from `smoothed`. `projection`: from the page, mm, to the picture, px.
     """
-    which = [i for i, element in enumerate(chart.elements) if isinstance(element, Square)]
-    if not which:
-        return None
     squares = [element for element in chart.elements if isinstance(element, Square)]
+    if not squares:
+        return None
     corners = np.array([square.corners for square in squares])
     ends = np.roll(corners, -1, axis=1)
     page = corners[:, :, None] + (ends - corners)[:, :, None] * (0.5 + _ALONG[:, None])
@@ -74,7 +69,7 @@ def seen_sides(smooth: FloatArray, chart: Chart, projection: Callable[[FloatArra
     )
     level = np.repeat([square.level for square in squares], 4)
     off = _steepest(profile, steps, level)
-    return Sides(np.repeat(which, 4), page, at + off[..., None] * normal, normal, length, depth)
+    return Sides(page, at + off[..., None] * normal, normal, length)
 
 
 def _steepest(profile: FloatArray, steps: FloatArray, level: FloatArray) -> FloatArray:

@@ -20,6 +20,10 @@ from matcam.core.arrays import as_index, xp
 if TYPE_CHECKING:
     from matcam.core.jax import AnyArray, jax
 
+LEGENDRE = np.array(
+    [np.pad(np.polynomial.legendre.leg2poly(one)[: k + 1], (0, 10 - k)) for k, one in enumerate(np.eye(11))]
+)
+"""Coefficients of the powers of t in Legendre's polynomials of orders 0 to 10."""
 CURVE = 6
 """Number of coefficients of the curve of an edge: the distortion of a lens bends a long edge."""
 _PHASES = 8  # cells to a px
@@ -151,11 +155,8 @@ def to_mean_slope(length: jax.Array) -> jax.Array:
 
 
 def legendre(t: AnyArray, terms: int) -> jax.Array:
-    """Return Legendre's polynomials of t (terms, ...), which lies within -1 and 1."""
-    found = [xp.ones_like(t), xp.asarray(t)]
-    for n in range(1, terms - 1):
-        found.append(xp.asarray(((2 * n + 1) * t * found[n] - n * found[n - 1]) / (n + 1)))
-    return xp.stack(found[:terms])
+    """Return Legendre's polynomials of t (n,), which lies within -1 and 1, (terms, n)."""
+    return xp.asarray(LEGENDRE[:terms, :terms] @ xp.asarray(t) ** np.arange(terms)[:, None])
 
 
 def aligned_rows(rows: Rows, curve: jax.Array) -> AlignedRows:

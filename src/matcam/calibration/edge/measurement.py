@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cache, partial
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -125,15 +125,6 @@ class EdgeFits(NamedTuple):
     misfit: jax.Array
 
 
-class _Turn(NamedTuple):
-    """One iteration of the fits of profile and curve."""
-
-    curve: jax.Array
-    cells: EdgeCells
-    model: EdgeModel
-    moved: CurveStep
-
-
 @without_warnings()
 @checks.trusted()
 def edge_fits(
@@ -160,7 +151,9 @@ def edge_fits(
     even_rows = in_even_rows(bare, length)
     aligned = without_outliers(even_rows, first_curve, noise)
 
-    def turn(at: tuple[jax.Array, State], used: jax.Array) -> tuple[tuple[jax.Array, State], _Turn]:
+    def turn(
+        at: tuple[jax.Array, State], used: jax.Array
+    ) -> tuple[Any, tuple[jax.Array, EdgeCells, EdgeModel, CurveStep]]:
         """Fit profile and levels to cells, then the curve to pixels."""
         curve, state = at
         phased = geometry.phased_rows(aligned, curve)
@@ -170,7 +163,7 @@ def edge_fits(
         now = edge_model(cells, state, seen.profile)
         moved = curve_step(phased, cells, now, noise, length)
         centred = state._replace(linear=changed(state.linear, SHIFT, 0.0))
-        return (moved.curve, centred), _Turn(curve, cells, now, moved)
+        return (moved.curve, centred), (curve, cells, now, moved)
 
     even = free_fit.LIGHTS[0]
     levels = xp.append(xp.stack([side.mean() for side in side_levels(aligned)]), np.zeros(even.size - 2))

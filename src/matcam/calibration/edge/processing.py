@@ -32,12 +32,15 @@ from matcam.calibration.photograph.flat_noise import (
     flat_noise,
     smoothing_doubt,
 )
-from matcam.calibration.photograph.linear_filters import Correlations, correlations, filter_doubt, mask_gain
-from matcam.calibration.photograph.slight_sharpening import (
+from matcam.calibration.photograph.linear_filters import (
     AMOUNT,
     BareEdge,
+    Correlations,
+    correlations,
     edge_gain,
     effect_on_half,
+    filter_doubt,
+    mask_gain,
     needed_gain,
 )
 from matcam.calibration.photograph.uneven_light import LightField
@@ -242,7 +245,7 @@ def _smoothed(region: _EdgeRegion) -> list[Trace]:
     noise = region.noise
     if not noise.smoothed:
         return []
-    seen = f"the noise of neighbouring pixels is correlated ({noise.alike:.2f} of independent noise)"
+    seen = noise.correlation
     if noise.compressed and not noise.denoised:
         text = (
             f"{seen} and there are borders every 8 px: JPEG; it is unknown whether it was denoised or sharpened before"

@@ -17,7 +17,7 @@ from matcam.calibration.edge.geometry import edge_place
 from matcam.calibration.edge.measurement import EdgeFits
 from matcam.calibration.photograph.flat_noise import flat_noise
 from matcam.core.remark import Remark
-from matcam.numerics.robust import robust_std
+from matcam.numerics.normal import robust_std
 
 if TYPE_CHECKING:
     from matcam.core.jax import AnyArray
@@ -267,12 +267,11 @@ def _largest_gap(region: EdgeRegions, found: EdgeFits) -> np.ndarray:
     nearest = np.clip(np.rint(offset), 0, region.value.shape[2] - 1).astype(int)
     there = np.isfinite(np.take_along_axis(region.value, nearest[..., None], axis=2)[..., 0])
     crossed = there & (np.abs(offset - nearest) <= 0.5)
-    # rows that the edge does not cross come after the last phase
-    phase = np.sort(np.where(crossed, offset % 1.0, 2.0), axis=1)
-    last = np.take_along_axis(phase, np.maximum(crossed.sum(1, keepdims=True) - 1, 0), axis=1)[:, 0]
-    steps = np.where(phase[:, 1:] < 2, np.diff(phase, axis=1), 0.0).max(axis=1)
-    widest = np.maximum(steps, phase[:, 0] + 1 - last)
-    return np.where(crossed.any(1), widest * region.step / np.hypot(1, slopes), np.inf)
+    gaps = []
+    for phases, seen in zip(offset % 1.0, crossed, strict=True):
+        phase = np.sort(phases[seen])
+        gaps.append(np.diff(phase, append=phase[:1] + 1).max(initial=0.0) if phase.size else np.inf)
+    return np.array(gaps) * region.step / np.hypot(1, slopes)
 
 
 def _difference(values: np.ndarray, axis: int) -> np.ndarray:

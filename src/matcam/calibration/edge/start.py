@@ -12,6 +12,7 @@ import numpy as np
 
 from matcam.calibration.edge.geometry import (
     CURVE,
+    LEGENDRE,
     AlignedRows,
     Rows,
     aligned_rows,
@@ -169,15 +170,9 @@ def _polynomial(y: AnyArray, x: AnyArray, weight: jax.Array, terms: int, length:
 
 def to_coefficients(strengths: jax.Array, length: jax.Array) -> jax.Array:
     """Return the coefficients (CURVE,) of powers of y from those of Legendre's polynomials of y / length."""
-    return xp.pad(strengths, (0, CURVE - strengths.size)) @ _TO_POWERS / length ** xp.arange(CURVE)
+    return strengths @ LEGENDRE[: strengths.size, :CURVE] / length ** xp.arange(CURVE)
 
 
 def to_strengths(curve: jax.Array, length: jax.Array) -> jax.Array:
     """Return the strengths (CURVE,) of Legendre's polynomials: what `to_coefficients` takes."""
-    return (curve * length ** xp.arange(CURVE)) @ _FROM_POWERS
-
-
-_TO_POWERS = np.array(
-    [np.pad(np.polynomial.legendre.leg2poly([0.0] * k + [1.0]), (0, CURVE - 1 - k)) for k in range(CURVE)]
-)
-_FROM_POWERS = np.linalg.inv(_TO_POWERS)
+    return (curve * length ** xp.arange(CURVE)) @ np.linalg.inv(LEGENDRE[:CURVE, :CURVE])

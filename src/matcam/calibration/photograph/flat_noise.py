@@ -95,6 +95,11 @@ class FlatNoise(NamedTuple):
         return not self.smoothed and self.tilt > _BENT and self.tilt - 1 > _SURE_BENT * self.tilt_std
 
     @property
+    def correlation(self) -> str:
+        """Describe the correlation of neighbours."""
+        return f"the noise of neighbouring pixels is correlated ({self.alike:.2f} of independent noise)"
+
+    @property
     def apart(self) -> float:
         """Return the significance of a negative correlation of neighbours, as from sharpening, in standard deviations."""
         return (self.alike - 1) / self.alike_std
@@ -127,17 +132,15 @@ def flat_noise(
     variance = (total[0] / max(n[0], 1.0), total[1] / max(n[1], 1.0))
     good = (near > 0) & (two > least**2) & (fewer > _FEWEST)
     good &= ~np.array([_is_rounded_light(v, side) for v, of in views for side in of])
+    result = FlatNoise(1.0, np.inf, 1.0, np.nan, np.inf, 1.0, variance)
     if not good.any():
-        return FlatNoise(1.0, np.inf, 1.0, np.nan, np.inf, 1.0, variance)
+        return result
     weight = fewer * good
     alike = ratio(near, two)
-    tilt, tilt_std = np.nan, np.inf
+    result = result._replace(alike=alike, alike_std=float(alike * np.sqrt(_LOSS / weight.sum())))
     if min(n) > _FEWEST and variance[1] > 0:
-        tilt = variance[0] / variance[1]
-        tilt_std = max(tilt, 1.0) * np.sqrt(_LOSS / n[0] + _LOSS / n[1])
-    result = FlatNoise(
-        alike, float(alike * np.sqrt(_LOSS / weight.sum())), 1.0, float(tilt), float(tilt_std), 1.0, variance
-    )
+        tilt = float(variance[0] / variance[1])
+        result = result._replace(tilt=tilt, tilt_std=float(max(tilt, 1.0) * np.sqrt(_LOSS / n[0] + _LOSS / n[1])))
     if not result.smoothed:
         return result
     three, _ = at(3)

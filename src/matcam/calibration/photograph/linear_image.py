@@ -22,7 +22,7 @@ from matcam.core.registry import CFAS
 from matcam.core.remark import Remark
 from matcam.files.photographs import Photograph
 from matcam.files.picture_header import Exif
-from matcam.numerics.robust import robust_std
+from matcam.numerics.normal import robust_std
 
 CHANNELS = ("R", "G", "B", "Y", "grey")
 """Names of colour planes; "Y" is the luminance of a colour picture."""
@@ -317,6 +317,8 @@ def planes_of(
     for channel in channels or ():
         if channel not in there and not (channel == "Y" and photograph.values.ndim == 3):
             raise ArgumentError(f"channel {channel!r} is not in this picture; it has {', '.join(there)}")
+    if photograph.cfa is not None and not is_linear(tone) and not (isinstance(tone, str) and tone == "auto"):
+        raise ArgumentError("camera raw is linear: it has no tone curve to be undone")
     names = there if channels is None else channels
     return (LinearImage.of(photograph, name, cfa, tone, f_number=f_number, source=source) for name in names)
 

@@ -24,7 +24,7 @@ REACH, _MORE = 3.5, 1.5
 """Distance from the edge within which pixels are in no bin: in standard deviations of the blur, plus px."""
 _LENGTHS = (8.0, 20.0, 50.0)
 """Correlation lengths of the light that are tried, px."""
-_AMPLITUDES: FloatArray = 1e-3 * 2.0 ** np.arange(9)
+_AMPLITUDES = np.asarray(1e-3 * 2.0 ** np.arange(9), float)
 """Standard deviations of the light that are tried, relative: 0.1 to 25 %."""
 _GLARE = 0.1
 """Prior standard deviation of the share of light in glare."""

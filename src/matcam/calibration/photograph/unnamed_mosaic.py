@@ -11,7 +11,7 @@ import numpy as np
 from matcam.calibration.photograph.linear_image import LinearImage
 from matcam.core.arrays import FloatArray
 from matcam.core.errors import FitError
-from matcam.numerics.robust import robust_std
+from matcam.numerics.normal import robust_std
 
 _LARGEST = 1024  # px: so much of a picture is enough
 _DARK = 0.2  # of a picture's bright light, below which light that alternates is noise

@@ -1,10 +1,13 @@
-"""Search for straight edges in a picture without a description: at any scale and rotation, under uneven light and mild
-distortion.
+"""Search for straight edges in a picture: without a description at any scale and rotation, under uneven light and mild
+distortion; or the sides of the squares of a chart that was found.
 
 Adjacent pixels with gradients in similar directions are one edge; its position and direction are those of its pixels,
 weighted by gradient. Corners end an edge, because the gradient changes direction there; squares are not required. An
 edge is kept if the areas on both sides of it are even, and wide enough to be measured. NumPy and SciPy, on the picture
 reduced to a few megapixels.
+
+Around gratings, stars, dots and tables there are edges by the hundred. In a chart, only the sides of squares are searched,
+at the positions from the registration; a side that is partly covered is left out.
 """
 
 from __future__ import annotations
@@ -13,6 +16,12 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy import ndimage
+
+from matcam.calibration.chart.chart import Chart
+from matcam.calibration.chart.registration import Projection
+from matcam.calibration.chart.sides import seen_sides
+from matcam.calibration.photograph.linear_image import smoothed
+from matcam.core.arrays import FloatArray
 
 _PIXELS = 2_000_000  # of the reduced picture, largest value
 _SMOOTH = 1.0  # px of the reduced picture
@@ -26,6 +35,9 @@ _ALONG = 24  # number of positions along an edge
 _UNEVEN, _SLOPE = 0.06, 0.002  # relative to the step: largest change of the mean of a side, and largest change rate
 _SPOT = 0.4  # relative to the step: largest deviation of single positions along an edge
 _ENOUGH = 4  # number of edges above which a finer search is not needed
+_SIDE_CORNER = 3.5  # px that are cut off both ends of a side of a square
+_FEWEST = 5  # number of positions along a side at which it must be found
+_STRAIGHT = 0.7  # px: largest distance of these from a straight line
 
 
 class EdgePlaces(NamedTuple):
@@ -62,6 +74,25 @@ def find_edges(picture: np.ndarray, *, mosaic: bool = False) -> EdgePlaces:
         if found.x.size >= _ENOUGH or finer < least:
             return found
         factor = finer
+
+
+def described_edges(values: FloatArray, chart: Chart, projection: Projection) -> EdgePlaces | None:
+    """Return the sides of a chart's squares that can be measured; None for a chart without squares.
+
+    values: (height, width) any monotone codes, mosaics balanced; NaN where there are no data. projection: from the page, mm, to
+    the picture, px.
+    """
+    smooth = smoothed(values)
+    sides = seen_sides(smooth, chart, projection)
+    if sides is None:
+        return None
+    found = sides.found & (sides.found.sum(1) >= _FEWEST)[:, None]
+    square, place = np.nonzero(found)
+    some, one = np.unique(square, return_inverse=True)
+    (x, y), (nx, ny) = sides.seen[square, place].T, sides.normal[square, place].T
+    x, y, angle, _, width = _moments(one, some.size, x, y, nx, ny, np.ones(one.size))[0].T
+    good = width < np.sqrt(12) * _STRAIGHT
+    return clear_edges(smooth, x[good], y[good], angle[good], sides.length[some[good]], _SIDE_CORNER)
 
 
 def _at_scale(picture: np.ndarray, factor: int) -> EdgePlaces:
@@ -106,7 +137,7 @@ def _ribbons(small: np.ndarray) -> np.ndarray:
         mask[rows[near], columns[near]] = 1
         label, count = ndimage.label(mask, np.ones((3, 3)))
         one = label[rows[near], columns[near]] - 1
-        ribbon, direction = moments(one, count, *(a[near] for a in (columns, rows, gx, gy, size)))
+        ribbon, direction = _moments(one, count, *(a[near] for a in (columns, rows, gx, gy, size)))
         # an edge is found in three sectors, and is assigned to the one that contains its mean direction
         mine = np.floor((direction + np.pi) / width).astype(int) % _SECTORS == centre
         found.append(ribbon[mine])
@@ -115,7 +146,7 @@ def _ribbons(small: np.ndarray) -> np.ndarray:
     return ribbon[(length >= _SHORTEST) & (length >= _SLENDER * thickness)][:, :4]
 
 
-def moments(
+def _moments(
     one: np.ndarray, count: int, x: np.ndarray, y: np.ndarray, gx: np.ndarray, gy: np.ndarray, size: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the moments of components, and their mean directions.
@@ -170,24 +201,18 @@ def clear_distance(
     profile, inside = value.mean(-1), inside.all(-1)
     uneven = np.ptp(value[..., :-2] + value[..., 1:-1] + value[..., 2:], axis=-1) / 3
     steepest = np.diff(profile[:, _PROFILE - 2 : _PROFILE + 3], axis=1).max(1)
-    sides = [
-        [column[:, part] for column in (profile, inside, uneven)]
-        for part in (slice(_PROFILE, None, -1), slice(_PROFILE, None))
-    ]
+    # from the edge outwards, to the dark side and to the bright one (2, n, ...)
+    profile, inside, uneven = (
+        np.stack([column[:, _PROFILE::-1], column[:, _PROFILE:]]) for column in (profile, inside, uneven)
+    )
     # a blurred edge of step h and std s has a steepest slope of h / (sqrt(2 pi) s); its levels begin at 2.5 s
-    rough = np.maximum(sides[1][0][:, 4:8].mean(1) - sides[0][0][:, 4:8].mean(1), 0)
+    rough = np.maximum(np.subtract(*profile[::-1, :, 4:8].mean(2)), 0)
     start = np.clip(np.ceil(rough / np.maximum(steepest, 1e-30)), 2, 12).astype(int)
-    rows = np.arange(len(x))
-    clear = np.full(len(x), _PROFILE)
-    levels = []
-    for side, there, spots in sides:
-        level = (side[rows, start] + side[rows, start + 1] + side[rows, start + 2]) / 3
-        levels.append(level)
-        beyond = np.arange(_PROFILE + 1) - start[:, None] - 1
-        allowed = (_UNEVEN + _SLOPE * np.maximum(beyond, 0)) * rough[:, None]
-        fault = (np.abs(side - level[:, None]) > allowed) | (spots > _SPOT * rough[:, None])
-        fault = (fault & (beyond >= 0)) | ~there
-        first = np.where(fault.any(1), fault.argmax(1), _PROFILE + 1) - 1
-        clear = np.minimum(clear, first)
-    step = levels[1] - levels[0]
+    level = np.take_along_axis(profile, start[None, :, None] + np.arange(3), 2).mean(2)
+    beyond = np.arange(_PROFILE + 1) - start[:, None] - 1
+    allowed = (_UNEVEN + _SLOPE * np.maximum(beyond, 0)) * rough[:, None]
+    fault = (np.abs(profile - level[..., None]) > allowed) | (uneven > _SPOT * rough[:, None])
+    fault = (fault & (beyond >= 0)) | ~inside
+    clear = np.where(fault.any(2), fault.argmax(2) - 1, _PROFILE).min(0)
+    step = level[1] - level[0]
     return np.where((clear > start + 2) & (step > 0), clear, 0), step

@@ -25,8 +25,8 @@ from matcam.calibration.photograph.linear_image import LinearImage, flaw
 from matcam.calibration.search.edge_search import EdgePlaces
 from matcam.core.errors import FitError
 from matcam.core.remark import Remark
+from matcam.numerics.normal import robust_fit
 from matcam.numerics.polynomials import plane_powers
-from matcam.numerics.robust import robust_fit
 
 _ROWS = (48, 64, 96, 128, 192)
 _COLUMNS = (32, 48)

@@ -22,8 +22,8 @@ from matcam.calibration.targets.wave_fit import noise_from_residuals
 from matcam.core.arrays import FloatArray
 from matcam.core.errors import FitError
 from matcam.numerics.linalg import scaled_inverse
+from matcam.numerics.normal import robust_std
 from matcam.numerics.polynomials import plane_fit
-from matcam.numerics.robust import robust_std
 
 FEWEST = 9
 SHARED = [(2, 0), (0, 2), (4, 0), (2, 2), (0, 4)]
@@ -43,13 +43,18 @@ _OUTLIER, _SAME = (
     5.0,
     0.02,
 )  # standard deviations, and relative difference of sigma^2 below which a dot is not an outlier
-_RADIAL, _ROUND = 5, 14
 _AT_ONCE = 512  # number of dots whose tables fit into memory, for any grid
-_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(_RADIAL)
-_TURN = 2 * np.pi * (np.arange(_ROUND)[None] + 0.5 * (np.arange(_RADIAL)[:, None] % 2)) / _ROUND
-_RADIUS = np.sqrt((_NODES + 1) / 2)[:, None]
-_DISC = np.stack([(_RADIUS * np.cos(_TURN)).ravel(), (_RADIUS * np.sin(_TURN)).ravel()])
-_SHARE = np.repeat(_WEIGHTS / 2 / _ROUND, _ROUND)
+
+
+def _disc_nodes(radii: int = 5, turns: int = 14) -> tuple[FloatArray, FloatArray]:
+    """Return places (2, n) and weights (n,) of a quadrature over the unit disc: Gauss's on rings, which alternate."""
+    nodes, weights = np.polynomial.legendre.leggauss(radii)
+    turn = 2 * np.pi * (np.arange(turns) + 0.5 * (np.arange(radii)[:, None] % 2)) / turns
+    places = np.sqrt((nodes + 1) / 2)[:, None] * np.stack([np.cos(turn), np.sin(turn)])
+    return places.reshape(2, -1), np.repeat(weights / 2 / turns, turns)
+
+
+_DISC, _SHARE = _disc_nodes()
 
 
 class DotLattice(NamedTuple):
@@ -138,12 +143,20 @@ def fit_dots(values: FloatArray, lattice: DotLattice, size: float, half_width: f
     reach = int(min(_REACH, max(3, np.floor(pitch / 2 - 0.5))))
     if pitch < _CLOSEST:
         raise FitError(f"the dots are {pitch:.1f} px apart: at least {_CLOSEST:g} are needed to separate them")
-    whole, stamps = _stamps(values, lattice, reach)
-    lattice, shape = lattice.subset(whole), shape[whole]
-    if len(stamps.value) < FEWEST:
-        raise FitError(f"{len(stamps.value)} whole dots are too few: {FEWEST} are needed")
-    columns, rows, du, dv, value, known = stamps
-    ground = np.nanmedian(value, axis=1)
+    columns, rows = (np.round(c).astype(int)[:, None] + np.arange(-reach, reach + 1) for c in (lattice.x, lattice.y))
+    whole = (np.minimum(columns[:, 0], rows[:, 0]) >= 0) & (columns[:, -1] < values.shape[1])
+    whole &= rows[:, -1] < values.shape[0]
+    if whole.sum() < FEWEST:
+        raise FitError(f"{whole.sum()} whole dots are too few: {FEWEST} are needed")
+    lattice, shape, columns, rows = lattice.subset(whole), shape[whole], columns[whole], rows[whole]
+    value = values[rows[:, :, None], columns[:, None, :]]
+    # from the place of a dot in the lattice to its pixels
+    du, dv = (
+        np.broadcast_to(off, value.shape).reshape(len(value), -1)
+        for off in ((columns - lattice.x[:, None])[:, None, :], (rows - lattice.y[:, None])[:, :, None])
+    )
+    value = value.reshape(du.shape)
+    known, ground = np.isfinite(value), np.nanmedian(value, axis=1)
     value = np.where(known, value, 0.0)
     # in a mosaic only a part of the sites of a dot are measured
     content = (known * (value - ground[:, None])).sum(1) / np.maximum(known.mean(1), 0.05)
@@ -151,10 +164,11 @@ def fit_dots(values: FloatArray, lattice: DotLattice, size: float, half_width: f
         [ground, 0 * ground, 0 * ground, content, lattice.x, lattice.y, np.full(len(ground), _START**2)]
     )
     mean_radius = float(np.sqrt(np.abs(np.linalg.det(shape))).mean())
-    fit: DotFit | None = None
     gain, read, weight = 0.0, 1.0, known.astype(float)
-    bow, shared, at = np.zeros_like(du), np.zeros((*du.shape, 0)), None
+    bow, change = np.zeros_like(du), np.zeros_like(state)
     for step in range(_STEPS):
+        state = state + change
+        state[:, 6] = np.clip(state[:, 6], _RANGE[0] ** 2, _RANGE[1] ** 2)
         if step == _WEIGHTED:
             bow = _bow(lattice, state[:, 0], du, dv)
             # the fitted positions determine the lattice, and the sizes of the dots, more accurately than the first ones
@@ -179,17 +193,15 @@ def fit_dots(values: FloatArray, lattice: DotLattice, size: float, half_width: f
         change[:, 4:6] = np.clip(change[:, 4:6], -0.7, 0.7)
         change[:, 6] = np.clip(change[:, 6], -0.5 * state[:, 6], state[:, 6])
         std = np.sqrt(np.einsum("nii->ni", inverse))
-        fit = DotFit(lattice, state, std, design, shared, residual, weight, mean_radius, gain, read)
-        at = (u, v, shape, np.sqrt(state[:, 6]))
-        state = state + change
-        state[:, 6] = np.clip(state[:, 6], _RANGE[0] ** 2, _RANGE[1] ** 2)
-        if step > _WEIGHTED + 2 and (np.abs(change[:, 6]) < _SETTLED * fit.std[:, 6]).mean() > 0.98:
+        if step > _WEIGHTED + 2 and (np.abs(change[:, 6]) < _SETTLED * std[:, 6]).mean() > 0.98:
             break
-    if fit is None or at is None or not np.isfinite(fit.parameters).all():
+    if not np.isfinite(state).all():
         raise FitError("the dots' pixels do not determine their blur: give a sharper or larger picture of the grid")
     # the common deviation of the dots needs higher derivatives, but only once
-    flat = dot_derivatives(*at, half_width, SHARED).reshape(len(SHARED), len(state), -1)
-    return _without_outliers(replace(fit, shared=fit.parameters[:, 3, None, None] * flat.transpose(1, 2, 0)))
+    flat = dot_derivatives(u, v, shape, np.sqrt(state[:, 6]), half_width, SHARED).reshape(len(SHARED), len(state), -1)
+    shared = state[:, 3, None, None] * flat.transpose(1, 2, 0)
+    fit = DotFit(lattice, state, std, design, shared, residual, weight, mean_radius, gain, read)
+    return _without_outliers(fit)
 
 
 def find_dots(values: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -200,9 +212,7 @@ def find_dots(values: FloatArray) -> tuple[FloatArray, FloatArray]:
     smooth = smoothed(values)
     # most pixels are background, which changes slowly
     ground = ndimage.gaussian_filter(ndimage.median_filter(smooth[::2, ::2], 15), 2)
-    ground = ndimage.zoom(ground, 2, order=1)[: values.shape[0], : values.shape[1]]
-    ground = np.pad(ground, [(0, n - m) for n, m in zip(values.shape, ground.shape, strict=True)], mode="edge")
-    off = smooth - ground
+    off = smooth - ground.repeat(2, 0).repeat(2, 1)[: values.shape[0], : values.shape[1]]
     spread = robust_std(off - np.median(off))
     sign = -1.0 if np.quantile(off, 0.001) < -np.quantile(off, 0.999) else 1.0
     label, count = ndimage.label(sign * off > max(_CLEAR * spread, 0.25 * float(np.quantile(sign * off, 0.999))))
@@ -257,44 +267,6 @@ def square_lattice(x: FloatArray, y: FloatArray) -> DotLattice:
     if len(index) < FEWEST or len({tuple(w) for w in where_all}) != len(index):
         raise FitError(f"the spots in the region do not form a square grid: {len(index)} of {len(points)} fit into one")
     return DotLattice(x[index], y[index], where_all[:, 0], where_all[:, 1])
-
-
-class _Stamps(NamedTuple):
-    """Pixels around n dots.
-
-    Attributes:
-        columns: (n, width) px.
-        rows: (n, height) px.
-        du: (n, pixels) from the dot's place in the lattice, px.
-        dv: (n, pixels) px.
-        value: (n, pixels) linear light.
-        known: (n, pixels) whether there are data.
-    """
-
-    columns: np.ndarray
-    rows: np.ndarray
-    du: FloatArray
-    dv: FloatArray
-    value: FloatArray
-    known: np.ndarray
-
-
-def _stamps(values: FloatArray, lattice: DotLattice, reach: int) -> tuple[np.ndarray, _Stamps]:
-    """Return a mask of the dots well inside a region, and their pixels.
-
-    reach: px, from a dot to the last of its pixels.
-    """
-    columns, rows = (np.round(c).astype(int)[:, None] + np.arange(-reach, reach + 1) for c in (lattice.x, lattice.y))
-    whole = (
-        (columns[:, 0] >= 0) & (columns[:, -1] < values.shape[1]) & (rows[:, 0] >= 0) & (rows[:, -1] < values.shape[0])
-    )
-    columns, rows, lattice = columns[whole], rows[whole], lattice.subset(whole)
-    value = values[rows[:, :, None], columns[:, None, :]]
-    du = np.broadcast_to(columns[:, None, :] - lattice.x[:, None, None], value.shape)
-    dv = np.broadcast_to(rows[:, :, None] - lattice.y[:, None, None], value.shape)
-    flat = (len(value), (2 * reach + 1) ** 2)
-    du, dv, value = du.reshape(flat), dv.reshape(flat), value.reshape(flat)
-    return whole, _Stamps(columns, rows, du, dv, value, np.isfinite(value))
 
 
 def dot_derivatives(

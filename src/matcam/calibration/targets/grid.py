@@ -25,8 +25,8 @@ from matcam.core.arrays import FloatArray
 from matcam.core.errors import ArgumentError, FitError
 from matcam.core.io import plain
 from matcam.files.photographs import Photograph
+from matcam.numerics.normal import robust_fit
 from matcam.numerics.polynomials import plane_powers
-from matcam.numerics.robust import robust_fit
 
 _REACH = 8  # px around a dot
 _ZONE = 60  # smallest number of dots in a zone

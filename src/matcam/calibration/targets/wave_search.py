@@ -189,13 +189,14 @@ def _rings(filled: FloatArray, centre: tuple[float, float]) -> list[_Ring]:
             continue
         peak = low + int(np.argmax(power[low:high]))
         spread = int(max(2, _BAND * peak))
+        near = slice(peak - spread, peak + spread + 1)
         band = np.zeros(count, complex)
-        band[peak - spread : peak + spread + 1] = spectrum[peak - spread : peak + spread + 1]
-        share = power[peak - spread : peak + spread + 1].sum() / power[3:].sum()
+        band[near] = spectrum[near]
+        inside = power[near].sum()
+        share = inside / power[3:].sum()
         phase = np.unwrap(np.angle(np.fft.ifft(band)))
         turns = (phase[-1] - phase[0] + np.angle(np.exp(1j * (phase[0] - phase[-1])))) / (2 * np.pi)
         if share > _CLEAR_IN_RING:
-            inside = power[peak - spread : peak + spread + 1].sum()
             amplitude = 2 * float(np.sqrt(inside) / max(abs(spectrum[0]), 1e-300))
             some = slice(None, None, max(1, count // (4 * peak)))
             found.append(_Ring(float(radius), round(turns), float(share), amplitude, x[some], y[some], phase[some]))

@@ -99,11 +99,9 @@ def rule_arrays(rig: Rig, cells: ChosenCells, axes: tuple[Axis, ...]) -> dict[st
         lamp_angle = padded(view.lamp_angles(cells.theta_h, cells.theta_d[:, None], cells.phi_d).ravel()[flat])
     own = blur_of(rig, in_discs=True, whole=not view.line)
     moved, changes = [MovedBlur(own), *blurs_along(rig, own, axes)], change_kernels(own, axes)
-    if (
-        own.rest is None and own.stds.size == 1
-    ):  # the rule of a Gaussian and those of round Gaussians share their program
-        round_ones = [one for one in changes if not any(one.stretch)]
-        moved, changes = moved + round_ones, changes[len(round_ones) :]
+    if own.rest is None and own.stds.size == 1:  # a Gaussian and round changes of it share a program
+        ends = sum(not any(one.stretch) for one in changes)
+        moved, changes = moved + changes[:ends], changes[ends:]
     count = len(moved) + len(changes)
 
     def full(part: np.ndarray) -> np.ndarray:
