@@ -177,6 +177,11 @@ def test_a_plan_names_what_the_model_does(matcam):
     assert found["lamp_std_deg"] == pytest.approx(0.25, abs=0.02)
     assert found["outline_std_px"] * 400 / min(found["radius_px"] or 1600, 1600) == pytest.approx(0.15, abs=0.02)
     assert found["lamp_angle_deg"][-1] == pytest.approx(160)
+    # half of the given radius is tried first, so a plan for a smaller radius may find less
+    assert found["radius_px"] == 200
+    text = matcam("capture", "plan", "0.02", "--accuracy", "0.02", "--radius", "400").stdout
+    assert "200 px suffices, the smallest tried" in text
+    assert "or more" not in text
 
 
 @pytest.mark.slow

@@ -184,6 +184,8 @@ def plan(
         return
     found = needs.to_dict()
     wide = f"{needs.radius:.0f} px or more" if math.isfinite(needs.radius) else "larger than all tried values"
+    if needs.radius == needs.fresnel_std[0][0]:
+        wide = f"{needs.radius:.0f} px suffices, the smallest tried"
     show.table(
         ["what", "needed"],
         [
