@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import struct
 import subprocess
 import sys
@@ -116,6 +117,13 @@ def test_fresnel(matcam, measured, tmp_path):
         assert data["corrected"].dims == ("theta_d", "channel")
         assert data.attrs["ndf"] == "beckmann"
         assert data.sizes["theta_d"] == 15
+        # a printed angle is that of a slice in the file, and so is the value beside it
+        printed = re.findall(r"^ ([\d.]+)°.* ([\d.]+) ± [\d.]+ *$", result.stdout, re.MULTILINE)
+        green = data["corrected"].sel(channel="G")
+        assert len(printed) > 5
+        for angle, value in printed:
+            there = green.sel(theta_d=np.radians(float(angle)), method="nearest", tolerance=1e-6)
+            assert f"{float(there):.3f}" == value
     header = (tmp_path / "chromium-fresnel.csv").read_text().splitlines()[0]
     assert header.startswith("theta_d_rad,channel,raw,")
 

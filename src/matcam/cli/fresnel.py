@@ -210,12 +210,13 @@ def _print(result: Any, tables: Any, files: list[Path], channel: str) -> None:
     from matcam.core.remark import from_attribute
 
     one = result.sel(channel=channel)
-    at = one.sel(theta_d=np.radians(_ANGLES), method="nearest")
+    # the slices that exist: a table has one at 74.5 and one at 75.5 degrees, and --slice-step leaves some out
+    at = one.sel(theta_d=np.unique(one["theta_d"].sel(theta_d=np.radians(_ANGLES), method="nearest")))
     relative = at["response"].values / float(result["response"][0])
     rows = [
-        [f"{angle}°", f"{1 - lost:.0%}", f"{raw:.3f}", f"{peak:.3f}", f"{corrected:.3f} ± {std:.3f}"]
+        [f"{angle:.4g}°", f"{1 - lost:.0%}", f"{raw:.3f}", f"{peak:.3f}", f"{corrected:.3f} ± {std:.3f}"]
         for angle, lost, raw, peak, corrected, std in zip(
-            _ANGLES,
+            np.degrees(at["theta_d"].values),
             relative,
             at["raw"].values,
             at["corrected_peak"].values,

@@ -73,7 +73,7 @@ def draw_fresnel(axes: Axes, result: xr.Dataset, tables: xr.Dataset | None, chan
     if supported < theta[-1]:
         axes.axvline(supported, color=GREY, lw=0.8)
         axes.annotate(
-            f"supported to {supported:.0f}°", (supported, 0), xycoords=("data", "axes fraction"), xytext=(-3, 4),
+            f"supported to {supported:.1f}°", (supported, 0), xycoords=("data", "axes fraction"), xytext=(-3, 4),
             textcoords="offset points", ha="right", va="bottom", fontsize=8, color=GREY, rotation=90,
             bbox={"facecolor": "white", "alpha": 0.8, "lw": 0, "pad": 1},
         )  # fmt: skip
