@@ -300,7 +300,9 @@ def test_full_colour_of_an_unknown_mosaic(tmp_path):
     camera = {"black_level_dn": 256}
     capture = changed(drawn, frames=frames, rows=rows, settings={**drawn.settings, "camera": camera})
     # what is wrong with the frames, and not that there are no dark ones
-    with pytest.raises(FitError, match=r"no frame .* demosaiced: .*accept_processed = true, and state .* camera\.cfa$"):
+    with pytest.raises(
+        FitError, match=r"no frame .* demosaiced: .*accept_processed = true, and specify .* camera\.cfa$"
+    ):
         measure_radiometry(read_capture(capture.write(tmp_path / "a")))
     settings = {**drawn.settings, "camera": {**camera, "accept_processed": True}}
     capture = changed(drawn, frames=frames, rows=rows, settings=settings)
@@ -314,7 +316,7 @@ def test_the_profile_belongs_to_the_camera(tmp_path):
     drawn = small()
     assert float(capture_camera(read_capture(drawn.write(tmp_path / "a"))).optics.sigma) == pytest.approx(0.5, rel=0.15)
     settings = {**drawn.settings, "camera": {**drawn.settings["camera"], "cfa": "BGGR"}}
-    with pytest.raises(FileFormatError, match="another camera"):
+    with pytest.raises(FileFormatError, match="give the profile of the camera"):
         capture_camera(read_capture(changed(drawn, settings=settings).write(tmp_path / "b")))
 
 

@@ -36,7 +36,7 @@ def test_verdict_figure_and_columns(edge, photograph, tmp_path):
     assert "the gaussian lens explains the edge" in text
     assert [p.name for p in tmp_path.iterdir()] == ["chart.tif"]
     text = edge(photograph, *ROI, "-o", "chart-edge.png").stdout
-    assert "picture: chart-edge.png" in text
+    assert "figure: chart-edge.png" in text
     assert (tmp_path / "chart-edge.png").read_bytes().startswith(b"\x89PNG")
     header, *lines = (tmp_path / "chart-edge.csv").read_text().splitlines()
     assert header.startswith("frequency_cycles_per_px,mtf,mtf_std,core_mtf,")

@@ -26,7 +26,7 @@ OPTIONS = ("--roughness", 0.05, "--radius", 40, "--lamp-angle", 60, "--lamp", 0.
 @pytest.mark.slow
 def test_a_picture_with_all_that_is_needed_to_invert_it(simulate, tmp_path):
     done = simulate(*OPTIONS, "-o", "a.exr", "--preview", "a.png", "--json")
-    assert json.loads(done.stdout)["what"] == "picture of 33 x 31 px"
+    assert json.loads(done.stdout)["what"] == "image of 33 x 31 px"
     picture, about = read_exr(tmp_path / "a.exr"), read_sidecar(sidecar_path(tmp_path / "a.exr"))
     assert picture.shape == (31, 33, 3)
     assert picture.dtype == np.float32

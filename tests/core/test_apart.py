@@ -99,7 +99,7 @@ def test_a_decoder_cannot_write(path):
         ("refuse", FileFormatError, "byte 7 is wrong"),
         ("argue", ArgumentError, "sampling must be centre or edge"),
         ("complain", FileFormatError, "damaged: two lines"),
-        ("pickled", FileFormatError, "damaged: an answer cannot hold object"),
+        ("pickled", FileFormatError, "damaged: an answer cannot contain object"),
     ],
 )
 def test_errors_come_back_as_they_were(path, decoder, kind, text):

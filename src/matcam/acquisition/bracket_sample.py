@@ -22,16 +22,16 @@ other pixel of a pair, would favour noise of opposite signs.
 
 
 class BracketSample(NamedTuple):
-    """Chosen pixels of one lamp position.
+    """Selected pixels of one lamp position.
 
     Attributes:
         lamp: name of the lamp position.
-        exposures: indices of its exposures, (k,), among all, the shortest first.
+        exposures: indices of its exposures among all exposures, the shortest first, (k,).
         codes: their codes as read, float32 (k, n), DN.
-        light: the same without dark, float32 (k, n), DN.
-        around: mean of the neighbours in each exposure without dark, float32 (k, n), DN.
-        reference: mean of the reference region in each exposure and channel without dark, (k, channels), DN; NaN: none, or
-            clipped.
+        light: `codes` less the dark level, float32 (k, n), DN.
+        around: mean of the neighbours in each exposure, less the dark level, float32 (k, n), DN.
+        reference: mean of the reference region in each exposure and channel, less the dark level, (k, channels), DN;
+            NaN if there is no reference or it is clipped.
         reference_pixels: number of pixels of each channel in that mean, (channels,).
         median: median code of each frame, (k,), DN.
         tops: `light.pile_up.TopCodes` of each frame, (k, 8).
@@ -49,7 +49,7 @@ class BracketSample(NamedTuple):
 
     @property
     def reference_total(self) -> np.ndarray:
-        """Return the sum over the reference region in each exposure, (k,), DN; NaN: no reference, or clipped."""
+        """Sum the reference region in each exposure, (k,), DN; NaN if there is none or it is clipped."""
         return np.asarray(self.reference @ self.reference_pixels.astype(float))
 
     def part(self, frames: np.ndarray) -> BracketSample:
@@ -73,8 +73,8 @@ def same_colour_neighbours(light: np.ndarray, step: int) -> np.ndarray:
     """Average the eight nearest pixels of the same colour, without the pixel itself.
 
     Args:
-        light: picture, (height, width).
-        step: distance of the nearest pixel of the same colour, px: 2 in a mosaic, 1 in a grey picture.
+        light: image, (height, width).
+        step: distance of the nearest pixel of the same colour, px: 2 in a mosaic, 1 in a grey image.
     """
     padded = np.pad(light, step, mode="reflect" if min(light.shape) > step else "edge")
     height, width = light.shape
@@ -93,7 +93,7 @@ def noise_correlation(light: np.ndarray, noise: float) -> tuple[float, float]:
     Raw pixels have none. Sharpening makes it negative, demosaicing and smoothing positive.
 
     Args:
-        light: frame without dark, (height, width), DN.
+        light: dark-subtracted frame, (height, width), DN.
         noise: read noise, DN.
     """
     around = uniform_filter(light, _SURROUNDINGS)
@@ -129,9 +129,9 @@ def choose_pixels(around: np.ndarray, noise: float, seed: int) -> np.ndarray:
     """Select indices of pixels for a sample: the brightest by their neighbours, and some of the other lit ones.
 
     Args:
-        around: neighbours' mean in each exposure, flat, (k, n), the shortest first.
+        around: mean of the neighbours in each exposure, flattened, (k, n), the shortest exposure first.
         noise: standard deviation of one pixel's read noise, DN.
-        seed: of the selection among the others.
+        seed: seed of the random selection among the other pixels.
     """
     top = max(float(around.max()), 1.0)
     score = (np.minimum(around, 0.9 * top)).sum(0)

@@ -1,4 +1,4 @@
-"""Check of a capture in the lab: clipping, gaps, wrong times, a drifting lamp, a moved sample, a turned table.
+"""Check of a capture in the lab: clipping, gaps, wrong times, a drifting lamp, a moved sample, a rotated lamp table.
 
 It reads few lamp positions completely and only the shortest frame of the others, which takes seconds. Each kind of
 sample is checked by its own geometry: a sphere by its disc and highlights, a cylinder by its stripe and bright lines. A
@@ -31,7 +31,9 @@ from matcam.files.capture_frames import LampGuess
 _WHOLE = 4
 """Number of lamp positions whose exposures are all read."""
 _FIRST, _LAST, _GAP = 10.0, 70.0, 12.0
-"""Degrees of theta_d: a capture should begin below, end above, and have no larger gap."""
+"""Limits of theta_d, degrees: a capture should begin below the first, end above the second, and have no gap larger than
+the third.
+"""
 HARMLESS = frozenset({"clip-by-pile-up", "clip-not-seen", "gain-stated", "not-checked", "processed", "times-missing"})
 """Codes of remarks that do not make a capture faulty."""
 
@@ -43,13 +45,14 @@ class CaptureCheck:
     Attributes:
         findings: faults, each with its frame or lamp position; empty: no faults.
         notes: remarks that are not faults.
-        radiometry: of the lamp positions that were read whole; None: not measurable.
+        radiometry: radiometric calibration from the lamp positions that were read completely; None if it is not
+            measurable.
         highlights: position of each lamp position's highlight, (column, row) px; of a cylinder's line, row is NaN.
-        centre: (column, row) px and radius, px, of the sample that outline, highlights and stated directions agree on;
-            NaN: unknown.
-        turn: rotation vector that takes the lamp table to the highlights, rad (3,), about x (right), y (up) and z (to the
-            camera).
-        turn_std: its standard deviations, rad (3,); NaN: a turn about that axis is not determined.
+        centre: column, row and radius of the sample, px, from outline, highlights and specified directions; NaN if
+            unknown.
+        turn: rotation vector that takes the lamp table to the highlights, rad (3,), about x (right), y (up) and z (to
+            the camera).
+        turn_std: standard deviations of `turn`, rad (3,); NaN if the rotation about that axis is not determined.
     """
 
     findings: tuple[Remark, ...]
@@ -65,7 +68,7 @@ def check_capture(capture: Capture) -> CaptureCheck:
     """Check a capture without a complete measurement.
 
     Args:
-        capture: as from `read_capture`.
+        capture: capture from `read_capture`.
 
     Returns:
         The faults and notes. Bad frames are faults, not errors.
@@ -123,7 +126,7 @@ def coverage_remarks(lamps: dict[str, LampGuess]) -> list[Remark]:
     """List gaps in the angles of the lamp positions.
 
     Args:
-        lamps: their stated directions. Without angles there are no remarks.
+        lamps: specified directions of the lamp positions. Without angles there are no remarks.
     """
     angles = np.array([guess.angle for guess in lamps.values()])
     if np.isnan(angles).any() or not angles.size:
@@ -138,22 +141,22 @@ def coverage_remarks(lamps: dict[str, LampGuess]) -> list[Remark]:
             )
         )
     if theta_d[-1] < _LAST:
-        text = f"the lamp positions end at theta_d = {theta_d[-1]:.0f} degrees: F beyond is not measured"
+        text = f"the lamp positions end at theta_d = {theta_d[-1]:.0f} degrees: add one above {_LAST:.0f} to measure F there"
         found.append(Remark("angles-missed", text))
     for low, high in pairwise(theta_d):
         if high - low > _GAP:
             found.append(
-                Remark("angles-missed", f"no lamp position between theta_d = {low:.0f} and {high:.0f} degrees")
+                Remark("angles-missed", f"no lamp position between theta_d = {low:.0f} and {high:.0f} degrees: add one")
             )
     return found
 
 
 def _lamp_remarks(capture: Capture, radiometry: Radiometry | None, sample: tuple[float, float, float]) -> list[Remark]:
-    """Compare the scatter of the lamp's light on the reference with the stated one.
+    """Compare the scatter of the lamp's light on the reference with the specified scatter.
 
     Args:
-        capture: stated properties of the lamps.
-        radiometry: the light of the reference.
+        capture: capture with the specified properties of the lamps.
+        radiometry: radiometric calibration with the light of the reference.
         sample: column, row and radius, px, the origin of the position of a diffuse reference; NaN: unknown.
     """
     if radiometry is None or capture.reference_place is None:
@@ -171,12 +174,14 @@ def _lamp_remarks(capture: Capture, radiometry: Radiometry | None, sample: tuple
     if scatter <= 2 * stated + 0.002:
         return []
     worst = max(values, key=lambda lamp: abs(values[lamp] - 1))
-    text = f"lamp {worst}: the reference is {values[worst] - 1:+.1%} off the mean of all; they scatter by {scatter:.1%}, and "
-    return [Remark("lamp-drifts", f"{text}lamp.gain_std states {stated:.1%}")]
+    text = (
+        f"lamp {worst}: the reference differs by {values[worst] - 1:+.1%} from the mean; all scatter by {scatter:.1%}, "
+    )
+    return [Remark("lamp-drifts", f"{text}more than lamp.gain_std = {stated:.1%}")]
 
 
 def _near_light(capture: Capture, lamps: Sequence[str], sample: tuple[float, float, float]) -> np.ndarray:
-    """Compute the light of near lamps on a white patch over that of distant ones; 1 if it is not determined."""
+    """Compute the light of near lamps on a white patch relative to that of distant lamps; 1 if it is not determined."""
     section, place, far = capture.settings["reference"], capture.reference_place, capture.lamp_radii
     towards = np.array([capture.lamps[lamp].direction for lamp in lamps])
     column, row, radius = sample

@@ -1,4 +1,4 @@
-"""Codes of a camera without light, by exposure: level, fixed pattern, read noise, hot pixels."""
+"""Dark signal of a camera by exposure: level, fixed pattern, read noise, hot pixels."""
 
 from __future__ import annotations
 
@@ -26,7 +26,8 @@ class Darkness:
     Attributes:
         level: dark code of each pixel, float32 (height, width), or one number.
         hot: pixels whose dark code is too high to trust, (height, width), or False.
-        read_noise: standard deviation of one dark frame's noise, DN; NaN: not determined by one frame.
+        read_noise: standard deviation of the noise of one dark frame, DN; NaN for a single frame, which does not
+            determine it.
         frames: number of dark frames.
     """
 
@@ -37,9 +38,10 @@ class Darkness:
 
 
 def dark_of(stack: Sequence[np.ndarray]) -> Darkness:
-    """Estimate level and noise of the dark frames of one exposure, (height, width) each.
+    """Estimate level and noise from the dark frames of one exposure, each (height, width).
 
-    The mean of each pixel is shrunk towards the level of the frame by the excess of the scatter over noise (James and Stein).
+    The mean of each pixel is shrunk towards the level of the frame by the excess of the scatter over noise (James and
+    Stein).
     """
     n = len(stack)
     mean = np.mean(np.asarray(stack, np.float32), axis=0)
@@ -65,7 +67,7 @@ def measure_darkness(
     exposures: Sequence[str],
     frame_levels: dict[str, float],
 ) -> tuple[dict[str, Darkness], list[Remark]]:
-    """Measure the darkness of every exposure, and collect remarks.
+    """Measure the dark signal of every exposure, and collect remarks.
 
     Args:
         reader: the reader of frames.
@@ -75,7 +77,7 @@ def measure_darkness(
         frame_levels: median code of the darkest frame of each exposure, DN.
 
     Returns:
-        Darkness by exposure; without dark frames, that of other exposures, or the stated one.
+        Dark signal by exposure; without dark frames, that of other exposures, or the specified level.
     """
     found: dict[str, Darkness] = {}
     remarks = []
@@ -96,7 +98,7 @@ def measure_darkness(
                 remarks.append(Remark("dark-too-bright", f"{text}{frame_levels[exposure]:.0f}; it was left out"))
                 continue
             if stack and one.shape != stack[0].shape:
-                text = f"{capture.folder / frame.file}: is of another size than the dark frames before; it was left out"
+                text = f"{capture.folder / frame.file}: differs in size from the other dark frames; it was left out"
                 remarks.append(Remark("other-size", text))
                 continue
             stack.append(one)

@@ -1,9 +1,9 @@
 """Exposure ratios, clip level, photon transfer and linearity from brackets: images of one scene in several exposures.
 
-The light of a pixel in exposure k is e_k f: f its flux, e_k the exposure. Sums over groups of pixels obey the same law.
-The quasi-likelihood equations sum_p w (d_k - e_k f) = 0 are linear in the data d, so noise in f causes no bias, unlike
-in a regression. A group contains pixels of one lamp position, one brightness and one set of exposures that do not clip
-them.
+The light of a pixel in exposure k is e_k f, where f is its flux and e_k the exposure. Sums over groups of pixels obey
+the same law. The quasi-likelihood equations sum_p w (d_k - e_k f) = 0 are linear in the data d, so noise in f causes no
+bias, unlike in a regression. A group contains pixels of one lamp position, one brightness and one set of exposures that
+do not clip them.
 """
 
 from __future__ import annotations
@@ -48,11 +48,11 @@ class ExposureRatios(NamedTuple):
 
     Attributes:
         value: exposure relative to the shortest, (k,).
-        covariance: of their logarithms, (k, k); 0 for the shortest, infinite on the diagonal for exposures without a
-            link to it.
+        covariance: covariance of the logarithms of `value`, (k, k); 0 for the shortest, infinite on the diagonal for
+            exposures without a link to it.
         misfit: scatter relative to noise, chi2 per degree of freedom.
-        curve: code above dark over the largest one, relative departure from a straight line there, and its standard deviation;
-            (n, 3).
+        curve: code above dark over the largest one, relative departure from a straight line there, and its standard
+            deviation; (n, 3).
         linked: whether overlapping pixels link all exposures.
     """
 
@@ -63,7 +63,7 @@ class ExposureRatios(NamedTuple):
     linked: bool
 
     def std(self, reference: int = 0) -> np.ndarray:
-        """Return the relative standard deviation of each exposure over the one at that index, (k,)."""
+        """Compute the relative standard deviation of each exposure over the one at index `reference`, (k,)."""
         own = np.diag(self.covariance)
         with np.errstate(invalid="ignore"):
             variance = own + own[reference] - 2 * self.covariance[reference]
@@ -75,7 +75,9 @@ class ExposureRatios(NamedTuple):
 def first_guess(
     samples: Sequence[BracketSample], count: int, top: float, noise: float, nominal: np.ndarray
 ) -> np.ndarray:
-    """Estimate relative exposures from medians of ratios of neighbouring exposures; the nominal ones without overlap."""
+    """Estimate relative exposures from medians of ratios of neighbouring exposures; the nominal ones without
+    overlap.
+    """
     guess = np.ones(count)
     for k in range(1, count):
         ratios = []
@@ -96,7 +98,7 @@ def measure_clip_level(samples: Sequence[BracketSample], guess: np.ndarray, larg
     """Measure the code of pixels that must be clipped according to a shorter exposure.
 
     Args:
-        samples: of all lamp positions.
+        samples: samples of all lamp positions.
         guess: relative exposures.
         largest: largest code of all frames, DN.
     """
@@ -136,7 +138,7 @@ def fit_ratios(
     """Fit exposure ratios to all brackets together.
 
     Args:
-        samples: of all lamp positions.
+        samples: samples of all lamp positions.
         guess: initial relative exposures.
         clip: the clip level.
         noise: read noise, DN.
@@ -173,8 +175,9 @@ def fit_gain(
 ) -> tuple[float, float]:
     """Fit the gain, DN per electron, and its standard deviation, from differences between exposures of one scene.
 
-    u = d_a - (e_a/e_b) d_b has variance K m (1 + e_a/e_b) + read noise^2 (1 + (e_a/e_b)^2), m the mean of d_a: the slope over m
-    is K, with no pairs of equal frames. Bins of brightness, robust in each.
+    The difference u = d_a - (e_a/e_b) d_b has variance K m (1 + e_a/e_b) + read noise^2 (1 + (e_a/e_b)^2), where m is
+    the mean of d_a. The slope over m is K, so pairs of equal frames are not required. The variance is estimated
+    robustly in bins of brightness.
     """
     rows = []
     for sample in samples:
@@ -226,7 +229,8 @@ def fit_gain(
 def fit_gain_of_single(samples: Sequence[BracketSample], clip: ClipLevel, noise: float) -> tuple[float, float]:
     """Bound the gain of a single exposure from differences between neighbouring pixels.
 
-    Texture and gradients count as noise: bins of brightness give the lower quartile of variance over mean.
+    Texture and gradients increase the variance like noise, so the lower quartile of variance over mean in bins of
+    brightness is used.
     """
     light = np.concatenate([sample.light[-1] for sample in samples])
     around = np.concatenate([sample.around[-1] for sample in samples])

@@ -20,7 +20,7 @@ from matcam.core.remark import Remark
 
 _TURNS = 5
 _BRIGHT = 0.5
-_STILL = 1e-3  # px
+_STILL = 1e-3  # px: convergence of a shift
 _OUTLIER = 4.0
 
 
@@ -28,10 +28,10 @@ class FrameShift(NamedTuple):
     """Shift of the sphere in one frame relative to the outline.
 
     Attributes:
-        row: shift, px, rows down.
-        column: likewise.
-        covariance: of both, px^2 (2, 2). If the limb is lit on one side only, it is large in one direction; without a
-            visible limb it is the prior.
+        row: shift along the rows axis, px, downwards.
+        column: shift along the columns axis, px, to the right.
+        covariance: covariance of row and column, px^2 (2, 2). If the limb is lit on one side only, it is large in one
+            direction; without a visible limb it is the prior.
         sectors: number of parts of the limb.
     """
 
@@ -52,8 +52,8 @@ def find_shifts(
     """Estimate the shift of the sphere in every frame, and the common outline.
 
     Args:
-        pictures: one of each lamp.
-        outline: of the sphere, from one picture or from all of them stacked.
+        pictures: images, one for each lamp.
+        outline: outline of the sphere, from one image or from all of them stacked.
         light: "lit" or "backlit". Default: "lit".
         shift_std: prior standard deviation of the motion between frames, px. Default: 0.5.
         same_radius: whether the outline is an independent measurement from other images. False if it is from their
@@ -63,7 +63,7 @@ def find_shifts(
         The outline at the mean position, and a shift for each image.
 
     Raises:
-        FitError: no picture shows the limb.
+        FitError: no image shows the limb.
     """
     place = np.array([outline.row, outline.column, outline.radius])
     shifts = np.zeros((len(pictures), 2))
@@ -94,7 +94,7 @@ def find_shifts(
             used.append(chosen)
         if not any(chosen.any() for chosen in used):
             raise FitError(
-                "no picture shows the limb before its background; photograph the outline before a bright field"
+                "no image shows the limb in front of its background; photograph the outline before a bright field"
             )
         step, covariance = _solved(np.array(blocks), np.array(pulls), shifts, shift_std, place, outline, same_radius)
         place, shifts = place + step[:3], shifts + step[3:].reshape(-1, 2)

@@ -34,15 +34,15 @@ class Highlight:
     """Position of the mirror image of a lamp.
 
     Attributes:
-        name: of the picture.
-        row: of the mirror point in the frame, px.
-        column: likewise.
-        covariance: of both, px^2 (2, 2).
-        normal: of the sphere there, unit vector (3,).
-        width: of the lobe across the plane of incidence, without the lens's blur, as a turn of the normal, rad.
+        name: name of the image.
+        row: row of the mirror point in the frame, px.
+        column: column of the mirror point in the frame, px.
+        covariance: covariance of row and column, px^2 (2, 2).
+        normal: normal of the sphere at the mirror point, unit vector (3,).
+        width: width of the lobe across the plane of incidence, without the lens's blur, as a turn of the normal, rad.
         clipped: number of clipped pixels in the highlight.
         others: (row, column, share of this highlight's light) of other bright spots.
-        remarks: what a reader should know.
+        remarks: warnings and limitations.
     """
 
     name: str
@@ -60,7 +60,7 @@ def find_highlight(picture: MergedPicture, ball: MirrorBall, *, blur: float = 0.
     """Find the highlight of the lamp in one image.
 
     Args:
-        picture: of one lamp.
+        picture: image of one lamp.
         ball: the sphere in this frame.
         blur: standard deviation of lens and pixel together, px. Default: 0.6.
 
@@ -228,12 +228,12 @@ def lamp_from_highlight(
     """Compute the direction of a lamp from the position of its highlight.
 
     Args:
-        highlight: its position is the mirror point.
+        highlight: highlight, whose position is the mirror point.
         ball: the sphere in this frame.
-        lamp_distance: of the lamp from the sphere's centre, radii. Default: infinite.
+        lamp_distance: distance of the lamp from the sphere's centre, radii. Default: infinite.
 
     Returns:
-        Unit vector from the sphere's centre (3,), and its covariance by that of the highlight, rad^2 (3, 3).
+        Unit vector from the sphere's centre (3,), and its covariance due to that of the highlight, rad^2 (3, 3).
     """
     here = ball.lamp_seen_at(highlight.normal, lamp_distance)
     step = 1e-3
@@ -257,7 +257,7 @@ def find_highlights(
     """Find the highlight of every image; images without one give None and a remark.
 
     Args:
-        pictures: one of each lamp.
+        pictures: images, one for each lamp.
         ball: the sphere.
         blur: standard deviation of lens and pixel together, px. Default: 0.6.
 

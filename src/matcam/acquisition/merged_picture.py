@@ -10,14 +10,14 @@ class MergedPicture:
     """Linear radiance of one lamp position on the sensor's own pixels, with noise and clipping.
 
     Attributes:
-        name: the lamp position, as `frames.csv` calls it.
-        values: linear radiance of each pixel, of shape (height, width), in one unit for all pictures of a capture:
+        name: name of the lamp position in `frames.csv`.
+        values: linear radiance of each pixel, of shape (height, width), in one unit for all images of a capture:
             electrons, or digital numbers, of the reference exposure. Dark is subtracted. NaN: no value.
         std: standard deviation of `values` by photon and read noise, same shape and unit.
-        clipped: pixels that were clipped in every exposure, same shape: the truth is at least `values`.
-        channel: index into `channels` of each pixel, same shape: a mosaic stays a mosaic.
+        clipped: pixels that were clipped in every exposure, same shape: the true value is at least `values`.
+        channel: index into `channels` of each pixel, same shape; mosaics are not interpolated.
         channels: names of the colours, ("R", "G", "B") or ("grey",).
-        origin: row and column of the first pixel in the frame, when the picture was cropped.
+        origin: row and column of the first pixel in the frame, if the image was cropped.
     """
 
     name: str

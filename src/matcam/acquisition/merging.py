@@ -1,8 +1,8 @@
 """One linear image per lamp position from its exposures, with its noise; clipped pixels are censored, never dropped.
 
-The flux of a pixel is the weighted mean of its exposures, f = sum w d / sum w e with w = e / (K e f + r^2): K the gain,
-r the read noise. Clipping of a pixel in an exposure is predicted from shorter exposures, because selection by its own
-noisy code would bias it.
+The flux of a pixel is the weighted mean of its exposures, f = sum w d / sum w e with w = e / (K e f + r^2), where K is
+the gain and r the read noise. Clipping of a pixel in an exposure is predicted from shorter exposures, because selection
+by its own noisy code would bias it.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _SAFE = 0.93
 _DIM = 10.0
 """Signal in the longest exposure, in read noises, below which the variance of a pixel comes from its neighbours."""
 _ALIKE = 4.0
-"""Standard deviations by which a pixel may differ from the neighbours that determine its variance."""
+"""Largest difference of a pixel from the neighbours that determine its variance, in standard deviations."""
 _BRIGHT = 30.0
 """Signal, in read noises, above which a pixel tests the agreement of its exposures."""
 
@@ -41,7 +41,7 @@ def merge(
     workers: int = 1,
     kept: KeptWork | None = None,
 ) -> tuple[list[MergedPicture], Radiometry]:
-    """Measure a capture's radiometry, and merge the exposures of every lamp position.
+    """Calibrate a capture radiometrically, and merge the exposures of every lamp position.
 
     The frames of as many lamp positions as there are workers are in memory at a time.
 
@@ -54,7 +54,7 @@ def merge(
         kept: stored results from which an interrupted run resumes. Default: None, none.
 
     Returns:
-        The merged pictures in the order of the lamps, and the radiometry.
+        The merged images in the order of the lamps, and the radiometry.
 
     Raises:
         FitError: no lamp position has a frame that can be read, or the frames are processed (sharpened, tone curve)
@@ -69,7 +69,7 @@ def merge(
         proof = tone_curve_proof(radiometry.tone_exponent)
         if proof is not None:
             raise FitError(
-                f"{capture.folder}: {proof}: give raw frames, state camera.tone, mend or delete the times, or accept these "
+                f"{capture.folder}: {proof}: give raw frames, specify camera.tone, correct or delete the times, or accept them "
                 "with camera.accept_processed = true"
             )
     pictures = []
@@ -83,11 +83,11 @@ def merge(
 def merged_pictures(
     capture: Capture, radiometry: Radiometry, workers: int = 1, kept: KeptWork | None = None
 ) -> Iterator[MergedPicture]:
-    """Yield the merged picture of each lamp position, one at a time.
+    """Yield the merged image of each lamp position, one at a time.
 
     Args:
         capture: the capture.
-        radiometry: meaning of the codes, from `measure_radiometry`.
+        radiometry: radiometric calibration from `measure_radiometry`.
         workers: lamp positions that are merged at a time. Default: 1.
         kept: cache of merged images, from which an interrupted run resumes. Default: None, no cache.
     """
@@ -138,11 +138,11 @@ def merge_position(
     Args:
         capture: the capture.
         lamp: name of the lamp position.
-        radiometry: meaning of the codes.
+        radiometry: radiometric calibration.
         reader: the reader of frames; None: a new one. Default: None.
 
     Returns:
-        The picture in electrons (or DN, see `radiometry.unit`) of the reference exposure.
+        The image in electrons (or DN, see `radiometry.unit`) of the reference exposure.
     """
     reader = reader or MosaicReader(capture)
     frames = radiometry.used[lamp]
@@ -185,7 +185,7 @@ def merge_position(
 def bracket_misfit(capture: Capture, lamp: str, radiometry: Radiometry, picture: MergedPicture) -> float:
     """Compute the differences between exposures of a lamp position relative to their noise, chi2 per degree of freedom.
 
-    Well above 1 the sample, camera or lamp moved between the exposures.
+    A value well above 1 indicates that the sample, camera or lamp moved between the exposures.
     """
     reader = MosaicReader(capture)
     noise = radiometry.read_noise.value
@@ -213,7 +213,7 @@ def bracket_misfit(capture: Capture, lamp: str, radiometry: Radiometry, picture:
 
 
 def misfit_remark(lamp: str, misfit: float) -> Remark | None:
-    """Return the remark on different exposures of a lamp position; None if they agree."""
+    """Return a remark if the exposures of a lamp position differ by more than noise; otherwise None."""
     if not misfit > 2.0:
         return None
     text = f"lamp {lamp}: its exposures differ {math.sqrt(misfit):.1f} times more than noise: "

@@ -16,7 +16,7 @@ _TURNS = 60
 
 
 def unit(vectors: np.ndarray) -> np.ndarray:
-    """Return vectors (..., 3) divided by their lengths."""
+    """Normalise vectors (..., 3) to unit length."""
     return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
 
 
@@ -24,11 +24,11 @@ class MirrorBall(NamedTuple):
     """Sphere in a frame.
 
     Attributes:
-        row: of the picture of its centre, px.
-        column: likewise.
-        radius: of its limb if its centre were on the optical axis, px.
-        distance: of the camera from its centre, radii; infinite: orthographic. Default: infinite.
-        axis: (row, column) where the camera's axis meets the frame, px. Default: the centre.
+        row: row of the image of its centre, px.
+        column: column of the image of its centre, px.
+        radius: radius of its limb if its centre were on the optical axis, px.
+        distance: distance of the camera from its centre, radii; infinite: orthographic. Default: infinite.
+        axis: (row, column) of the intersection of the optical axis with the frame, px. Default: the centre.
 
     Example:
         A lamp 60 degrees to the right, far away like the camera, is seen where the normal is at 30 degrees:
@@ -107,7 +107,7 @@ class MirrorBall(NamedTuple):
 
         Args:
             normals: normals of the mirror points (..., 3).
-            lamp_distance: of the lamp from the centre, radii. Default: infinite.
+            lamp_distance: distance of the lamp from the centre, radii. Default: infinite.
 
         Returns:
             Unit vectors (..., 3).
@@ -126,7 +126,7 @@ class MirrorBall(NamedTuple):
 
         Args:
             lamps: directions from the sphere's centre, unit vectors (..., 3).
-            lamp_distance: of the lamps from the centre, radii. Default: infinite.
+            lamp_distance: distance of the lamps from the centre, radii. Default: infinite.
 
         Returns:
             Unit vectors (..., 3), each in the plane of camera, lamp and centre.
@@ -162,7 +162,8 @@ def pull_to_limb(theta_o: float | np.ndarray, width: float | np.ndarray) -> np.n
 
     Args:
         theta_o: angle between normal and view, rad.
-        width: of the lobe at its top, rad: std of a Gaussian in theta_h; alpha / sqrt(2) for Beckmann, alpha / 2 for GGX.
+        width: width of the lobe at its top, rad: std of a Gaussian in theta_h; alpha / sqrt(2) for Beckmann, alpha / 2
+            for GGX.
 
     Source:
         docs/model.md 10.

@@ -1,7 +1,7 @@
 """Frames of a capture as mosaics of linear codes: one value per pixel, with its colour.
 
 Grey images and raw mosaics are used directly. From an image in full colour each pixel keeps one of its three values, as
-in a mosaic of the stated colours: if the image was demosaiced from that mosaic, these are the measured values.
+in a mosaic of the specified colours: if the image was demosaiced from that mosaic, these are the measured values.
 """
 
 from __future__ import annotations
@@ -19,7 +19,9 @@ from matcam.files.tone_curve import decoded
 
 _TILES = {"R": 0, "G": 1, "B": 2}
 ASSUMED_CFA = "RGGB"
-"""Mosaic as which an image in full colour is read if the capture gives none: colours are not mixed, for any original mosaic."""
+"""Mosaic that is assumed for an image in full colour if the capture specifies none; it mixes no colours for any
+original mosaic.
+"""
 
 
 @dataclass
@@ -28,8 +30,8 @@ class MosaicReader:
 
     Attributes:
         capture: the capture.
-        remarks: remarks on the kind of the frames, once each.
-        saturation: largest code that the frames' format can hold; infinite: unknown.
+        remarks: remarks on the kind of the frames, without duplicates.
+        saturation: largest code that the frames' format can hold; infinite if unknown.
     """
 
     capture: Capture
@@ -42,7 +44,7 @@ class MosaicReader:
 
     @property
     def cfa(self) -> str | None:
-        """Return the colours of the first 2 x 2 px of a whole frame, as stated or from the files of the frames."""
+        """Return the colours of the first 2 x 2 px of a whole frame, as specified or from the files of the frames."""
         stated = self.capture.settings["camera"]["cfa"] or (self._first[1] if self._first else None)
         return stated or (ASSUMED_CFA if self._first and self._first[3] else None)
 
@@ -62,8 +64,8 @@ class MosaicReader:
     def read(self, frame: CaptureFrame, region: Region | None = None) -> np.ndarray:
         """Read the codes of a frame or a region, float32 (height, width).
 
-        FileFormatError that names the frame if its kind differs from that of the first, or if it is processed without
-        accept_processed.
+        FileFormatError names the frame if its kind differs from that of the first, or if it is processed and
+        accept_processed is not set.
         """
         photograph = self.capture.read(frame, region)
         self._check(frame, photograph)
@@ -85,7 +87,7 @@ class MosaicReader:
         if self._first is None:
             self._first, self.saturation = kind, photograph.saturation
             if camera["cfa"] and photograph.cfa and camera["cfa"] != photograph.cfa:
-                raise FileFormatError(f"{path}: its mosaic is {photograph.cfa}; capture.toml says {camera['cfa']}")
+                raise FileFormatError(f"{path}: its mosaic is {photograph.cfa}; capture.toml has {camera['cfa']}")
         elif kind != self._first:
             what = [
                 f"{name} {new} instead of {old}"
@@ -102,7 +104,7 @@ class MosaicReader:
             )
             if camera["cfa"] is None:
                 processed.append(
-                    f"in full colour, and capture.toml states no camera.cfa: each pixel is read in its colour of {ASSUMED_CFA}"
+                    f"in full colour, and capture.toml has no camera.cfa: each pixel is read in its colour of {ASSUMED_CFA}"
                 )
         if values.dtype.kind == "u" and values.dtype.itemsize == 1:
             processed.append("of 8 bits: rounding of 0.3 codes, and probably a tone curve that changes every ratio")
@@ -111,7 +113,7 @@ class MosaicReader:
         if processed and not camera["accept_processed"]:
             raise FileFormatError(
                 f"{path}: is {processed[0].split(':')[0]}: give raw frames, or accept it with camera.accept_processed = true"
-                f"{', and state the mosaic it came from as camera.cfa' if colour and camera['cfa'] is None else ''}"
+                f"{', and specify its original mosaic as camera.cfa' if colour and camera['cfa'] is None else ''}"
             )
         for text in processed:
             self.remarks.setdefault(text, Remark("processed", f"frames are {text}"))

@@ -25,7 +25,8 @@ from matcam.core.remark import Remark
 LimbLight = Literal["lit", "backlit"]
 EXPONENTS: dict[str, tuple[float, ...]] = {"lit": (0, 0.5, 1), "coated": (0, 0.5, 1), "backlit": (0, 1)}
 """Powers of the distance inside the limb in the model of its light: the cosine of the viewing angle is proportional to
-the root. "coated": times the transmittance of a clear coat, as on glossy plastic; a lit sphere is tried as both."""
+the root. "coated": times the transmittance of a clear coat, as on glossy plastic; a lit sphere is fitted with both
+models."""
 
 _SIGMAS = (0.05, 0.2, 0.5, 0.9, 1.6, 2.5)  # px, of an unmeasured lens
 _PIXELS_IN_SECTOR = 80
@@ -35,7 +36,9 @@ _MISFIT = 6.0  # factor of the typical chi squared: dust, a stand
 _OUTLIER = 4.0  # standard deviations
 _RAGGED = 0.4  # px, rms distance of the edges from the outline: no limb
 _TEMPER = 15.0
-"""Difference in chi squared between two models of the light that corresponds to a likelihood ratio of e; 2 for exact models."""
+"""Difference in chi squared between two models of the light that corresponds to a likelihood ratio of e; 2 for exact
+models.
+"""
 _SIMPLER = 30.0
 """Decrease of chi squared with a coat below which a sphere counts as uncoated."""
 _FIT = ("chi2", "freedom")
@@ -46,21 +49,22 @@ class Sighting(NamedTuple):
     """Geometry of the camera relative to the sphere.
 
     Attributes:
-        distance: of the camera from the sphere's centre, radii; infinite: orthographic.
-        axis: (row, column) where the camera's axis meets the frame, px; None: the axis passes through the sphere.
+        distance: distance of the camera from the sphere's centre, radii; infinite: orthographic.
+        axis: (row, column) of the intersection of the optical axis with the frame, px; None if it passes through the
+            sphere.
     """
 
     distance: float = np.inf
     axis: tuple[float, float] | None = None
 
     def radius_at(self, azimuth: np.ndarray, row: float, column: float, radius: float) -> np.ndarray:
-        """Compute the distance of the limb from the centre's picture along an azimuth, px.
+        """Compute the distance of the limb from the image of the centre along an azimuth, px.
 
         Args:
-            azimuth: from +column towards +row, rad.
-            row: of the picture of the sphere's centre, px.
-            column: likewise, px.
-            radius: of the limb if the centre were on the optical axis, px.
+            azimuth: azimuth, from +column towards +row, rad.
+            row: row of the image of the sphere's centre, px.
+            column: column of that image, px.
+            radius: radius of the limb if the centre were on the optical axis, px.
         """
         if self.axis is None or np.isinf(self.distance):
             return np.full(np.shape(azimuth), radius)
@@ -82,19 +86,21 @@ class Outline:
     """Sphere's outline in the frame.
 
     Attributes:
-        row: of the picture of the sphere's centre, px, rows down, pixel centres on integers.
-        column: of the same.
-        radius: of the limb if the centre of the sphere were on the optical axis, px: focal length / sqrt(distance^2 - 1).
-        covariance: of (row, column, radius), px^2 (3, 3), with noise, scatter of the edges, lens and light near the limb.
+        row: row of the image of the sphere's centre, px; rows increase downwards, pixel centres are integers.
+        column: column of that image, px.
+        radius: radius of the limb if the centre of the sphere were on the optical axis, px: focal length /
+            sqrt(distance^2 - 1).
+        covariance: covariance of (row, column, radius), px^2 (3, 3), with noise, scatter of the edges, lens and light
+            near the limb.
         sigma: standard deviation of the lens's blur, px.
-        sigma_std: its standard deviation, px.
+        sigma_std: standard deviation of `sigma`, px.
         sighting: geometry of the camera relative to the sphere.
         sectors: number of measured edges.
         used: number of edges used for the outline.
         scatter: rms distance of the used edges from the outline, px.
         noise: the part of `covariance` that is noise and scatter, px^2 (3, 3).
         coated: whether the light near the limb is that of a sphere under a clear coat.
-        remarks: what a reader should know.
+        remarks: warnings and limitations.
     """
 
     row: float
@@ -135,11 +141,11 @@ def stacked(pictures: Sequence[MergedPicture], name: str = "all lamps") -> Merge
     """Average several images, so that all lamps together light the whole limb.
 
     Args:
-        pictures: of one sphere at one position, of one shape and origin.
-        name: of the result.
+        pictures: images of one sphere at one position, of one shape and origin.
+        name: name of the result.
 
     Returns:
-        The mean over the pictures that have a value, pixel by pixel. Pixels that are clipped in any image are clipped.
+        The mean over the images that have a value, pixel by pixel. Pixels that are clipped in any image are clipped.
     """
     shapes = {(one.values.shape, one.origin) for one in pictures}
     if len(shapes) != 1:
@@ -169,17 +175,18 @@ def find_outline(
     start: tuple[float, float, float] | None = None,
     exponents: Sequence[float] | None = None,
 ) -> Outline:
-    """Find the outline of the sphere in a picture.
+    """Find the outline of the sphere in an image.
 
     Args:
-        picture: one lamp's, all lamps' (`stacked`), or a frame with light from behind.
-        light: "lit" for a sphere brighter than what is behind it, "backlit" for a dark one before a bright field.
+        picture: image of one lamp or of all lamps (`stacked`), or a frame with light from behind.
+        light: "lit" for a sphere brighter than its background, "backlit" for a dark one before a bright field.
         sighting: geometry of the camera. Default: infinitely distant.
         lens: standard deviation of the lens's blur and its standard deviation, px. Default: estimated from the limb.
         backlight_reach: angular extent of the bright field beyond the limb, seen from the sphere, and its standard
             deviation, rad, which the sphere mirrors. Default: unknown, a field of 3 degrees counts as error.
-        start: row, column and radius, px. Default: searched for.
-        exponents: powers of the distance inside the limb in the model of its light, from 0. Default: those of `EXPONENTS`.
+        start: initial row, column and radius, px. Default: found by a search.
+        exponents: powers of the distance inside the limb in the model of its light, from 0. Default: those of
+            `EXPONENTS`.
 
     Returns:
         The outline, in px of the frame.
@@ -315,7 +322,9 @@ class OutlineFit:
     def settle(
         self, place: np.ndarray, sigma: float, exponents: Sequence[float], turns: int = 6, wider: float = 0.0
     ) -> tuple[np.ndarray, LimbSectors, np.ndarray, np.ndarray, float]:
-        """Iterate to convergence; return position, edges, used ones, covariance by noise and scatter, and rms distance."""
+        """Iterate to convergence; return position, edges, used edges, covariance by noise and scatter, and rms
+        distance.
+        """
         for _ in range(turns):
             edges = self.edges(place, sigma, exponents, wider)
             step, used, covariance, scatter = self.solve(place, edges, wider)
@@ -327,7 +336,7 @@ class OutlineFit:
     def solve(
         self, place: np.ndarray, edges: LimbSectors, wider: float
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
-        """Compute the step to the curve through the edges, the used ones, the covariance and the rms distance."""
+        """Compute the step to the curve through the edges, the used edges, the covariance and the rms distance."""
         with np.errstate(invalid="ignore"):
             used = self.usable(edges) & (np.abs(edges.offset) < 2.0 + wider)
         if used.sum() < FEWEST_SECTORS:
@@ -356,7 +365,7 @@ class OutlineFit:
         if np.sqrt(np.diag(covariance)).max() > 1.0:
             raise FitError(
                 f"{self.picture.name}: the limb that is lit spans too little of the outline to determine its centre; "
-                f"use pictures of more lamps, or one with light from behind"
+                f"use images of more lamps, or one with light from behind"
             )
         return step, used, covariance, float(np.sqrt(np.mean(left[used] ** 2)))
 
@@ -397,7 +406,7 @@ class OutlineFit:
         if lost > 0.5 * seen or scatter > _RAGGED:
             raise FitError(
                 f"{self.picture.name}: {seen} edges stand out where the limb should be, {seen - lost} follow one outline, to "
-                f"{scatter:.2f} px: what is behind the sphere, or mirrored in it, hides the limb; use a plain background"
+                f"{scatter:.2f} px: the background, or its mirror image in the sphere, hides the limb; use a plain background"
             )
         if lost > 0.1 * self.count:
             remarks.append(

@@ -23,7 +23,7 @@ class PinholeTable:
     """Mean of the pixels of images of a sphere in the cells of the MERL grid.
 
     Args:
-        channels: colours of the pictures, ("R", "G", "B") or one of any name, which is used for all three.
+        channels: colours of the images, ("R", "G", "B") or one of any name, which is used for all three.
         isotropic: fill the mirrored azimuth of a pixel, too. Default: True.
         steepest: angle of light or view to the normal beyond which a pixel is left out, rad. Default: 87 degrees.
 
@@ -54,15 +54,15 @@ class PinholeTable:
         lamp_distance: float = np.inf,
         irradiance: float | np.ndarray = 1.0,
     ) -> None:
-        """Add the pixels of one picture. Clipped ones are counted and left out.
+        """Add the pixels of one image. Clipped ones are counted and left out.
 
         Args:
-            picture: of one lamp.
+            picture: image of one lamp.
             ball: the sphere in this frame.
             lamp: direction from the sphere's centre (3,): x right, y up, z to the camera.
-            lamp_distance: of the lamp from the centre, radii. Default: infinite.
-            irradiance: at the sphere's centre, across the light: value of a pixel over BRDF and cosine; one number, or one for
-                each channel. Default: 1.
+            lamp_distance: distance of the lamp from the centre, radii. Default: infinite.
+            irradiance: irradiance at the sphere's centre, across the light: value of a pixel over BRDF and cosine; one
+                number, or one for each channel. Default: 1.
         """
         if picture.channels != self.channels:
             raise ArgumentError(f"{picture.name}: its colours are {picture.channels}; the table takes {self.channels}")
@@ -97,7 +97,7 @@ class PinholeTable:
 
     @staticmethod
     def _cells(normals: np.ndarray, light: np.ndarray, view: np.ndarray) -> np.ndarray:
-        """Return the number of the cell of each pixel."""
+        """Compute the index of the cell of each pixel."""
         total, difference = light + view, light - view
         half = unit(total)
         cosine, across = (half * normals).sum(-1), np.cross(normals, half)
@@ -121,7 +121,7 @@ class PinholeTable:
         """
         if not self.pixels:
             raise FitError(
-                "no pixel of any picture is lit and visible: check the lamps' directions, which must point to the lamp"
+                "no pixel of any image is lit and visible: check the lamps' directions, which must point to the lamp"
             )
         total, number = (a.reshape(-1, *GRID_SHAPE) for a in (self._sum, self._number))
         if self.isotropic:  # phi_d and pi - phi_d mirror each other

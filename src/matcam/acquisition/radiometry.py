@@ -1,4 +1,4 @@
-"""Meaning of the codes of a capture: dark, gain, read noise, exposure ratios, clip level, linearity, lamp output.
+"""Radiometric calibration of a capture: dark, gain, read noise, exposure ratios, clip level, linearity, lamp output.
 
 All are estimated from the images. Nominal values and metadata are compared with the estimates and never replace them
 (docs/model.md 10). There are two passes: this one keeps some pixels of every lamp position, and `merging.py` reads the
@@ -41,7 +41,7 @@ from matcam.files.capture import Capture, Region, Stated
 from matcam.files.capture_frames import CaptureFrame
 
 Progress = Callable[[str, int, int], None]
-"""Function that receives the name of a step, and the numbers of finished and of all parts."""
+"""Function that receives the name of a step, the number of finished parts, and the number of all parts."""
 
 _ROUNDING = 1 / 12
 """Variance of a rounded code, DN^2."""
@@ -49,7 +49,7 @@ _ROUNDING = 1 / 12
 
 @dataclass(frozen=True)
 class Radiometry:
-    """Meaning of the codes of a capture.
+    """Radiometric calibration of a capture.
 
     Attributes:
         exposures: light of each exposure relative to `reference_exposure`, by name, the shortest first, with standard
@@ -58,22 +58,22 @@ class Radiometry:
         clip: code at which pixels clip, DN as read.
         gain: DN per electron, with standard deviation; NaN: not determined, and merged values are DN.
         read_noise: DN, with standard deviation.
-        lamp_output: light of each lamp position by the reference, relative to their mean, with standard deviation; NaN
+        lamp_output: light of each lamp position from the reference, relative to the mean, with standard deviation; NaN
             without a reference. Merged values are not divided by it: it is the prior of a picture's gain.
-        reference_light: merged value of the reference in each lamp position, by channel, with standard deviation; NaN where it
-            is clipped.
-        reference_between: standard deviation of the change of the lamp's light between a picture of the reference and one of
-            the sample, relative; 0 where one frame shows both.
+        reference_light: merged value of the reference in each lamp position, by channel, with standard deviation; NaN
+            where it is clipped.
+        reference_between: standard deviation of the change of the lamp's light between an image of the reference and one
+            of the sample, relative; 0 where one frame shows both.
         linearity: departure from a straight line: share of the largest code, relative departure, its standard
             deviation, (n, 3).
-        tone_exponent: power of the nominal exposure time with which codes grow, with standard deviation; 1 for linear frames,
-            NaN where the frames do not determine it.
+        tone_exponent: power of the nominal exposure time with which codes grow, with standard deviation; 1 for linear
+            frames, NaN where the frames do not determine it.
         misfit: scatter of exposures about one law relative to noise, chi2 per degree of freedom.
         darkness: dark level to subtract, by exposure.
         used: usable files of each lamp position, the shortest exposure first.
         channels: names of the colours.
         region: part of the frames that is used; None: the whole frame.
-        remarks: what a reader should know, frames named.
+        remarks: warnings and limitations, with the names of the frames.
         flat: uniformity of the pixels; None without flat frames.
     """
 
@@ -128,7 +128,7 @@ class Radiometry:
 def capture_camera(capture: Capture) -> Camera | None:
     """Load the camera profile of a capture; None without one.
 
-    FileFormatError where the profile is wrong, or its sensor has another mosaic than the capture states.
+    FileFormatError if the profile is wrong, or the mosaic of its sensor is not that of the capture.
     """
     if capture.profile is None:
         return None
@@ -136,8 +136,8 @@ def capture_camera(capture: Capture) -> Camera | None:
     cfa = capture.settings["camera"]["cfa"]
     if cfa and camera.sensor is not None and camera.sensor.cfa != cfa:
         raise FileFormatError(
-            f"{capture.profile}: is of a camera with the mosaic {camera.sensor.cfa}; capture.toml says {cfa}: "
-            "is it of another camera?"
+            f"{capture.profile}: is of a camera with the mosaic {camera.sensor.cfa}, but capture.toml has {cfa}: "
+            "give the profile of the camera of the capture"
         )
     return camera
 
@@ -151,7 +151,7 @@ def measure_radiometry(
     workers: int = 1,
     kept: KeptWork | None = None,
 ) -> Radiometry:
-    """Measure the meaning of the codes of a capture.
+    """Calibrate a capture radiometrically.
 
     Args:
         capture: the capture.
@@ -250,7 +250,7 @@ def measure_radiometry(
         remarks += said
         between = _between(capture, shown, value, gain, noise, remarks)
     elif capture.of("reference"):
-        text = "the pictures in reference/ are not read: state a [reference] with apart = true, or leave them out"
+        text = "the images in reference/ are not read: specify a [reference] with apart = true, or leave them out"
         remarks.append(Remark("reference-unread", text))
     output = lamp_output(capture, shown, value, gain, noise, between)
     flat, said = measure_flat(reader, capture, region, darkness, clip=clip.threshold, gain=scale, noise=noise)
@@ -297,13 +297,11 @@ def _clip_level(
     if found is None:
         return (clip if largest < saturation else ClipLevel(largest, 0.29, 0.0, 1)), []
     where = [f"lamp {sample.lamp}, exposure {names[k]}" for sample in samples for k in sample.exposures]
-    text = (
-        f"{found.clip.pixels} pixels of {len(found.frames)} frames stand at the largest code, {found.clip.level:.0f} DN"
-    )
+    text = f"{found.clip.pixels} pixels of {len(found.frames)} frames have the largest code, {found.clip.level:.0f} DN"
     remarks = [Remark("clip-by-pile-up", f"{text}; their noise would spread them, so they are clipped there")]
     if found.apart:
         apart = some_of([f"{where[k]} ({tops[k].level:.0f} DN)" for k in found.apart], 3)
-        text = f"the brightest pixels pile up at other codes than {found.clip.level:.0f} DN: {apart}; were frames rescaled?"
+        text = f"the brightest pixels pile up at other codes than {found.clip.level:.0f} DN: {apart}; check for rescaled frames"
         remarks.append(Remark("clip-unclear", text))
     return found.clip, remarks
 
@@ -352,7 +350,9 @@ def _between(
     noise: float,
     remarks: list[Remark],
 ) -> float:
-    """Return the relative change of light between an image of the reference and one of the sample, as stated or estimated."""
+    """Return the relative change of light between an image of the reference and one of the sample, specified or
+    estimated.
+    """
     stated = capture.settings["reference"]["between_std"]
     if stated is not None:
         return float(stated)
@@ -361,8 +361,8 @@ def _between(
     if math.isfinite(found):
         return found
     if any(one.light.size for one in shown):
-        text = "the pictures in reference/ are too few to determine the change of light to those of the sample: the value of "
-        text += "lamp.gain_std was used; take two at each lamp position, or state reference.between_std"
+        text = "the images in reference/ are too few to determine the change of light to those of the sample: the value of "
+        text += "lamp.gain_std was used; take two at each lamp position, or specify reference.between_std"
         remarks.append(Remark("reference-once", text))
     return float(capture.settings["lamp"]["gain_std"])
 
@@ -416,14 +416,14 @@ def _gain_without_brackets(
     except FileFormatError:  # errors of the profile are reported where the lens is used
         camera = None
     if camera is not None and camera.sensor is not None:
-        remarks.append(Remark("gain-stated", "the frames do not determine the gain: the profile's was used"))
+        remarks.append(Remark("gain-stated", "the frames do not determine the gain: that of the profile was used"))
         return Stated(float(camera.sensor.gain), 0.1 * float(camera.sensor.gain))
     bound = fit_gain_of_single(samples, clip, noise)
     if math.isfinite(bound[0]):
-        text = "no brackets and no profile: the gain is an upper bound, from how pixels differ from their neighbours"
+        text = "no brackets and no profile: the gain is an upper bound from the differences of neighbouring pixels"
         remarks.append(Remark("gain-bound", text))
         return Stated(*bound)
     remarks.append(
-        Remark("gain-unknown", "the frames do not determine the gain, and no profile states it: 1 DN per electron")
+        Remark("gain-unknown", "the frames do not determine the gain, and no profile has it: 1 DN per electron")
     )
     return Stated(float("nan"), float("inf"))

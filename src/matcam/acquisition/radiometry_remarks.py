@@ -23,7 +23,7 @@ _DIAL = 0.1
 values are rounded (1/30 for 1/32).
 """
 _PROVEN, _POWER = 5.0, 0.1
-"""Standard deviations from 1 above which an exponent proves a tone curve, and the smallest such difference."""
+"""Number of standard deviations from 1 above which an exponent proves a tone curve, and smallest such difference."""
 _BENT = 0.01
 """Relative departure from linearity above which there is a remark: good sensors stay below 1 %."""
 _CORRELATED, _SHARPENED = 0.06, -0.015
@@ -54,7 +54,7 @@ def tone_curve_proof(exponent: Stated) -> str | None:
     """Describe the evidence that frames went through a tone curve; None without evidence.
 
     Args:
-        exponent: as from `tone_exponent`.
+        exponent: exponent from `tone_exponent`.
     """
     if not abs(exponent.value - 1) > max(_PROVEN * exponent.std, _POWER):
         return None
@@ -124,7 +124,7 @@ def correlation_remarks(path: Path, light: np.ndarray, noise: float) -> list[Rem
 
     Args:
         path: the frame's file.
-        light: the frame without dark, DN.
+        light: the dark-subtracted frame, DN.
         noise: read noise, DN.
     """
     return processing_remarks(str(path), *noise_correlation(light, noise))
@@ -135,12 +135,12 @@ def processing_remarks(where: str, correlation: float, std: float) -> list[Remar
 
     Args:
         where: source of the noise.
-        correlation: of neighbouring pixels' noise.
-        std: its standard deviation.
+        correlation: correlation of the noise of neighbouring pixels.
+        std: standard deviation of `correlation`.
     """
     if _SHARPENED < correlation < _CORRELATED or abs(correlation) < 5 * std:
         return []
-    what = "sharpened: highlights overshoot and read too narrow" if correlation < 0 else "smoothed or demosaiced"
+    what = "sharpened: highlights overshoot and appear too narrow" if correlation < 0 else "smoothed or demosaiced"
     text = f"{where}: neighbouring pixels' noise correlates by {correlation:+.2f}: the frames were probably {what}"
     return [Remark("sharpened" if correlation < 0 else "smoothed", f"{text}; use raw frames")]
 

@@ -1,4 +1,4 @@
-"""View that measures a camera: images with their edges and MTF50, one selected region, and the profile to save."""
+"""View for the calibration of a camera: images with edges and MTF50, one selected region, and the profile to save."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class CalibrateView:
         document: the page's document.
         downloads: registry of files to save.
         complain: function that shows one line.
-        files: what the user opened on the command line.
+        files: files that the user opened on the command line.
     """
 
     def __init__(self, document: Document, downloads: Downloads, complain: Any, files: Sequence[Path]):
@@ -58,10 +58,10 @@ class CalibrateView:
         self._chart: Path | None = None
         self._samples: dict[Path, list[Any]] = {}
         self._upload = Upload(
-            "open: drop a picture, or a chart's .json, here", self._dropped, complain, name="upload-picture"
+            "open: drop an image, or a chart's .json, here", self._dropped, complain, name="upload-picture"
         )
         self._picture = Select(
-            title="picture", options=[], value="", width=WIDTH - 16, margin=(2, 8, 2, 8), name="picture"
+            title="image", options=[], value="", width=WIDTH - 16, margin=(2, 8, 2, 8), name="picture"
         )
         self._tone = Select(
             title="tone curve", options=list(_TONES.items()), value="auto", width=WIDTH - 16, margin=(2, 8, 2, 8)
@@ -102,7 +102,7 @@ class CalibrateView:
         self.layout = row(self._knobs(), self._plots(), sizing_mode="stretch_width", spacing=8, name="calibrate-view")
 
     def start(self) -> None:
-        """Open the pictures of the command line."""
+        """Open the images of the command line."""
         for path in self._files:
             self._dropped(path)
 
@@ -115,7 +115,7 @@ class CalibrateView:
         return column(
             self._upload.layout, self._picture, self._tone, row(self._model, self._half),
             Div(text="one region: draw it, or", margin=(4, 8, 0, 8)), row(*self._region), self._edge,
-            Div(text="all pictures:", margin=(4, 8, 0, 8)), self._targets_of, self._all, self._saved, width=WIDTH,
+            Div(text="all images:", margin=(4, 8, 0, 8)), self._targets_of, self._all, self._saved, width=WIDTH,
         )  # fmt: skip
 
     def _plots(self) -> Any:
@@ -317,9 +317,7 @@ class CalibrateView:
         pictures, chart = list(self._pictures), self._chart
         paths = [picture.path for picture in pictures]
         model, tone, half = self._model.value, self._tone.value, float(self._half.value or 0.5)
-        self._begin(
-            f"finding and measuring all {'edges' if chart is None else 'targets'} of {len(paths)} picture(s) ..."
-        )
+        self._begin(f"finding and measuring all {'edges' if chart is None else 'targets'} of {len(paths)} image(s) ...")
 
         def measure() -> tuple[Any, dict[Path, list[Any]]]:
             found = calibrated(paths, model, tone, half, chart)

@@ -24,10 +24,10 @@ class OpenedPicture:
     """Photograph, and its displayed version.
 
     Attributes:
-        path: its file.
-        photograph: its values.
-        shown: its pixels in the order of the file, subsampled for the page, 0 to 1, encoded for a screen.
-        about: description, with its assumed tone curve.
+        path: path of the file.
+        photograph: values of the file.
+        shown: displayed pixels in the order of the file, subsampled for the page, 0 to 1, encoded for a screen.
+        about: description, with the assumed tone curve.
     """
 
     path: Path
@@ -56,7 +56,7 @@ def open_picture(path: Path) -> OpenedPicture:
     if height * width > _LARGEST:
         megapixels = height * width / 1e6
         raise FileFormatError(
-            f"{path.name}: {megapixels:.0f} megapixels: a part of at most {_LARGEST // 10**6} can be shown"
+            f"{path.name}: {megapixels:.0f} megapixels are too many to show: crop it to at most {_LARGEST // 10**6}"
         )
     shown, step = drawn_values(values, linear=photograph.linear)
     kind = f"mosaic {photograph.cfa}" if photograph.cfa else "colour" if values.ndim == 3 else "grey"
@@ -90,7 +90,9 @@ def measured_edge(
 
 
 def calibrated(paths: Sequence[Path], model: str, tone: str, half_width: float, chart: Path | None = None) -> Any:
-    """Calibrate the camera of these images as `matcam calibrate` does; `chart` is the description of the chart in them."""
+    """Calibrate the camera of these images as `matcam calibrate` does; `chart` is the description of the chart in
+    them.
+    """
     from matcam.calibration.camera.calibration import calibrate
 
     return calibrate(list(paths), model=model, tone=tone, half_width=half_width, chart=chart)
@@ -148,7 +150,8 @@ def edges_in(found: Any, picture: OpenedPicture) -> dict[str, Any]:
     """Return the edges of a calibration in an image, for its main channel, as columns.
 
     Returns:
-        `x`, `y` of an edge's middle, `x0`, `y0`, `x1`, `y1` of a short line along it, px, `mtf50` and `mtf50_std`, cycles/px.
+        `x`, `y` of an edge's middle, `x0`, `y0`, `x1`, `y1` of a short line along it, px, `mtf50` and `mtf50_std`,
+        cycles/px.
     """
     data = found.edges_dataset()
     here = (data["channel"].values == found.channel) & (data["picture"].values == _source(found, picture.path))
@@ -181,7 +184,9 @@ def profiles(found: Any) -> dict[str, bytes]:
 
 
 def opened_or_why(path: Path) -> OpenedPicture | tuple[Path, str] | MatcamError:
-    """Open an image, or the description of a chart with its targets in words, or explain why it cannot be shown."""
+    """Open an image, or the description of a chart with its targets in words, or return the reason why it cannot be
+    shown.
+    """
     try:
         return (path, about_chart(path)) if path.suffix.lower() == ".json" else open_picture(path)
     except MatcamError as error:

@@ -21,7 +21,7 @@ class Setting:
     """Number that a user can set.
 
     Attributes:
-        name: its name in the program.
+        name: name of the number in the program.
         title: label with unit.
         low: least value.
         high: largest value.

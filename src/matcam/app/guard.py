@@ -1,8 +1,9 @@
 """Access control of the app: every request is checked first, including that of a websocket.
 
-- The Host must be an address of this server, so that another page cannot reach it under its own name (DNS rebinding). -
-  An Origin, if the browser gives one, must be the same address; a websocket requires one. - The token must be given:
-  once in the address, which redirects to an address without it and sets a cookie, then as that cookie.
+- The Host must be an address of this server, so that another page cannot reach it under its own name (DNS rebinding).
+- An Origin, if the browser gives one, must be the same address; a websocket requires one.
+- The token must be given: first in the address, which redirects to an address without it and sets a cookie, then as that
+  cookie.
 """
 
 from __future__ import annotations
@@ -59,7 +60,7 @@ class Guard(HTTPServerConnectionDelegate):
         return _Request(self, server_conn, request_conn)
 
     def on_close(self, server_conn: object) -> None:
-        """Pass on that a connection has closed."""
+        """Forward the end of a connection."""
         self.application.on_close(server_conn)
 
     def answer(self, line: RequestStartLine, headers: HTTPHeaders) -> tuple[int, HTTPHeaders, str] | None:

@@ -23,7 +23,7 @@ SETTINGS = (
     Setting("lamp_radius", "lamp radius [degrees]", 0, 5, 0),
     Setting("roughness", "roughness [slope]", 0.0005, 0.3, 0.01, log=True),
     Setting("glare", "glare, share of light", 0, 0.05, 0),
-    Setting("theta_d", "pictures: θ_d [degrees]", 5, 80, 45),
+    Setting("theta_d", "images: θ_d [degrees]", 5, 80, 45),
 )
 
 OTHERS = (0.001, 0.005, 0.02, 0.1)
@@ -62,17 +62,17 @@ class Planned:
 
     Attributes:
         sigma: standard deviation of the lens's blur, px.
-        half_width: of a pixel, px.
-        radius: of the sphere, px.
-        distance: of the camera, radii; infinite is allowed.
-        lamp_distance: of the lamp, radii; infinite is allowed.
+        half_width: half width of a pixel, px.
+        radius: radius of the sphere, px.
+        distance: distance of the camera, radii; infinite is allowed.
+        lamp_distance: distance of the lamp, radii; infinite is allowed.
         lamp_radius: angular, degrees.
-        roughness: of the chosen lobe.
+        roughness: roughness of the chosen lobe.
         glare: share of the light in the halo.
-        theta_d: of the pictures, degrees.
+        theta_d: difference angle of the images, degrees.
         metal: name of a metal.
-        family: of the lobe.
-        n_and_k: of green light, no unit; None: the metal's.
+        family: family of the lobe.
+        n_and_k: n and k of green light, no unit; None: the metal's.
     """
 
     sigma: float

@@ -63,8 +63,8 @@ def on_black(plot: Any, picture: Any, *, shown: bool = True) -> None:
     """Show an image on black, or an empty light background.
 
     Args:
-        plot: from `picture_figure`.
-        picture: its glyph renderer.
+        plot: plot from `picture_figure`.
+        picture: glyph renderer of the image.
         shown: False for an empty plot. Default: True.
     """
     picture.visible = shown
@@ -91,7 +91,7 @@ class PictureColours:
     """Common colour scale of images of radiance: logarithmic, or symmetric about 0 for a difference.
 
     Args:
-        decades: of radiance that the colours span. Default: 4.
+        decades: number of decades of radiance that the colours span. Default: 4.
         difference: True for a difference. Default: False.
     """
 
@@ -136,12 +136,12 @@ class PictureFigure:
 
     Args:
         title: title.
-        size: width of the picture on the screen, px.
-        source: the data; the picture is their column `name`.
-        name: of the picture.
-        colours: its colours.
+        size: width of the image on the screen, px.
+        source: the data; the image is their column `name`.
+        name: name of the image.
+        colours: colour scale.
         bar: True for a colour bar, which widens the plot.
-        beside: the picture to its left, whose axes it shares. Default: None.
+        beside: the image to its left, whose axes it shares. Default: None.
     """
 
     def __init__(

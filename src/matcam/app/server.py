@@ -1,4 +1,6 @@
-"""Server: one page on this machine, behind an access control. It reads only files from its user, and makes no requests."""
+"""Server: one page on this machine, behind an access control. It reads only files from its user, and makes no
+requests.
+"""
 
 from __future__ import annotations
 

@@ -46,8 +46,8 @@ class RunFolder:
     def locked(self) -> Iterator[None]:
         """Create the folder if needed and lock it against other runs.
 
-        The system releases the lock when this process dies. OutputError if another run holds it, or the folder cannot be
-        created.
+        The system releases the lock when this process dies. OutputError if another run holds it, or the folder cannot
+        be created.
         """
         lock = filelock.FileLock(self.path / _LOCK)
         try:
@@ -127,8 +127,8 @@ class RunFolder:
     def check(self, settings: dict[str, Any], jobs: Sequence[Job], *, force: bool) -> bool:
         """Check whether the folder already belongs to this run.
 
-        OutputError if it belongs to a run with other settings, with their names, unless `force`; or if files of the
-        same names exist that no run wrote.
+        OutputError names the settings that differ if it belongs to another run and `force` is not set. It is also
+        raised if files of the same names exist that no run wrote.
         """
         if not is_there(self._settings):
             for path in (*(path for job in jobs for path in job.files), self.index, self._failed, self.camera):

@@ -31,7 +31,7 @@ class Job:
 
     Attributes:
         source: MERL file to read.
-        output: MERL file to write; .nc, .json and, if the recipe asks for it, .html go beside it.
+        output: MERL file to write; .nc, .json and, if the recipe requires it, .html go beside it.
         recipe: settings of the correction.
         force: whether to replace existing files.
         key: key of the run's settings; None outside a run. A run also gets a thumbnail (.png) for its index.
@@ -84,7 +84,8 @@ class Job:
     def is_finished(self) -> bool:
         """Check whether the files are complete, with these settings and from the current input.
 
-        The input is read only if its time of change differs, because hashing a hundred thousand tables would take an hour.
+        The input is read only if its time of change differs, because hashing a hundred thousand tables would take an
+        hour.
         """
         try:
             known = (self.finished_record() or {})["input"]
@@ -101,7 +102,7 @@ class Outcome(NamedTuple):
 
     Attributes:
         source: the job's input.
-        seconds: time that it took, s.
+        seconds: duration, s.
         reason: reason of a failure, in one line; None: success. Default: None.
         trace: traceback of a fault of matcam; None without one. Default: None.
 

@@ -1,6 +1,7 @@
 """Recipe of a run: the rig and the options, the work on one table, and the key of records.
 
-A run may have one camera for all its materials: its blur is then fitted jointly to few of them, because one rig recorded all.
+A run may have one camera for all its materials: its blur is then fitted jointly to a few of them, because one rig
+recorded all.
 """
 
 from __future__ import annotations
@@ -143,7 +144,7 @@ class Recipe:
 
     def in_words(self) -> str:
         """Describe the recipe in one line."""
-        family = "GGX or EPD, the likelier" if self.options.ndf == "auto" else self.options.ndf
+        family = "GGX or EPD, the more probable" if self.options.ndf == "auto" else self.options.ndf
         camera = self.rig.camera
         known = f"its uncertainty {known_lens(camera).words}"
         return (
@@ -166,7 +167,10 @@ def settings_key(settings: dict[str, Any]) -> str:
 
 
 _FITTED, _EXAMINED = 4, 16
-"""Numbers of materials that are fitted, and examined for the narrowest lobes, because a broad lobe hardly shows the lens."""
+"""Number of fitted materials, and number of materials from which those with the narrowest lobes are selected.
+
+A broad lobe contains little information on the lens.
+"""
 _KNOWN = 0.25
 """Largest relative standard deviation of a usable fitted blur: a correction assumes that it is small."""
 

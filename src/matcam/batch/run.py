@@ -45,10 +45,10 @@ class Progress(NamedTuple):
     """Progress of a run.
 
     Attributes:
-        kept: materials that were finished before the run.
-        corrected: materials that the run has corrected.
-        failed: materials that failed.
-        total: all materials of the run.
+        kept: number of materials that were finished before the run.
+        corrected: number of materials that the run has corrected.
+        failed: number of materials that failed.
+        total: number of all materials of the run.
         last: outcome of the last material; None: none is finished.
 
     Example:
@@ -146,7 +146,7 @@ def correct_all(
         workers: number of worker processes of one core each, in [1, 1024]. Default: None, one for each core that this
             process may use.
         cluster: run on Dask instead: "local:2" for workers on this machine, or the address of a scheduler. Its workers
-            must have one thread, see the same folders and have the same versions. Default: None.
+            must have one thread, access to the same folders, and the same versions. Default: None.
         pages: whether each material gets a page. Default: True.
         compress: whether to compress each NetCDF, without loss. Default: True.
         zarr: whether to write all materials to one Zarr, too, run.zarr. Default: False.

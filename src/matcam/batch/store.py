@@ -1,4 +1,5 @@
-"""Run as one Zarr: arrays over all its materials, which `xarray.open_zarr` reads lazily. Requires the extra `matcam[scale]`.
+"""Run as one Zarr: arrays over all its materials, which `xarray.open_zarr` reads lazily. Requires the extra
+`matcam[scale]`.
 
 It is a folder, version 3, dims (material, theta_h, theta_d, phi_d, channel); one chunk per material, so that workers
 write their rows in parallel. `corrected` marks complete rows; it is the last chunk of a row.
@@ -211,7 +212,7 @@ def _create_arrays(group: Any, sampling: Sampling) -> None:
 
 
 def _grow(group: Any, names: list[str]) -> None:
-    """Add rows for these materials; their names are last, because names mark existing rows."""
+    """Add rows for these materials; their names are written last, because names mark existing rows."""
     for name in (*_VALUES, _DONE):
         array = group[name]
         array.resize((len(names), *array.shape[1:]))

@@ -26,9 +26,9 @@ class RadianceEstimate(NamedTuple):
 
     Attributes:
         radiance: estimate, in the unit of the exposures' reference, shape (H, W) or (H, W, channels); NaN where every
-            picture is saturated, or the data are missing.
-        std: its standard deviation, fixed patterns included, same unit and shape.
-        saturated: True where every picture is saturated, same shape.
+            image is saturated, or the data are missing.
+        std: standard deviation of `radiance`, fixed patterns included, same unit and shape.
+        saturated: True where every image is saturated, same shape.
 
     Example:
         >>> pixel = matcam.camera.RadianceEstimate(np.array([[1.0]]), np.array([[0.02]]), np.array([[False]]))
@@ -50,13 +50,13 @@ def expose_bracket(
 
     Args:
         sensor: the sensor that takes them.
-        radiance: of the pixels, any unit, shape (H, W) or (H, W, channels), as in `Sensor.expected_electrons`.
-        exposures: of the pictures, electrons per unit of radiance, positive, (pictures,).
-        seed: of the noise: a whole number, or a key of jax.random.
-        times: of the pictures, s, for the dark current, (pictures,). None: 0, no dark current.
+        radiance: radiance of the pixels, any unit, shape (H, W) or (H, W, channels), as in `Sensor.expected_electrons`.
+        exposures: exposures of the images, electrons per unit of radiance, positive, (pictures,).
+        seed: seed of the noise: a whole number, or a key of jax.random.
+        times: times of the images, s, for the dark current, (pictures,). None: 0, no dark current.
 
     Returns:
-        The pictures, DN, shape (pictures, H, W) or (pictures, H, W, channels).
+        The images, DN, shape (pictures, H, W) or (pictures, H, W, channels).
 
     Raises:
         ArgumentError: an argument is out of range or has the wrong shape.
@@ -80,14 +80,14 @@ def merge_bracket(
 ) -> RadianceEstimate:
     """Merge images of one scene to its radiance.
 
-    The estimate is the minimum-variance weighted mean of the pictures less their mean dark electrons. Without
+    The estimate is the minimum-variance weighted mean of the images less their mean dark electrons. Without
     saturation it is unbiased, except for the weak dependence of the weights on the data.
 
     Args:
         sensor: the sensor that took them; its noise gives the weights.
-        pictures: DN, shape (pictures, H, W) or (pictures, H, W, channels).
-        exposures: of the pictures, electrons per unit of radiance, positive, (pictures,).
-        times: of the pictures, s, for the dark current, (pictures,). None: 0, no dark current.
+        pictures: images, DN, shape (pictures, H, W) or (pictures, H, W, channels).
+        exposures: exposures of the images, electrons per unit of radiance, positive, (pictures,).
+        times: times of the images, s, for the dark current, (pictures,). None: 0, no dark current.
 
     Returns:
         `.radiance` in the unit of the exposures' reference, its `.std`, and a mask `.saturated` of pixels that are

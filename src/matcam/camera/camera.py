@@ -33,12 +33,13 @@ class Camera(Module, Summarised):
     the sensitivity of one pixel over its area. `Camera.psf` is the *effective* kernel: the first, integrated over the
     second, as pixels record it. A `Camera` is neither optics nor pixel, so that no blur can be applied twice.
 
-    Directions are angles to the pixel grid's rows, rad, from +x (right) towards +y (up): a square pixel is not isotropic.
+    Directions are angles to the pixel grid's rows, rad, from +x (right) towards +y (up): a square pixel is not
+    isotropic.
 
     Args:
         optics: the lens, such as `GaussianOptics(0.5)`.
         pixel: the response of one pixel. None: `BoxPixel()`, uniformly sensitive.
-        sensor: noise and mosaic of the pictures; it does not change the kernel. None: unknown.
+        sensor: noise and mosaic of the images; it does not change the kernel. None: unknown.
         uncertainty: covariance of the camera's parameters. None: they are exact.
         provenance: origin of the camera, for the profile. None: unknown.
         field: distortion and growth of the blur over the field, which `reconstruct` uses. None: uniform.

@@ -188,8 +188,8 @@ def mtf50(optics: Optics, pixel: PixelResponse) -> dict[str, float]:
         pixel: response of a pixel.
 
     Returns:
-        Frequency, cycles/px, by the name of each representative lens where the lens varies over colour or field, and by ""
-        otherwise; NaN beyond 2 cycles/px.
+        Frequency, cycles/px, by the name of each representative lens where the lens varies over colour or field, and by
+        "" otherwise; NaN beyond 2 cycles/px.
     """
     lenses = optics.named_lenses if isinstance(optics, VaryingOptics) else {"": optics}
     return {name: _half(lens, pixel) for name, lens in lenses.items()}

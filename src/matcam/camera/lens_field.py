@@ -46,9 +46,9 @@ class LensField:
         centre: column and row of the distortion's centre, px.
         unit: unit of rho, px: half the diagonal of the image, if measured by `calibrate`.
         k1: radial distortion of third order, no unit. Default: 0, exact.
-        k2: of fifth order. Default: 0, exact.
-        growth: of the lens's width with rho^2. Default: 0, exact.
-        holds_at: distance from the centre at which the lens of the profile holds, px. Default: 0.
+        k2: radial distortion of fifth order, no unit. Default: 0, exact.
+        growth: relative growth of the lens's width with rho^2, no unit. Default: 0, exact.
+        holds_at: distance from the centre at which the lens of the profile applies, px. Default: 0.
 
     Example:
         >>> field = matcam.camera.LensField((500.0, 400.0), 640.0, matcam.camera.Coefficient(0.01, 0.001))
@@ -78,7 +78,7 @@ class LensField:
             object.__setattr__(self, name, Coefficient(value, std))
         rho2 = np.linspace(0, 1.5, 30)
         if np.any(1 + 3 * self.k1.value * rho2 + 5 * self.k2.value * rho2**2 <= 0.1):
-            raise ArgumentError("k1 and k2 fold the picture over itself within 1.2 units: give smaller ones")
+            raise ArgumentError("k1 and k2 fold the image over itself within 1.2 units: give smaller ones")
 
     def wider(self, factor: float) -> LensField:
         """Return the field with a larger uncertainty of the distortion.
@@ -152,8 +152,8 @@ class LensField:
         """Return the distorted image of a circle, px.
 
         Args:
-            column: of its centre, px.
-            row: of its centre, px.
+            column: column of its centre, px.
+            row: row of its centre, px.
             radius: px.
         """
         return _circle_through(*self.seen_at(*_on_circle(column, row, radius)))
@@ -162,8 +162,8 @@ class LensField:
         """Return the undistorted circle of a distorted one, px.
 
         Args:
-            column: of its centre, px.
-            row: of its centre, px.
+            column: column of its centre, px.
+            row: row of its centre, px.
             radius: px.
         """
         return _circle_through(*self.true_place(*_on_circle(column, row, radius)))

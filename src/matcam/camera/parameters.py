@@ -30,8 +30,8 @@ class Uncertainty(Module):
     """Covariance of the parameters of a camera; others are exact.
 
     Args:
-        names: of the parameters, as in `Camera.parameters()`, such as "optics.sigma_px"; (n,).
-        covariance: in the units of the names, shape (n, n), symmetric, positive semidefinite.
+        names: names of the parameters, as in `Camera.parameters()`, such as "optics.sigma_px"; (n,).
+        covariance: covariance in the units of the names, shape (n, n), symmetric, positive semidefinite.
 
     Raises:
         ArgumentError: the shape does not fit, a name occurs twice, or this is not a covariance.

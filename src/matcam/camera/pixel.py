@@ -23,7 +23,9 @@ if TYPE_CHECKING:
     from matcam.core.jax import AnyArray, jax
 
 PIXELS_SHARE = 0.3
-"""Share of the half width of the pixel that counts as blur of a disc: its borders are steps in a sharp image."""
+"""Share of the half width of the pixel that counts as blur of a disc, because the border of the disc is a step in a
+sharp image.
+"""
 _NARROW = 0.02  # half width / std below which a series is more accurate than differences of erf
 _FADED = 1e4  # squared standard deviations, beyond which a Gaussian is 0
 _GAUSS4 = np.polynomial.legendre.leggauss(4)
@@ -33,10 +35,11 @@ _GAUSS48 = np.polynomial.legendre.leggauss(48)
 class PixelResponse(Module):
     """Sensitivity of one pixel over its area, without the lens.
 
-    In astronomy PRF means *point* response function, which contains the lens: not this.
+    In astronomy, PRF denotes the *point* response function, which includes the lens.
 
     Attributes:
-        profile_fields: {name with its unit in a camera profile: attribute}, in the order of the constructor's arguments.
+        profile_fields: {name with its unit in a camera profile: attribute}, in the order of the constructor's
+            arguments.
     """
 
     if TYPE_CHECKING:
@@ -92,8 +95,8 @@ class BoxPixel(PixelResponse):
     """Ideal square pixel of uniform sensitivity.
 
     Args:
-        half_width: half the side of the light-sensitive square, px, (0, 0.5], because pixels do not overlap. Default:
-            0.5, a linear fill of 100 %. Use less for known gaps between pixels.
+        half_width: half the side of the light-sensitive square, px, (0, 0.5], because pixels do not overlap.
+            Default: 0.5, a linear fill of 100 %. Use less for known gaps between pixels.
 
     Raises:
         ArgumentError: the half width is out of range, or not a single number.

@@ -1,11 +1,15 @@
 """Camera profile: the JSON file that belongs to a data set, and its format.
 
-    { "format": "matcam camera profile",  "version": 5, "optics": {"model": "gaussian", "sigma_px": 0.5}, "pixel":
-      {"model": "box", "half_width_px": 0.5}, "sensor": {"pitch_m": 4.73e-6, "full_well_electrons": 2e4, ...},     or
-      null: not stated "field": {"centre_px": [999.5, 749.5], "unit_px": 1249, "k1": [-0.01, 0.001], "k2": [0, 0],
-      "growth": [0.2, 0.03], "holds_at_px": 800},     or null: the lens is uniform "uncertainty": {"parameters":
-      ["optics.sigma_px"], "covariance": [[0.000225]]},     or null: exact "provenance": {"source": "", "created":
-      "2026-01-31", "software": "matcam 0.1.0", "notes": ""} }
+    {
+      "format": "matcam camera profile",  "version": 5,
+      "optics": {"model": "gaussian", "sigma_px": 0.5},
+      "pixel": {"model": "box", "half_width_px": 0.5},
+      "sensor": {"pitch_m": 4.73e-6, "full_well_electrons": 2e4, ...},     or null: not specified
+      "field": {"centre_px": [999.5, 749.5], "unit_px": 1249, "k1": [-0.01, 0.001], "k2": [0, 0],
+                "growth": [0.2, 0.03], "holds_at_px": 800},     or null: the lens is uniform
+      "uncertainty": {"parameters": ["optics.sigma_px"], "covariance": [[0.000225]]},     or null: exact
+      "provenance": {"source": "", "created": "2026-01-31", "software": "matcam 0.1.0", "notes": ""}
+    }
 
 Units are in the names. An inner lens is an object: {"model": "halo", "core": {"model": ...}, ...}. The name of a
 parameter is its path: "optics.sigma_px", "optics.mtf[3]", "optics.core.sigma_px". The profile includes covariance and
@@ -92,14 +96,14 @@ def as_document(
 
 
 def read_profile(path: str | Path) -> dict[str, Any]:
-    """Read the arguments of the `Camera` from the profile at `path`. FileFormatError that names file and field."""
+    """Read the arguments of the `Camera` from the profile at `path`. FileFormatError names the file and the field."""
     return from_document(read_json(path, _WHAT), path)
 
 
 def from_document(document: Any, where: str | Path) -> dict[str, Any]:
     """Build the arguments of a `Camera` from the JSON of a profile.
 
-    Raises: FileFormatError that names the location `where` of the profile, and the field.
+    FileFormatError names the location `where` of the profile, and the field.
     """
     version = checked_version(document, where, _WHAT, FORMAT, VERSIONS)
     try:

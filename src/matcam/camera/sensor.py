@@ -43,7 +43,7 @@ else:
 class PixelNoise(NamedTuple):
     """Noise of a measured reflectance.
 
-    A pixel's variance is (relative value)^2 + (floor peak)^2, where peak is the brightest value of its picture. Noise
+    A pixel's variance is (relative value)^2 + (floor peak)^2, where peak is the brightest value of its image. Noise
     belongs to pixels: table cells from one pixel share it.
 
     Attributes:
@@ -79,8 +79,8 @@ class PixelNoise(NamedTuple):
 class Sensor(Module):
     """Noise and mosaic of a camera sensor.
 
-    The fixed patterns of sensitivity and dark current are log-normal: their mean is 1 exactly, and no pixel is negative. The
-    pattern of offsets is Gaussian.
+    The fixed patterns of sensitivity and dark current are log-normal: their mean is 1 exactly, and no pixel is
+    negative. The pattern of offsets is Gaussian.
 
     Args:
         pitch: distance of the pixels, m.
@@ -174,8 +174,8 @@ class Sensor(Module):
         0, 1 and 2 are R, G and B.
 
         Args:
-            height: of the picture, px.
-            width: of the picture, px.
+            height: height of the image, px.
+            width: width of the image, px.
 
         Returns:
             Whole numbers, shape (height, width).
@@ -194,9 +194,9 @@ class Sensor(Module):
         They include the fixed patterns and the dark current of the sensor.
 
         Args:
-            radiance: of the pixels, any unit, shape (H, W) or (H, W, channels). With a cfa it must be (H, W, 3), R, G,
-                B, of which each pixel records one. Channels without a cfa are exposures of one sensor behind filters,
-                so they share its patterns. NaN is kept.
+            radiance: radiance of the pixels, any unit, shape (H, W) or (H, W, channels). With a cfa it must be (H, W,
+                3), R, G, B, of which each pixel records one. Channels without a cfa are exposures of one sensor behind
+                filters, so they share its patterns. NaN is kept.
             exposure: electrons per unit of radiance, positive.
             time: duration, s, for the dark current. Default: 0.
 
@@ -219,11 +219,11 @@ class Sensor(Module):
         Args:
             radiance: as in `expected_electrons`.
             exposure: electrons per unit of radiance, positive.
-            seed: of the noise of the image: a whole number, or a key of jax.random.
+            seed: seed of the noise of the image: a whole number, or a key of jax.random.
             time: duration, s, for the dark current. Default: 0.
 
         Returns:
-            The picture, DN, shape as of `expected_electrons`.
+            The image, DN, shape as of `expected_electrons`.
 
         Raises:
             ArgumentError: an argument is out of range or has the wrong shape.
@@ -245,10 +245,10 @@ class Sensor(Module):
         return xp.where(missing, xp.nan, digital)
 
     def electrons(self, digital: ArrayLike) -> jax.Array:
-        """Convert a picture to electrons; read noise can make them negative.
+        """Convert an image to electrons; read noise can make them negative.
 
         Args:
-            digital: the picture, DN, any shape.
+            digital: the image, DN, any shape.
         """
         return (checks.numbers("digital", digital) - self.black_level) / self.gain
 

@@ -106,7 +106,7 @@ def _run(arguments: list[str] | None) -> int:
     from matcam.cli.show import broken_output, in_options
     from matcam.core.errors import MatcamError
 
-    # typer carries a click of its own, and does not export this one
+    # typer contains its own copy of click, and does not export this exception
     usage_error: type[Any] = typer.BadParameter.__mro__[1]
 
     try:

@@ -17,7 +17,7 @@ _INTERRUPTED = 130
 def command(
     files: Annotated[
         list[Path] | None,
-        typer.Argument(help="Tables, pictures, or the folder or Zarr of a run to open. Default: none, to plan a rig."),
+        typer.Argument(help="Tables, images, or the folder or Zarr of a run to open. Default: none, to plan a rig."),
     ] = None,
     host: Annotated[
         str,

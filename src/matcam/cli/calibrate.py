@@ -43,9 +43,7 @@ def command(
     ] = None,
     f_number: Annotated[
         list[float] | None,
-        typer.Option(
-            "--f-number", metavar="F", help="F-number: one, or one for each picture. Default: from the files."
-        ),
+        typer.Option("--f-number", metavar="F", help="F-number: one, or one for each image. Default: from the files."),
     ] = None,
     tone: Annotated[
         str,
@@ -60,7 +58,7 @@ def command(
         typer.Option(
             "--tone-patches",
             metavar="FILE",
-            help="File with lines x y width height light: patches of the first picture for its tone curve.",
+            help="File with lines x y width height light: patches of the first image for its tone curve.",
         ),
     ] = None,
     channel: Annotated[
@@ -68,7 +66,7 @@ def command(
         typer.Option(
             "--channel",
             metavar="COLOUR",
-            help="Channel to measure: R, G, B, Y (luminance) or grey. Default: all channels of the pictures.",
+            help="Channel to measure: R, G, B, Y (luminance) or grey. Default: all channels of the images.",
         ),
     ] = None,
     cfa: Mosaic = None,
@@ -81,7 +79,7 @@ def command(
         ),
     ] = None,
     accept_sharpened: Annotated[
-        bool, typer.Option("--accept-sharpened", help="Measure sharpened and processed pictures, too.")
+        bool, typer.Option("--accept-sharpened", help="Measure sharpened and processed images, too.")
     ] = False,
     sensor: Annotated[
         Path | None,
@@ -115,7 +113,7 @@ def command(
     check_output(table, force=force, inputs=files)
     check_picture(figure, force=force, inputs=files)
     electronics = _sensor(sensor)
-    with show.working(f"measuring {len(files)} pictures"):
+    with show.working(f"measuring {len(files)} images"):
         from matcam.core.jax import use_compilation_cache
 
         use_compilation_cache()
@@ -196,7 +194,7 @@ def _files(given: list[Path]) -> list[Path]:
             continue
         inside = sorted(p for p in path.iterdir() if p.suffix.lower() in PICTURES and is_file(p))
         if not inside:
-            raise FileFormatError(f"{path}: no pictures in this folder ({', '.join(PICTURES[:6])}, camera raw)")
+            raise FileFormatError(f"{path}: no images in this folder ({', '.join(PICTURES[:6])}, camera raw)")
         for file in inside:
             check_within(file, path)
         files += inside

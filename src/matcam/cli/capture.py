@@ -194,7 +194,7 @@ def plan(
             ["exposures, each 4 times the one before", f"{needs.exposures}"],
             ["lamps' directions known to", f"{found['lamp_std_deg']:.2g}°"],
             ["sphere's outline known to", f"{needs.outline_std:.2g} px"],
-            ["a picture's light known to", f"{needs.gain_std:.2%}"],
+            ["light of an image known to", f"{needs.gain_std:.2%}"],
         ],
         f"F at {last:g}° to {accuracy:.2g}, roughness {roughness:g}",
     )

@@ -44,7 +44,7 @@ def with_common(name: str, command: Callable[..., Any]) -> Callable[..., Any]:
 
     Args:
         name: the command's words, such as "data merl".
-        command: its function.
+        command: function of the command.
     """
     kinds = get_type_hints(command, include_extras=True)
     result_kind = kinds.pop("return", None)

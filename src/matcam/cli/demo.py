@@ -53,7 +53,7 @@ def _show_all(output: Path, table: Path, loss: Path, term: Path, force: bool) ->
         "photographed by the MERL rig, with 1 % pixel noise:"
     )
     show.say(f"   {table}")
-    with show.working("photographing the sphere"):
+    with show.working("simulating the images of the sphere"):
         write_merl(table, simulated_chromium().clip(min=0), force=force)
     show.say("2. What to expect of this rig:")
     predict.command([0.001, 0.002, 0.005, 0.01, 0.05], ndf="gaussian", output=loss, force=force)

@@ -1,4 +1,4 @@
-"""`matcam edge`: the MTF of a camera from one picture of one edge."""
+"""`matcam edge`: the MTF of a camera from one image of one edge."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def command(
         typer.Option(
             "--roi",
             metavar="X Y WIDTH HEIGHT",
-            help="Region with one edge, px; or X,Y,WIDTH,HEIGHT. Default: the whole picture.",
+            help="Region with one edge, px; or X,Y,WIDTH,HEIGHT. Default: the whole image.",
         ),
     ] = None,
     rois: Annotated[
@@ -80,7 +80,7 @@ def command(
         ),
     ] = "auto",
     accept_sharpened: Annotated[
-        bool, typer.Option("--accept-sharpened", help="Measure a sharpened picture, too.")
+        bool, typer.Option("--accept-sharpened", help="Measure a sharpened image, too.")
     ] = False,
     sfr: Annotated[
         Path | None,
@@ -103,7 +103,7 @@ def command(
             "--output",
             "-o",
             metavar="FILE",
-            help="Picture to write (.png, .pdf, .svg); a .csv goes beside it.",
+            help="Figure to write (.png, .pdf, .svg); a .csv goes beside it.",
         ),
     ] = None,
     force: Force = False,
@@ -121,7 +121,7 @@ def command(
     several = len(pictures) > 1 or rois is not None or channel == "all" or table is not None
     for option, given in (("-o", output), ("--sfr", sfr), ("--budget", budget)):
         if given and (several or (method == "iso12233" and option != "--sfr")):
-            one = "one region of one picture" if several else "the method likelihood"
+            one = "one region of one image" if several else "the method likelihood"
             raise ArgumentError(f"{option} belongs to {one}: leave it out")
     if roi is not None and rois is not None:
         raise ArgumentError("--roi and --rois both give regions: give one of them")
@@ -189,7 +189,7 @@ def command(
         with show.working(f"{output}: drawing"):
             _write(result, photograph.values, roi, picture.name, output, force)
         if not json:
-            show.say(f"picture: {output}")
+            show.say(f"figure: {output}")
     return 0
 
 
@@ -214,7 +214,7 @@ def _series(
 
     regions = read_regions(rois) if rois else {"whole" if roi is None else ",".join(map(str, roi)): roi}
     photographs = [(str(path), partial(open_photograph, path)) for path in pictures]
-    with show.working(f"measuring {len(pictures)} pictures"):
+    with show.working(f"measuring {len(pictures)} images"):
         rows = measure_series(photographs, regions, channel, cfa, measure)
     failed = [row for row in rows if row.problem]
     if len(failed) == len(rows):

@@ -50,7 +50,7 @@ def command(
         typer.Option(
             "--bend",
             metavar="STRENGTH",
-            help="How far the lobe may leave its family, 0 to 10 (no unit); 1 makes it non-parametric.",
+            help="Prior standard deviation of the departure from the family, 0 to 10 (no unit); 1: non-parametric.",
         ),
     ] = 0.0,
     rival: Annotated[
@@ -161,7 +161,7 @@ def print_fit(summary: dict[str, Any], name: str) -> None:
     show.say(f"half width at half maximum: {summary['hwhm_rad']:.6g} ± {summary['hwhm_std_rad']:.2g} rad")
     noise = summary["noise"]
     show.say(
-        f"noise of a pixel: {noise['relative']:.2%} of its value, {noise['floor']:.2%} of the picture's peak; of a picture's "
+        f"noise of a pixel: {noise['relative']:.2%} of its value, {noise['floor']:.2%} of the image's peak; of an image's "
         f"gain: {noise['picture_gain']:.2%}"
     )
     show.say(

@@ -72,7 +72,7 @@ def command(
             "--output",
             "-o",
             metavar="FILE",
-            help="Picture to write (.png, .pdf, .svg); .csv and .nc go beside it. Default: FILE-fresnel.png here.",
+            help="Figure to write (.png, .pdf, .svg); .csv and .nc go beside it. Default: FILE-fresnel.png here.",
         ),
     ] = None,
     budget: Budget = None,
@@ -239,7 +239,7 @@ def _print(result: Any, tables: Any, files: list[Path], channel: str) -> None:
     )
     show.say(
         f"noise of a pixel ({attrs['noise']}): {attrs['noise_relative']:.2%} of its value, "
-        f"{attrs['noise_floor']:.2%} of the picture's peak"
+        f"{attrs['noise_floor']:.2%} of the image's peak"
     )
     show.say(f"camera uncertainty: {attrs['camera_uncertainty']}")
     for remark in from_attribute(attrs["remarks"]):

@@ -22,7 +22,7 @@ def command(
     ] = 256.0,
     json: AsJson = False,
 ) -> None:
-    """Show the contents of a file: a BRDF, another result, a picture or a camera profile.
+    """Show the contents of a file: a BRDF, another result, an image or a camera profile.
 
     A BRDF is shown with its grid, missing share, reciprocity, albedo, lobe width by angle, trace of a camera, and
     lookup of cells in pixels.
@@ -47,7 +47,7 @@ def _report(file: Path, sampling: Any, radius: float) -> dict[str, Any]:
         from matcam.core.jax import use_compilation_cache
 
         use_compilation_cache()
-    with show.working("looking into it"):
+    with show.working("inspecting the file"):
         return inspect(file, sampling=sampling, radius=radius)
 
 
@@ -100,7 +100,7 @@ def _print_cells(cells: dict[str, Any]) -> None:
         phases, std = cells["phase_px"], f"± {cells['phase_std_px']:.1g} px"
         where = "the pixels' centres lie "
         if isinstance(phases[0], list):
-            where += f"elsewhere in each picture, known to {std}"
+            where += f"elsewhere in each image, known to {std}"
         else:
             where += f"at ({phases[0]:+.3f}, {phases[1]:+.3f}) {std} from the sphere's"
     show.say(f"cells: {how} ({share}, {cells['distinct_values']:.0f} values a slice); {where}")

@@ -1,4 +1,4 @@
-"""`matcam limits`: bounds of what the records of a rig determine."""
+"""`matcam limits`: bounds of the parameters that the records of a rig determine."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ def _print(found: Any) -> None:
             ]
         )
     show.table(
-        ["roughness", "std, camera exact", "as stated", "lens free", "F known to 5 % up to"],
+        ["roughness", "std, camera exact", "as specified", "lens free", "F known to 5 % up to"],
         rows,
         "Bounds of ln roughness",
     )

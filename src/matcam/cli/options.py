@@ -72,13 +72,13 @@ SampleShape = Annotated[
 Radius = Annotated[
     float | None,
     typer.Option(
-        "--radius", metavar="PX", help="Radius of the sample's limb in the picture, px. Default: 256, the MERL rig's."
+        "--radius", metavar="PX", help="Radius of the sample's limb in the image, px. Default: 256, the MERL rig's."
     ),
 ]
 LampRadius = Annotated[
     float,
     typer.Option(
-        "--lamp", metavar="DEGREES", help="Angular radius of the lamp's disc as seen from the sample, degrees."
+        "--lamp", metavar="DEGREES", help="Angular radius of the source disc as seen from the sample, degrees."
     ),
 ]
 LampDistance = Annotated[
@@ -95,7 +95,7 @@ LampAzimuth = Annotated[
     typer.Option(
         "--azimuth",
         metavar="DEGREES",
-        help="Azimuth of the lamp about the optical axis in the pictures behind a table, degrees; 0 is right, 90 up. "
+        help="Azimuth of the lamp about the optical axis in the images behind a table, degrees; 0 is right, 90 up. "
         "Default: from the table, or 0.",
     ),
 ]
@@ -130,7 +130,7 @@ else:  # Literal types of the names in the registries, as typer requires
     EdgeLens = Annotated[_one_of(PARAMETRIC_LENSES), typer.Option("--model", help="Lens of the parametric estimate.")]
     Mosaic = Annotated[
         _one_of(CFAS) | None,
-        typer.Option("--cfa", help="Colours of the first 2 x 2 px, if the picture is a mosaic."),
+        typer.Option("--cfa", help="Colours of the first 2 x 2 px, if the image is a mosaic."),
     ]
 
 Device = Annotated[
@@ -151,8 +151,8 @@ RealPixels = Annotated[
     Literal["nearest", "bilinear", "mean"] | None,
     typer.Option(
         "--cell",
-        help="How cells were looked up in real pixels; mean: that of the pixels inside. Default: as the table shows; else each "
-        "has a pixel of its own.",
+        help="Lookup of cells in real pixels; mean: mean of the pixels inside. Default: estimated from the table; otherwise "
+        "one pixel for each cell.",
     ),
 ]
 PixelPhase = Annotated[
@@ -161,7 +161,7 @@ PixelPhase = Annotated[
         "--phase",
         metavar="X Y",
         help="Position of the pixels of --cell: their centres are whole numbers plus this from the sphere's centre, px. "
-        "Default: as the table shows.",
+        "Default: estimated from the table.",
     ),
 ]
 ForceCorrection = Annotated[
@@ -221,7 +221,7 @@ def rig_of(
     azimuth: float | None = None,
     **more: Any,
 ) -> Rig:
-    """Build the MERL rig with the replacements of the user. azimuth: of the lamp, degrees."""
+    """Build the MERL rig with the replacements of the user. azimuth: azimuth of the lamp, degrees."""
     from matcam import rigs
     from matcam.camera.camera import Camera
     from matcam.camera.optics.halo import HaloOptics
@@ -245,7 +245,9 @@ def rig_of(
 
 
 def _lamp_of(angular_radius: float, distance: float | None, sample_mm: float | None) -> Lamp:
-    """Build the lamp: near if its distance is given, in radii of the sample or, with the radius of the sample, in mm."""
+    """Build the lamp: near if its distance is given, in radii of the sample or, with the radius of the sample, in
+    mm.
+    """
     from matcam.core import checks
     from matcam.lamp.lamps import DistantLamp, NearLamp
 
@@ -278,8 +280,8 @@ def files_are_written() -> bool:
 class Command(TyperCommand):
     """Command whose errors refer to its options.
 
-    A command ends regularly with a return or with `typer.Exit`, whatever its exit code: its files appear. Any other exception
-    is a failure, and no file appears.
+    A command ends regularly with a return or with `typer.Exit`, whatever its exit code: its files appear. Any other
+    exception is a failure, and no file appears.
     """
 
     def format_help(self, ctx: Any, formatter: Any) -> None:

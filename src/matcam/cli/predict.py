@@ -74,13 +74,13 @@ def command(
         typer.Option(
             "--map",
             metavar="FILE",
-            help="Picture of the whole plane of roughness and angle to write; a .csv goes beside it.",
+            help="Figure of the whole plane of roughness and angle to write; a .csv goes beside it.",
         ),
     ] = None,
     output: Annotated[
         Path | None,
         typer.Option(
-            "--output", "-o", metavar="FILE", help="Picture to write (.png, .pdf, .svg); a .csv goes beside it."
+            "--output", "-o", metavar="FILE", help="Figure to write (.png, .pdf, .svg); a .csv goes beside it."
         ),
     ] = None,
     force: Force = False,
@@ -134,7 +134,7 @@ def command(
         _map(rig, ndf, power, (dims, exact), map_, force)
     for path in (output, map_):
         if path and not json:
-            show.say(f"picture: {path}")
+            show.say(f"figure: {path}")
 
 
 def _print(data: Any, title: str) -> None:
@@ -167,7 +167,7 @@ def _false_light(rig: Any, lobes: list[Any]) -> list[Any]:
     from matcam.forward.false_light import false_light
     from matcam.material.microfacet import Microfacet
 
-    with show.working("following the glare"):
+    with show.working("computing the effect of the glare"):
         return [false_light(Microfacet(lobe, 1.0), rig) for lobe in lobes]
 
 

@@ -1,4 +1,4 @@
-"""`matcam render`: a picture of a material's sphere."""
+"""`matcam render`: an image of a sphere of a material."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def command(
         ),
     ] = 0.8,
     size: Annotated[
-        int, typer.Option("--size", metavar="PX", help="Height and width of the picture of a sphere, px.")
+        int, typer.Option("--size", metavar="PX", help="Height and width of the image of a sphere, px.")
     ] = 256,
     samples: Annotated[int, typer.Option("--samples", metavar="N", help="Number of rays for each pixel.")] = 64,
     sampling: Sampling = "centre",

@@ -5,8 +5,8 @@
 
     [sample]
     shape = "sphere"            # sphere, cylinder or flat
-    radius_px = 400             # of the limb in the picture
-    radius_mm = 25              # lengths of the lamp are in mm then
+    radius_px = 400             # of the limb in the image
+    radius_mm = 25              # if given, lengths of the lamp are in mm
 
     [lens]
     distance = 30               # of the camera, in radii of the sample
@@ -14,12 +14,13 @@
     glare_radius_px = 30
 
     [lamp]
-    radius_deg = 0.25           # angular, of its disc
+    radius_deg = 0.25           # angular radius of the source disc
     distance = 700              # in radii of the sample, or in mm
-    azimuth_deg = 30            # about the optical axis, in the pictures behind a table
+    azimuth_deg = 30            # about the optical axis, in the images behind a table
 
-    [table] cell = "nearest"            # how cells are looked up in real pixels phase_px = [0.1, -0.3]      # position
-    of these
+    [table]
+    cell = "nearest"            # lookup of cells in real pixels
+    phase_px = [0.1, -0.3]      # position of these pixels
 
 All but `schema` may be omitted. An option of the command line overrides the file. Entries that a command does not
 support are errors.
@@ -61,7 +62,7 @@ def read_rig_file(path: Path, known: set[str], command: str) -> dict[str, Any]:
     Args:
         path: the file (TOML).
         known: parameters of the command.
-        command: its name, for messages.
+        command: name of the command, for messages.
     """
     entries = _entries(path)
     values = {}

@@ -23,7 +23,9 @@ def command(
     cfa: Mosaic = None,
     bits: Annotated[
         int | None,
-        typer.Option("--bits", metavar="N", help="Depth of the codes. Default: as stated, or from the largest code."),
+        typer.Option(
+            "--bits", metavar="N", help="Depth of the codes. Default: from the descriptor or the largest code."
+        ),
     ] = None,
     camera: Annotated[
         Path | None,
@@ -43,7 +45,7 @@ def command(
             "--output",
             "-o",
             metavar="FILE",
-            help="Picture to write (.png, .pdf, .svg). Default: FOLDER-sensor.png here.",
+            help="Figure to write (.png, .pdf, .svg). Default: FOLDER-sensor.png here.",
         ),
     ] = None,
     page: Annotated[

@@ -31,7 +31,9 @@ _broken: list[OSError] = []
 """Error of standard output when it could not be written."""
 
 _manner: list[tuple[bool, str]] = [(False, "")]
-"""Output settings of the running commands, the innermost last: quiet or not, and the name of the schema of their JSON."""
+"""Output settings of the running commands, the innermost last: quiet or not, and the name of the schema of their
+JSON.
+"""
 
 
 @contextlib.contextmanager
@@ -116,7 +118,7 @@ def _print(text: str, end: str = "\n") -> None:
 
 
 def broken_output() -> OSError | None:
-    """Return, once, the error of standard output when it could not be written; None if it could."""
+    """Return the error of writing standard output, once; None if there was no error."""
     return _broken.pop() if _broken else None
 
 

@@ -39,7 +39,7 @@ def command(
             "--output",
             "-o",
             metavar="FILE",
-            help="Table (.binary, .nc) or picture (.exr, .tif; a .json goes beside it) to write.",
+            help="Table (.binary, .nc) or image (.exr, .tif; a .json goes beside it) to write.",
         ),
     ] = None,
     table: Annotated[
@@ -69,7 +69,7 @@ def command(
     ] = 0.0,
     lamp_angle: Annotated[
         float,
-        typer.Option("--lamp-angle", metavar="DEGREES", help="Angle between lamp and camera in a picture, degrees."),
+        typer.Option("--lamp-angle", metavar="DEGREES", help="Angle between lamp and camera in an image, degrees."),
     ] = 60.0,
     azimuth: Annotated[
         float,
@@ -96,7 +96,7 @@ def command(
     size: Annotated[
         tuple[int, int] | None,
         typer.Option(
-            "--size", metavar="HEIGHT WIDTH", help="Height and width of the picture, px. Default: that of the sample."
+            "--size", metavar="HEIGHT WIDTH", help="Height and width of the image, px. Default: that of the sample."
         ),
     ] = None,
     crop: Annotated[
@@ -112,7 +112,7 @@ def command(
         typer.Option(
             "--exposure",
             metavar="ELECTRONS",
-            help="Electrons per unit of radiance: take a raw picture with the profile's sensor and its noise.",
+            help="Electrons per unit of radiance: simulate a raw image with the sensor of the profile and its noise.",
         ),
     ] = None,
     capture: Annotated[
@@ -133,7 +133,7 @@ def command(
     ] = 18,
     preview: Annotated[
         Path | None,
-        typer.Option("--preview", metavar="FILE", help="Figure of the picture to write (.png, .pdf, .svg)."),
+        typer.Option("--preview", metavar="FILE", help="Figure of the image to write (.png, .pdf, .svg)."),
     ] = None,
     seed: Annotated[int, typer.Option("--seed", metavar="N", help="Seed of the noise of --exposure.")] = 0,
     camera: CameraProfile = None,
@@ -149,7 +149,7 @@ def command(
     force: Force = False,
     json: AsJson = False,
 ) -> None:
-    """Simulate what a rig records of a known material: the whole table, one picture, or a capture of many.
+    """Simulate the record of a known material by a rig: the whole table, one image, or a capture of many.
 
     Example: `matcam simulate --ndf ggx --roughness 0.005 --metal Cr --lamp-angle 60 -o chromium.exr`
     """
@@ -159,7 +159,7 @@ def command(
     near = {"lamp_distance": lamp_distance, "sample_mm": sample_mm}
     lobe = {"ndf": ndf, "roughness": roughness, "power": power, "metal": metal, "source": source, "diffuse": diffuse}
     if (output is None) == (capture is None):
-        raise ArgumentError("give --output for a table or a picture, or --capture for a folder")
+        raise ArgumentError("give --output for a table or an image, or --capture for a folder")
     if capture is not None:
         if table or preview or exposure:
             raise ArgumentError("--capture is for the lobe of a metal: leave out TABLE, --preview and --exposure")
@@ -183,7 +183,7 @@ def command(
         from matcam.core.io import check_picture
 
         if suffix in _TABLES:
-            raise ArgumentError("--preview shows a picture, and the output is a table: leave it out")
+            raise ArgumentError("--preview shows an image, and the output is a table: leave it out")
         check_picture(preview, force=force, inputs=inputs)
     from matcam.core.jax import use_compilation_cache
 
@@ -266,7 +266,7 @@ def _table(
     from matcam.files.merl import write_merl
     from matcam.forward.measurement import measure
 
-    with show.working("measuring every cell"):
+    with show.working("simulating every cell"):
         data = measure(material, rig, azimuth=azimuth)
     if output.suffix.lower() == ".nc":
         write_netcdf(output, data.assign_attrs(material=str(described)).to_dataset(), force=force)
@@ -290,7 +290,7 @@ def _picture(
     from matcam.files.sidecar import sidecar_path, write_sidecar
     from matcam.forward.image import picture
 
-    with show.working("taking the picture"):
+    with show.working("simulating the image"):
         image = picture(material, rig, lamp_angle, **options)
     height, width = image.shape[:2]
     about = rig.description()
@@ -321,7 +321,7 @@ def _picture(
         force=force,
     )
     return {
-        "what": f"picture of {width} x {height} px",
+        "what": f"image of {width} x {height} px",
         "largest": float(image.max()),
         "units": image.attrs["units"],
         "picture": image,
@@ -329,7 +329,7 @@ def _picture(
 
 
 def _preview(image: Any, described: dict[str, Any], rig: Any, path: Path, force: bool) -> None:
-    """Write a figure of the picture."""
+    """Write a figure of the image."""
     from matcam.figures.spheres import picture_figure
     from matcam.figures.style import save
 

@@ -19,7 +19,7 @@ def after(name: str, values: dict[str, Any]) -> str | None:
 
     Args:
         name: the command's words, such as "data merl".
-        values: its parameters.
+        values: parameters of the command.
     """
     maker = _NEXT.get(name)
     words = maker(values) if maker else None

@@ -116,7 +116,7 @@ def outside_jit(value: ArrayLike, what: str) -> float:
     """
     value = constant(value)
     if not is_concrete(value):
-        raise ArgumentError(f"{what} set how a record is integrated: call this outside of jax.jit and vmap")
+        raise ArgumentError(f"{what} determine the integration of a record: call this outside of jax.jit and vmap")
     return float(np.asarray(value))
 
 
@@ -202,7 +202,7 @@ def extra(what: str, name: str, module: str) -> None:
         module: the module, which is searched and not imported.
 
     Raises:
-        ArgumentError: the module is not installed; the message says how to install it.
+        ArgumentError: the module is not installed; the message has the command that installs it.
     """
     if find_spec(module) is None:
         raise ArgumentError(f"{what} needs an extra: python -m pip install 'matcam[{name}]'")

@@ -1,4 +1,4 @@
-"""Errors that a user's input can cause; each message states what is wrong, where, and what to do."""
+"""Errors that a user's input can cause; each message contains the fault, its location and the remedy."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from collections.abc import Iterable
 class MatcamError(Exception):
     """Error that a user's input can cause.
 
-    All errors of the package are of this class. Their text is one line: what is wrong, where, and what to do.
+    All errors of the package are of this class. Their text is one line with the fault, its location and the remedy.
 
     Example:
         >>> try:
@@ -45,7 +45,7 @@ class FitError(MatcamError):
 
 
 def one_line(error: Exception) -> str:
-    """Return a library's complaint as one line, cut short."""
+    """Format the error of a library as one line, truncated."""
     return " ".join(str(error).split())[:120] or type(error).__name__
 
 

@@ -97,7 +97,8 @@ def _cell_of(name: str, angle: ArrayLike, count: int) -> Any:
 def merl_grid(sampling: Sampling) -> Grid:
     """Return the angles at which the cells of a MERL table are sampled.
 
-    theta_h is spaced quadratically, theta_h = (i / 90)^2 pi / 2 (MERL's reader: index = floor(90 sqrt(theta_h / (pi / 2)))).
+    theta_h is spaced quadratically, theta_h = (i / 90)^2 pi / 2 (MERL's reader: index = floor(90 sqrt(theta_h / (pi /
+    2)))).
     """
     shift = 0.5 if sampling == "centre" else 0.0
     n_h, n_d, n_p = GRID_SHAPE
@@ -207,7 +208,7 @@ def checked_table(table: xr.DataArray) -> xr.DataArray:
     if table.shape[:3] != GRID_SHAPE or table.shape[3] < 1:
         raise ArgumentError(f"a BRDF table must have shape {GRID_SHAPE} x channels, got {table.shape}")
     if table.dtype.kind not in "fiu":
-        raise ArgumentError(f"a BRDF table must hold real numbers, got {table.dtype}")
+        raise ArgumentError(f"a BRDF table must contain real numbers, got {table.dtype}")
     sampling = sampling_of(table)
     for name, expected in merl_grid(sampling)._asdict().items():
         if name not in table.coords or not np.allclose(table.coords[name], expected, rtol=0, atol=1e-9):
@@ -220,7 +221,7 @@ def checked_table(table: xr.DataArray) -> xr.DataArray:
         check_unit(f"coordinate {name}", table.coords[name], "rad")
     check_unit("a BRDF table", table, "1/sr")
     if np.isinf(table.values).any():
-        raise ArgumentError("a BRDF table must not hold infinities; a missing value is NaN")
+        raise ArgumentError("a BRDF table must not contain infinities; a missing value is NaN")
     return in_order(table, "a BRDF table")
 
 

@@ -381,7 +381,8 @@ def user_cache_folder() -> Path:
 def write_json(path: str | Path, document: dict[str, Any], *, force: bool = False) -> None:
     """Write a document as indented JSON.
 
-    ValueError or TypeError for values that JSON cannot represent, before writing; OutputError if the file cannot be written.
+    ValueError or TypeError for values that JSON cannot represent, before writing; OutputError if the file cannot be
+    written.
     """
     text = json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
     with replacing(path, force=force) as temporary:

@@ -1,4 +1,6 @@
-"""Memory that this process may still use, by the machine, its control group, and its own limit; and release after a job."""
+"""Memory that this process may still use, by the machine, its control group, and its own limit; and release after a
+job.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +13,9 @@ from matcam.core.errors import ArgumentError
 
 _GROUPS = Path("/sys/fs/cgroup")
 _LIBRARIES = 2 << 30
-"""Address space that NumPy, SciPy and JAX require to load, compile and run the smallest command, with a margin, bytes."""
+"""Address space that NumPy, SciPy and JAX require to load, compile and run the smallest command, with a margin,
+bytes.
+"""
 _OF_A_PROCESSOR = 40 << 20
 """Memory of OpenBLAS for the thread and the buffer of each further processor, bytes."""
 
@@ -29,7 +33,8 @@ def available_memory() -> int:
 def check_address_space() -> None:
     """Check that the libraries fit into the limit of address space (`ulimit -v`).
 
-    OpenBLAS, which SciPy loads, retries the allocation of its buffer without end, and XLA waits for threads that never started.
+    OpenBLAS, which SciPy loads, retries the allocation of its buffer without end, and XLA waits for threads that never
+    started.
 
     Raises:
         ArgumentError: the limit is too small.

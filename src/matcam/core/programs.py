@@ -136,7 +136,9 @@ class _HeldPrograms:
         self._total = 0
 
     def use(self, ready: dict[Hashable, _Program], key: Hashable, size: int) -> None:
-        """Mark a program of a function as the most recently used. ready: all programs of the function, by their keys."""
+        """Mark a program of a function as the most recently used. ready: all programs of the function, by their
+        keys.
+        """
         if not size:
             return
         with self._lock:
@@ -233,7 +235,9 @@ def _types(tree: Any) -> list[str]:
 
 @cache
 def _surroundings() -> str | None:
-    """Describe all dependencies of programs besides their arguments; None if the source of the package is unreadable."""
+    """Describe all dependencies of programs besides their arguments; None if the source of the package is
+    unreadable.
+    """
     source = hashlib.sha256()
     folder = Path(__file__).parents[1]
     try:

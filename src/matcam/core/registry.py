@@ -60,7 +60,7 @@ LENSES: Registry[Any] = Registry(
         "seidel": f"{_OPTICS}.seidel:SeidelOptics",
     }
 )
-"""Every lens; camera profiles take any of them."""
+"""All lenses; camera profiles support each of them."""
 
 FITTED_LENSES = LENSES.subset(lambda name: name not in ("zernike", "colour", "seidel"))
 """Isotropic lenses, which `calibrate` fits."""
@@ -74,7 +74,7 @@ PIXELS: Registry[Any] = Registry(
         "windowed gaussian": "matcam.camera.pixel:WindowedGaussianPixel",
     }
 )
-"""Every pixel response."""
+"""All pixel responses."""
 
 CFAS = ("RGGB", "BGGR", "GRBG", "GBRG")
 """Bayer mosaics: the colours of the upper left 2 x 2 pixels, row by row."""
@@ -124,7 +124,7 @@ def family_ndf(family: str, roughness: Any, power: Any = None) -> Any:
 
     Args:
         family: one of `FAMILIES`.
-        roughness: its first parameter (a slope; rad for "gaussian").
+        roughness: first parameter of the family (a slope; rad for "gaussian").
         power: the second parameter, for `WITH_POWER` only.
 
     Raises:

@@ -16,13 +16,14 @@ Vector = tuple["jax.Array", "jax.Array", "jax.Array"]
 
 
 class Shading(NamedTuple):
-    """Arguments of a BRDF. Arrays that broadcast.
+    """Arguments of a BRDF, as arrays that broadcast.
 
     Attributes:
         cos_i: cosine of the light's angle to the normal.
         cos_o: cosine of the view's angle to the normal.
-        slope_along: half vector as the slope of a facet that mirrors light into view, along the surface's first tangent.
-        slope_across: the same along the second tangent (normal x first).
+        slope_along: half vector as the slope of a facet that mirrors light into view, along the surface's first
+            tangent.
+        slope_across: slope of the half vector along the second tangent (normal x first).
         theta_d: difference angle, rad.
         phi_d: azimuth of the difference, rad, in (-pi, pi], relative to that of the slope of the half vector, or to the
             first tangent if that slope is 0.

@@ -102,7 +102,9 @@ def in_order(work: Callable[[T], U], items: Sequence[T], workers: int) -> Iterat
 
 
 class _Behind(threading.local):
-    """State of a background thread: whether the foreground work still runs, and whether the result is still required."""
+    """State of a background thread: whether the foreground work still runs, and whether the result is still
+    required.
+    """
 
     busy: threading.Event | None = None
     dropped: threading.Event | None = None

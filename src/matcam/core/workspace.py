@@ -34,7 +34,8 @@ class Workspace:
     """Cache of results that depend on a rig alone, in memory and on disk.
 
     Args:
-        folder: folder on disk for arrays that other processes may use; it is created on first use. Default: None, no files.
+        folder: folder on disk for arrays that other processes may use; it is created on first use. Default: None, no
+            files.
         entries: number of most recent results of each kind in memory; 0: none (no unit). Default: 6, enough for the
             rigs and slices of one correction.
         files: number of most recent files in `folder` (no unit). Default: 12, at most some hundred MB.
@@ -85,7 +86,8 @@ class Workspace:
             kind: kind of the result; each kind has its own memory.
             key: all dependencies of the result.
             make: function that computes the result.
-            most: number of results of this kind in memory, for results that are too large for `entries` of them. Default: None.
+            most: number of results of this kind in memory, for results that are too large for `entries` of them.
+                Default: None.
 
         Returns:
             The result, which is shared and must not be changed.

@@ -36,7 +36,7 @@ class Contents:
         fields: a BRDF in RGL's parameterisation.
         samples: samples of a BRDF, off the MERL grid.
         result: any other labelled result.
-        picture: a picture.
+        picture: an image.
     """
 
     format: str = ""
@@ -72,7 +72,7 @@ def read(path: str | Path, *, sampling: Sampling = "centre") -> Any:
 
     Returns:
         The result of the reader of the format: an `xarray.DataArray` for a table or scattered samples, an
-        `xarray.Dataset` for RGL's fields or another result. A picture is an array (rows, columns, channels), a camera
+        `xarray.Dataset` for RGL's fields or another result. An image is an array (rows, columns, channels), a camera
         profile a `Camera`, a chart's description a `Chart`, a picture sidecar a dict.
 
     Raises:
@@ -134,7 +134,7 @@ def write(path: str | Path, thing: Any, *, force: bool = False) -> None:
 
 
 def contents_of(thing: Any) -> Contents:
-    """Wrap a table, a result or a picture as contents.
+    """Wrap a table, a result or an image as contents.
 
     ArgumentError for anything else.
     """
@@ -151,7 +151,7 @@ def contents_of(thing: Any) -> Contents:
     if isinstance(thing, np.ndarray) or hasattr(thing, "__jax_array__") or type(thing).__module__.startswith("jax"):
         return Contents(picture=np.asarray(thing))
     raise ArgumentError(
-        f"thing must be an xarray.DataArray or Dataset, a picture as an array, a Camera or a Chart, got {type(thing).__name__}"
+        f"thing must be an xarray.DataArray or Dataset, an image as an array, a Camera or a Chart, got {type(thing).__name__}"
     )
 
 
@@ -173,7 +173,7 @@ def write_contents(path: str | Path, contents: Contents, *, force: bool = False)
 
 
 def read_contents(path: str | Path, sampling: Sampling = "centre") -> Contents:
-    """Read a file of any format that holds measurements. FileFormatError for anything else.
+    """Read a file of any format that contains measurements. FileFormatError for anything else.
 
     Args:
         path: file to read.

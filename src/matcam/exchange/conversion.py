@@ -111,8 +111,9 @@ def resampling_error(before: Material, after: Material) -> dict[str, float]:
     the largest of their differences.
 
     Returns:
-        No unit: the `median`, `p99` (exceeded by 1 % of the pairs) and `largest` difference; `known`, the share of pairs with
-        a value above 0; and `peak`, the median difference in those mirror directions. Random pairs miss a sharp highlight.
+        No unit: the `median`, `p99` (exceeded by 1 % of the pairs) and `largest` difference; `known`, the share of
+        pairs with a value above 0; and `peak`, the median difference in those mirror directions. Random pairs miss a
+        sharp highlight.
     """
     random = np.random.default_rng(1)
     light, view = (_directions(random) for _ in range(2))
@@ -146,7 +147,7 @@ def _brdf(material: Material, light: Vector, view: Vector) -> np.ndarray:
 
 
 def _mirrored() -> tuple[Vector, Vector]:
-    """Mirror directions of light and view up to 45 degrees from the normal."""
+    """Compute mirror directions of light and view up to 45 degrees from the normal."""
     angle = np.linspace(0, np.pi / 4, _MIRRORED)
     azimuth = np.linspace(0, 2 * np.pi, _MIRRORED, endpoint=False)
     along, across, up = np.sin(angle) * np.cos(azimuth), np.sin(angle) * np.sin(azimuth), np.cos(angle)

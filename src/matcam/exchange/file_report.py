@@ -22,14 +22,15 @@ def inspect(source: Any, *, sampling: Sampling = "centre", radius: float = _RADI
     `matcam inspect` prints the same.
 
     Args:
-        source: path of a file of any format that matcam reads; or a table, a result, a picture or a `Camera`.
-        sampling: sampling position of a value in its cell of a MERL file, "centre" or "edge" (see `read_merl`). Default:
-            "centre".
+        source: path of a file of any format that matcam reads; or a table, a result, an image or a `Camera`.
+        sampling: sampling position of a value in its cell of a MERL file, "centre" or "edge" (see `read_merl`).
+            Default: "centre".
         radius: radius of the sphere that a table was recorded from, px. Default: 256, as in the MERL rig.
 
     Returns:
-        Plain values that JSON can represent; the names contain units. A file has `file` and `format`. A BRDF has its grid,
-        missing shares, range, reciprocity, albedo, lobe widths, and the trace of a camera; a camera its parameters and MTF50.
+        Plain values that JSON can represent; the names contain units. A file has `file` and `format`. A BRDF has its
+        grid, missing shares, range, reciprocity, albedo, lobe widths, and the trace of a camera; a camera its
+        parameters and MTF50.
 
     Raises:
         FileFormatError: the format of the file is not supported, or the file is damaged.
@@ -68,7 +69,8 @@ def _file_report(path: str | Path, kind: str, sampling: Sampling, radius: float)
 def _camera_report(camera: Camera) -> dict[str, Any]:
     """Report on a camera: parameters, standard deviations, MTF50 (cycles/px, along a row) and provenance.
 
-    For a lens with colours, or one that varies over the image, the report has MTF50 of each representative lens, by name.
+    For a lens with colours, or one that varies over the image, the report has MTF50 of each representative lens, by
+    name.
     """
     found = mtf50(camera.optics, camera.pixel)
     return {

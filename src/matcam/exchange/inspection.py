@@ -1,7 +1,8 @@
 """Properties of a file and of a table without a model of the material.
 
 Grids, gaps, reciprocity, albedo, and the trace of a camera in a table. A camera widens a lobe in the plane of light and
-view as width^2 = lobe^2 + (kernel / cos theta_d)^2 (docs/model.md 3). A lamp's disc widens it across instead.
+view as width^2 = lobe^2 + (kernel / cos theta_d)^2 (docs/model.md 3). A source disc widens it across that plane
+instead.
 """
 
 from __future__ import annotations
@@ -52,8 +53,8 @@ class LobeWidths(NamedTuple):
 def lobe_widths(table: xr.DataArray) -> LobeWidths:
     """Measure the lobe's half width at half maximum at every theta_d.
 
-    The BRDF is averaged over the channels, and over the cells within 18 degrees of the plane of light and view, or beyond 72
-    degrees from it. It is linear between the grid's angles. The maximum is the value at the first theta_h.
+    The BRDF is averaged over the channels, and over the cells within 18 degrees of the plane of light and view, or
+    beyond 72 degrees from it. It is linear between the grid's angles. The maximum is the value at the first theta_h.
 
     Args:
         table: BRDF on the MERL grid, (90, 90, 180, channels), 1/sr, such as `read_merl` returns.
@@ -155,7 +156,7 @@ REPORTED_ANGLES = (0, 15, 30, 45, 60, 70, 75, 80)
 def inspect_contents(contents: Contents, radius: float = SPHERE_RADIUS) -> dict[str, Any]:
     """Report on contents (see `read_contents`), as plain values (JSON).
 
-    radius: of the sphere that a table was recorded from, px.
+    radius: radius of the sphere that a table was recorded from, px.
 
     The report has `holds`, and sections for a table, samples, another result or an image. For fields of RGL it has
     their grid, and the sections of a table after resampling.
@@ -175,12 +176,13 @@ def inspect_table(table: xr.DataArray, radius: float = SPHERE_RADIUS) -> dict[st
 
     Args:
         table: BRDF on the MERL grid, 1/sr.
-        radius: of the sphere that it was recorded from, px. Default: 256, the MERL rig's.
+        radius: radius of the sphere that it was recorded from, px. Default: 256, the MERL rig's.
 
     Returns:
         Grid, missing shares, range, and:
 
-        - `reciprocity_rms`: rms over cells of the relative difference between phi_d and pi - phi_d. Reciprocity and the mirror
+        - `reciprocity_rms`: rms over cells of the relative difference between phi_d and pi - phi_d. Reciprocity and the
+        mirror
           symmetry of an isotropic material make them equal.
         - `albedo`: of light from theta_o, per channel; missing values count as 0 (see `albedo`).
         - `lobe`: half width at half maximum in theta_h, degrees, in the plane of light and view and across it, mean
@@ -296,7 +298,7 @@ def _result_report(data: xr.Dataset) -> dict[str, Any]:
 def _picture_report(picture: np.ndarray) -> dict[str, Any]:
     missing = np.isnan(picture)
     if missing.all():
-        raise ArgumentError("every value of the picture is missing: the file is empty")
+        raise ArgumentError("every value of the image is missing: the file is empty")
     return {
         "shape": list(picture.shape),
         "missing_share": float(missing.mean()),

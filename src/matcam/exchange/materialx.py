@@ -72,7 +72,8 @@ def fit_openpbr(material: Material) -> OpenPBRSurface:
         ArgumentError: the material is not a Material, or has another number of channels.
 
     Source:
-        OpenPBR Surface specification 1.1; Bieron and Peers (2020), *An Adaptive BRDF Fitting Metric*: roots as a metric.
+        OpenPBR Surface specification 1.1; Bieron and Peers (2020), *An Adaptive BRDF Fitting Metric*: roots as a
+        metric.
 
     Example:
         >>> matte = matcam.Microfacet(matcam.GGX(0.3), matcam.Dielectric(1.5), diffuse=[0.2, 0.3, 0.4])
@@ -126,7 +127,7 @@ def write_openpbr(path: str | Path, surface: OpenPBRSurface, *, note: str = "", 
 
     Args:
         path: file to write.
-        surface: as from `fit_openpbr`.
+        surface: surface from `fit_openpbr`.
         note: text for the document, such as the residual of the fit. Default: "".
         force: replace an existing file. Default: False.
 

@@ -28,7 +28,7 @@ class MitsubaFilm:
 
     Args:
         camera: lens and pixel; its effective kernel is applied.
-        subpixels: of the rendering along each side of a pixel, no unit, 1 to 16. Default: 4.
+        subpixels: number of subpixels of the rendering along each side of a pixel, no unit, 1 to 16. Default: 4.
         reach: support radius of the kernel, px. Default: None, 99.9 % of the kernel, at most 32.
 
     Raises:
@@ -56,7 +56,8 @@ class MitsubaFilm:
         The surroundings of the rendering are dark: render `reach` pixels more on every side, and crop.
 
         Args:
-            image: radiance of the subpixels, (rows, columns) or (rows, columns, channels), a multiple of `subpixels` each.
+            image: radiance of the subpixels, (rows, columns) or (rows, columns, channels), a multiple of `subpixels`
+                each.
 
         Returns:
             Radiance of the pixels.

@@ -100,8 +100,8 @@ def adaptive_grid(material: Material, *, description: str = "", square: int = SQ
             MB; fewer give a smaller and coarser one.
 
     Returns:
-        Dataset of the fields, as `read_rgl` returns and `write_rgl` and `Adaptive` take them. Attribute `missing_share` is the
-        share of missing values among all above the horizon.
+        Dataset of the fields, as `read_rgl` returns and `write_rgl` and `Adaptive` take them. Attribute `missing_share`
+        is the share of missing values among all above the horizon.
 
     Raises:
         ArgumentError: the material is anisotropic, has another count of channels, or is black.
@@ -307,7 +307,8 @@ def _outgoing(
 def _fill_gaps(values: np.ndarray, cos_o: np.ndarray) -> np.ndarray:
     """Fill the gaps of every row.
 
-    Inside the interpolation is linear along the row. Beyond the last value it is linear in cos_o, and constant below -0.2.
+    Inside the interpolation is linear along the row. Beyond the last value it is linear in cos_o, and constant below
+    -0.2.
     """
     columns = np.arange(values.shape[2])
     result = np.empty_like(values)

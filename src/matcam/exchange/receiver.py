@@ -39,7 +39,7 @@ def solid_angles(rig: Rig) -> dict[str, float | None]:
     Returns:
         `equivalent_receiver_sr`, sr, None if the half vector does not turn in every direction: for a flat sample, and
         for a cylinder with a distant camera. `pupil_sr`, sr: the lens as seen from the sample, pi aperture^2 / 4.
-        `lamp_sr`, sr: the lamp's disc. `kernel_area_px2`, px^2: the kernel's noise-equivalent area.
+        `lamp_sr`, sr: the source disc. `kernel_area_px2`, px^2: the kernel's noise-equivalent area.
 
     Raises:
         ArgumentError: rig is not a `Rig`.

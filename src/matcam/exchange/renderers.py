@@ -40,8 +40,8 @@ def mitsuba_material(material: Microfacet) -> dict[str, Any]:
     part; its shares are divided out again.
 
     Args:
-        material: GGX or Beckmann facets, isotropic or not, of a metal (`Conductor`) or a constant reflectance, with a diffuse
-            part below 1; a fit's `.material` is one.
+        material: GGX or Beckmann facets, isotropic or not, of a metal (`Conductor`) or a constant reflectance, with a
+            diffuse part below 1; a fit's `.material` is one.
 
     Returns:
         The dict.
@@ -100,7 +100,8 @@ def pbrt_material(material: Microfacet, name: str | None = None) -> str:
         The text.
 
     Raises:
-        ArgumentError: pbrt's conductor does not support the material, or the name contains quotes, backslashes or line breaks.
+        ArgumentError: pbrt's conductor does not support the material, or the name contains quotes, backslashes or line
+            breaks.
 
     Source:
         Walter et al. (2007): alpha. pbrt-v4, material `conductor`.
@@ -182,7 +183,7 @@ def rendered_sphere(
         lamp_angle: angle between lamp and camera, in (-pi, pi), rad. Default: 0.7.
         environment: OpenEXR file of three channels (latitudes by longitudes) that replaces lamp and sky. Default: None,
             lamp and sky.
-        size: side of the picture, in [16, 4096], px. Default: 256.
+        size: side of the image, in [16, 4096], px. Default: 256.
         samples: samples per pixel, in [1, 65536]. Default: 64; more reduce noise.
 
     Returns:
@@ -241,7 +242,9 @@ def _scene(
     if environment is not None:
         light = read_exr(environment)
         if light.ndim != 3 or light.shape[2] != 3 or not np.all(light >= 0) or not np.all(np.isfinite(light)):
-            raise ArgumentError(f"{environment}: an environment has three channels of finite radiance, non-negative")
+            raise ArgumentError(
+                f"{environment}: an environment must have three channels of finite, non-negative radiance"
+            )
         return scene | {"environment": {"type": "envmap", "bitmap": mitsuba.Bitmap(light)}}
     towards = np.array([np.sin(lamp_angle), np.sin(lamp_angle) / 3, np.cos(lamp_angle)])
     lamp = {"type": "directional", "direction": (-towards).tolist(), "irradiance": {"type": "rgb", "value": np.pi}}

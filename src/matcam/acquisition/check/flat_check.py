@@ -15,7 +15,7 @@ _SPREAD = 10.0
 """Range of half angles, degrees, below which the roughness is not determined."""
 NOT_CHECKED = Remark(
     "not-checked",
-    "a flat sample shows neither outline nor highlight: lamp directions and tilts are not compared with the pictures",
+    "a flat sample shows neither outline nor highlight: lamp directions and tilts are not compared with the images",
 )
 
 
@@ -23,7 +23,7 @@ def flat_remarks(capture: Capture) -> list[Remark]:
     """Check the requirements of a flat sample: grey images, directions and tilts, several half angles.
 
     Args:
-        capture: of a flat sample.
+        capture: capture of a flat sample.
     """
     found: list[Remark] = [NOT_CHECKED]
     reader = MosaicReader(capture)
@@ -34,14 +34,17 @@ def flat_remarks(capture: Capture) -> list[Remark]:
         found.append(Remark("bad-frame", str(error)))
     if len(reader.channels) > 1:
         found.append(
-            Remark("not-grey", "a flat sample needs grey pictures: each colour of a mosaic shows a quarter of it")
+            Remark(
+                "not-grey",
+                "a flat sample needs grey images: each colour of a mosaic covers only a quarter of the pixels",
+            )
         )
     names = list(capture.lamps)
     if len(names) < _FEWEST:
-        found.append(Remark("too-few", f"{len(names)} pictures of the flat sample; at least {_FEWEST} are needed"))
+        found.append(Remark("too-few", f"{len(names)} images of the flat sample; at least {_FEWEST} are needed"))
     lost = [name for name in names if not np.isfinite(capture.lamps[name].direction).all()]
     if lost:
-        text = f"lamp {some_of(lost)}: frames.csv states no angle_deg and azimuth_deg, and nothing else indicates them"
+        text = f"lamp {some_of(lost)}: frames.csv has no angle_deg and azimuth_deg, and nothing else indicates them: add them"
         found.append(Remark("no-direction", text))
     tilts = capture.settings["sample"]["tilt_deg"] or [0.0]
     if len(tilts) not in (1, len(names)):
@@ -60,5 +63,5 @@ def _half_angles(capture: Capture, tilts: np.ndarray) -> list[Remark]:
     angle = np.degrees(np.arccos(np.clip((half * normals).sum(axis=1), -1, 1)))
     if np.ptp(angle) >= _SPREAD:
         return []
-    text = f"all pictures have half angles from {angle.min():.0f} to {angle.max():.0f} degrees: tilt the sample, or move the "
+    text = f"all images have half angles from {angle.min():.0f} to {angle.max():.0f} degrees: tilt the sample, or move the "
     return [Remark("half-angles-alike", f"{text}lamp, until they span {_SPREAD:.0f} degrees or more")]

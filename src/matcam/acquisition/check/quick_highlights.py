@@ -35,8 +35,8 @@ class Seen(NamedTuple):
     """Position of a highlight in the frame, px.
 
     Attributes:
-        column: of the highlight, or of a cylinder's bright line.
-        row: of the highlight; NaN for a cylinder.
+        column: column of the highlight, or of a cylinder's bright line.
+        row: row of the highlight; NaN for a cylinder.
         std: standard deviation along either axis.
     """
 
@@ -70,8 +70,8 @@ def quick_highlights(
 
     Args:
         capture: the capture.
-        radiometry: meaning of the codes, measured on a few lamp positions; None: unknown.
-        outline: of the sample; None: a highlight is the centroid of the bright spot.
+        radiometry: radiometric calibration from a few lamp positions; None if unknown.
+        outline: outline of the sample; None: a highlight is the centroid of the bright spot.
         camera: distance of the camera, radii. Default: infinite.
     """
     reader = MosaicReader(capture)
@@ -102,7 +102,9 @@ def quick_highlights(
                 found.seen[lamp] = place
                 break
         if place is None and frames and kind != "flat":
-            text = f"{capture.folder / frames[-1].file}: lamp {lamp} shows no highlight"
+            text = (
+                f"{capture.folder / frames[-1].file}: lamp {lamp} shows no highlight; check the lamp and the exposures"
+            )
             found.remarks.append(Remark("no-highlight", text))
     piled = _piled(tops, radiometry)
     peaks = []
@@ -116,7 +118,7 @@ def quick_highlights(
 
 
 def _codes(capture: Capture, reader: MosaicReader, frame: CaptureFrame) -> np.ndarray:
-    """Read the codes of a frame; those of a reference in it are replaced by the median."""
+    """Read the codes of a frame; codes of a reference in it are replaced by the median."""
     codes = reader.read(frame, capture.region)
     if capture.reference_region is not None:
         top, left = (0, 0) if capture.region is None else (capture.region[1], capture.region[0])
@@ -135,7 +137,7 @@ def _clip_threshold(reader: MosaicReader, radiometry: Radiometry | None) -> floa
 
 
 def _top_codes(codes: np.ndarray, frame: CaptureFrame, reader: MosaicReader, radiometry: Radiometry) -> TopCodes:
-    """Measure the brightest pixels of a frame, for a clip level that none of the four brackets shows."""
+    """Measure the brightest pixels of a frame, for a clip level that the complete brackets do not show."""
     dark = radiometry.darkness.get(frame.exposure)
     hot = np.zeros(codes.shape, bool)
     if dark is not None and isinstance(dark.hot, np.ndarray) and dark.hot.shape == hot.shape:

@@ -1,4 +1,7 @@
-"""Outline of a sphere or cylinder, as stated, from a mask, or from frames to a few tenths of a pixel, and check for motion."""
+"""Quick outline of a sphere or cylinder, and check for motion of the sample.
+
+The outline is the specified one, or comes from a mask or from frames, to a few tenths of a pixel.
+"""
 
 from __future__ import annotations
 
@@ -19,20 +22,22 @@ from matcam.files.capture import Capture
 from matcam.files.capture_frames import CaptureFrame
 
 _MOVED = 1.0
-"""Shift between two outline frames, px, above which a motion of the sample is reported. A disc is measured to about 0.3 px."""
+"""Shift between two outline frames, px, above which a motion of the sample is reported. A disc is measured to about 0.3
+px.
+"""
 _DISC_STD = 0.4
 """Standard deviation of centre and radius of the disc by moments, px: measured on simulated frames, rounded up."""
 _STATED_STD = 0.5
-"""Standard deviation of a stated axis or radius of a cylinder that has none, px."""
+"""Standard deviation of an axis or radius of a cylinder that is specified without one, px."""
 
 
 class QuickOutline(NamedTuple):
     """Outline of the sample.
 
     Attributes:
-        column: of the centre of a sphere or the axis of a cylinder, px.
-        row: of the centre, px; NaN for a cylinder.
-        radius: of the limb, or half the distance of the edges, px.
+        column: column of the centre of a sphere or the axis of a cylinder, px.
+        row: row of the centre, px; NaN for a cylinder.
+        radius: radius of the limb, or half the distance of the edges, px.
         std: standard deviations of column, row and radius, px (3,).
     """
 
@@ -45,17 +50,17 @@ class QuickOutline(NamedTuple):
 def quick_outline(capture: Capture, black: float, sigma: float) -> tuple[QuickOutline | None, list[Remark]]:
     """Find the outline of a sphere or cylinder from the sources of a reconstruction, and measure every outline frame.
 
-    For a sphere the order of preference is a stated circle, a mask, outline frames; for a cylinder outline frames, the
-    stated outline.
+    For a sphere the order of preference is a specified circle, a mask, outline frames; for a cylinder outline frames,
+    the specified outline.
 
     Args:
-        capture: of a sphere or a cylinder.
+        capture: capture of a sphere or a cylinder.
         black: code without light, DN.
         sigma: standard deviation of the lens's blur, px; used if the bright field is clipped.
 
     Returns:
-        The outline, that of the first frame that shows one where it is from frames, or None; and the remarks: no outline, a
-        source that cannot be used, a clipped field, or a sample that moved.
+        The outline or None, and remarks. An outline from frames is that of the first frame that shows one. The remarks
+        report a missing outline, an unusable source, a clipped field, or a sample that moved.
     """
     cylinder = capture.settings["sample"]["kind"] == "cylinder"
     frames = capture.of("outline")
@@ -77,7 +82,7 @@ def quick_outline(capture: Capture, black: float, sigma: float) -> tuple[QuickOu
         moved = float(np.hypot(place.column - first.column, 0.0 if cylinder else place.row - first.row))
         if moved > _MOVED or abs(place.radius - first.radius) > _MOVED:
             path = capture.folder / frame.file
-            text = f"{path}: the {what} is {moved:.1f} px from where {places[0][0].file} shows it"
+            text = f"{path}: the {what} is {moved:.1f} px from its position in {places[0][0].file}"
             found.append(Remark(f"{what}-moved", text))
     if places and (cylinder or given is None):
         return places[0][1], found
@@ -87,7 +92,7 @@ def quick_outline(capture: Capture, black: float, sigma: float) -> tuple[QuickOu
 def _measured(
     capture: Capture, reader: MosaicReader, frame: CaptureFrame, black: float, sigma: float
 ) -> tuple[QuickOutline | None, list[Remark]]:
-    """Measure the outline in one frame, None without one, and describe what is wrong with the frame."""
+    """Measure the outline in one frame, None without one, and collect remarks on the frame."""
     path = capture.folder / frame.file
     try:
         codes = reader.read(frame, capture.region)
@@ -123,7 +128,7 @@ def _measured(
 
 
 def _given(capture: Capture, sigma: float) -> tuple[QuickOutline | None, list[Remark]]:
-    """Return the outline of a sphere from a stated circle or a mask; None: neither exists or is usable."""
+    """Return the outline of a sphere from a specified circle or a mask; None if neither is usable."""
     try:
         if capture.circle is not None:
             (column, row), radius = capture.circle
@@ -138,7 +143,7 @@ def _given(capture: Capture, sigma: float) -> tuple[QuickOutline | None, list[Re
 
 
 def _stated(capture: Capture) -> QuickOutline | None:
-    """Return the outline of a cylinder as stated in capture.toml; None: not stated."""
+    """Return the outline of a cylinder from capture.toml; None if it is not specified."""
     radius, axis = capture.stated("outline_radius_px"), capture.stated("axis_column_px")
     if radius is None or axis is None:
         return None
@@ -152,14 +157,14 @@ def _missing_sphere() -> Remark:
 
 
 def _missing_cylinder() -> Remark:
-    text = "give a frame of the cylinder before a bright field, in outline/, or state sample.outline_radius_px and "
+    text = "give a frame of the cylinder before a bright field, in outline/, or specify sample.outline_radius_px and "
     return Remark("no-outline", f"{text}sample.axis_column_px: `reconstruct` needs one of them")
 
 
 def dark_disc(codes: np.ndarray) -> tuple[float, float, float]:
     """Estimate column, row and radius, px, of a dark disc in front of a bright field, to a few tenths of a pixel.
 
-    The area and the first moments of the missing light give them. NaN: there is no disc, or the frame cuts it.
+    They follow from the area and the first moments of the missing light. NaN: there is no disc, or the frame cuts it.
 
     Args:
         codes: frame, (height, width).

@@ -1,8 +1,8 @@
-"""Comparison of the lamp table with the highlights: a turned table, a wrong radius, single wrong lamps.
+"""Comparison of the lamp table with the highlights: a rotated table, a wrong radius, single wrong lamps.
 
-The unknowns are a turn of the axes of the table relative to the camera, and the outline of the sample in the frame.
-Where an outline was measured, its centre and radius are known and the turn is free. Without it a shifted sphere
-explains a turn about an axis in the picture plane, so only a turn about the optical axis is fitted.
+The unknowns are a rotation of the axes of the table relative to the camera, and the outline of the sample in the frame.
+Where an outline was measured, its centre and radius are known and the rotation is free. Without it, a shifted sphere
+explains a rotation about an axis in the image plane, so only a rotation about the optical axis is fitted.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from matcam.core.remark import Remark
 from matcam.files.capture import Capture, Stated
 
 _FEWEST = 4
-"""Number of highlights with a stated direction that a comparison requires: three angles are unknown, and one lamp may
-be wrong.
+"""Number of highlights with a specified direction that a comparison requires: three angles are unknown, and one lamp
+may be wrong.
 """
 _OFF = 4.0
 """Distance of a single highlight from its expected position, px, below which it is not reported.
@@ -33,24 +33,24 @@ _OFF = 4.0
 Centroids have errors of 1 to 2 px.
 """
 _SIGNIFICANT = 4.0
-"""Standard deviations above which a turn or a radius is reported: one false alarm in 16,000 captures."""
+"""Number of standard deviations above which a rotation or a radius is reported: one false alarm in 16,000 captures."""
 _LEAST_TURN = math.radians(0.5)
-"""Turn below which there is no report: the tables of careful set-ups are turned by some tenths of a degree, and
-`reconstruct` fits that.
+"""Rotation, rad, below which there is no report: the tables of careful set-ups are rotated by some tenths of a degree,
+which `reconstruct` fits.
 """
 _LEAST_GROWTH = 0.01
 """Relative difference of radii below which there is no report, because `reconstruct` fits it."""
 _NEARNESS = (0.02, 0.02)
-"""Inverse of an unstated distance, in radii, with its standard deviation, as in `reconstruct`."""
+"""Inverse of an unspecified distance, in radii, with its standard deviation, as in `reconstruct`."""
 
 
 class TableCheck(NamedTuple):
     """Result of the comparison.
 
     Attributes:
-        centre: column, row and radius of the sample from highlights, table and outline, px; NaN: unknown.
+        centre: column, row and radius of the sample from highlights, table and outline, px; NaN if unknown.
         turn: rotation vector from the table to the highlights, about x (right), y (up) and z (to the camera), rad (3,).
-        turn_std: its standard deviations, rad (3,); NaN where it was not fitted.
+        turn_std: standard deviations of `turn`, rad (3,); NaN where it was not fitted.
         remarks: contradictions.
     """
 
@@ -71,7 +71,9 @@ class _Fit(NamedTuple):
 
 
 class _Rig(NamedTuple):
-    """Distances in radii, and their relative effect on the spread of the highlights as standard deviation."""
+    """Distances of camera and lamp, radii, and the relative uncertainty of the radius from highlights that they
+    cause.
+    """
 
     camera: float
     lamp: float
@@ -92,7 +94,7 @@ def check_table(capture: Capture, seen: dict[str, Seen], outline: QuickOutline |
     Args:
         capture: the capture with the directions.
         seen: highlight of each lamp position.
-        outline: of the sample in the frame; None: not measured.
+        outline: outline of the sample in the frame; None: not measured.
     """
     names = [name for name in seen if np.isfinite(capture.lamps[name].direction).all()]
     if len(names) < _FEWEST:
@@ -131,9 +133,7 @@ def _of_sphere(
     spread = float(np.ptp(directions[:, 1]))
     apart, other = float(np.median(right.off)), float(np.median(flipped.off))
     if spread > 0.2 and other < 0.2 * apart and apart > 2:
-        text = (
-            "the highlights move opposite to the stated lamp directions: azimuths count from +x (right) towards +y (up)"
-        )
+        text = "the highlights move opposite to the specified lamp directions: azimuths count from +x (right) towards +y (up)"
         return TableCheck(_sphere(right), np.zeros(3), np.full(3, math.nan), (Remark("table-flipped", text),))
     if outline is not None:
         ball = MirrorBall(outline.row, outline.column, outline.radius, rig.camera)
@@ -156,7 +156,7 @@ def _of_sphere(
 def _of_cylinder(
     capture: Capture, names: list[str], directions: np.ndarray, seen: list[Seen], outline: QuickOutline
 ) -> TableCheck:
-    """Compare the columns of the bright lines: they indicate the turn about the cylinder's axis only."""
+    """Compare the columns of the bright lines: they indicate only the rotation about the axis of the cylinder."""
     rig = _rig(capture)
     columns = np.array([[one.column] for one in seen])
 
@@ -177,8 +177,9 @@ def _of_cylinder(
 
 
 def _errors(capture: Capture, seen: list[Seen], radius: float) -> np.ndarray:
-    """Compute the standard deviation of each highlight about its stated direction, px: an angle of the lamp moves it by
-    half.
+    """Compute the standard deviation of each highlight about its expected position, px.
+
+    An error of the direction of the lamp moves the highlight by half that angle.
     """
     return np.hypot([one.std for one in seen], abs(radius) * capture.direction_std / 2)
 
@@ -190,7 +191,7 @@ def _fitted(
     places: np.ndarray,
     errors: np.ndarray,
 ) -> _Fit:
-    """Fit the parameters whose standard deviation is not 0: robustly, so that one wrong lamp does not turn the table."""
+    """Fit the parameters with a standard deviation above 0, robustly against single wrong lamps."""
     free = np.flatnonzero(std > 0)
     known = free[np.isfinite(std[free])]
     center = start.copy()
@@ -220,7 +221,7 @@ def _sphere(fit: _Fit) -> tuple[float, float, float]:
 
 
 def _turn_remarks(fit: _Fit, std: np.ndarray, whose: str) -> list[Remark]:
-    """Report a turn of the axes of the table relative to the camera, with its size and standard deviation."""
+    """Report a rotation of the axes of the table relative to the camera, with its size and standard deviation."""
     free = std[:3] > 0
     turn, covariance = fit.p[:3], fit.covariance[:3, :3]
     size = float(np.linalg.norm(turn))
@@ -232,13 +233,13 @@ def _turn_remarks(fit: _Fit, std: np.ndarray, whose: str) -> list[Remark]:
         return []
     degrees, axes = np.degrees(turn), ("x (right)", "y (up)", "z (to the camera)")
     parts = ", ".join(f"{value:+.1f} about {axis}" for value, axis, one in zip(degrees, axes, free, strict=True) if one)
-    text = f"the highlights indicate a turn of the lamp table by {np.degrees(size):.1f} +- {np.degrees(spread):.1f} degrees"
-    where = f" against the {whose} outline" if free[1] else ""
+    text = f"the highlights indicate a rotation of the lamp table by {np.degrees(size):.1f} +- {np.degrees(spread):.1f} degrees"
+    where = f" relative to the {whose} outline" if free[1] else ""
     return [Remark("table-turned", f"{text}{where} ({parts}): check the axes of angles and azimuths")]
 
 
 def _radius_remarks(fit: _Fit, outline: QuickOutline, std: float) -> list[Remark]:
-    """Report a radius by highlights that differs from the outline's by more than outline and distances allow."""
+    """Report a radius from highlights that differs from that of the outline by more than the errors allow."""
     change = float(fit.p[5] - outline.radius)
     known = math.sqrt(max(std**2 - float(fit.covariance[5, 5]), 1e-12))
     if abs(change) < max(_SIGNIFICANT * known, _LEAST_GROWTH * outline.radius):
@@ -254,7 +255,8 @@ def _single_remarks(capture: Capture, names: list[str], fit: _Fit) -> list[Remar
     allowed = max(_OFF, 5 * scatter, abs(fit.p[5]) * 2 * capture.direction_std)
     return [
         Remark(
-            "table-contradicts", f"lamp {name}: its highlight is {off:.0f} px from where its stated direction puts it"
+            "table-contradicts",
+            f"lamp {name}: its highlight is {off:.0f} px from the position that its direction predicts",
         )
         for name, off in zip(names, fit.off, strict=True)
         if off > allowed
@@ -266,8 +268,8 @@ def cylinder_line(direction: np.ndarray, camera: float, lamp: float) -> float:
 
     Args:
         direction: unit vector from the axis to the lamp (3,).
-        camera: its distance, radii; infinite: orthographic.
-        lamp: the lamp's distance, radii.
+        camera: distance of the camera, radii; infinite for an orthographic one.
+        lamp: distance of the lamp, radii.
     """
     q, w = (0.0 if math.isinf(d) else 1 / d for d in (camera, lamp))
     normal = np.array([0.0, 0.0, 1.0])

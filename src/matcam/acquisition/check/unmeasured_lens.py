@@ -10,20 +10,23 @@ GUESSED_LENS = Stated(0.5, 0.35)
 up to 1.2 px.
 """
 BY_SHAPE = 0.01
-"""Unexplained share of the light above which the blurs of lens and lobe, which differ in shape only, are not separated."""
+"""Unexplained share of the light above which the blurs of lens and lobe, which differ in shape only, are not
+separated.
+"""
 
 
 def unmeasured_lens() -> str:
     """Describe the treatment of a lens without a profile in a reconstruction."""
     return (
-        f"the lens is taken as {GUESSED_LENS.value:g} +- {GUESSED_LENS.std:g} px and fitted; where no lobe explains the "
-        f"pictures to {BY_SHAPE:.0%}, it keeps this error, and the roughness gets it"
+        f"the lens is assumed to be {GUESSED_LENS.value:g} +- {GUESSED_LENS.std:g} px and is fitted; if no lobe explains the "
+        f"images to {BY_SHAPE:.0%}, it keeps this error, which adds to that of the roughness"
     )
 
 
 def lens_sigma(camera: Camera | None) -> float:
-    """Return the standard deviation of the lens of a camera, px, or the guess for a lens that is not Gaussian or has no
-    profile.
+    """Return the standard deviation of the lens of a camera, px.
+
+    It is `GUESSED_LENS` for a lens that is not Gaussian or has no profile.
     """
     known = {} if camera is None else camera.parameters()
     return float(known.get("optics.sigma_px", GUESSED_LENS.value))

@@ -27,17 +27,18 @@ class RadiusByHighlights(NamedTuple):
     """Radius from the highlights of known lamps, compared with that of the outline.
 
     Attributes:
-        row: of the centre of the sphere by the highlights, px.
-        column: likewise.
-        radius: by the highlights if lamps and camera are distant, px.
+        row: row of the centre of the sphere from the highlights, px.
+        column: column of that centre, px.
+        radius: radius from the highlights if lamps and camera are distant, px.
         std: standard deviations of row, column and radius, px (3,).
         rms: rms distance of the highlights from their expected positions, px.
         mismatch: radius over that of the outline, less 1.
-        mismatch_std: its standard deviation, with that of the outline.
+        mismatch_std: standard deviation of `mismatch`, including that of the outline.
         inverse_distances: 1 / camera distance + 1 / lamp distance that would explain it, 1/radii.
-        inverse_distances_std: its standard deviation, 1/radii.
-        turn: of the axes of the table relative to the camera that would explain the centre, rad (3,), about x, y, z.
-        remarks: what a reader should know.
+        inverse_distances_std: standard deviation of `inverse_distances`, 1/radii.
+        turn: rotation of the axes of the table relative to the camera that would explain the centre, rad (3,), about x,
+            y, z.
+        remarks: warnings and limitations.
     """
 
     row: float
@@ -63,10 +64,10 @@ def radius_by_highlights(
     that are too narrow; the outline does.
 
     Args:
-        rows: of the highlights' mirror points, px (n,).
-        columns: likewise, px (n,).
+        rows: rows of the mirror points of the highlights, px (n,).
+        columns: columns of the mirror points, px (n,).
         lamps: known directions (n, 3).
-        ball: the sphere by its outline.
+        ball: the sphere from its outline.
         ball_std: standard deviations of its row, column and radius, px (3,). Default: 0.
 
     Returns:
@@ -143,8 +144,8 @@ class LampArc(NamedTuple):
     Attributes:
         axis: unit vector about which the arm turns (3,).
         opening: angle between axis and lamps, rad; pi/2 if the arm turns in a plane through the sphere's centre.
-        angles: of each lamp about the axis, rad (n,), from the first lamp.
-        directions: of the lamps on the arc, unit vectors (n, 3).
+        angles: angle of each lamp about the axis, rad (n,), from the first lamp.
+        directions: directions of the lamps on the arc, unit vectors (n, 3).
         rms: angle between given directions and the arc, rad.
         axis_std: standard deviation of the axis' direction and of the opening, rad (3,).
     """
@@ -169,7 +170,7 @@ def fit_arc(lamps: np.ndarray, *, std: float = np.radians(0.2), opening_std: flo
         The arc, with every lamp projected onto it.
 
     Raises:
-        FitError: fewer than three lamps, or lamps that are not on an arc.
+        FitError: there are fewer than three lamps, or they are not on an arc.
 
     Example:
         >>> turn = np.radians([5, 20, 40, 60, 80])
@@ -201,7 +202,7 @@ def fit_arc(lamps: np.ndarray, *, std: float = np.radians(0.2), opening_std: flo
     on = np.cos(opening) * about + np.sin(opening) * on
     rms = float(np.sqrt(np.mean(lamp_angles_apart(on, lamps) ** 2)))
     if rms > max(5 * std, np.radians(2.0)):
-        raise FitError(f"the lamps lie {np.degrees(rms):.1f} degrees rms beside one arc; give motion = 'free'")
+        raise FitError(f"the lamps lie {np.degrees(rms):.1f} degrees rms off one arc; give motion = 'free'")
     freedom = max(len(lamps) - 2, 1)
     spread = np.linalg.inv(found.jac.T @ found.jac) * max(1.0, 2 * found.cost / freedom)
     return LampArc(about, opening, angles, on, rms, np.sqrt(np.diag(spread)))
@@ -213,7 +214,7 @@ class TableVerdict(NamedTuple):
     Attributes:
         mistake: "none", "unexplained", or the name of the mistake.
         rms: angles between the highlights' lamps and the table as given, rad.
-        rms_explained: the same after correction of the mistake, rad.
+        rms_explained: `rms` after correction of the mistake, rad.
         remarks: description of a disagreement.
     """
 
@@ -228,13 +229,13 @@ _WORDS = {
     "x-flipped": "its x axis points left; x must point right",
     "z-flipped": "its z axis points away from the camera; z must point to it",
     "xy-swapped": "x and y are exchanged",
-    "xy-flipped": "x and y both point the other way: the picture is turned by 180 degrees",
+    "xy-flipped": "x and y both point the other way: the image is turned by 180 degrees",
     "light-reversed": "its vectors point from the lamp to the sample; they must point to the lamp",
     "normals": "its vectors are the normals at the highlights; they must point to the lamps",
     "halved": "its vectors lie at twice the angle: they were reflected twice",
     "degrees-as-radians": "its angles are degrees, read as radians",
     "radians-as-degrees": "its angles are radians, read as degrees",
-    "order-reversed": "its rows are in the reverse order of the pictures",
+    "order-reversed": "its rows are in the reverse order of the images",
 }
 
 
@@ -244,11 +245,11 @@ def explain_lamp_table(lamps: np.ndarray, table: np.ndarray) -> TableVerdict:
     Each mistake is applied to the lamps from the highlights; the one whose result matches the table is named.
 
     Args:
-        lamps: directions by the highlights (n, 3); NaN without one.
+        lamps: directions from the highlights (n, 3); NaN without a highlight.
         table: directions as given (n, 3).
 
     Returns:
-        The verdict; "none" if the table is right to 1.5 degrees rms.
+        The verdict; "none" if the table agrees within 1.5 degrees rms.
 
     Raises:
         ArgumentError: the shapes differ, or fewer than three lamps have a highlight.

@@ -18,12 +18,12 @@ class ProbeComparison(NamedTuple):
 
     Attributes:
         apart: angle between both probes' directions of each lamp, rad (n,).
-        rms: of these, rad.
-        displacement: of the second probe from the first over the lamps' distance, no unit (3,): x right, y up, z to the
-            camera.
-        left: rms of the angles that remain with one distance for all lamps, rad.
-        left_by_turn: rms of the angles that remain with a turn of the axes of one probe instead, rad.
-        remarks: the verdict in words.
+        rms: rms of `apart`, rad.
+        displacement: displacement of the second probe from the first, divided by the distance of the lamps, no unit
+            (3,): x right, y up, z to the camera.
+        left: rms of the residual angles with one distance for all lamps, rad.
+        left_by_turn: rms of the residual angles with a rotation of the axes of one probe instead, rad.
+        remarks: verdict as text.
     """
 
     apart: np.ndarray
@@ -35,14 +35,14 @@ class ProbeComparison(NamedTuple):
 
 
 def compare_probes(first: np.ndarray, second: np.ndarray) -> ProbeComparison:
-    """Compare the directions of the same lamps by two mirror balls.
+    """Compare the directions of the same lamps from two mirror balls.
 
-    Moved by d, a probe sees a lamp at a distance Q in the direction l turned by -(d - (d l) l) / Q. One distance for
-    all lamps has three unknowns, d / Q; so does a turn of the axes of one probe, the other common cause.
+    If a probe is displaced by d, the direction l of a lamp at distance Q changes by -(d - (d l) l) / Q. One distance
+    for all lamps has three unknowns, d / Q; so does a rotation of the axes of one probe, the other common cause.
 
     Args:
-        first: directions by one probe (n, 3).
-        second: by the other (n, 3).
+        first: directions from one probe (n, 3).
+        second: directions from the other probe (n, 3).
 
     Returns:
         The angles before and after each explanation.

@@ -1,4 +1,4 @@
-"""Reading of the exposures of lamp positions, several at a time, to determine the meaning of codes."""
+"""Reading of the exposures of lamp positions, several at a time, for the radiometric calibration."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ class ReadBracket(NamedTuple):
     Attributes:
         used: frames that can be used, in the order of the exposures.
         lacking: exposures without a usable frame.
-        sample: chosen pixels; None: no usable frame.
-        largest: code of all its frames, DN.
-        smallest: likewise.
-        remarks: what a reader should know, frames named.
+        sample: selected pixels; None without a usable frame.
+        largest: largest code of all its frames, DN.
+        smallest: smallest code of all its frames, DN.
+        remarks: warnings and limitations, with the names of the frames.
     """
 
     used: tuple[CaptureFrame, ...]
@@ -51,8 +51,8 @@ class BracketReading:
         capture: the capture.
         reader: the reader of frames.
         region: part of the frames that is used; None: the whole frame.
-        names: of the exposures.
-        darkness: of each exposure.
+        names: names of the exposures.
+        darkness: dark signal of each exposure.
         noise: standard deviation of one pixel's read noise, DN.
         kept: cache of results; None: no cache.
     """
@@ -135,7 +135,7 @@ class BracketReading:
                 continue
             shape = self._shape = self._shape or codes.shape
             if codes.shape != shape:
-                text = f"{path}: has {codes.shape[1]} x {codes.shape[0]} px, the frames before {shape[1]} x {shape[0]}"
+                text = f"{path}: has {codes.shape[1]} x {codes.shape[0]} px, the first frames {shape[1]} x {shape[0]}"
                 remarks.append(Remark("other-size", f"{text}; it was left out"))
                 continue
             if not np.isfinite(codes).all():

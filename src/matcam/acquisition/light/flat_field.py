@@ -1,7 +1,7 @@
 """Vignetting and pixel response non-uniformity, from frames of a uniform field.
 
-For each colour the mean of the flat frames, without dark, is a smooth field (vignetting, shadows of dust) times the
-deviation of each pixel. The deviation is shrunk according to the noise of the flat frames (James and Stein, as in
+For each colour the mean of the flat frames, less the dark signal, is a smooth field (vignetting, shadows of dust) times
+the deviation of each pixel. The deviation is shrunk according to the noise of the flat frames (James and Stein, as in
 darkness.py): two frames of 15,000 electrons determine a pixel to 0.6 %, and the pixels of a sensor differ by 1 %. The
 remaining uncertainty widens the errors of the merged values.
 """
@@ -40,8 +40,9 @@ class FlatField:
     """Response of the pixels, about 1 in the middle of the frames.
 
     Attributes:
-        response: of each pixel over the usual one of its colour, float32 (height, width); NaN: too small to be corrected.
-        std: its relative standard deviation, one for all pixels of a colour, (channels,).
+        response: response of each pixel relative to the typical one of its colour, float32 (height, width); NaN if it
+            is too small to be corrected.
+        std: relative standard deviation of `response`, one for all pixels of a colour, (channels,).
         reference: mean response over the reference region, by channel; 1 without one, (channels,).
         prnu: relative scatter of the pixels about the smooth field, no unit.
         frames: number of frames.
@@ -70,7 +71,7 @@ def measure_flat(
         reader: the reader of frames.
         capture: the capture.
         region: part of the frames that is used; None: the whole frame.
-        darkness: of the exposures of the sample.
+        darkness: dark signal of the exposures of the sample.
         clip: code above which a pixel is clipped, DN.
         gain: DN per electron.
         noise: read noise, DN.
@@ -126,7 +127,7 @@ def smooth_field(total: np.ndarray, of: np.ndarray) -> tuple[np.ndarray, float]:
     """Fit the smooth part of a flat frame at the pixels of one colour, and its level in the middle of the frame.
 
     Args:
-        total: flat frame without dark, (height, width).
+        total: dark-subtracted flat frame, (height, width).
         of: pixels of the colour, same shape.
     """
     powers = [np.vander(np.linspace(-1, 1, size), 5, increasing=True) for size in total.shape]  # of row and column
@@ -186,7 +187,7 @@ def _wrong(
     noise: float,
     shape: Sequence[int] | None,
 ) -> str:
-    """Describe what is wrong with a flat frame; empty: usable."""
+    """Describe the fault of a flat frame; empty if it is usable."""
     sizes = [read_exif(capture.folder / one.file).size for one in (frame, capture.of("frames")[0])]
     if shape not in (None, codes.shape) or (None not in sizes and sizes[0] != sizes[1]):
         return "a flat frame of another size than the frames of the sample"

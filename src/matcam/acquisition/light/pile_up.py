@@ -1,15 +1,15 @@
 """Pixels that pile up at the largest code of a frame: clipping below the largest code that the file can hold.
 
-Noise spreads the codes of equally bright pixels. Let sigma be the noise of a pixel at the largest code. A normal variable that
-exceeds a code exceeds it by less than w with probability 1 - exp(-z w / sigma) at most, where z is the number of standard
-deviations between its mean and the code (hazard of the normal distribution; z below `_HAZARD` in frames of 10^7 pixels). The
-n largest pixels of a frame therefore lie within w of each other with probability
+Noise spreads the codes of equally bright pixels. Let sigma be the noise of a pixel at the largest code. A normal
+variable that exceeds a code exceeds it by less than w with probability 1 - exp(-z w / sigma) at most, where z is the
+number of standard deviations between its mean and the code (hazard of the normal distribution; z below `_HAZARD` in
+frames of 10^7 pixels). The n largest pixels of a frame therefore lie within w of each other with probability
 
     p <= (1 - exp(-z w / sigma))^(n - 1),
 
 however bright, flat or structured the scene is: structure only spreads the codes further. Pixels are clipped where p is
-negligible. The bound needs a sigma that is not overestimated: it is measured in the frames, and where codes do not resolve the
-noise (renders without noise, pictures of 8 bits), p is close to 1 and nothing is concluded.
+negligible. The bound needs a sigma that is not overestimated: it is measured in the frames, and where codes do not
+resolve the noise (renders without noise, images of 8 bits), p is close to 1 and nothing is concluded.
 """
 
 from __future__ import annotations
@@ -23,22 +23,26 @@ import numpy as np
 from matcam.acquisition.exposure_ratios import ClipLevel
 
 _HAZARD = 5.5
-"""Largest hazard rate of a normal variable, in inverse standard deviations, up to 5.3 standard deviations above its mean: one
-pixel in 10^7."""
+"""Largest hazard rate of a normal variable, in inverse standard deviations, up to 5.3 standard deviations above its
+mean: one pixel in 10^7."""
 _IMPROBABLE = -9.0
-"""log10 of the probability below which a pile-up is clipping: one false alarm in 10^9 frames, so that a sigma overestimated
-twofold is still harmless."""
+"""log10 of the probability below which a pile-up is clipping: one false alarm in 10^9 frames, so that a sigma
+overestimated twofold is still harmless."""
 _SPREAD = 8.0
 """Width of a pile-up in read noises: noise that is added after the clipping spreads a thousand pixels over 7."""
 _FEW = 3
-"""Pixels of one code below which a frame is not examined: no probability bound reaches `_IMPROBABLE`."""
+"""Smallest number of pixels of one code in an examined frame: for fewer, no probability bound falls below
+`_IMPROBABLE`.
+"""
 _BINS, _IN_BIN = 12, 200
-"""Bins of brightness in which noise is measured, and the fewest pixels of one: 6 % accuracy of its standard deviation."""
+"""Number of brightness bins in which noise is measured, and smallest number of pixels of a bin: an accuracy of 6 %."""
 _ROBUST = 1.4826
 _LARGEST_SIDE = 1500
-"""Largest side of the part of a frame in which noise is measured, px; it bounds the time for frames of many megapixels."""
+"""Largest side of the part of a frame in which noise is measured, px; it bounds the time for frames of many
+megapixels.
+"""
 _HALF_FLOAT = 2.0**-11
-"""Relative spacing of half-precision numbers, the coarsest in which a float picture is stored."""
+"""Relative spacing of half-precision numbers, the coarsest in which a float image is stored."""
 
 
 class TopCodes(NamedTuple):
@@ -46,7 +50,7 @@ class TopCodes(NamedTuple):
 
     Attributes:
         level: largest code, DN.
-        same: number of pixels at it.
+        same: number of pixels with this code.
         near: number of pixels within the spread of a pile-up below it.
         median: median code of these, DN.
         height: `level` above dark, DN.
@@ -69,7 +73,7 @@ class PileUp(NamedTuple):
     """Common clip level of pile-ups in several frames.
 
     Attributes:
-        clip: the level.
+        clip: the common clip level.
         frames: indices of the frames that show it.
         apart: indices of the frames whose pixels pile up at another code.
     """
@@ -116,7 +120,7 @@ def find_pile_up(tops: Sequence[TopCodes], noise: float, gain: float) -> PileUp 
     """Find the code at which the brightest pixels of many frames pile up; None: noise explains all of them.
 
     Args:
-        tops: of all frames.
+        tops: brightest pixels of all frames.
         noise: read noise, DN.
         gain: DN per electron, for frames that do not determine it; NaN: unknown.
     """
@@ -144,12 +148,12 @@ def find_pile_up(tops: Sequence[TopCodes], noise: float, gain: float) -> PileUp 
 
 
 def _width(noise: float, unit: float) -> float:
-    """Width of the codes over which read noise spreads clipped pixels, DN."""
+    """Compute the width of the codes over which read noise spreads clipped pixels, DN."""
     return unit * math.ceil(_SPREAD * noise / unit)
 
 
 def _log_share(top: TopCodes, width: float, noise: float, gain: float) -> float:
-    """Return log10 of the bound of the probability that one more of the largest codes lies within `width`."""
+    """Compute log10 of the bound of the probability that one more of the largest codes lies within `width`."""
     own = top.gain if math.isfinite(top.gain) else gain
     sigma = math.sqrt(max(own * top.height, 0.0)) if math.isfinite(own) else 0.0
     if top.height < _SPREAD * noise or sigma <= width * 1e-6:
@@ -158,14 +162,14 @@ def _log_share(top: TopCodes, width: float, noise: float, gain: float) -> float:
 
 
 def _least_gain(light: np.ndarray, below: float, step: int, noise: float) -> float:
-    """Return a lower bound of photon noise variance over light, DN; NaN where too few pixels are lit.
+    """Compute a lower bound of photon noise variance over light, DN; NaN if too few pixels are lit.
 
     Second differences in both directions have 36 times a pixel's variance and vanish for light that is quadratic in
-    place. Structure only increases them, so the smallest value among bins of brightness is a lower bound in frames with
-    smooth parts, and 0 in frames without noise.
+    position. Structure only increases them, so the smallest value among bins of brightness is a lower bound in frames
+    with smooth parts, and 0 in frames without noise.
 
     Args:
-        light: part of a frame without dark, DN.
+        light: part of a dark-subtracted frame, DN.
         below: brightness above which pixels are left out, DN.
         step: distance of the nearest pixel of the same colour, px.
         noise: read noise, DN.

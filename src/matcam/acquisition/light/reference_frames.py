@@ -1,7 +1,7 @@
 """Reference in the frames of the sample, or in its own images (reference/).
 
 A separate image is taken before or after that of the sample, and the light of the lamp may change in between. The
-change is stated, or estimated from repeated images of one lamp position, or from the changes of light between lamp
+change is specified, or estimated from repeated images of one lamp position, or from the changes of light between lamp
 positions, which are further apart in time.
 """
 
@@ -37,7 +37,8 @@ class SeenReference(NamedTuple):
     Attributes:
         lamp: name of the lamp position.
         exposures: index of each frame's exposure among all, (k,); repeated where frames are.
-        light: mean over the reference in each frame and channel without dark, (k, channels), DN; NaN: absent, or clipped.
+        light: mean over the reference in each frame and channel without dark, (k, channels), DN; NaN: absent, or
+            clipped.
         pixels: number of pixels of each channel in that mean, (channels,).
     """
 
@@ -48,10 +49,10 @@ class SeenReference(NamedTuple):
 
 
 def in_sample_frames(samples: Sequence[BracketSample]) -> list[SeenReference]:
-    """Return the reference in the frames of the sample.
+    """Collect the reference in the frames of the sample.
 
     Args:
-        samples: of all lamp positions.
+        samples: samples of all lamp positions.
     """
     return [SeenReference(one.lamp, one.exposures, one.reference, one.reference_pixels) for one in samples]
 
@@ -71,12 +72,12 @@ def in_own_frames(
         capture: the capture.
         lamps: names of the required lamp positions.
         exposures: names of the sample's exposures, the shortest first.
-        darkness: of each exposure.
+        darkness: dark signal of each exposure.
         threshold: code above which a pixel is clipped, DN.
     """
     region, remarks = capture.reference_place, list[Remark]()
     if region is None:
-        text = "reference.region_px is not stated: the pictures in reference/ were not read"
+        text = "reference.region_px is not specified: the images in reference/ were not read"
         return [_unseen(lamp, len(reader.channels)) for lamp in lamps], [Remark("no-reference", text)]
     wrong: dict[str, list[str]] = {}
     found: dict[str, list[tuple[int, np.ndarray]]] = {lamp: [] for lamp in lamps}
@@ -118,7 +119,7 @@ def in_own_frames(
     ]
     lacking = [lamp for lamp, seen in found.items() if not seen and not grazing[lamp]]
     if lacking:
-        text = f"lamp{'s' * (len(lacking) > 1)} {some_of(lacking)}: no usable picture in reference/"
+        text = f"lamp{'s' * (len(lacking) > 1)} {some_of(lacking)}: no usable image in reference/"
         remarks.append(Remark("reference-missing", f"{text}; the value of lamp.gain_std is used"))
     return [
         SeenReference(lamp, np.array([k for k, _ in seen]), np.array([light for _, light in seen]), pixels)
@@ -145,7 +146,7 @@ def scatter_between(
 
     Source:
         Twice the variance of repeats, each lamp position and exposure with its own mean; otherwise the mean square of
-        the steps between successive lamp positions (von Neumann 1941), which includes drift. Both are widened as
+        the steps between successive lamp positions (von Neumann 1941), which includes drift. Both are widened by
         Student's distribution.
     """
     rows, values, variances = [], [], []
@@ -189,4 +190,4 @@ def _uneven(capture: Capture, frame: CaptureFrame, light: np.ndarray, region: Re
     if high < _UNEVEN * max(low, 0.0) or high - low < chance:
         return []
     text = f"{capture.folder / frame.file}: one half of reference.region_px is {low:.0f} DN bright, the other {high:.0f} DN"
-    return [Remark("reference-uneven", f"{text}: does {list(region)} reach beyond the reference?")]
+    return [Remark("reference-uneven", f"{text}: check that {list(region)} lies within the reference")]

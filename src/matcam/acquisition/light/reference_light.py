@@ -28,7 +28,8 @@ def reference_light(
         exposures: light of each exposure relative to the one that defines the unit of merged values.
         gain: DN per electron; not finite: merged values are DN.
         noise: read noise, DN.
-        response: of the pixels there over the mean, by channel, from flat frames, (channels,).
+        response: response of the pixels of the reference relative to the mean, by channel, from flat frames,
+            (channels,).
     """
     scale = gain.value if math.isfinite(gain.value) else 1.0
     found = {}
@@ -54,17 +55,18 @@ def lamp_output(
     noise: float,
     between: float = 0.0,
 ) -> dict[str, Stated]:
-    """Compute the light of the lamps from the reference, relative to its mean; the lamp of a diffuse one counts as
-    distant.
+    """Compute the light of the lamps from the reference, relative to its mean.
+
+    For a diffuse reference the lamp is assumed to be distant.
 
     Args:
-        capture: stated properties of reference and lamps.
+        capture: capture with the specified properties of reference and lamps.
         seen: the reference in the frames of each lamp position.
         exposures: light of each exposure relative to the one that defines the unit of merged values.
         gain: DN per electron; not finite: merged values are DN.
         noise: read noise, DN.
-        between: standard deviation of the change of light between a picture of the reference and one of the sample, relative.
-            Default: 0, one frame shows both.
+        between: standard deviation of the change of light between an image of the reference and one of the sample,
+            relative. Default: 0, one frame shows both.
     """
     diffuse = capture.settings["reference"] is not None and capture.settings["reference"]["kind"] == "diffuse"
     found: dict[str, Stated] = {}

@@ -3,10 +3,10 @@
 It is beside the sphere, or in separate images.
 
 A patch of reflectance R at p, with normal n, sends the radiance R/pi E g under a lamp with the irradiance E at the
-centre of the sphere: g = n.w / |w|^3, w = l - p/Q, l the lamp's direction and Q its distance (docs/model.md 10). So its
-recorded value is U G R/pi g: U the value per radiance under unit irradiance, G the light of the image over the mean.
-All ln G are 0 within the stated stability of the lamp. Position and tilt of the patch are common errors of all images;
-the directions of the lamps have independent ones.
+centre of the sphere: g = n.w / |w|^3 with w = l - p/Q, where l is the direction of the lamp and Q its distance
+(docs/model.md 10). Its recorded value is U G R/pi g, where U is the value per radiance under unit irradiance, and G the
+light of the image over the mean. All ln G are 0 within the specified stability of the lamp. Position and tilt of the
+patch are common errors of all images; the directions of the lamps have independent ones.
 """
 
 from __future__ import annotations
@@ -33,7 +33,8 @@ class ReferencePatch(NamedTuple):
         region: first column, first row, width, height in the whole frame, px.
         reflectance: no unit; None: unknown.
         depth: distance in front of the centre of the sphere, towards the camera, radii. Default: 0 +- 0.5.
-        tilt_std: standard deviation of its normal from the camera's axis, along each of two axes, rad. Default: 1 degree.
+        tilt_std: standard deviation of its normal from the camera's axis, along each of two axes, rad. Default: 1
+            degree.
     """
 
     region: Region
@@ -42,7 +43,7 @@ class ReferencePatch(NamedTuple):
     tilt_std: float = float(np.radians(1.0))
 
     def place(self, ball: MirrorBall, depth: float) -> np.ndarray:
-        """Return its position (3,), from the centre of the sphere in radii: x right, y up, z to the camera."""
+        """Compute its position from the centre of the sphere, radii (3,): x right, y up, z to the camera."""
         column, row, width, height = self.region
         across = np.array([column + (width - 1) / 2 - ball.column, ball.row - row - (height - 1) / 2]) / ball.radius
         q = 1 / ball.distance
@@ -54,9 +55,9 @@ class PatchLight(NamedTuple):
 
     Attributes:
         gain: light of each image over the mean, (pictures,).
-        covariance: of ln gain, (pictures, pictures).
-        units: of each channel, merged value per radiance under unit irradiance at the sphere's centre, with relative
-            standard deviation; None: the reflectance of the patch is unknown.
+        covariance: covariance of ln gain, (pictures, pictures).
+        units: units of each channel, merged value per radiance under unit irradiance at the sphere's centre, with
+            relative standard deviation; None if the reflectance of the patch is unknown.
         used: whether it is usable in each image, (pictures,).
     """
 
@@ -69,13 +70,14 @@ class PatchLight(NamedTuple):
 def patch_geometry(
     lamps: np.ndarray, nearness: float, place: np.ndarray, tilt: tuple[float, float] = (0.0, 0.0)
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Compute the irradiance on a patch over that at the centre of the sphere across the light, and the cosine on the
-    patch.
+    """Compute the relative irradiance on a patch, and the cosine of its incidence.
+
+    The irradiance is relative to that at the centre of the sphere across the light.
 
     Args:
         lamps: unit vectors from the sphere's centre, (n, 3).
-        nearness: one over the lamp's distance, radii; 0: distant.
-        place: of the patch, radii, (3,).
+        nearness: inverse distance of the lamp, 1/radii; 0 for a distant lamp.
+        place: position of the patch, radii, (3,).
         tilt: x and y of its normal over z, no unit. Default: it faces the camera.
 
     Example:
@@ -105,14 +107,14 @@ def patch_light(
 
     Args:
         patch: the patch.
-        light: its merged value in each picture and channel with standard deviation; NaN: not usable.
+        light: merged value of the patch in each image and channel with standard deviation; NaN if it is not usable.
         lamps: directions to the lamps, (pictures, 3).
         ball: the sphere, the origin of the position of the patch.
-        lamp_nearness: one over the lamp's distance, radii.
+        lamp_nearness: inverse distance of the lamp, 1/radii.
         lamp_std: standard deviation of each lamp's direction along each of two tangents, rad, (pictures,).
-        gain_std: stated relative scatter of the light of an image.
+        gain_std: specified relative scatter of the light of an image.
         exposure_std: relative standard deviation that exposure ratios add to the unit. Default: 0.
-        between: standard deviation of the change of light between a picture of the patch and one of the sphere, relative.
+        between: standard deviation of the change of light between an image of the patch and one of the sphere, relative.
             Default: 0, one frame shows both.
 
     Returns:
@@ -140,7 +142,7 @@ def patch_light(
     own = noise**2 + between**2
     for tangent in _tangents(at):
         own = own + (lamp_std[used] * (log_of(_turned(at, tangent), *start) - usual) / _STEP) ** 2
-    # unknowns: ln G of every picture, the patch's and the lamp's common errors, ln U
+    # unknowns: ln G of every image, the patch's and the lamp's common errors, ln U
     size = count + len(errors) + 1
     rows = np.zeros((used.sum(), size))
     rows[np.arange(len(rows)), np.flatnonzero(used)] = 1.0

@@ -1,4 +1,4 @@
-"""Reflection of the bright field behind a sphere, which makes its dark disc look smaller."""
+"""Reflection of the bright field behind a sphere, which reduces the apparent radius of its dark disc."""
 
 import numpy as np
 
@@ -11,11 +11,11 @@ _REACH_UNKNOWN = np.radians(3.0)
 def grazing_reflection(radius: float, reach: tuple[float, float] | None) -> tuple[float, float]:
     """Compute the shrinkage of a dark disc by the mirrored backlight, and its standard deviation, px.
 
-    A ray that grazes the limb at a distance t inside it is turned by 2 sqrt(2 t / radius). The sphere mirrors a field that
-    reaches E beyond the limb down to t = radius (1 - cos(E / 2)), there weighted with the Fresnel reflectance.
+    A ray that grazes the limb at a distance t inside it is turned by 2 sqrt(2 t / radius). The sphere mirrors a field
+    that extends E beyond the limb down to t = radius (1 - cos(E / 2)), there weighted with the Fresnel reflectance.
 
     Args:
-        radius: of the limb, px.
+        radius: radius of the limb, px.
         reach: E and its standard deviation, rad; None: unknown.
 
     Example:

@@ -1,4 +1,6 @@
-"""Search for the circle of the limb of a sphere without a start: pairs of edges whose normals meet in one centre."""
+"""Search for the circle of the limb of a sphere without initial values: pairs of edges whose normals meet in one
+centre.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,7 @@ _EDGES = 2500
 _PAIRS = 40000
 _TRIED = 600
 _BINS = 72
-_NEAR = 1.6  # px of the binned picture
+_NEAR = 1.6  # px of the binned image
 _STRAIGHT = 0.9  # cosine between an edge's normal and the circle's
 
 
@@ -21,8 +23,8 @@ class FoundCircle(NamedTuple):
     """Circle that edges lie on.
 
     Attributes:
-        row: of its centre, px.
-        column: of its centre, px.
+        row: row of the centre, px.
+        column: column of the centre, px.
         radius: px.
         coverage: share of its circumference with an edge.
     """
@@ -34,7 +36,7 @@ class FoundCircle(NamedTuple):
 
     @property
     def score(self) -> float:
-        """Length of the circumference with an edge, px."""
+        """Length of the part of the circumference with an edge, px."""
         return self.coverage * 2 * np.pi * self.radius
 
 
@@ -43,12 +45,12 @@ def find_circles(values: np.ndarray, std: np.ndarray, *, bright_inside: bool, mo
 
     Args:
         values: linear radiance (height, width); NaN for missing values.
-        std: its standard deviation.
+        std: standard deviation of `values`.
         bright_inside: True for a lit sphere, False for a dark one before a bright field.
         mosaic: whether neighbouring pixels have different colours.
 
     Returns:
-        Circles in px of the picture, of at least 0.15 of their circumference.
+        Circles, px of the image, with edges along at least 0.15 of their circumference.
     """
     bin_ = int(np.ceil(max(values.shape) / _LARGEST))
     bin_ += bin_ % 2 if mosaic else 0

@@ -9,7 +9,9 @@ import numpy as np
 from matcam.core.remark import Remark
 
 _EVEN = 0.05
-"""Share of the pixels at the largest code above which a field may be clipped; noise puts a few pixels of a frame there."""
+"""Share of the pixels at the largest code above which a field may be clipped; noise puts a few pixels of a frame
+there.
+"""
 _PIXEL = 0.29
 """px; standard deviation of a pixel: 1 / sqrt(12)."""
 
@@ -39,7 +41,7 @@ def hidden_by_clipping(path: Path, sigma: float) -> tuple[float, Remark]:
     B), 0 to 1.6 for fields of 1 to 10 times C.
 
     Args:
-        path: of the frame or the frames, for the remark.
+        path: path of the frame or the frames, for the remark.
         sigma: standard deviation of the lens's blur, px.
     """
     middle = 0.8 * float(np.hypot(sigma, _PIXEL))

@@ -12,7 +12,7 @@ from matcam.core.errors import FitError
 from matcam.files.photographs import open_photograph
 
 _STATED_STD = 0.5
-"""Standard deviation of a circle that is stated without one, px: it is usually read from a screen."""
+"""Standard deviation of a circle that is specified without one, px: such a circle is usually read from a screen."""
 _FEWEST = 100
 """Smallest number of pixels of a sphere in a mask."""
 _ROUND = 0.02
@@ -22,7 +22,7 @@ whose axes differ by 28 %, 6 % for a square.
 
 
 def stated_circle(centre: tuple[float, float], radius: float, std: float, sighting: Sighting, sigma: float) -> Outline:
-    """Convert a stated circle to an outline.
+    """Convert a specified circle to an outline.
 
     Args:
         centre: column and row, px.
@@ -48,14 +48,14 @@ def mask_outline(
         shape: width and height of the frames, px. Default: None, not checked.
 
     Raises:
-        FileFormatError: the picture cannot be read.
+        FileFormatError: the image cannot be read.
         FitError: it shows no disc, or its size is not that of the frames.
     """
     values = np.asarray(open_photograph(path).values, dtype=float)
     values = values.max(axis=2) if values.ndim == 3 else values
     if shape is not None and values.shape != shape[::-1]:
         raise FitError(
-            f"{path}: has {values.shape[1]} x {values.shape[0]} px, the frames {shape[0]} x {shape[1]}: "
+            f"{path}: has {values.shape[1]} x {values.shape[0]} px, the frames have {shape[0]} x {shape[1]}: "
             "give a mask of a whole frame"
         )
     bright = values > (values.min() + values.max()) / 2
@@ -64,7 +64,7 @@ def mask_outline(
     area = int(sphere.sum())
     if area < _FEWEST or (border != border[0]).any():
         raise FitError(
-            f"{path}: shows no disc inside of the frame: give a picture of two values, one of the whole sphere, one around it"
+            f"{path}: shows no disc inside of the frame: give an image of two values, one of the whole sphere, one around it"
         )
     rows, columns = np.nonzero(sphere)
     row, column, radius = float(rows.mean()), float(columns.mean()), float(np.sqrt(area / np.pi))

@@ -1,4 +1,4 @@
-"""Edges of a sphere's limb in a picture, one for each sector of azimuth, each found through the lens.
+"""Edges of a sphere's limb in an image, one for each sector of azimuth, each found through the lens.
 
 Just inside the limb the sphere is foreshortened: with t the distance from the limb, px, and r the limb's radius, the
 cosine of the viewing angle is sqrt(2 t / r) to first order. The light of a lit sphere there is therefore a series in
@@ -33,7 +33,7 @@ class LimbSectors(NamedTuple):
     """Edges of a limb, one for each sector.
 
     Attributes:
-        azimuth: of each sector's middle, from +column towards +row, rad (n,).
+        azimuth: azimuth of the middle of each sector, from +column towards +row, rad (n,).
         offset: distance of the edge outside the assumed curve, px (n,). NaN: no edge.
         std: standard deviation of `offset` by noise, px (n,).
         misfit: chi squared over degrees of freedom (n,).
@@ -56,8 +56,8 @@ class BlurredPowers:
 
     Args:
         sigma: standard deviation of the lens, px.
-        exponents: of the powers; the first must be 0, the step of light at the edge.
-        half_width: of the pixel, px. Default: 0.5.
+        exponents: exponents of the powers; the first must be 0, the step of light at the edge.
+        half_width: half width of the pixel, px. Default: 0.5.
         reach: largest distance, px. Default: 24.
         coated: radius of the limb, px, of a sphere under a clear coat, whose light falls towards the limb as the coat's
             transmittance does. Default: None, no coat.
@@ -128,11 +128,11 @@ class BandPixels(NamedTuple):
 
     Attributes:
         inside: distance inside the assumed curve, px (n,).
-        azimuth: from +column towards +row, rad (n,).
+        azimuth: azimuth, from +column towards +row, rad (n,).
         values: linear radiance (n,).
-        std: its standard deviation (n,).
+        std: standard deviation of `values` (n,).
         channel: index of the colour (n,).
-        radius: of the assumed curve, for the blur's curvature, px.
+        radius: radius of the assumed curve, for the blur's curvature, px.
     """
 
     inside: np.ndarray
@@ -144,7 +144,9 @@ class BandPixels(NamedTuple):
 
 
 def _channel_levels(pixels: BandPixels, channels: np.ndarray) -> np.ndarray:
-    """Compute the relative height of the step at the limb for the colour of each pixel, over that of the first colour."""
+    """Compute the relative height of the step at the limb for the colour of each pixel, over that of the first
+    colour.
+    """
     gain = np.ones(len(pixels.values))
     first = None
     for one in channels:
@@ -158,7 +160,8 @@ def _channel_levels(pixels: BandPixels, channels: np.ndarray) -> np.ndarray:
 
 
 def sector_edges(pixels: BandPixels, powers: BlurredPowers, count: int) -> LimbSectors:
-    """Fit the edge of every sector: Gauss-Newton for its position, with the coefficients of light solved for in each iteration.
+    """Fit the edge of every sector: Gauss-Newton for its position, with the coefficients of light solved for in each
+    iteration.
 
     Args:
         pixels: pixels near the limb.

@@ -27,11 +27,11 @@ class StraightOutline(NamedTuple):
     """Outline of an upright cylinder.
 
     Attributes:
-        column: of its axis at the middle row, px.
+        column: column of the axis at the middle row, px.
         radius: half the distance of its edges, px.
-        covariance: of column and radius, px^2 (2, 2).
-        lean: columns by which the axis moves per row.
-        remarks: what a reader should know.
+        covariance: covariance of column and radius, px^2 (2, 2).
+        lean: shift of the axis per row, columns.
+        remarks: warnings and limitations.
     """
 
     column: float
@@ -51,7 +51,7 @@ def straight_outline(
     """Find the two edges of an upright cylinder in front of a bright field.
 
     Args:
-        codes: linear picture, dark subtracted, (height, width).
+        codes: linear dark-subtracted image, (height, width).
         channel: index of each pixel's colour, same shape.
         origin: row and column of the first pixel in the frame. Default: (0, 0).
         reach: extent of the field beyond the outline, and its standard deviation, rad. Default: None, unknown.
@@ -68,7 +68,7 @@ def straight_outline(
     dark = levels.mean(axis=0) < (low + high) / 2
     inside = np.flatnonzero(dark)
     if high < _CONTRAST * max(low, 1e-3 * high) or not inside.size or inside.size < inside[-1] - inside[0] + 1 - 4:
-        raise FitError("outline: no upright dark stripe before a bright field; state sample.outline_radius_px")
+        raise FitError("outline: no upright dark stripe before a bright field; give sample.outline_radius_px")
     left, right = inside[0] - 0.5, inside[-1] + 0.5
     if left < _ABOUT or right > width - 1 - _ABOUT or right - left < 4 * _ABOUT:
         raise FitError(
@@ -114,7 +114,7 @@ def _levelled(codes: np.ndarray, channel: np.ndarray) -> np.ndarray:
 
 
 def _edge(levels: np.ndarray, start: float, side: int) -> float:
-    """Measure the position of an edge in a block of rows, px; side: -1, dark to its right, or 1."""
+    """Measure the position of an edge in a block of rows, px; side: -1 if the right side is dark, otherwise 1."""
     first = int(np.floor(start)) - _ABOUT
     columns = np.arange(max(first, 0), min(first + 2 * _ABOUT + 2, levels.shape[1]))
     profile = levels[:, columns].mean(axis=0)

@@ -53,7 +53,7 @@ class ExploreView:
         document: the page's document.
         downloads: registry of files to save.
         complain: function that shows one line.
-        files: what the user opened on the command line.
+        files: files that the user opened on the command line.
     """
 
     def __init__(self, document: Document, downloads: Downloads, complain: Any, files: Sequence[Path]):
@@ -243,7 +243,7 @@ class ExploreView:
             self._chosen[0].value = str(first)
 
     def _dropped(self, path: Path) -> None:
-        """List a file once its first material has been read; an unreadable one only gives a message."""
+        """List a file after its first material has been read; an unreadable file only produces a message."""
 
         def read() -> tuple[list[Openable], OpenedTable | None]:
             entries = entries_of(path)

@@ -98,7 +98,8 @@ def fresnel_of(table: OpenedTable, channel: int) -> dict[str, np.ndarray]:
     """Compute the curves of the Fresnel term over theta_d, each of mean 1 over 10 to 45 degrees.
 
     Returns:
-        `theta_d` in degrees, `recorded`, `corrected`, `low` and `high` (of a Fresnel term of `matcam fresnel`, its std).
+        `theta_d` in degrees, `recorded`, `corrected`, `low` and `high` (of a Fresnel term of `matcam fresnel`, its
+        std).
     """
     from matcam.inverse.peak_curve import peak_curve
 

@@ -26,7 +26,7 @@ _PLACES = (
 )  # fmt: skip
 _ABOUT = 1.12
 """Half the side of the displayed area about the outline, in its radii."""
-_MOST = 10_000  # pictures
+_MOST = 10_000  # images
 
 
 @dataclass(frozen=True)
@@ -34,8 +34,8 @@ class FittedPicture:
     """Image of a reconstruction.
 
     Attributes:
-        name: of its lamp position.
-        theta_d: at the highlight, rad.
+        name: name of its lamp position.
+        theta_d: difference angle at the highlight, rad.
         outline: column, row and radius of the fitted outline, px.
         highlight: column and row of the brightest fitted pixel, px.
         corner: first column and row of the window, px.
@@ -54,8 +54,8 @@ def fitted_pictures(name: str, data: xr.Dataset) -> list[FittedPicture]:
     """Return the images in the file of a reconstruction; none for other files.
 
     Args:
-        name: of the file, for messages.
-        data: its content.
+        name: name of the file, for messages.
+        data: content of the file.
 
     Raises:
         FileFormatError: its images are inconsistent.
@@ -72,7 +72,7 @@ def fitted_pictures(name: str, data: xr.Dataset) -> list[FittedPicture]:
             and all(one.shape == (count,) and np.isfinite(one).all() for one in places.values())
             and all(one.shape == (count, rows, columns) for one in windows.values())
         ):  # fmt: skip
-            raise ValueError("its pictures must have one outline, highlight and window each")
+            raise ValueError("its images must have one outline, highlight and window each")
     except (KeyError, ValueError, TypeError) as error:
         raise FileFormatError(f"{name}: damaged: {error}") from None
     return [
@@ -127,7 +127,7 @@ class Shot:
         top, bottom = (int(np.clip(edge, 0, height)) // 2 * 2 for edge in (row - reach, row + reach + 2))
         if right - left < 2 or bottom - top < 2:
             raise FileFormatError(
-                f"{self.label}: {width} x {height} px: does not contain the fitted outline: is it of this capture?"
+                f"{self.label}: {width} x {height} px: does not contain the fitted outline: open the capture of this result"
             )
         shown, step = drawn_values(values[top:bottom, left:right], linear=True)
         high, wide = shown.shape
@@ -150,6 +150,6 @@ def shots_of(picture: FittedPicture, captures: Sequence[Capture]) -> list[Shot]:
     if not found:
         folders = ", ".join(one.folder.name for one in captures)
         raise FileFormatError(
-            f"{folders}: no photograph of lamp position {picture.name}: was the folder moved or changed?"
+            f"{folders}: no photograph of lamp position {picture.name}: check whether the folder was moved or changed"
         )
     return found

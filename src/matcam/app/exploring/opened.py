@@ -30,13 +30,13 @@ class OpenedTable:
 
     Attributes:
         name: label.
-        recorded: table (theta_h, theta_d, phi_d, channel), 1/sr; None: unknown. corrected: the same as corrected; None:
-            there is none.
-        std: standard deviation of corrected, 1/sr; None: there is none.
-        supported: mask of supported entries of corrected; None: unknown.
+        recorded: recorded table (theta_h, theta_d, phi_d, channel), 1/sr; None: unknown.
+        corrected: corrected table of the same shape, 1/sr; None: there is none.
+        std: standard deviation of `corrected`, 1/sr; None: there is none.
+        supported: mask of supported entries of `corrected`; None: unknown.
         record: record of a run; {}: not from a run.
         curve: a Fresnel term from `matcam fresnel` over theta_d; None: there is none.
-        pictures: of a reconstruction, with outlines, highlights and windows.
+        pictures: images of a reconstruction, with outlines, highlights and windows.
     """
 
     name: str

@@ -6,8 +6,8 @@ Messages of Dask are pickles: access to a scheduler or a worker permits running 
 workers listen on this machine alone; an address tls://... uses the certificates of Dask's configuration
 (docs/batch.md).
 
-Workers must see the folder of the run and the inputs under the same names, and have the same versions of numerical
-packages; both are checked before any work.
+Workers must be able to access the folder of the run and the inputs under the same names, and have the same versions of
+numerical packages; both are checked before any work.
 """
 
 from __future__ import annotations
@@ -169,9 +169,9 @@ def _task_outcome(future: Any, job: Job) -> Outcome:
     try:
         return future.result()._replace(source=job.source)
     except KilledWorker as error:
-        return Outcome(job.source, 0.0, f"{job.source}: {error.allowed_failures + 1} workers that held it died")
+        return Outcome(job.source, 0.0, f"{job.source}: {error.allowed_failures + 1} workers died while they ran it")
     except CancelledError:
-        return Outcome(job.source, 0.0, f"{job.source}: the scheduler was lost, or took the task back")
+        return Outcome(job.source, 0.0, f"{job.source}: the scheduler was lost, or cancelled the task; run again")
     except Exception as error:  # a worker may even fail to read a task
         reason = " ".join(f"{type(error).__name__}: {error}".split())
         return Outcome(job.source, 0.0, f"{job.source}: the cluster failed: {reason}")
@@ -197,7 +197,7 @@ def _check_workers(client: Any, folder: Path) -> int:
                 )
         if not report["sees"]:
             raise ClusterError(
-                f"worker {address} does not see {folder}: workers need the run's folder under the same name"
+                f"worker {address} cannot access {folder}: workers need the run's folder under the same name"
             )
     threads = client.nthreads()
     for address, number in threads.items():
@@ -210,7 +210,7 @@ def _check_workers(client: Any, folder: Path) -> int:
 
 
 def _worker_report(path: str) -> dict[str, Any]:
-    """Return the versions of a worker, and whether it sees a file."""
+    """Report the versions of a worker, and its access to a file."""
     return {"versions": versions(), "sees": is_file(Path(path))}
 
 

@@ -199,7 +199,9 @@ def _serve(pipe: connection.Connection) -> None:
 
 
 def _end_with_parent() -> None:
-    """End this worker when its parent dies, because its result would be lost, and the next run may process the same file."""
+    """End this worker when its parent dies, because its result would be lost, and the next run may process the same
+    file.
+    """
     parent = multiprocessing.parent_process()
     if parent is not None:
         connection.wait([parent.sentinel])

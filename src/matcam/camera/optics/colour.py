@@ -26,10 +26,10 @@ class ColourOptics(VaryingOptics):
         red: lens of the first channel.
         green: lens of the second.
         blue: lens of the third.
-        red_shift: of the image of the first channel relative to the optical axis, (right, up), px: lateral colour,
-            uniform over the image. Default: none.
-        green_shift: of the second channel's. Default: none.
-        blue_shift: of the third channel's. Default: none.
+        red_shift: shift of the image of the first channel relative to the optical axis, (right, up), px: lateral
+            colour, uniform over the image. Default: none.
+        green_shift: shift of the second channel. Default: none.
+        blue_shift: shift of the third channel. Default: none.
 
     Raises:
         ArgumentError: a lens is not Optics, or has colours itself; a shift is not a pair within 100 px.

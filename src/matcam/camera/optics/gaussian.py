@@ -4,8 +4,8 @@ With mtf(f) = sum_j w_j exp(-2 pi^2 sigma_j^2 f^2) the kernels have closed forms
 halos round them. A lens whose MTF ends at a cutoff is smoother in frequency than any finite sum of Gaussians can be:
 with sum |w_j| <= 50 no choice of widths approximates a perfect lens, through a full pixel of 4.73 um at 550 nm, better
 than 1.5e-4 / 6e-4 / 2.4e-3 at f/2.8 / 8 / 16 (tests/camera/test_gaussian_sum.py finds that limit by linear
-programming). The least squares here, 24 terms, reach 8e-4 / 1.9e-3 / 5.2e-3. For higher accuracy, integrate over
-frequencies (`fourier`).
+programming). The least-squares fit with 24 terms has errors of 8e-4 / 1.9e-3 / 5.2e-3. For higher accuracy, integrate
+over frequencies (`fourier`).
 """
 
 from __future__ import annotations
@@ -51,7 +51,8 @@ class GaussianOptics(Optics):
     """Gaussian point spread function, the lens of the paper.
 
     Args:
-        sigma: standard deviation of the point spread function, px, positive. The paper assumes 0.5 px for the MERL camera.
+        sigma: standard deviation of the point spread function, px, positive. The paper assumes 0.5 px for the MERL
+            camera.
 
     Raises:
         ArgumentError: sigma is not positive, or not a single number.
@@ -106,8 +107,8 @@ class GaussianSum(Module):
         weights: signed, of sum 1, shape (n,).
         sigmas: standard deviations, px, shape (n,).
         error: largest difference of its MTF from the lens's, over all frequencies.
-        total_error: the same after a pixel of 100 % fill, in the direction with the largest transfer: the visible
-            error. Errors of fitted components add up.
+        total_error: `error` after a pixel of 100 % fill, in the direction with the largest transfer: the error of an
+            image. Errors of fitted components add up.
     """
 
     weights: jax.Array
@@ -163,8 +164,8 @@ def few_gaussians(optics: Optics) -> GaussianSum:
 
 
 _Widths = Callable[["jax.Array"], tuple["jax.Array", int, np.ndarray]]
-"""Function of a band, cycles/px, to the narrowest width, px, the number of Gaussians, and the weights of frequencies of
-the grid.
+"""Function that maps a band, cycles/px, to the narrowest width, px, the number of Gaussians, and the weights of the
+frequencies.
 """
 
 

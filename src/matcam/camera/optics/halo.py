@@ -28,8 +28,8 @@ class HaloOptics(Optics):
     PSF = (1 - fraction) core + fraction halo. Highlights are 1e3 to 1e6 times brighter than their surroundings: a
     fraction of 1e-3 looks like haze.
 
-    The core may itself have a halo, because stray light of several ranges is a sum of Gaussians. The outer halo's share is
-    then taken from the inner lens as a whole.
+    The core may itself have a halo, because stray light of several ranges is a sum of Gaussians. The outer halo's share
+    is then taken from the inner lens as a whole.
 
     Args:
         core: the lens without its glare.

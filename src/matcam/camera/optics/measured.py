@@ -31,9 +31,9 @@ class MeasuredOptics(Optics):
     (wavelength f_number) is always such a point.
 
     Args:
-        frequency: of the samples, cycles/px, increasing from 0, shape (n,), n >= 4.
-        mtf: of the optics there, no unit, 1 at frequency 0, at most 1.05, shape (n,). The pixel must not be in it: divide
-            a total MTF by the pixel's first.
+        frequency: frequencies of the samples, cycles/px, increasing from 0, shape (n,), n >= 4.
+        mtf: MTF of the optics at these frequencies, no unit, 1 at frequency 0, at most 1.05, shape (n,). It must not
+            include the pixel: divide a total MTF by that of the pixel first.
 
     Raises:
         ArgumentError: shapes do not match, frequencies do not increase from 0, or the curve is not an MTF.
@@ -72,7 +72,7 @@ class MeasuredOptics(Optics):
             largest = np.max(np.abs(samples))
             if largest > 1.05:
                 raise ArgumentError(
-                    f"mtf must not exceed 1 (1.05 with noise), got {largest:g}: is the picture sharpened?"
+                    f"mtf must not exceed 1 (1.05 with noise), got {largest:g}: use an image without sharpening"
                 )
             ends_at_zero = bool(abs(samples[-1]) <= _ZERO)
         self.frequency = tuple(f.tolist())
@@ -132,10 +132,11 @@ class MeasuredOptics(Optics):
 
 @compiled_by_jax
 def _spline(x: jax.Array, y: jax.Array, at: jax.Array) -> jax.Array:
-    """Return the cubic spline through (x, y), shape (n,), n >= 4, whose third derivative is continuous next to the ends.
+    """Return the cubic spline through (x, y), shape (n,), n >= 4, whose third derivative is continuous next to the
+    ends.
 
-    Its slopes solve a tridiagonal system (de Boor 1978, chapter IV, "not-a-knot"), so that memory is linear in n; the solution
-    is linear in y, and derivatives pass through it.
+    Its slopes solve a tridiagonal system (de Boor 1978, chapter IV, "not-a-knot"), so that memory is linear in n; the
+    solution is linear in y, and derivatives pass through it.
     """
     width, rise = xp.diff(x), xp.diff(y) / xp.diff(x)
     first, last = x[2] - x[0], x[-1] - x[-3]

@@ -56,7 +56,9 @@ def piecewise_rule(edges: np.ndarray, order: int = ORDER) -> Rule:
 
 
 def split_rule(borders: np.ndarray, knots: np.ndarray) -> Rule:
-    """Build `piecewise_rule` on panels that are split at knots; a piece gets nodes in proportion to its share of the panel."""
+    """Build `piecewise_rule` on panels that are split at knots; a piece gets nodes in proportion to its share of the
+    panel.
+    """
     edges = np.union1d(borders, knots)
     left, right, widths = edges[:-1], edges[1:], np.diff(edges)
     panel = np.clip(np.searchsorted(borders, left, side="right") - 1, 0, borders.size - 2)
@@ -192,7 +194,8 @@ class Optics(Module):
     combination, the *effective* one (`Camera`). They are different types so that none can be applied twice.
 
     Attributes:
-        profile_fields: {name with its unit in a camera profile: attribute}, in the order of the constructor's arguments.
+        profile_fields: {name with its unit in a camera profile: attribute}, in the order of the constructor's
+            arguments.
     """
 
     profile_fields: ClassVar[Mapping[str, str]]
@@ -201,8 +204,8 @@ class Optics(Module):
     def psf(self, x: ArrayLike, y: ArrayLike) -> jax.Array:
         """Return the optical point spread function, 1/px^2; the pixel is not in it.
 
-        It is the light on the sensor, per px^2, of a point of unit light, and integrates to 1. `Camera.psf` has the pixel in
-        it.
+        It is the light on the sensor, per px^2, of a point of unit light, and integrates to 1. `Camera.psf` includes
+        the pixel.
 
         Args:
             x: distance from the point's image along the rows, px; broadcasts with y.
@@ -298,7 +301,7 @@ def checked_isotropic(optics: Optics, what: str) -> Optics:
         return optics
     raise ArgumentError(
         f"{what} needs a lens with the same blur in all directions, colours and positions, not {type(optics).__name__}: "
-        "`picture` takes it, and so do tables of a sphere; elsewhere give the nearest such lens, as DefocusOptics or a "
+        "`picture` and tables of a sphere support it; elsewhere give the nearest such lens, as DefocusOptics or a "
         "mean MTF in MeasuredOptics"
     )
 

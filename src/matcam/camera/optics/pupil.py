@@ -34,7 +34,7 @@ class DiffractionOptics(Optics):
 
     Args:
         f_number: working f-number, no unit, positive.
-        wavelength: of the light, m, 1e-9 to 1e-3 (550 nm is 550e-9).
+        wavelength: wavelength of the light, m, 1e-9 to 1e-3 (550 nm is 550e-9).
         pixel_pitch: distance of the sensor's pixels, m, 1e-8 to 1e-2 (5 um is 5e-6).
 
     Raises:
@@ -133,9 +133,9 @@ class DefocusOptics(Optics):
 
     Args:
         f_number: working f-number, no unit, positive.
-        wavelength: of the light, m, 1e-9 to 1e-3.
+        wavelength: wavelength of the light, m, 1e-9 to 1e-3.
         pixel_pitch: distance of the sensor's pixels, m, 1e-8 to 1e-2.
-        blur_diameter: of the geometric circle of confusion, px, [0, 1000]; 0 is `DiffractionOptics`.
+        blur_diameter: diameter of the geometric circle of confusion, px, [0, 1000]; 0 is `DiffractionOptics`.
 
     Raises:
         ArgumentError: a parameter is out of range, or not a single number.
@@ -177,11 +177,12 @@ class DefocusOptics(Optics):
     def mtf(self, f: ArrayLike) -> jax.Array:
         """Return the transfer function, signed; optics only.
 
-        (4 / pi) integral from nu to 1 of cos(pi c f (u - nu)) sqrt(1 - u^2) du, nu = f / cutoff, c = blur_diameter. That is
-        the pupil's autocorrelation: the product of the pupil with itself, shifted by 2 nu, retains of the quadratic phase
-        the linear term 8 pi W020 nu u / wavelength = pi c f u.
+        (4 / pi) integral from nu to 1 of cos(pi c f (u - nu)) sqrt(1 - u^2) du, nu = f / cutoff, c = blur_diameter.
+        That is the pupil's autocorrelation: the product of the pupil with itself, shifted by 2 nu, retains of the
+        quadratic phase the linear term 8 pi W020 nu u / wavelength = pi c f u.
 
-        It is NaN for traced parameters whose c * cutoff exceeds 256, because the size of the quadrature is fixed before.
+        It is NaN for traced parameters whose c * cutoff exceeds 256, because the size of the quadrature is fixed
+        before.
         """
         frequency = xp.abs(checks.number("f", f))
         cutoff = self.focused.cutoff

@@ -28,14 +28,16 @@ class SeidelOptics(VaryingOptics):
 
     Args:
         f_number: working f-number, no unit, positive.
-        wavelength: of the light, m, 1e-9 to 1e-3.
+        wavelength: wavelength of the light, m, 1e-9 to 1e-3.
         pixel_pitch: distance of the sensor's pixels, m, 1e-8 to 1e-2.
-        unit: distance from the optical axis at which the coefficients hold, px, positive: such as half the picture's diagonal.
-        defocus: on the axis, waves rms, as `ZernikeOptics` has it. Default: 0.
-        astigmatism: at `unit`; positive: along the line to the axis, waves rms. Default: 0.
-        coma: at `unit`; positive: the centroid is nearer to the axis than the sharpest part, waves rms. Default: 0.
+        unit: distance from the optical axis at which the coefficients apply, px, positive, such as half the image
+            diagonal.
+        defocus: defocus on the axis, waves rms, as in `ZernikeOptics`. Default: 0.
+        astigmatism: astigmatism at `unit`; positive: along the line to the axis, waves rms. Default: 0.
+        coma: coma at `unit`; positive: the centroid is nearer to the axis than the sharpest part, waves rms.
+            Default: 0.
         curvature: defocus at `unit` beyond that on the axis, waves rms. Default: 0.
-        spherical: waves rms. Default: 0.
+        spherical: spherical aberration, waves rms. Default: 0.
 
     Raises:
         ArgumentError: a parameter is out of range or not finite, or coefficients look like metres.
@@ -99,7 +101,7 @@ class SeidelOptics(VaryingOptics):
 
         Args:
             x: position from the optical axis, to the right, px.
-            y: the same upwards, px.
+            y: position from the optical axis, upwards, px.
 
         Raises:
             ArgumentError: the aberrations are too large there, or a position is not a finite number.
@@ -112,7 +114,7 @@ class SeidelOptics(VaryingOptics):
 
     @property
     def named_lenses(self) -> dict[str, Optics]:
-        """Return the lens at the centre of the picture."""
+        """Return the lens at the centre of the image."""
         return {"centre": self.at(0.0, 0.0)}
 
     def terms_at(self, x: ArrayLike, y: ArrayLike) -> jax.Array:
@@ -120,7 +122,7 @@ class SeidelOptics(VaryingOptics):
 
         Args:
             x: positions from the optical axis, to the right, px; broadcasts with y.
-            y: the same upwards, px.
+            y: positions from the optical axis, upwards, px.
         """
         right, up = (xp.asarray(a) / self.unit for a in (x, y))
         defocus = self.axial.defocus + self.curvature * (right**2 + up**2)

@@ -21,7 +21,7 @@ class VaryingOptics(Optics):
 
     @property
     def isotropic(self) -> bool:
-        """Check whether it is one isotropic lens, which it is not."""
+        """Return False, because it is not one isotropic lens."""
         return False
 
     @abstractmethod

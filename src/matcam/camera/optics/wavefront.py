@@ -63,9 +63,9 @@ def amplitude(terms: jax.Array, x: jax.Array, y: jax.Array, sizes: tuple[int, in
     """Compute the mean over the pupil of exp(2 pi i (W + p . x)).
 
     Args:
-        terms: of the wavefront, (8,), waves rms.
-        x: positions on the sensor, (places,), in half periods of the cutoff.
-        y: the same.
+        terms: terms of the wavefront, (8,), waves rms.
+        x: horizontal positions on the sensor, (positions,), in half periods of the cutoff.
+        y: vertical positions, same shape and unit.
         sizes: numbers of nodes along the radius and the circumference.
     """
     node, weight = np.polynomial.legendre.leggauss(sizes[0])

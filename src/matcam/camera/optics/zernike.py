@@ -51,11 +51,12 @@ class ZernikeOptics(Optics):
 
     Args:
         f_number: working f-number, no unit, positive.
-        wavelength: of the light, m, 1e-9 to 1e-3.
+        wavelength: wavelength of the light, m, 1e-9 to 1e-3.
         pixel_pitch: distance of the sensor's pixels, m, 1e-8 to 1e-2.
         defocus: sqrt(3) (2 rho^2 - 1), Noll's term 4, waves rms. Default: 0. A sensor dz m behind the focus has
             dz / (16 sqrt(3) f_number^2) m of it.
-        astigmatism: (along x, along the diagonal), sqrt(6) rho^2 (cos 2t, sin 2t), terms 6 and 5, waves rms. Default: none.
+        astigmatism: (along x, along the diagonal), sqrt(6) rho^2 (cos 2t, sin 2t), terms 6 and 5, waves rms.
+            Default: none.
         coma: (x, y), sqrt(8) (3 rho^3 - 2 rho) (cos t, sin t), terms 8 and 7, waves rms. Default: none.
         trefoil: (x, y), sqrt(8) rho^3 (cos 3t, sin 3t), terms 10 and 9, waves rms. Default: none.
         spherical: sqrt(5) (6 rho^4 - 6 rho^2 + 1), term 11, waves rms. Default: 0.
@@ -118,7 +119,7 @@ class ZernikeOptics(Optics):
 
     @property
     def isotropic(self) -> bool:
-        """Check whether it is isotropic, which it is not."""
+        """Return False, because aberrations depend on the direction."""
         return False
 
     @property
@@ -186,8 +187,8 @@ class ZernikeOptics(Optics):
     def otf(self, fx: ArrayLike, fy: ArrayLike) -> jax.Array:
         """Return the transfer function in the plane, complex; optics only.
 
-        It is the integral of psf(x, y) exp(-2 pi i (fx x + fy y)): the autocorrelation of the pupil function, by Gauss-Legendre
-        over the overlap of two shifted discs. Its error is below 1e-8, or 1e-6 for many frequencies.
+        It is the integral of psf(x, y) exp(-2 pi i (fx x + fy y)): the autocorrelation of the pupil function, by
+        Gauss-Legendre over the overlap of two shifted discs. Its error is below 1e-8, or 1e-6 for many frequencies.
         """
         right, up = xp.broadcast_arrays(*checks.broadcastable(fx=fx, fy=fy))
         nu = xp.hypot(right, up) / self.cutoff
@@ -266,7 +267,7 @@ def check_phase(terms: AnyArray) -> None:
     """Check that aberrations are within the range of the quadratures.
 
     Args:
-        terms: of the wavefront, (8,), waves rms.
+        terms: terms of the wavefront, (8,), waves rms.
 
     Raises:
         ArgumentError: the wavefront error may be too large.

@@ -60,7 +60,9 @@ def either(condition: Any, some: Callable[..., T], others: Callable[..., T], *ar
 
 
 def last_of(step: Callable[[Any, Any], tuple[Any, T]], state: Any, inputs: Any) -> T:
-    """Loop over inputs with a state, and return the result of the last step. step: takes state and input, returns both anew."""
+    """Loop over inputs with a state, and return the result of the last step. step: function of state and input that
+    returns the new state and a result.
+    """
     if has_jax(state):
         jax = import_module("jax")
         return jax.tree.map(lambda a: a[-1], jax.lax.scan(step, state, inputs)[1])
@@ -98,8 +100,9 @@ their argument.
 
 
 def jacobian(function: Callable[[Any], Any], at: Any) -> Any:
-    """Compute the derivatives of a function by the elements of a vector, on a last axis: of an array, or of each of a
-    tuple.
+    """Compute the derivatives of a function by the elements of a vector, on an additional last axis.
+
+    The function returns an array, or a tuple of arrays, each of which gets its derivatives.
 
     For arrays of NumPy they are finite differences.
     """

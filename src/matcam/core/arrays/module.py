@@ -70,7 +70,9 @@ def constructor_call(thing: Any) -> str:
 
 
 _MOST_SHOWN = 16
-"""Entries of an array that a `repr` writes out: four rows of four. Of more it states shape and range."""
+"""Entries of an array that a `repr` writes out: four rows of four. A larger array is described by its shape and
+range.
+"""
 
 
 def _in_words(value: Any) -> str:
@@ -92,8 +94,8 @@ def replaced(module: M, path: str, value: Any) -> M:
 
     Args:
         module: the object.
-        path: of the attribute, such as "core.sigma".
-        value: its new value.
+        path: path of the attribute, such as "core.sigma".
+        value: new value of the attribute.
     """
     name, _, rest = path.partition(".")
     new = object.__new__(type(module))

@@ -1,5 +1,6 @@
-"""Encoding of the answers of reading processes: a length and JSON, in which arrays are numbered, then the bytes of each
-array.
+"""Encoding of the answers of reading processes.
+
+An answer is a length and JSON, in which arrays are numbered, followed by the bytes of each array.
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ def packed(value: Any, arrays: list[np.ndarray]) -> Any:
         return {"list": [packed(v, arrays) for v in value]}
     if value is None or isinstance(value, bool | int | float | str):
         return {"value": value}
-    raise TypeError(f"an answer cannot hold {type(value).__name__}")
+    raise TypeError(f"an answer cannot contain {type(value).__name__}")
 
 
 def _unpacked(value: Any, arrays: list[np.ndarray]) -> Any:

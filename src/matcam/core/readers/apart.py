@@ -4,13 +4,13 @@ Decoders of foreign formats (HDF5, OpenEXR, TIFF, PNG, JPEG, camera raw, Zarr) a
 input: a damaged or hostile file can make them crash, hang or fill the memory. Parsers of text are safe, but may require
 time and memory that grow faster than their file. Files are therefore read in a separate process:
 
-    this process  --request-->  nursery  --fork-->  child (limits, then one decoder, one file)
+    this process  --request-->  fork server  --fork-->  child (limits, then one decoder, one file)
                   <------------ result: JSON, then arrays as bytes ------------
-                  <-- end -------- (how the child ended)
+                  <-- end -------- (end of the child)
 
-The nursery is a small Python process without threads, started once; forking a child takes milliseconds. A child must
-not write files, and its answer is JSON and plain numbers, without pickle. On systems without fork (Windows), each file
-has a new process. Texts of a few kilobytes are parsed in this process, because their size bounds the cost.
+The fork server is a small Python process without threads, started once; forking a child takes milliseconds. A child
+must not write files, and its answer is JSON and plain numbers, without pickle. On systems without fork (Windows), each
+file has a new process. Texts of a few kilobytes are parsed in this process, because their size bounds the cost.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ class Limits(NamedTuple):
     Attributes:
         seconds: processor time; None: 2 s, and 1 s for every 5 MB of the file. Default: None.
         memory: bytes in addition to the memory of the process at its start; None: 512 MiB and 32 times the file, but at
-            most half of what is available now. Default: None.
+            most half of the available memory. Default: None.
         wall: wall-clock time, s; None: 30 times the processor time. Default: None.
     """
 
@@ -106,13 +106,13 @@ def read_apart(
 
     what: what the file should be, such as "a picture"; "": it may be a folder.
     libraries: modules that the decoder imports.
-    small: size of a file, bytes, up to which the decoder is called in this process, for decoders whose cost is bounded by the
-        size.
+    small: size of a file, bytes, up to which the decoder is called in this process, for decoders whose cost is bounded
+        by the size.
     size: bytes for the limits. Default: None, the size of the file; required if `path` is a folder.
 
-    The answer may consist of None, truth values, numbers, text, lists, dicts with text keys, and NumPy arrays. FileFormatError,
-    naming the file, where it is missing, exceeds a limit, or its decoder crashes or raises anything but an error of the family,
-    which is raised as it is.
+    The answer may consist of None, truth values, numbers, text, lists, dicts with text keys, and NumPy arrays.
+    FileFormatError, naming the file, where it is missing, exceeds a limit, or its decoder crashes or raises anything
+    but an error of the family, which is raised as it is.
     """
     limits = _limits.get()
     module, name = decoder.split(":")
@@ -155,7 +155,7 @@ def _answer_to(request: dict[str, Any], path: Path, memory: int, wall: float) ->
 class _EndedError(Exception):
     """The child ended before its answer was complete.
 
-    by: number of the signal that ended it; 0: normal exit; None: it or the nursery is gone or stopped.
+    by: number of the signal that ended it; 0: normal exit; None: it or the fork server is gone or stopped.
     """
 
     def __init__(self, by: int | None):
@@ -187,7 +187,7 @@ def _from_socket(
     nursery: subprocess.Popen[bytes], channel: socket.socket, status: socket.socket, deadline: float
 ) -> Callable[[int], bytearray]:
     def end() -> _EndedError:
-        """Determine how the child ended, which is known when its nursery has waited for it."""
+        """Determine the end of the child, which is known when the fork server has waited for it."""
         while not (ready := select.select([status], [], [], _A_MOMENT)[0]) and _is_running(nursery):
             pass
         said = status.recv(4) if ready else b""
@@ -244,7 +244,7 @@ _CAN_FORK = hasattr(os, "fork") and hasattr(socket, "send_fds")
 
 
 _A_MOMENT = 1.0
-"""Interval of the checks whether the nursery still runs, s: hardly noticeable for a user."""
+"""Interval of the checks of the fork server, s: hardly noticeable for a user."""
 
 
 def _is_running(process: subprocess.Popen[bytes]) -> bool:
@@ -265,7 +265,9 @@ class _Nursery:
         self.forget()
 
     def forget(self) -> None:
-        """Reset in a fork of this process, which must not share the nursery, or the lock that another thread may hold."""
+        """Reset in a fork of this process, which must not share the fork server, or the lock that another thread may
+        hold.
+        """
         self.lock = threading.Lock()
         self.process: subprocess.Popen[bytes] | None = None
         self.channel: socket.socket | None = None
@@ -321,7 +323,7 @@ if hasattr(os, "register_at_fork"):
 
 
 def _request(request: dict[str, Any]) -> tuple[subprocess.Popen[bytes], socket.socket, socket.socket]:
-    """Send a request; return its nursery, and the sockets for the answer and the end of the child."""
+    """Send a request; return its fork server, and the sockets for the answer and the end of the child."""
     channel, its_channel = socket.socketpair()
     status, its_status = socket.socketpair()
     with its_channel, its_status:

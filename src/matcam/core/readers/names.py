@@ -16,7 +16,9 @@ _LONGEST = 200
 
 
 def is_there(path: Path) -> bool:
-    """Check whether there is a file or folder. A name that the system rejects, such as one that is too long, does not exist."""
+    """Check whether there is a file or folder. A name that the system rejects, such as one that is too long, does not
+    exist.
+    """
     return os.path.exists(path)  # noqa: PTH110  # Path.exists raises an error for such a name
 
 
@@ -36,7 +38,7 @@ def is_link(path: Path) -> bool:
 
 
 def check_folder(path: Path, hint: str = "") -> None:
-    """Raise FileFormatError for a path that is not a folder; `hint` states what to give instead."""
+    """Raise FileFormatError for a path that is not a folder; `hint` names the alternative."""
     if is_there(path) and not is_folder(path):
         raise FileFormatError(f"{path}: is no folder{hint}")
     try:
@@ -77,7 +79,7 @@ def listed_file(folder: Path, name: str, what: str) -> Path:
     """Return the path of a file that a document of a folder names.
 
     Args:
-        folder: of the document.
+        folder: folder of the document.
         name: relative to the folder, parts divided by "/".
         what: the folder in words, such as "the capture's folder".
 

@@ -1,4 +1,4 @@
-"""Processes that read files: a nursery that forks, and its children, each of which reads one file with limits."""
+"""Processes that read files: a fork server and its children, each of which reads one file with limits."""
 
 from __future__ import annotations
 
@@ -23,7 +23,9 @@ from matcam.core.io import reading
 from matcam.core.readers.answers import packed, write_answer
 
 _THREAD_STACK, _FREE_THREADS = 8 << 20, 16
-"""Address space of one thread, and number of threads that the memory of a file includes: libraries start one per processor."""
+"""Address space of one thread, and number of threads that the memory of a file includes: libraries start one per
+processor.
+"""
 
 
 def called(module: str, name: str, path: Path, options: dict[str, Any]) -> Any:

@@ -1,7 +1,7 @@
 """Labelled results: variables with unit and name, and the accessor `matcam` of their Datasets.
 
-`result.matcam.summary()` and `result.matcam.plot()` are for Datasets what the methods of the same names are for other results.
-Importing this module registers the accessor with xarray.
+`result.matcam.summary()` and `result.matcam.plot()` are for Datasets what the methods of the same names are for other
+results. Importing this module registers the accessor with xarray.
 """
 
 from __future__ import annotations
@@ -37,9 +37,9 @@ def named(data: D, texts: Mapping[str, str] | None = None) -> D:
     """Give variables and coordinates their attributes `long_name` and `units`, which xarray's plots and NetCDF use.
 
     Args:
-        data: a new result. Its attributes are set in place; a `long_name` or `units` that is there stays.
-        texts: name in words and unit of each variable and coordinate, "BRDF [1/sr]". Without a unit it is "1", a pure number,
-            as in the CF conventions. Default: None, only the coordinates that results share are named.
+        data: a new result. Its attributes are set in place; an existing `long_name` or `units` is kept.
+        texts: name in words and unit of each variable and coordinate, "BRDF [1/sr]". Without a unit it is "1", a pure
+            number, as in the CF conventions. Default: None, only the coordinates that results share are named.
 
     Returns:
         `data`.
@@ -58,7 +58,7 @@ def named(data: D, texts: Mapping[str, str] | None = None) -> D:
 
 
 class _Kind(NamedTuple):
-    """A kind of Dataset, known by some of its variables, which no other kind has."""
+    """Kind of Dataset, identified by variables that no other kind has."""
 
     name: str
     variables: frozenset[str]
@@ -78,7 +78,7 @@ _SUMMARIES: Registry[Any] = Registry(
         "prediction": "matcam.forward.prediction:prediction_summary",
     }
 )
-"""Function that summarises each kind of Dataset, imported when one is summarised."""
+"""Function that summarises each kind of Dataset, imported on first use."""
 
 
 @xr.register_dataset_accessor("matcam")
@@ -96,7 +96,7 @@ class DatasetAccessor(Summarised):
     def kind(self) -> str:
         """Kind of the result: "Fresnel term", "corrected table", "bounds" or "prediction".
 
-        ArgumentError where it is none of them.
+        ArgumentError if it is none of them.
         """
         names = set(map(str, self._data.variables))
         found = [kind.name for kind in _KINDS if kind.variables <= names]

@@ -1,7 +1,7 @@
 """Summaries of results: quantities with standard deviations as plain text, as HTML for notebooks, and as a figure.
 
-A result derives from `Summarised` and states its content once (`_summary`). Datasets have the same methods by an accessor
-(`matcam.core.results.labelled`).
+A result derives from `Summarised` and defines its content once (`_summary`). Datasets have the same methods by an
+accessor (`matcam.core.results.labelled`).
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 _MOST_ROWS = 12
-"""Quantities of one section that are shown. A measured MTF has hundreds of parameters, which nobody reads one by one."""
+"""Quantities of one section that are shown. A measured MTF has hundreds of parameters, which are too many to read."""
 _LEAST_CORRELATION = 0.1
 """Smallest correlation that is listed, as in lmfit: a smaller one changes a standard deviation by less than 1 %."""
 _WIDTH = 100
@@ -35,9 +35,9 @@ class Quantity(NamedTuple):
     """A named value of a result.
 
     Attributes:
-        name: of the quantity.
+        name: name of the quantity.
         value: the value, or a text.
-        std: standard deviation, in the value's unit. Default: NaN, none is stated.
+        std: standard deviation, in the value's unit. Default: NaN, none is given.
         unit: unit. Default: "", no unit, or the name has it.
     """
 
@@ -48,7 +48,7 @@ class Quantity(NamedTuple):
 
     @property
     def text(self) -> str:
-        """Value, standard deviation and unit, with as many digits as the standard deviation determines."""
+        """Format value, standard deviation and unit, with as many digits as the standard deviation determines."""
         if isinstance(self.value, str):
             return self.value
         unit = f" {self.unit}" if self.unit else ""
@@ -73,7 +73,7 @@ def with_std(value: float, std: float) -> str:
 
     Args:
         value: the value.
-        std: its standard deviation, positive.
+        std: standard deviation of `value`, positive.
 
     Example:
         >>> with_std(0.0051234, 0.000012)
@@ -144,7 +144,7 @@ def parameters(values: Mapping[str, Any], std: Mapping[str, Any]) -> list[Quanti
 
     Args:
         values: value of each by its name, which has the unit.
-        std: standard deviation of each by the same name; NaN and a missing one: none is stated.
+        std: standard deviation of each by the same name; NaN or missing: none is given.
     """
     return [Quantity(name, float(value), float(std.get(name, math.nan))) for name, value in values.items()]
 
@@ -153,7 +153,7 @@ def correlations(names: Iterable[str], covariance: np.ndarray) -> list[Quantity]
     """List the correlations of parameters from 0.1 on, the largest first.
 
     Args:
-        names: of the parameters.
+        names: names of the parameters.
         covariance: their covariance, (parameters, parameters).
 
     Example:
@@ -179,8 +179,8 @@ class Summarised:
         """Summarise the result in plain text.
 
         Returns:
-            Sections with quantities, their standard deviations and units; the correlations of fitted parameters; remarks. A
-            notebook shows the same as a table where a cell ends in the result.
+            Sections with quantities, their standard deviations and units; the correlations of fitted parameters;
+            remarks. A notebook shows the same as a table if a cell ends with the result.
         """
         return self._summary().text
 
@@ -211,7 +211,7 @@ def draw(kind: str, result: Any, ax: Axes | None, options: Mapping[str, Any]) ->
     """Draw a result.
 
     Args:
-        kind: of the result: the name of its class, or that of its kind of Dataset.
+        kind: kind of the result: the name of its class, or that of its kind of Dataset.
         result: the result.
         ax: Axes to draw on. None: those of a new figure.
         options: options of its figure.
