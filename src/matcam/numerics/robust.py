@@ -1,4 +1,4 @@
-"""Robust estimates: the scatter of values with outliers, and linear least squares without them."""
+"""Robust estimates: scatter of values with outliers, and linear least squares without outliers."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ import numpy as np
 from matcam.core.arrays import FloatArray
 
 _ROBUST = 1.4826
-"""Standard deviation of normal values over their median absolute value."""
+"""Ratio of the standard deviation of normal values to their median absolute value."""
 _FAR = 4.0
-"""Standard deviations above which a residual is an outlier: by chance once in 16,000."""
+"""Number of standard deviations above which a residual is an outlier. Normal values exceed it once in 16,000."""
 _ROUNDS = 4
-"""Fits, each without the outliers of the one before."""
+"""Number of fits, each without the outliers of the previous one."""
 
 
 class RobustFit(NamedTuple):
@@ -22,8 +22,8 @@ class RobustFit(NamedTuple):
     Attributes:
         parameters: fitted parameters, (k,).
         covariance: their covariance, from the standard deviations of the values, (k, k).
-        chi2: chi2 per degree of freedom: `covariance` times this follows from the scatter of the values.
-        kept: values that are no outliers, bool, (n,).
+        chi2: chi2 per degree of freedom. `covariance` times chi2 is the covariance from the scatter of the values.
+        kept: True for values that are not outliers, bool, (n,).
     """
 
     parameters: FloatArray
@@ -33,7 +33,7 @@ class RobustFit(NamedTuple):
 
 
 def robust_std(values: FloatArray) -> float:
-    """Estimate the standard deviation of values about 0, most of which are normal; outliers have no effect."""
+    """Estimate the standard deviation of values about 0, most of which are normal, from their median absolute value."""
     return _ROBUST * float(np.median(np.abs(values)))
 
 
@@ -45,14 +45,14 @@ def robust_fit(
     least: float = 1e-12,
     resolved: float = 1e-12,
 ) -> RobustFit:
-    """Fit values by least squares, and leave out those that are far from the fit.
+    """Fit values by least squares without those that are far from the fit.
 
     Args:
-        design: derivatives of the values by the parameters, (n, k).
+        design: derivatives of the values with respect to the parameters, (n, k).
         values: values, (n,).
         std: standard deviations of the values, (n,). Default: 1.0.
         least: smallest scatter, in units of `std`. Default: 1e-12.
-        resolved: smallest singular value of the design, relative to the largest: what has less is set to 0. Default: 1e-12.
+        resolved: singular values of the design below this share of the largest are set to 0. Default: 1e-12.
     """
     design, values = design / np.broadcast_to(std, len(values))[:, None], values / std
     kept = np.ones(len(values), bool)
