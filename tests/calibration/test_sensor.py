@@ -161,7 +161,7 @@ def test_wrong_series_are_refused_by_name(tmp_path):
     with pytest.raises(FileFormatError, match=r"flat_1.tif: has no exposure time .* as in flat_20ms_1.tif"):
         characterise_sensor(tmp_path)
     (tmp_path / "flat_1.tif").rename(tmp_path / "flat_1ms_1.tif")
-    with pytest.raises(FileFormatError, match="names no dark exposure"):
+    with pytest.raises(FileFormatError, match="contains no dark exposure"):
         characterise_sensor(tmp_path)
     tifffile.imwrite(tmp_path / "dark_1ms_1.tif", frame)
     with pytest.raises(ArgumentError, match="no lit exposure has two frames"):

@@ -78,7 +78,7 @@ def test_frames_are_read_in_part(tmp_path):
     write_tiff(tmp_path / "frames/a.tif", picture)
     assert (capture.read(capture.frames[0]).values == picture).all()
     assert (capture.read(capture.frames[0], (2, 4, 5, 2)).values == picture[4:6, 2:7]).all()
-    with pytest.raises(FileFormatError, match="of another size"):
+    with pytest.raises(FileFormatError, match="have the same size"):
         capture.read(capture.frames[0], (4, 0, 6, 6))
 
 
@@ -97,7 +97,7 @@ BAD_SETTINGS = {
     "profile outside": ({**SETTINGS, "camera": {"profile": "../camera.json"}}, "leads out of"),
     "strips of a sphere": (
         {**SETTINGS, "sample": {"strip_rows_px": [[0, 9]]}},
-        "field sample: .*strip_rows_px belongs to a cylinder, but kind is sphere",
+        "field sample: .*strip_rows_px applies only to a cylinder, but kind is sphere",
     ),
     "turns without strips": (
         {**SETTINGS, "sample": {"kind": "cylinder", "strip_rows_px": [[0, 9]], "strip_turn_deg": [0.0, 90.0]}},
@@ -129,19 +129,19 @@ BAD_ROWS = {
     "outside": (row("frames/../../x.tif", "L1", "20", "90", "E1", "0.01"), "leads out of", False),
     "absolute": (row("/etc/x.tif", "L1", "20", "90", "E1", "0.01"), "leads out of", False),
     "the folder": (row(".", "L1", "20", "90", "E1", "0.01"), "file '.' has a name that is not", False),
-    "elsewhere": (row("other/x.tif", "L1", "20", "90", "E1", "0.01"), "is in none of", True),
+    "elsewhere": (row("other/x.tif", "L1", "20", "90", "E1", "0.01"), "must lie in one of the folders", True),
     "twice": (ROWS[0], "a.tif: is listed twice", True),
     "angle": (row("frames/x.tif", "L3", "far", "0", "E1", "0.01"), "x.tif: angle_deg must be a number", True),
     "range": (row("frames/x.tif", "L3", "200", "0", "E1", "0.01"), "x.tif: angle_deg must lie in", True),
     "time": (row("frames/x.tif", "L3", "20", "0", "E1", "-1"), "x.tif: time_s must be", True),
-    "no lamp": (row("frames/x.tif", "", "20", "0", "E1", "1"), "x.tif: a frame needs its lamp", True),
+    "no lamp": (row("frames/x.tif", "", "20", "0", "E1", "1"), "x.tif: a frame needs a lamp", True),
     "lamp moved": (
         row("frames/x.tif", "L1", "25", "90", "E3", "1"),
-        "x.tif: lamp L1 has another position than before",
+        "x.tif: lamp L1 has another position than in an earlier line",
         True,
     ),
     "name": (row("frames/x.tif", "L 1;", "25", "90", "E3", "1"), "x.tif: lamp must be letters", True),
-    "suffix": (row("frames/x.txt", "L1", "20", "90", "E3", "1"), "x.txt: its suffix is not that of a picture", True),
+    "suffix": (row("frames/x.txt", "L1", "20", "90", "E3", "1"), "x.txt: its suffix is not that of an image", True),
     "other time": (row("frames/x.tif", "L3", "25", "90", "E2", "1"), "x.tif: exposure E2 has 1 s here and 0.04", True),
 }
 
@@ -257,7 +257,7 @@ def test_the_lamps_light_may_be_a_table(tmp_path):
 @pytest.mark.parametrize(
     ("light", "sections", "words"),
     [
-        (("1", "1", "", ""), TABLE, "states no intensity of lamp L2"),
+        (("1", "1", "", ""), TABLE, "gives no intensity of lamp L2"),
         (("1", "1", "2", ""), {"lamp": {"intensity": "constant"}}, "make it 'table'"),
         (("1", "1", "2", ""), {"lamp": {"intensity": "table"}}, "give the light once"),
         (("", "", "", ""), {"reference": None}, "there is no .reference."),

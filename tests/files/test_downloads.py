@@ -124,7 +124,7 @@ def test_progress_counts_to_the_end(server, tmp_path, source):
         ("brass", "folder", "the connection ended after 5119999 of 5120000 bytes"),
         ("silver", "folder", "SHA-256 differs"),
         ("silver", "database.zip", "SHA-256 differs"),
-        ("brass", "database.zip", "says that brass.binary has 15360000 bytes; the published one has 5120000"),
+        ("brass", "database.zip", "lists brass.binary with 15360000 bytes; the published file has 5120000"),
         ("nickel", "folder", "404"),
         ("nickel", "database.zip", "does not contain nickel.binary"),
         ("chrome", "broken.zip", "is not a zip archive"),

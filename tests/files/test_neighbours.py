@@ -87,9 +87,9 @@ def test_bird_documents_are_valid_by_the_schemas_of_the_project(tmp_path, sample
         (lambda d: d["data"]["BRDF"].update(unit=[1]), "data.BRDF.unit must be one of 1/sr"),
         (
             lambda d: d["data"]["adhoc_variables"]["channel"]["values"].__setitem__(0, "x" * 61),
-            "the name of a channel has more than 60 characters",
+            "the name of a channel must have at most 60 characters",
         ),
-        (lambda d: d["data"].pop("adhoc_variables"), "several values of one pair of directions"),
+        (lambda d: d["data"].pop("adhoc_variables"), "several readings have the same pair of directions"),
     ],
 )
 def test_damaged_bird_documents_are_refused(tmp_path, samples, change, message):
@@ -175,7 +175,7 @@ def test_wrong_light_positions_are_not_written(tmp_path):
         ("a.jpg", [0, 0, 0], "three finite numbers"),
         ("a.jpg", [0, np.nan, 1], "three finite numbers"),
         ("a.jpg", [0, 1], "three finite numbers"),
-        ("a\nb.jpg", [0, 0, 1], "a name of one line"),
+        ("a\nb.jpg", [0, 0, 1], "must be one line"),
     ):
         with pytest.raises(ArgumentError, match=message):
             write_light_positions(tmp_path / "a.lp", [LightPosition(name, np.array(position, float))])

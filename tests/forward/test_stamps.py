@@ -245,7 +245,7 @@ def test_highlights_of_a_rig(camera, lamp, degrees, azimuth, by_rig):
         ),
         (lambda: rig_highlights(NEAR, 0.01, [0.1, 0.2], [0.1, 0.2, 0.3]), "shapes that broadcast"),
         (lambda: rig_highlights(NEAR, 0.01, 0.5, reflectance=-1), "reflectance must lie in"),
-        (lambda: rig_highlights(Rig(NEAR.camera, Cylinder(20)), 0.01, 0.5), "need a Sphere, this rig has a Cylinder"),
+        (lambda: rig_highlights(Rig(NEAR.camera, Cylinder(20)), 0.01, 0.5), "need a Sphere, got a rig with a Cylinder"),
         (lambda: rig_highlights(NEAR.camera, 0.01, 0.5), "rig must be a Rig"),
         (
             lambda: rig_highlights(Rig(NEAR.camera, Sphere(20, 5), NearLamp(5)), 0.01, [0.5, 0.0]),

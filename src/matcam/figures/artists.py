@@ -1,4 +1,4 @@
-"""Artists: each draws one kind of result on one panel, which a user may give (`Summarised.plot`)."""
+"""Functions that draw one kind of result on one panel, for `Summarised.plot`."""
 
 from __future__ import annotations
 
@@ -26,15 +26,15 @@ if TYPE_CHECKING:
     from matcam.reconstruction.reconstruction import Reconstruction
 
 _SIZE = (7.5, 4.4)
-"""inches, of a figure of one panel."""
+"""Size of a figure of one panel, inches."""
 _COLOURS = {"R": "#C0392B", "G": "#009E73", "B": "#0072B2"}
-"""Colours of the channels; those of other names follow the cycle of the style."""
+"""Colours of the channels. Channels of other names follow the colour cycle of the style."""
 _SHOWN = np.pi / 4
-"""theta_d of the lobe that is drawn where none is chosen, rad: most tables hold a whole highlight there."""
+"""Default theta_d of the drawn lobe, rad. Most tables contain a complete highlight there."""
 
 
 def draw_camera(axes: Axes, camera: Camera) -> None:
-    """Draw the MTF of a camera along its rows and diagonal, and that of its lens."""
+    """Draw the MTF of a camera along its rows and diagonal, and the MTF of its lens."""
     from matcam.camera.optics.varying import VaryingOptics
 
     if isinstance(camera.optics, VaryingOptics):
@@ -78,7 +78,7 @@ def draw_correction(axes: Axes, done: Correction, theta_d: float = _SHOWN, chann
 
 
 def draw_corrected_table(axes: Axes, table: xr.Dataset, theta_d: float = _SHOWN, channel: int | None = None) -> None:
-    """Draw a lobe of a result of `correct` as `draw_correction` does; what was recorded is recovered from the result."""
+    """Draw a lobe of a result of `correct`, as recorded and as corrected; the record is recovered from the result."""
     from matcam.inverse.correction.corrected_table import recorded_table
 
     _draw_lobe(axes, table, theta_d, channel, recorded_table(table))
@@ -97,7 +97,7 @@ def _draw_lobe(axes: Axes, table: xr.Dataset, theta_d: float, channel: int | Non
 
 
 def draw_fresnel_term(axes: Axes, result: xr.Dataset, metal: str | None = None, channel: int | None = None) -> None:
-    """Draw raw and corrected F. metal: name of a metal whose tables are drawn, too. channel: index; None: the middle one."""
+    """Draw raw and corrected F. metal: name of a metal to compare with. channel: index; None: the middle one."""
     from matcam.inverse.fresnel_tables import tabulated_fresnel
 
     names = [str(name) for name in result["channel"].values]
@@ -109,10 +109,10 @@ def draw_fresnel_term(axes: Axes, result: xr.Dataset, metal: str | None = None, 
 
 
 def draw_bounds(axes: Axes, data: xr.Dataset) -> None:
-    """Draw the bounds of ln roughness over roughness, by what is known of the lens."""
+    """Draw the bounds of ln roughness over roughness, for each assumed knowledge of the lens."""
     for name, label, colour in (
         ("width_std", "lens exact", BLUE),
-        ("width_std_stated", "lens as its profile states", GREY),
+        ("width_std_stated", "lens as specified by its profile", GREY),
         ("width_std_free", "lens free", VERMILION),
     ):
         if np.isfinite(data[name].values).any():
@@ -131,7 +131,7 @@ def draw_reconstruction(axes: Axes, result: Reconstruction) -> None:
 
 
 def draw_flat_reconstruction(axes: Axes, result: FlatReconstruction, map: str = "diffuse") -> None:  # noqa: A002
-    """Draw one of the maps. map: "diffuse" or "specular"."""
+    """Draw one of the maps of a flat sample. map: "diffuse" or "specular"."""
     shown = result.maps[checks.choice("map", map, ("diffuse", "specular"))]
     x, y = shown["x"].values, shown["y"].values
     drawn = axes.imshow(
@@ -170,23 +170,23 @@ _ARTISTS: dict[str, Callable[..., None]] = {
     "Fresnel term": draw_fresnel_term,
     "prediction": draw_prediction,
 }
-"""Artist of each kind of result. The parameters after the first two are the options of `plot`."""
+"""Drawing function of each kind of result. Its parameters after the first two are the options of `plot`."""
 
 
 def draw(kind: str, result: Any, ax: Axes | None, options: Mapping[str, Any]) -> Axes:
-    """Draw a result on Axes by the artist of its kind.
+    """Draw a result on Axes by the function for its kind.
 
     Args:
-        kind: of the result.
+        kind: kind of the result.
         result: the result.
-        ax: Axes to draw on. None: those of a new figure of pyplot, which a notebook and plt.show() show.
-        options: options of the artist.
+        ax: Axes to draw on. None: Axes of a new figure of pyplot, which a notebook and plt.show() display.
+        options: options of the drawing function.
 
     Raises:
-        ArgumentError: this kind of result has no artist, `ax` is no Axes, or an option is unknown.
+        ArgumentError: there is no drawing function for the kind, `ax` is not an Axes, or an option is unknown.
     """
     if kind not in _ARTISTS:
-        raise ArgumentError(f"{kind} has no figure of one panel: draw its arrays")
+        raise ArgumentError(f"{kind} has no figure of one panel: use its arrays")
     artist = _ARTISTS[kind]
     known = list(inspect.signature(artist).parameters)[2:]
     for name in options:

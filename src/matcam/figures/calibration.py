@@ -28,8 +28,8 @@ def edge_figure(result: EdgeMTF, image: np.ndarray, roi: Sequence[int] | None, n
 
     Args:
         result: the result.
-        image: the picture in which it was measured, in any codes.
-        roi: region (x, y, width, height) px; None for the whole picture.
+        image: image in which it was measured, in any codes.
+        roi: region (x, y, width, height), px; None: the whole image.
         name: title.
     """
     with styled():
@@ -52,7 +52,7 @@ def edge_figure(result: EdgeMTF, image: np.ndarray, roi: Sequence[int] | None, n
 
 
 def _reach(result: EdgeMTF) -> float:
-    """Return the distance beyond which the edge has reached its levels, px."""
+    """Compute the distance beyond which the edge response is at its levels, px."""
     distance = np.linspace(0.5, 30, 60)
     line = result.lsf(distance).value
     return float(np.clip(2.2 * distance[line > 0.01 * line[0]].max(initial=2.0), 4, 30))
@@ -104,7 +104,7 @@ def _draw_lsf(axes: Axes, result: EdgeMTF, reach: float) -> None:
 
 
 def draw_edge_mtf(axes: Axes, result: EdgeMTF) -> None:
-    """Draw the MTF across an edge, free of a model and as a lens, with MTF50."""
+    """Draw the model-free and the parametric MTF across an edge, with MTF50."""
     fit, f = result.parametric, result.frequency
     axes.axhline(0, color=BLACK, lw=0.6)
     nyquist_line(axes)
@@ -145,12 +145,12 @@ def _draw_edge_residuals(axes: Axes, result: EdgeMTF) -> None:
 
 
 def calibration_figure(found: Calibration, picture: np.ndarray | None, lines: Sequence[str]) -> Figure:
-    """Draw a result of `calibrate`: edges in the picture, MTFs, residuals, blur over the field, lateral colour.
+    """Draw a result of `calibrate`: edges in the image, MTFs, residuals, blur over the field, lateral colour.
 
     Args:
         found: the result.
-        picture: the first picture, in any codes; None if there is none.
-        lines: the verdict, printed below.
+        picture: the first image, in any codes; None if there is none.
+        lines: lines of the verdict, printed below.
     """
     channel = found.channels[found.channel]
     edges = channel.edges if picture is not None else None
@@ -290,7 +290,7 @@ def targets_figure(samples: Sequence[MTFSamples], camera: Camera | None = None, 
 
     Args:
         samples: samples of all targets.
-        camera: camera to compare them with; a second panel then shows the differences in standard deviations. Default: None.
+        camera: camera to compare with; a second panel then shows the differences in standard deviations. Default: None.
         title: title. Default: "MTF".
     """
     with styled():
@@ -325,5 +325,5 @@ def targets_figure(samples: Sequence[MTFSamples], camera: Camera | None = None, 
             left.axhline(0, color=BLACK, lw=0.6)
             left.axhspan(-1, 1, color=GREY, alpha=0.2, lw=0)
             left.set(xlabel="frequency [cycles/px]", ylabel="target less camera / standard deviation [-]")
-            left.set_title("What they leave", loc="left")
+            left.set_title("Differences", loc="left")
     return figure

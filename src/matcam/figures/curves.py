@@ -22,11 +22,11 @@ _LIMIT = f"{100 * LOSS:g} % loss"
 def fresnel_figure(
     result: xr.Dataset, tables: xr.Dataset | None = None, title: str = "", channel: int | None = None
 ) -> Figure:
-    """Draw raw and corrected F over theta_d beside tabulated metals (left), and the share of the peak kept (right): Figure 6.
+    """Draw raw and corrected F over theta_d with tabulated metals (left), and the recorded share of the peak (right).
 
     Args:
-        result: from `fresnel`.
-        tables: from `tabulated_fresnel`; None for none. Default: None.
+        result: result of `fresnel`.
+        tables: result of `tabulated_fresnel`; None: no tables. Default: None.
         title: title. Default: source and channel.
         channel: index of the channel. Default: None, the middle one (green).
     """
@@ -61,7 +61,7 @@ def draw_fresnel(axes: Axes, result: xr.Dataset, tables: xr.Dataset | None, chan
         color=BLUE,
         lw=1,
         ls=(0, (1, 1.2)),
-        label="peak over the share kept (the paper's)",
+        label="peak over the recorded share (as in the paper)",
     )
     axes.fill_between(theta, corrected - std, corrected + std, color=BLUE, alpha=0.25, lw=0)
     axes.plot(theta, corrected, color=BLUE, lw=2, label="corrected: lobe fitted through the camera, ± 1 std")
@@ -211,13 +211,13 @@ def loss_figure(data: xr.Dataset) -> Figure:
 
 
 def draw_corrected_lobe(axes: Axes, table: xr.Dataset, recorded: xr.DataArray, at: tuple[Any, ...]) -> None:
-    """Draw the BRDF over theta_h as recorded and as corrected.
+    """Draw the recorded and the corrected BRDF over theta_h.
 
     Args:
-        axes: to draw on.
-        table: from `correct`.
+        axes: axes to draw on.
+        table: result of `correct`.
         recorded: the table that was corrected, 1/sr.
-        at: index into the tables that leaves theta_h.
+        at: index into the tables that selects all theta_h.
     """
     theta_h = np.degrees(recorded["theta_h"].values)
     before = recorded.values[at]

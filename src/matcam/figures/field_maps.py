@@ -18,7 +18,7 @@ COLOURS = {"R": VERMILION, "G": GREEN, "B": BLUE, "Y": BLACK, "grey": BLACK}
 """Colours in which channels are drawn."""
 _LONGER, _SHORTER = 8, 6  # parts along the sides of the picture
 _FEWEST = 2  # number of edges in a part, for robustness against one bad edge
-_ROUNDING = 0.02  # share of the width: a smaller range of colours would only show noise
+_ROUNDING = 0.02  # share of the width: a smaller range of colours would show only noise
 
 
 class BlurMap(NamedTuple):
@@ -28,7 +28,7 @@ class BlurMap(NamedTuple):
         x: borders of the columns, px.
         y: borders of the rows, px.
         sigma: median width of the lens as a Gaussian, px.
-        edges: their number (no unit).
+        edges: number of edges (no unit).
     """
 
     x: np.ndarray
@@ -55,7 +55,7 @@ def blur_map(edges: EdgeTable, shape: tuple[int, int]) -> BlurMap:
 
 
 def draw_blur_map(axes: Axes, edges: EdgeTable, shape: tuple[int, int], channel: str) -> None:
-    """Draw the blur in parts of the picture, with its values."""
+    """Draw the blur in parts of the image, with its values."""
     found = blur_map(edges, shape)
     axes.set_title(f"Blur in parts of the picture, {channel}: median sigma [px]", loc="left", parse_math=False)
     axes.grid(False)

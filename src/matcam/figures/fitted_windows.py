@@ -16,7 +16,7 @@ _WINDOW = ("picture", "window_row", "window_column")
 
 
 def fitted_windows(result: Reconstruction) -> xr.Dataset:
-    """Return outline, highlight and window of every picture of a sphere.
+    """Collect outline, highlight and window of every image of a sphere.
 
     Args:
         result: the reconstruction.
@@ -75,8 +75,9 @@ def fitted_windows(result: Reconstruction) -> xr.Dataset:
 
 
 def pinhole_slice(pinhole: xr.DataArray, theta_d: int, channel: int) -> np.ndarray:
-    """Compute a slice of a pinhole table over theta_h, 1/sr: the mean over phi_d, because few cells of one azimuth
-    contain a pixel.
+    """Compute a slice of a pinhole table over theta_h, 1/sr, as a mean over phi_d.
+
+    The mean is used because few cells of one azimuth contain a pixel.
 
     Args:
         pinhole: the table.

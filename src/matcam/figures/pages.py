@@ -1,7 +1,7 @@
-"""HTML pages of `correct`: one for a corrected table, and the index of a run over many.
+"""HTML pages of `correct`: page of a corrected table, and index of a run over many tables.
 
-Each is one file that can be read offline and kept with the data. The index can be sorted offline and links to the page
-of each material. Figures have fixed margins, because computing them would take half of the time of a page.
+Each page is one file that works offline and can be stored with the data. The index can be sorted and links to the page
+each material. Figures have fixed margins, because computing them would take half of the time of a page.
 """
 
 from __future__ import annotations
@@ -57,8 +57,8 @@ def write_correction_page(
     found = done.fit
     figures = [
         ("Fresnel term: from the recorded peak, and through the camera", reflectance_figure(raw, done)),
-        ("The lobe, as recorded and as a perfect camera would have measured it", lobe_figure(raw, done)),
-        ("A sphere in the light of one lamp, before and after", sphere_figure(raw, done)),
+        ("Lobe, as recorded and as a perfect camera would have measured it", lobe_figure(raw, done)),
+        ("Sphere under one lamp, before and after the correction", sphere_figure(raw, done)),
     ]
     content = {
         "name": name,
@@ -78,7 +78,7 @@ def write_correction_page(
 def reflectance_figure(raw: xr.DataArray, done: Correction) -> Figure:
     """Draw F over theta_d, free in every slice, beside the recorded peak times cos^2, in the middle channel.
 
-    Both are divided by their mean from 10 to 45 degrees.
+    Both curves are divided by their mean from 10 to 45 degrees.
     """
     curves = done.fit.curves
     channel = curves.sizes["channel"] // 2
@@ -132,7 +132,7 @@ def lobe_figure(raw: xr.DataArray, done: Correction) -> Figure:
 def sphere_figure(raw: xr.DataArray, done: Correction) -> Figure:
     """Draw a sphere under one lamp 50 degrees from the camera, before and after, and its highlight magnified.
 
-    The brightness of the sphere is logarithmic, that of the highlight is encoded for the screen; each row has one scale.
+    The sphere is drawn on a logarithmic scale, the highlight is encoded for the screen; each row has one scale.
     """
     tables = raw.values, done.table["brdf"].values
     zoom = highlight_zoom(*tables) or _CLOSER
@@ -173,7 +173,7 @@ class _Cell(NamedTuple):
         value: sort key of the column; "" is last.
         text: displayed text.
         link: address of the link; "" for none.
-        details: lines that open after a click on the text.
+        details: lines that are shown after a click on the text.
     """
 
     value: str
@@ -183,7 +183,7 @@ class _Cell(NamedTuple):
 
 
 class _Column(NamedTuple):
-    """Column of the index: lines of its head, "text" or "number", and a function from a record to its cell."""
+    """Column of the index: lines of its header, "text" or "number", and a function from a record to its cell."""
 
     head: tuple[str, ...]
     kind: str
@@ -199,15 +199,15 @@ def write_run_index(
     inline: bool = True,
     force: bool = False,
 ) -> None:
-    """Write the index of a run beside its files.
+    """Write the index of a run into the folder of its files.
 
     Args:
         path: HTML file to write.
         records: (name, content of NAME.json) of the finished materials, read one after the other. NAME.png and, if the
             record lists it, NAME.html are beside the index.
         failures: one line for each material that failed.
-        summary: common settings of all materials of the run, in words. Default: "".
-        inline: whether thumbnails are embedded in the page; otherwise it links to their files. Default: True.
+        summary: description of the common settings of all materials of the run. Default: "".
+        inline: True to embed thumbnails in the page, False to link to their files. Default: True.
         force: whether to replace the file. Default: False.
     """
     folder = Path(path).parent
@@ -237,7 +237,7 @@ def _material(record: dict[str, Any]) -> _Cell:
 
 
 def _verdict(record: dict[str, Any]) -> _Cell:
-    """Return the verdict in two words, which open the full text and the remarks."""
+    """Return the verdict in two words, with the full text and the remarks as details."""
     short = record.get("determination") or "not determined"
     verdict = record.get("verdict") or ""
     return _Cell(short, short, details=(verdict, *(remark["text"] for remark in record.get("remarks") or ())))
@@ -261,7 +261,7 @@ def _with_std(value: Any, std: Any, scale: float = 1.0) -> _Cell:
 
 
 def _lobe(record: dict[str, Any]) -> _Cell:
-    """Name the family of the lobe, and whether it is spline-modified."""
+    """Return the family of the lobe, marked if it is spline-modified."""
     words = f"bent {record['fit']['ndf']}" if record["fit"].get("bent") else str(record["fit"]["ndf"])
     return _Cell(words, words)
 
@@ -315,6 +315,6 @@ _COLUMNS = (
         lambda r: _number((r["fit"].get("noise") or {}).get("relative"), lambda x: f"{x:.1%}"),
     ),
     _Column(("lens left", "free (px)"), "number", _free_parameter(LENS)),
-    _Column(("lamp left free", "(degrees)"), "number", _free_parameter(LAMP, 180 / math.pi)),
+    _Column(("free lamp radius", "(degrees)"), "number", _free_parameter(LAMP, 180 / math.pi)),
     _Column(("time", "(s)"), "number", lambda r: _number((r.get("run") or {}).get("seconds"), lambda x: f"{x:.1f}")),
 )

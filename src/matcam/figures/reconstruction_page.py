@@ -1,4 +1,4 @@
-"""HTML page of a reconstruction: verdict, error budget, and figures for a critical check."""
+"""HTML page of a reconstruction: verdict, error budget, and figures to check the result."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def write_reconstruction_page(
         result: the reconstruction.
         name: title of the page.
         overview: an image in which the fitted outline and highlights are drawn. Default: None, not drawn.
-        exposures: name, relative light and its standard deviation of each exposure. Default: none.
+        exposures: name, relative light and standard deviation of the light of each exposure. Default: none.
         force: whether to replace the file. Default: False.
     """
     figures = _of_cylinder(result) if result.sample == "cylinder" else _of_sphere(result, overview)
@@ -89,7 +89,7 @@ def _of_sphere(result: Reconstruction, overview: MergedPicture | None) -> list[t
     figures = [
         ("Fresnel term: strengths of the pictures, and the curve through them", reflectance_figure(result)),
         (
-            "The lobe, as a perfect camera would have measured it, and as a pinhole reads the same pictures",
+            "Lobe, as a perfect camera would have measured it, and from the same images by the pinhole model",
             lobe_figure(result),
         ),
         ("Highlights: recorded, fitted, and residual", highlight_figure(result)),
@@ -100,7 +100,7 @@ def _of_sphere(result: Reconstruction, overview: MergedPicture | None) -> list[t
 
 
 def overview_figure(result: Reconstruction, picture: MergedPicture) -> Figure:
-    """Draw a picture of the sphere with the fitted outline and the mirror point of every lamp."""
+    """Draw an image of the sphere with the fitted outline and the mirror point of every lamp."""
     geometry = result.geometry
     column, row = geometry["centre_px"][0]
     radius = geometry["radius_px"][0]
@@ -169,7 +169,7 @@ def draw_reflectance(axes: Axes, result: Reconstruction) -> None:
 
 
 def lobe_figure(result: Reconstruction) -> Figure:
-    """Draw the BRDF over theta_h at several theta_d, phi_d = 90 degrees, and the pinhole's mean over phi_d beside it."""
+    """Draw the BRDF over theta_h at several theta_d, phi_d = 90 degrees, and the pinhole table averaged over phi_d."""
     grid = merl_grid("centre")
     theta_d = np.sort(np.degrees(result.fit.solution.theta_d))  # where a pinhole table has cells, too
     slices = [float(theta_d[k]) for k in np.unique(np.linspace(0, len(theta_d) - 1, 4).round().astype(int))]

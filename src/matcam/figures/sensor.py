@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 _LARGEST = 400  # px of a map as it is drawn
 _SPREAD = 3.0
-"""Number of standard deviations that the grey levels of a map span on either side of the mean."""
+"""Number of standard deviations that the grey levels of a map span on each side of the mean."""
 
 
 def sensor_figure(result: SensorCharacteristics, name: str) -> Figure:

@@ -1,4 +1,4 @@
-"""Images of spheres: from the entries of a table, as thumbnails before and after, rendered, or as simulated by a rig."""
+"""Images of spheres from the entries of a table, as thumbnails, rendered, or simulated for a rig."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def table_sphere(
         size: height and width, px.
         zoom: magnification about the highlight (no unit). Default: 1, the whole sphere.
         lamp: angle between lamp and camera, rad. Default: 50 degrees.
-        azimuth: of the lamp about the optical axis, from right towards up, rad. Default: 0.
+        azimuth: azimuth of the lamp about the optical axis, from right towards up, rad. Default: 0.
     """
     t = ((np.arange(size) + 0.5) / size * 2 - 1) / zoom
     half = lamp / 2
@@ -52,7 +52,7 @@ def table_sphere(
 def whole_sphere(values: np.ndarray, size: int) -> np.ndarray:
     """Compute the image of `table_sphere`, with an area average for the pixel of the highlight.
 
-    A highlight may be much narrower than a pixel, and lie between the centres of pixels.
+    The average is required because a highlight may be much narrower than a pixel and lie between pixel centres.
 
     Args:
         values: values of a table (theta_h, theta_d, phi_d, channel), 1/sr.
@@ -70,7 +70,7 @@ def encoded_for_screen(picture: np.ndarray, white: float) -> np.ndarray:
 
 
 def body_white(corrected: np.ndarray) -> float:
-    """Choose the radiance of white for a well exposed body of the sphere: its 99th percentile."""
+    """Choose the radiance of white for a well exposed body of the sphere, its 99th percentile."""
     lit = corrected[corrected > 0]
     return float(np.quantile(lit, 0.99)) if lit.size else 0.0
 
@@ -104,8 +104,8 @@ def logarithmic_range(*pictures: np.ndarray) -> tuple[float, float]:
 def logarithmic(picture: np.ndarray, black: float, white: float) -> np.ndarray:
     """Encode the radiance of `table_sphere` for a screen on a logarithmic scale, in [0, 1], on a grey background.
 
-    A mirror's highlight is 10^6 times brighter than its body: on a linear scale the image would be a dot on black. The
-    scale acts on the brightest channel; the ratios of the channels, which are the colour, are those of sRGB.
+    The highlight of a mirror is 10^6 times brighter than its body: on a linear scale the image would be a dot on black.
+    The scale applies to the brightest channel; the ratios of the channels are encoded as in sRGB.
 
     Args:
         picture: radiance (size, size, channel).
@@ -128,7 +128,7 @@ _INSET = 26
 _ZOOMS = (200.0, 60.0, 20.0, 6.0)
 """Magnifications of a highlight, from the finest cells of a table, 2e-4 rad, to a lobe of about 10 degrees."""
 _WHOLE = 0.3
-"""Share of its peak to which a highlight must fall at the border of an image that shows it completely."""
+"""Share of the peak to which a highlight must decrease at the border of an image that contains it completely."""
 
 
 def highlight_zoom(*tables: np.ndarray) -> float | None:

@@ -1,7 +1,8 @@
 """Style and writing of all figures and pages.
 
-pyplot is not used, because it has global state, and takes half a second to import. Colours: Okabe & Ito's, which
-colour-blind readers can distinguish. Pages are Jinja2 templates (templates/*.html), which escape all values.
+pyplot is not used, because it has global state and takes half a second to import. The colours are those of Okabe & Ito,
+which which colour-blind readers can distinguish. Pages are Jinja2 templates (templates/*.html), which escape all
+values.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ BLUE, VERMILION, GREEN, ORANGE, SKY, PURPLE, YELLOW, BLACK = (
 CYCLE = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY, BLACK)
 GREY = "#6E6E6E"
 _COLOUR_BAR = "<colorbar>"
-"""Label that Matplotlib gives to the axes of a colour bar, which is beside its panel and below the title of the panel."""
+"""Label of the axes of a colour bar in Matplotlib. They lie beside the panel and below its title."""
 _GAP = 10.0
 """Distance between titles of neighbouring panels, and tolerance of the height of panels of one row, dots."""
 _SMALLEST = 7.0
@@ -54,7 +55,7 @@ _RC: Any = {
 
 
 def styled() -> AbstractContextManager[None]:
-    """Return the context for drawing of every figure."""
+    """Return the style context in which every figure is drawn."""
     return matplotlib.rc_context(_RC)
 
 
@@ -103,7 +104,7 @@ def _end(figure: Figure, axes: Axes) -> float:
 
 
 def _fit(title: Text, room: float) -> bool:
-    """Fit a title into a width in dots. Return whether it was changed."""
+    """Fit a title into a width in dots; return True if it was changed."""
     width = title.get_window_extent().width
     if width <= room:
         return False

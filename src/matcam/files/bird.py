@@ -1,8 +1,8 @@
 """Universal BRDF data format (JSON) of the metrology institutes (EMPIR 16NRM08 BiRD, schemas of version 1.0).
 
-A document has "metadata" (who measured what with what) and "data": arrays of equal length with units, one entry per
-reading: theta_i, phi_i, theta_r, phi_r, BRDF, optionally its uncertainty uBRDF, wavelength_i, polarization_i and
-others.
+A document has "metadata" (laboratory, sample, instrument) and "data": arrays of equal length with units, one entry per
+reading. The arrays are theta_i, phi_i, theta_r, phi_r and BRDF; optional ones are the uncertainty uBRDF, wavelength_i,
+polarization_i and others.
 
 The reader arranges readings of one pair of directions as channels, one per wavelength and polarisation. The writer
 converts channels to the wavelengths in their names ("550 nm"), or otherwise to the ad hoc variable "channel".
@@ -36,14 +36,15 @@ _NANO = {"nm": 1.0, "μm": 1e3, "µm": 1e3, "um": 1e3}
 _MOST = 2_000_000
 """Largest number of readings that are written; each takes about 100 bytes."""
 _LONGEST_NAME = 60
-"""Largest number of characters in the name of a channel, as in a CSV of samples; each name takes the memory of the longest."""
+"""Largest number of characters in the name of a channel, as in CSV. Each name takes the memory of the longest."""
 _SPARSEST = 1000
-"""Largest number of cells of the resulting table per reading: it grows with the square of the readings if each has
-another pair of directions and another channel. The 50,000 readings of the largest document then take 400 MB.
+"""Largest number of cells of the resulting table per reading. The table grows with the square of the number of readings
+if each reading has another pair of directions and another channel. The 50,000 readings of the largest document then
+take 400 MB.
 """
 _NOT_STATED = "not stated"
 _GRAZING = 1e-9
-"""Smallest distance of written angles from 90 degrees, which the schema excludes."""
+"""Smallest difference between written angles and 90 degrees, which the schema excludes."""
 
 
 def read_bird(path: str | Path) -> xr.DataArray:
@@ -58,7 +59,7 @@ def read_bird(path: str | Path) -> xr.DataArray:
         "BRDF".
 
     Raises:
-        FileFormatError: the file is not such a document, or its arrays do not fit each other.
+        FileFormatError: the file is not such a document, or the lengths of its arrays differ.
 
     Example:
         >>> import tempfile, pathlib
@@ -86,7 +87,7 @@ def read_bird(path: str | Path) -> xr.DataArray:
     channel = _channels(path, data, len(values))
     names = list(dict.fromkeys(channel))
     if max(map(len, names)) > _LONGEST_NAME:
-        raise FileFormatError(f"{path}: the name of a channel has more than {_LONGEST_NAME} characters")
+        raise FileFormatError(f"{path}: the name of a channel must have at most {_LONGEST_NAME} characters")
     pairs = np.stack([np.mod(a, 2 * np.pi) for a in angles], axis=1).round(9)
     unique, first, place = np.unique(pairs, axis=0, return_index=True, return_inverse=True)
     order = np.argsort(np.argsort(first))  # pairs of directions in the order of the file
@@ -99,7 +100,7 @@ def read_bird(path: str | Path) -> xr.DataArray:
     column = np.array([number[one] for one in channel])
     row = order[place.reshape(-1)]
     if len(set(zip(row.tolist(), column.tolist(), strict=True))) < len(values):
-        raise FileFormatError(f"{path}: has several values of one pair of directions and channel")
+        raise FileFormatError(f"{path}: several readings have the same pair of directions and the same channel")
     table[row, column] = values
     kept = [a[np.sort(first)] for a in angles]
     return samples_from(table, [np.asarray(a) for a in half_and_difference(*kept)], names).assign_attrs(
@@ -110,11 +111,12 @@ def read_bird(path: str | Path) -> xr.DataArray:
 def write_bird(path: str | Path, samples: xr.DataArray, *, force: bool = False) -> None:
     r"""Write BRDF samples as a BiRD JSON file.
 
-    Required fields that the samples do not have (such as the laboratory) are written as "not stated".
+    Required fields that the samples lack (such as the laboratory) are written as "not stated".
 
     Args:
         path: file to write (.brdf).
-        samples: values in 1/sr as from `read_samples`, dims (sample, channel), with coordinates theta_h, theta_d, phi_d in rad.
+        samples: values in 1/sr as from `read_samples`, dims (sample, channel), with coordinates theta_h, theta_d, phi_d
+            in rad.
         force: replace an existing file. Default: False.
 
     Raises:
@@ -185,7 +187,7 @@ def _channels(path: Path, data: dict[str, Any], count: int) -> list[str]:
     if isinstance(own, dict) and isinstance(own.get("values"), list):
         parts.append([str(one) for one in own["values"]])
     if any(len(part) != count for part in parts):
-        raise FileFormatError(f"{path}: wavelengths, polarisations or channels are not as many as data.BRDF, {count}")
+        raise FileFormatError(f"{path}: wavelengths, polarisations and channels must have {count} values, as data.BRDF")
     return [" ".join(one) for one in zip(*parts, strict=True)] if parts else ["BRDF"] * count
 
 

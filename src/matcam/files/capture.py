@@ -1,13 +1,15 @@
 """Capture: a folder of photographs of a sample under a moved lamp, with a description of the rig.
 
-    capture.toml    description of the rig: units in the names, a value or [value, standard deviation] frames.csv
-    file,lamp,angle_deg,azimuth_deg,exposure,time_s     one line a picture; empty where it does not apply frames/
-    pictures of the sample, one for each lamp position and exposure dark/           lens covered, by exposure flat/
-    evenly lit, pairs of one exposure outline/        the sample before a bright field reference/      a white patch or
-    a monitor in pictures of its own, for a lamp position
+    capture.toml    description of the rig: units in the names, a value or [value, standard deviation]
+    frames.csv      file,lamp,angle_deg,azimuth_deg,exposure,time_s; one line per image, empty where not applicable
+    frames/         images of the sample, one for each lamp position and exposure
+    dark/           images with the lens covered, for each exposure
+    flat/           images of an evenly lit field, pairs of one exposure
+    outline/        images of the sample before a bright field
+    reference/      separate images of a white patch or a monitor, for each lamp position
 
-docs/capture.md lists the fields, `json_schema()` is the published schema (docs/capture-v1.schema.json). Bad settings are an
-error; a bad picture is left out and named in `Capture.problems`. Nothing outside of the folder is read.
+docs/capture.md lists the fields, `json_schema()` is the published schema (docs/capture-v1.schema.json). Wrong settings
+raise an error; a wrong image is left out and listed in `Capture.problems`. Nothing outside the folder is read.
 """
 
 from __future__ import annotations
@@ -41,7 +43,7 @@ _MOST = 20_000  # lines of frames.csv
 _NAME = re.compile(r"[\w.+-]{1,60}")
 
 Region = tuple[int, int, int, int]
-"""Part of a frame: first column, first row, width, height, px."""
+"""Region of a frame: first column, first row, width, height, px."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +54,7 @@ class Capture:
         folder: folder of the capture.
         frames: the usable images, in the order of `frames.csv`.
         lamps: lamp positions by name, in the same order.
-        settings: capture.toml, checked, with all defaults.
+        settings: checked content of capture.toml, with all defaults.
         problems: errors of the other images, each with its frame.
     """
 
@@ -72,7 +74,7 @@ class Capture:
 
     @property
     def exposures(self) -> list[str]:
-        """Return the exposures of the images of the sample, the shortest nominal time first."""
+        """Return the exposures of the images of the sample, in order of their nominal time."""
         times: dict[str, float] = {}
         for frame in self.of("frames"):
             times.setdefault(frame.exposure, frame.time)
@@ -124,7 +126,7 @@ class Capture:
 
     @property
     def direction_std(self) -> float:
-        """Return the standard deviation of the directions of the lamps: of each of two angles, rad."""
+        """Return the standard deviation of each of the two angles of the directions of the lamps, rad."""
         return math.radians(self.settings["lamp"]["direction_std_deg"])
 
     @property
@@ -135,19 +137,19 @@ class Capture:
 
     @property
     def reference_place(self) -> Region | None:
-        """Return the region of the reference in the frames of the sample or in its own; None: not given."""
+        """Return the region of the reference in the frames of the sample or in separate images; None: not given."""
         section = self.settings["reference"]
         return None if section is None or section["region_px"] is None else tuple(section["region_px"])
 
     @property
     def reference_apart(self) -> bool:
-        """Check whether the reference has its own images in reference/."""
+        """Check whether the reference has separate images in reference/."""
         section = self.settings["reference"]
         return section is not None and bool(section["apart"])
 
     @property
     def region(self) -> Region | None:
-        """Return the part of the frames that is used; None: the whole frame."""
+        """Return the region of the frames that is used; None: the whole frame."""
         box = self.settings["sample"]["region_px"]
         return None if box is None else tuple(box)
 
@@ -181,7 +183,7 @@ def _as_stated(pair: list[float] | None) -> Stated | None:
 def read_capture(folder: str | Path) -> Capture:
     """Read the description of a capture, and list its frames.
 
-    No picture is decoded. Missing or wrongly described frames are left out and listed in `problems`.
+    No image is decoded. Missing or wrongly described frames are left out and listed in `problems`.
 
     Args:
         folder: folder of `capture.toml` and `frames.csv`.
@@ -190,7 +192,7 @@ def read_capture(folder: str | Path) -> Capture:
         The capture.
 
     Raises:
-        FileFormatError: one of the two files is missing or wrong, or no frame can be used; the message names the field.
+        FileFormatError: a file is missing or wrong, or no frame can be used; the message names the field.
 
     Example:
         >>> read_capture("none")
@@ -223,7 +225,7 @@ def _check_light(folder: Path, settings: dict[str, Any], lamps: dict[str, LampGu
     if said == "table":
         if lacking:
             raise FileFormatError(
-                f"{path}: lamp.intensity is {said!r}, but {LIST} states no {INTENSITY} of lamp {some_of(lacking, 3)}"
+                f"{path}: lamp.intensity is {said!r}, but {LIST} gives no {INTENSITY} of lamp {some_of(lacking, 3)}"
             )
         if settings["reference"] is not None:
             raise FileFormatError(
@@ -312,7 +314,7 @@ def _listed(folder: Path) -> tuple[list[CaptureFrame], dict[str, LampGuess], lis
     for frame in frames:
         if not math.isnan(frame.time) and frame.time != times.setdefault(frame.exposure, frame.time):
             text = f"{folder / frame.file}: exposure {frame.exposure} has {frame.time:g} s here and "
-            text += f"{times[frame.exposure]:g} s before: give one name to one exposure"
+            text += f"{times[frame.exposure]:g} s in an earlier line: give each exposure its own name"
             problems.append(Remark("times-differ", text))
     return frames, lamps, problems
 
@@ -325,13 +327,13 @@ def _frame(
     path = _inside(folder, name)
     kind = PurePosixPath(name).parts[0]
     if kind not in KINDS or len(PurePosixPath(name).parts) != 2:
-        raise FileFormatError(f"{path}: is in none of {', '.join(KINDS)}")
+        raise FileFormatError(f"{path}: must lie in one of the folders {', '.join(KINDS)}")
     if name in seen:
-        raise FileFormatError(f"{path}: is listed twice")
+        raise FileFormatError(f"{path}: is listed twice: delete one of the lines")
     if not is_file(path):
         return None
     if path.suffix.lower() not in PICTURES:
-        raise FileFormatError(f"{path}: its suffix is not that of a picture")
+        raise FileFormatError(f"{path}: its suffix is not that of an image: convert the file to TIFF or PNG")
     values = {}
     for column in ("angle_deg", "azimuth_deg", "time_s"):
         try:
@@ -346,7 +348,7 @@ def _frame(
     lamp, guess = row["lamp"], None
     if kind == "frames":
         if not lamp or not row["exposure"]:
-            raise FileFormatError(f"{path}: a frame needs its lamp and its exposure")
+            raise FileFormatError(f"{path}: a frame needs a lamp and an exposure")
         if not (math.isnan(values["angle_deg"]) or 0 <= values["angle_deg"] <= 180):
             raise FileFormatError(
                 f"{path}: angle_deg must lie in [0, 180] degrees, from the axis to the camera, got {row['angle_deg']:.20}"
@@ -355,14 +357,14 @@ def _frame(
         guess = LampGuess(math.radians(values["angle_deg"]), math.radians(values["azimuth_deg"]), light)
         known = lamps.get(lamp)
         if known is not None and not np.allclose(known[:2], guess[:2], atol=1e-9, rtol=0, equal_nan=True):
-            raise FileFormatError(f"{path}: lamp {lamp} has another position than before")
+            raise FileFormatError(f"{path}: lamp {lamp} has another position than in an earlier line")
         if known is not None and known.intensity != guess.intensity:
-            raise FileFormatError(f"{path}: lamp {lamp} has another intensity than before")
+            raise FileFormatError(f"{path}: lamp {lamp} has another intensity than in an earlier line")
     return CaptureFrame(name, kind, lamp, row["exposure"], values["time_s"]), guess
 
 
 def _unlisted(folder: Path, frames: Iterable[CaptureFrame], problems: Iterable[Remark]) -> list[Remark]:
-    """Name the images of the folder that are not in frames.csv."""
+    """List the images of the folder that are not in frames.csv."""
     listed = {frame.file for frame in frames}
     named = {str(problem).partition(": ")[0] for problem in problems}
     extra: list[str] = []

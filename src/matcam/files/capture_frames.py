@@ -11,7 +11,9 @@ import numpy as np
 from matcam.core.errors import FileFormatError
 
 INTENSITY = "intensity"
-"""Name of the column that only a table of the light of lamps requires: one number, or one per colour."""
+"""Name of the column with the relative light of each lamp: one number, or one per colour. It is required only if
+lamp.intensity is "table".
+"""
 
 
 class CaptureFrame(NamedTuple):
@@ -20,7 +22,7 @@ class CaptureFrame(NamedTuple):
     Attributes:
         file: name inside the folder, such as "frames/L05_E2.tif".
         kind: "frames", "dark", "flat", "outline" or "reference": the name of its folder.
-        lamp: the lamp position; empty without one.
+        lamp: name of the lamp position; empty without one.
         exposure: name of the exposure; images of one exposure share their time.
         time: nominal exposure time, s; NaN: unknown.
     """
@@ -33,12 +35,12 @@ class CaptureFrame(NamedTuple):
 
 
 class LampGuess(NamedTuple):
-    """Stated direction of a lamp, seen from the centre of the sample.
+    """Specified direction of a lamp, seen from the centre of the sample.
 
     Attributes:
-        angle: between lamp and optical axis, rad; NaN: unknown.
-        azimuth: about the axis from +x (right) towards +y (up), rad; NaN: unknown.
-        intensity: the lamp's light, relative: one number, or one of each colour; empty: unknown.
+        angle: angle between lamp and optical axis, rad; NaN: unknown.
+        azimuth: azimuth about the axis from +x (right) towards +y (up), rad; NaN: unknown.
+        intensity: relative light of the lamp: one number, or one per colour; empty: unknown.
     """
 
     angle: float
@@ -53,7 +55,7 @@ class LampGuess(NamedTuple):
 
 
 def stated_intensity(path: Path, text: str) -> tuple[float, ...]:
-    """Parse the light of a lamp: positive numbers, with spaces between those of colours."""
+    """Parse the light of a lamp: one positive number, or one per colour with spaces between them."""
     try:
         light = tuple(float(part) for part in text.split())
     except ValueError:

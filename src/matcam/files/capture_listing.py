@@ -1,8 +1,8 @@
 """List of a capture from a folder of photographs: names, lamp positions, exposures and their times.
 
-Pictures in the folder itself, or in its subfolder frames/, show the sample; those in dark/, flat/, outline/ and
-reference/ are of the kind of their folder. Exposure times come from the files' metadata, directions from a light
-position file.
+Images in the folder itself, or in its subfolder frames/, are images of the sample. Images in dark/, flat/, outline/ and
+reference/ are of the kind of their folder. Exposure times are read from the metadata of the files, directions of the
+lamp from a light position file.
 """
 
 from __future__ import annotations
@@ -27,21 +27,21 @@ from matcam.files.photographs import PICTURES, open_photograph
 from matcam.files.picture_header import exposure_time
 
 _SAME_TIME = 1.1
-"""Ratio of two exposure times below which they are one exposure: steps of a third of a stop are 1.26."""
+"""Ratio of two exposure times below which they are one exposure. Steps of a third of a stop have a ratio of 1.26."""
 _SAME_LAMP = math.radians(0.01)
-"""Angle between two directions below which a light position file gives one lamp position."""
+"""Angle between two directions of a light position file below which they are one lamp position."""
 _SPLIT = re.compile(r"(?P<lamp>.+)[_-](?P<exposure>[^_-]+)")
 _MOST_EXPOSURES = 12
 
 
 @dataclass
 class Listing:
-    """List of a capture's pictures.
+    """List of the images of a capture.
 
     Attributes:
         rows: lines of frames.csv by column.
-        copies: picture -> its name in the capture.
-        notes: remarks, and fields that the user should fill in.
+        copies: dict from image to its name in the capture.
+        notes: remarks, and fields to fill in.
     """
 
     rows: list[dict[str, Any]] = field(default_factory=list)
@@ -49,14 +49,14 @@ class Listing:
     notes: list[str] = field(default_factory=list)
 
     def copy_to(self, folder: Path, *, force: bool = False) -> None:
-        """Copy the pictures into the folder of the capture; those that exist already are kept.
+        """Copy the images into the folder of the capture; existing equal files are kept.
 
         Args:
-            folder: of the capture.
-            force: replace other files of these names (no unit). Default: False.
+            folder: folder of the capture.
+            force: replace different files of these names (no unit). Default: False.
 
         Raises:
-            OutputError: a file of that name is there, or cannot be written.
+            OutputError: a different file of that name exists, or a file cannot be written.
         """
         wanted = [(source, folder / name) for source, name in self.copies.items()]
         wanted = [(source, target) for source, target in wanted if source.resolve() != target.resolve()]
@@ -78,7 +78,7 @@ def list_photographs(source: str | Path, light_positions: str | Path | None = No
 
     Args:
         source: folder of photographs.
-        light_positions: `.lp` file with the lamp of each. Default: None, the one in the folder, if there is one.
+        light_positions: `.lp` file with the lamp of each photograph. Default: None, the file in the folder, if any.
 
     Returns:
         The list.
@@ -99,7 +99,7 @@ def list_photographs(source: str | Path, light_positions: str | Path | None = No
         path.name for path in _files(source) if path.suffix.lower() not in (*PICTURES, ".lp", ".csv", ".toml", ".json")
     ]
     if others:
-        listing.notes.append(f"{some_of(others)}: not a picture of a known format; convert it to TIFF or PNG")
+        listing.notes.append(f"{some_of(others)}: not an image of a supported format; convert it to TIFF or PNG")
     times = {path: exposure_time(path) for paths in found.values() for path in paths}
     names = _exposure_names([time for time in times.values() if time is not None])
     positions = _light_positions(source, light_positions)
@@ -138,13 +138,13 @@ def _pictures(folder: Path) -> list[Path]:
 
 
 def _in_order(path: Path) -> list[tuple[int, int, str]]:
-    """Return a key that sorts image 2 before image 10."""
+    """Compute a sort key that orders image 2 before image 10."""
     parts = re.split(r"(\d+)", path.name.lower())
     return [(1, int(part), "") if part.isdecimal() else (0, 0, part) for part in parts]
 
 
 def _exposure_names(times: Sequence[float]) -> list[tuple[float, str]]:
-    """Return the smallest time and the name of each exposure, the shortest first."""
+    """Compute the smallest time and the name of each exposure, in ascending order."""
     least: list[float] = []
     for time in sorted(times):
         if not least or time > _SAME_TIME * least[-1]:
@@ -178,10 +178,10 @@ def _matching(path: Path, directions: dict[str, LightPosition]) -> LightPosition
 def _lamp_names(
     frames: Sequence[Path], times: dict[Path, float | None], positions: list[LightPosition] | None
 ) -> dict[Path, tuple[str, str]]:
-    """Return the lamp position of each photograph, and the exposure in its name, or empty."""
+    """Find the lamp position of each photograph, and the exposure in its name, or an empty text."""
     by_name = {one.file.lower(): one for one in positions or ()}
     stated = {path: one for path in frames if (one := _matching(path, by_name)) is not None}
-    if stated and len(stated) == len(frames):  # some tables name one photograph per bracket
+    if stated and len(stated) == len(frames):  # some tables list one photograph per bracket
         seen: list[np.ndarray] = []
         found = {}
         for path, one in stated.items():
@@ -216,7 +216,7 @@ def _named(frames: Sequence[Path], at: dict[Path, int], count: int) -> dict[Path
 
 
 def _kind_notes(path: Path) -> list[str]:
-    """Describe the first image of the sample, with the settings that accept it."""
+    """Describe the first image of the sample and the settings that accept it."""
     try:
         values = open_photograph(path).values
     except MatcamError as error:
@@ -225,10 +225,8 @@ def _kind_notes(path: Path) -> list[str]:
     what += ["in full colour"] if values.ndim == 3 else []
     if not what:
         return []
-    text = (
-        f"{path.name}: is {' and '.join(what)}; raw frames are better. State camera.accept_processed = true to use it"
-    )
-    return [text + (', and camera.tone = "srgb" if it is no linear picture' if what[0] == "of 8 bits" else "")]
+    text = f"{path.name}: is {' and '.join(what)}; raw frames are better. Set camera.accept_processed = true to use it"
+    return [text + (', and camera.tone = "srgb" if it is not linear' if what[0] == "of 8 bits" else "")]
 
 
 def _notes(
@@ -241,7 +239,7 @@ def _notes(
     lamps = {row["lamp"] for row in rows if row["lamp"]}
     exposures = {row["exposure"] for row in rows if row["file"].startswith("frames/")}
     notes.append(
-        f"{len(found['frames'])} pictures of the sample: {len(lamps)} lamp positions, {len(exposures)} exposures"
+        f"{len(found['frames'])} images of the sample: {len(lamps)} lamp positions, {len(exposures)} exposures"
     )
     notes += _kind_notes(found["frames"][0])
     unknown = [path.name for path, time in times.items() if time is None]
@@ -258,12 +256,12 @@ def _notes(
         if not are_unit_vectors(positions):
             length = float(np.median([np.linalg.norm(one.position) for one in positions]))
             notes.append(
-                f"the light position file states positions, {length:.4g} of its unit from the centre: state the distance "
-                "in mm as distances.lamp_mm in capture.toml"
+                f"the light position file contains positions, {length:.4g} of its unit from the centre: give the "
+                "distance in mm as distances.lamp_mm in capture.toml"
             )
     missing = [kind for kind in ("dark", "outline") if not found[kind]]
     if missing:
         notes.append(
-            f"no pictures in {' and '.join(f'{kind}/' for kind in missing)}: docs/capture.md describes their purpose"
+            f"no images in {' and '.join(f'{kind}/' for kind in missing)}: docs/capture.md describes their purpose"
         )
     return notes

@@ -20,7 +20,7 @@ _TOO_LARGE = 1e12
 
 
 class Stated(NamedTuple):
-    """Stated value with its standard deviation, in one unit; a standard deviation of 0 means exact."""
+    """Specified value with its standard deviation, in the same unit. A standard deviation of 0 means exact."""
 
     value: float
     std: float = 0.0
@@ -65,7 +65,7 @@ _ONLY = {
     "flat": ("tilt_deg", "mm_per_px"),
     "cylinder": ("outline_radius_px", "axis_column_px", "centre_row_px", "strip_rows_px", "strip_turn_deg"),
 }
-"""Fields of [sample] that belong to one kind of sample only."""
+"""Fields of [sample] that apply to only one kind of sample."""
 
 
 class _Strict(BaseModel):
@@ -98,7 +98,7 @@ class _Sample(_Strict):
         for kind, names in _ONLY.items():
             for name in names:
                 if self.kind != kind and getattr(self, name) is not None:
-                    raise ValueError(f"{name} belongs to a {kind}, but kind is {self.kind}")
+                    raise ValueError(f"{name} applies only to a {kind}, but kind is {self.kind}")
         rows, turns = self.strip_rows_px, self.strip_turn_deg
         if turns is not None and len(turns) != len(rows or ()):
             raise ValueError(f"strip_turn_deg has {len(turns)} angles for {len(rows or ())} strips of strip_rows_px")
@@ -161,6 +161,6 @@ class CaptureSettings(_Strict):
     def _circle_of_a_sphere(self) -> CaptureSettings:
         if self.sample.kind != "sphere" and (self.outline.centre_px is not None or self.outline.mask is not None):
             raise ValueError(
-                f"outline.centre_px and outline.mask belong to a sphere, and sample.kind is {self.sample.kind}"
+                f"outline.centre_px and outline.mask apply only to a sphere, but sample.kind is {self.sample.kind}"
             )
         return self

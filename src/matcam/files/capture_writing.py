@@ -16,17 +16,17 @@ from matcam.files.capture import COLUMNS, KINDS, LIST, SETTINGS
 
 TEMPLATE = """\
 # A capture: photographs of a sample under a moved lamp. docs/capture.md explains every field.
-# Units stand in the names. A value may carry its standard deviation: radius_mm = [25.0, 0.005].
-# Delete what you do not know; a field that stands here is believed.
+# Units stand in the names. A value may have a standard deviation: radius_mm = [25.0, 0.005].
+# Delete fields that you do not know: every field given here is used.
 
 format = "matcam capture"
 version = 1
 
 [camera]
-# profile = "camera.json"            # from `matcam calibrate`: lens, noise; lies in this folder
-# cfa = "RGGB"                       # colours of the first 2 x 2 px; leave it out for grey pictures and camera raw
-# black_level_dn = 256               # only where there are no dark frames
-# accept_processed = false           # true: take demosaiced or 8-bit pictures, with what that costs
+# profile = "camera.json"            # from `matcam calibrate`: lens and noise; a file in this folder
+# cfa = "RGGB"                       # colours of the first 2 x 2 px; leave it out for grey images and camera raw
+# black_level_dn = 256               # only without dark frames
+# accept_processed = false           # true: accept demosaiced or 8-bit images, which are less accurate
 
 [sample]
 kind = "sphere"                      # sphere | cylinder | flat
@@ -34,34 +34,34 @@ kind = "sphere"                      # sphere | cylinder | flat
 # region_px = [800, 600, 900, 900]   # first column, first row (both even), width, height that hold the sphere
 # strip_rows_px = [[0, 99], [100, 199]]   # of a cylinder: first and last row of each strip of material
 # strip_turn_deg = [0.0, 90.0]       # of each strip: its x axis from the direction round the cylinder towards up
-# tilt_deg = [0, 10, 20]             # of a flat sample, for each lamp position: its normal towards the right
-# mm_per_px = 0.02                   # of a flat sample seen head-on
+# tilt_deg = [0, 10, 20]             # of a flat sample, for each lamp position: tilt of its normal towards the right
+# mm_per_px = 0.02                   # of a flat sample at normal view
 
 [distances]                          # from the sample's centre
 # camera_mm = [1200, 5]
 # lamp_mm = [700, 10]
 
 [lamp]
-# radius_mm = [3.5, 0.05]            # of its luminous disc
+# radius_mm = [3.5, 0.05]            # radius of the source disc
 motion = "free"                      # arc | free | table
 intensity = "constant"               # reference | constant | table
-gain_std = 0.005                     # how well a picture's light is known, relative
-direction_std_deg = 1.0              # how well angle_deg and azimuth_deg of frames.csv are known
+gain_std = 0.005                     # relative standard deviation of the light of an image
+direction_std_deg = 1.0              # standard deviation of angle_deg and azimuth_deg of frames.csv
 
-# [reference]                        # something whose light is known, in every frame or in pictures of its own
-# kind = "diffuse"                   # diffuse: a white patch that faces the camera | monitor: light that follows the lamp's
-# reflectance = [0.98, 0.003]        # of a diffuse one: F is then absolute
-# depth_mm = [0, 2]                  # of a diffuse one: how far it stands before the sphere's centre, towards the camera
+# [reference]                        # object of known light, in every frame or in separate images
+# kind = "diffuse"                   # diffuse: white patch facing the camera | monitor: light proportional to the lamp
+# reflectance = [0.98, 0.003]        # of a diffuse reference: F is then absolute
+# depth_mm = [0, 2]                  # of a diffuse reference: distance before the sphere's centre, towards the camera
 # region_px = [10, 10, 60, 60]       # first column, first row, width, height, in the whole frame
-# apart = false                      # true: it stands in the pictures in reference/, one or more for each lamp position
-# between_std = 0.001                # apart: scatter of the lamp's light between its picture and the sample's; repeats tell it
+# apart = false                      # true: it is in the images in reference/, one or more for each lamp position
+# between_std = 0.001                # if apart: scatter of the lamp's light between its image and that of the sample
 
 [outline]
-field_beyond_deg = 3.0               # by how much the bright field of outline frames reaches beyond the sphere's limb
+field_beyond_deg = 3.0               # angle by which the bright field of outline frames extends beyond the limb
 # centre_px = [1250.5, 1049.0]       # the outline without outline frames: column and row of its centre
-# radius_px = [401.2, 0.5]           # and its radius
-# mask = "mask.png"                  # or a picture of two values in this folder: the sphere and what is around it
-# mask_std_px = 0.5                  # how well the mask's radius is known
+# radius_px = [401.2, 0.5]           # radius of the outline
+# mask = "mask.png"                  # or an image in this folder with two values: sphere and background
+# mask_std_px = 0.5                  # standard deviation of the radius of the mask
 """
 
 
@@ -116,7 +116,7 @@ def _table(rows: Iterable[Mapping[str, Any]]) -> str:
 
 
 def write_codes(path: Path, codes: np.ndarray, *, force: bool = False) -> None:
-    """Write a frame of whole numbers as a 16-bit TIFF, without compression: frames are read in part."""
+    """Write a frame of integers as a 16-bit TIFF, without compression, so that regions of it can be read."""
     import tifffile
 
     with replacing(path, force=force) as temporary:

@@ -4,7 +4,7 @@ NetCDF-4 is self-describing and supported by xarray, MATLAB, R and many others. 
 3, .zarr.zip) from disk and from object storage. It is a zip and not a folder, because a file can be written atomically;
 its members carry CRC-32 checksums. Zarr needs the extra `matcam[scale]`.
 
-Headers of both formats may claim far more data than there are, so sizes are checked before reading.
+Headers of both formats may claim far more data than the file contains, so sizes are checked before reading.
 """
 
 from __future__ import annotations
@@ -85,7 +85,7 @@ def with_short_deviations(data: xr.Dataset) -> xr.Dataset:
 
 
 def _compressed(data: xr.Dataset) -> _Encoding:
-    """Encode each array of numbers compressed: a table in chunks along its first dimension, or whole if that is short."""
+    """Compress each array of numbers: in chunks along its first dimension, or in one chunk if that is short."""
     encoding: _Encoding = {}
     for name, one in data.data_vars.items():
         if one.ndim and one.dtype.kind in "biuf":
@@ -94,7 +94,7 @@ def _compressed(data: xr.Dataset) -> _Encoding:
 
 
 def _readable(path: Path, data: xr.Dataset) -> bool:
-    """Check that `read_netcdf` accepts a compressed file: it refuses arrays that are much larger than their file."""
+    """Check that `read_netcdf` accepts a compressed file; it rejects arrays that are much larger than their file."""
     try:
         shapes = {str(name): (one.shape, one.dtype) for name, one in data.variables.items()}
         check_stored_sizes(path, path.stat().st_size, shapes)
@@ -104,7 +104,7 @@ def _readable(path: Path, data: xr.Dataset) -> bool:
 
 
 def read_netcdf(path: str | Path) -> xr.Dataset:
-    """Read a Dataset, whole, from a NetCDF-4 file.
+    """Read a complete Dataset from a NetCDF-4 file.
 
     Args:
         path: NetCDF-4 file.
@@ -167,7 +167,7 @@ def write_zarr(path: str | Path, data: xr.Dataset, *, force: bool = False) -> No
 
 
 def read_zarr(path: str | Path) -> xr.Dataset:
-    """Read a Dataset, whole, from Zarr in one zip file.
+    """Read a complete Dataset from Zarr in one zip file.
 
     Args:
         path: zip file with uncompressed members (zip -0).
@@ -191,7 +191,7 @@ def read_zarr(path: str | Path) -> xr.Dataset:
 
     path = Path(path)
     if is_folder(path):
-        raise FileFormatError(f"{path}: is a folder; a Zarr in one zip file is read (zip -0 -r a.zarr.zip .)")
+        raise FileFormatError(f"{path}: is a folder: give a Zarr in one zip file (zip -0 -r a.zarr.zip .)")
     stored = read_apart("matcam.files.decoders:decode_zarr", path, "a Zarr in a zip file", libraries=("zarr.storage",))
     try:
         for variable in stored["variables"].values():

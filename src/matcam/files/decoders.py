@@ -22,9 +22,9 @@ from matcam.core.errors import ArgumentError, FileFormatError
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 _MOST_TIMES, _MOST_VARIABLES, _SPARE = 16, 256, 1 << 16
 _BYTES_A_TEXT = 64
-"""Memory of a text of variable length, bytes: a Python object and the pointers to it."""
+"""Memory of a text of variable length, bytes, for a Python object and the pointers to it."""
 _FILTERS = {1: "deflate", 2: "shuffle", 3: "fletcher32", 4: "szip", 5: "nbit", 6: "scaleoffset"}
-"""Built-in filters of HDF5 by number. Any other is a plugin."""
+"""Built-in filters of HDF5 by number. All others are plugins, which are not loaded."""
 _CODECS = {"bytes", "crc32c", "gzip", "zstd", "blosc", "transpose", "vlen-utf8"}
 _NUMBERS = {
     "bool",
@@ -41,17 +41,17 @@ _LOCAL_HEADER = 30  # bytes, without its name and extra field
 
 
 def check_stored_sizes(path: Path, size: int, variables: Mapping[str, tuple[tuple[int, ...], Any]]) -> None:
-    """Check that arrays are not larger than their file can represent.
+    """Check that a file can contain its arrays.
 
-    FileFormatError if a length is not a non-negative integer, or if the arrays together take more than 16 times the
-    bytes of the file: damaged, or compressed too strongly.
+    Raise FileFormatError if a length is not a non-negative integer, or if the arrays together take more than 16 times
+    the bytes of the file, which is then damaged or compressed too strongly.
     """
     if len(variables) > _MOST_VARIABLES:
         raise FileFormatError(f"{path}: {len(variables)} variables: damaged, or not a result")
     total = 0
     for name, (shape, kind) in variables.items():
         check_lengths(path, name, shape)
-        # text of variable length has no stated size
+        # text of variable length has no given size
         each = kind.itemsize if isinstance(kind, np.dtype) and kind.kind != "O" else _BYTES_A_TEXT
         total += math.prod(shape) * max(each, 1)
         if total > _MOST_TIMES * size + _SPARE:
@@ -62,7 +62,7 @@ def check_stored_sizes(path: Path, size: int, variables: Mapping[str, tuple[tupl
 
 
 def check_lengths(path: Path, name: str, shape: Sequence[Any]) -> None:
-    """Check that lengths are non-negative integers. FileFormatError."""
+    """Raise FileFormatError if lengths are not non-negative integers."""
     if not all(type(length) is int and length >= 0 for length in shape):
         raise FileFormatError(f"{path}: variable {name!r:.60} has the lengths {list(shape)!r:.60}: damaged")
 
@@ -117,7 +117,7 @@ def _check_hdf5(path: Path, file: Any) -> None:
                 f"{path}: variable {name!r:.60} is stored in another file, {variable.external[0][0]!r:.80}: not read"
             )
         if variable.is_virtual:
-            raise FileFormatError(f"{path}: variable {name!r:.60} is put together from other files: not read")
+            raise FileFormatError(f"{path}: variable {name!r:.60} is assembled from other files: not read")
         if variable.dtype.kind == "O" and h5py.check_string_dtype(variable.dtype) is None:
             raise FileFormatError(
                 f"{path}: variable {name!r:.60} contains lists or references; only numbers and text are read"
@@ -136,7 +136,7 @@ def _check_hdf5(path: Path, file: Any) -> None:
         shapes[name] = (variable.shape or (), variable.dtype)
         if variable.chunks:  # a chunk is decoded completely, even if the array uses little of it
             shapes[f"{name} (chunk)"] = (variable.chunks, variable.dtype)
-    # checked before reading, because a damaged dimension is filled up to its stated length
+    # checked before reading, because a damaged dimension is filled up to its declared length
     size = path.stat().st_size
     check_stored_sizes(path, size, {name: v for name, v in shapes.items() if not name.endswith(" (chunk)")})
     check_stored_sizes(path, size, {name: v for name, v in shapes.items() if name.endswith(" (chunk)")})
@@ -198,7 +198,7 @@ def _check_zarr(path: Path) -> None:
                 described[member.filename] = json.loads(archive.read(member))
         broken = archive.testzip()
     if broken:
-        raise FileFormatError(f"{path}: damaged: {broken} is not what was written")
+        raise FileFormatError(f"{path}: damaged: the checksum of {broken} differs")
     if described.get(DESCRIPTION, {}).get("node_type") != "group":
         raise FileFormatError(f"{path}: no zarr.json of a group at its root: not a Zarr of version 3")
     shapes, chunks = {}, {}
@@ -233,12 +233,12 @@ def check_codecs(path: Path, name: str, document: dict[str, Any]) -> None:
 
 
 def chunk_shape(document: dict[str, Any]) -> tuple[int, ...]:
-    """Return the shape of an array's chunks from its description."""
+    """Read the shape of the chunks of an array from its description."""
     return tuple(document["chunk_grid"]["configuration"]["chunk_shape"])
 
 
 def _width(kind: Any) -> np.dtype | None:
-    """Return a type with the width of one value; None for text of variable length."""
+    """Find a type with the width of one value; None for text of variable length."""
     if isinstance(kind, dict):
         length = kind.get("configuration", {}).get("length_bytes")
         return np.dtype(f"V{int(length)}") if length else None
@@ -250,7 +250,7 @@ def _check_members(path: Path, size: int, members: list[zipfile.ZipInfo]) -> Non
     end = 0
     for member in sorted(members, key=lambda m: m.header_offset):
         if member.header_offset < end:
-            raise FileFormatError(f"{path}: damaged: member {member.filename!r:.60} overlaps the one before it")
+            raise FileFormatError(f"{path}: damaged: member {member.filename!r:.60} overlaps the previous member")
         end = member.header_offset + _LOCAL_HEADER + len(member.filename.encode()) + member.compress_size
     if end > size:
         raise FileFormatError(f"{path}: damaged: its members end at byte {end} of {size}")
@@ -269,4 +269,4 @@ def _check_directory(path: Path, size: int) -> None:
         raise FileFormatError(f"{path}: not a zip file")
     length, start = struct.unpack_from("<II", end, at + 12)
     if length + start > size:
-        raise FileFormatError(f"{path}: damaged: its list of members, {length} bytes at byte {start}, is not within it")
+        raise FileFormatError(f"{path}: damaged: list of members, {length} bytes at byte {start}, exceeds the file")

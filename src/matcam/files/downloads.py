@@ -54,23 +54,23 @@ def fetch_merl(
 ) -> Path:
     """Fetch one published MERL file and check it.
 
-    A correct file that exists is kept. After an error no file is left, and at most the size of the published file is read.
+    An existing correct file is kept. After an error no file remains. At most the size of the published file is read.
 
     Args:
         material: name as published, such as "chrome".
-        folder: folder to put NAME.binary into.
-        source: an archive (ending in .zip) or folder on another server. Default: None, `SOURCE_SETTING`, otherwise
-            `MERL_SOURCE`.
+        folder: folder for NAME.binary.
+        source: archive (ending in .zip) or folder on another server. Default: None, the value of `SOURCE_SETTING` if it
+            is set, otherwise `MERL_SOURCE`.
         progress: function that is called with (done, total) bytes. Default: None.
-        force: replace a file of that name that is not the published one (no unit). Default: False.
+        force: replace an existing file that differs from the published one (no unit). Default: False.
 
     Returns:
         Path of the file.
 
     Raises:
-        ArgumentError: the material is unknown; the message names the nearest.
-        DownloadError: the file cannot be fetched, or its SHA-256 is not that of the published one.
-        OutputError: another file has its name and `force` is False, or it cannot be written.
+        ArgumentError: the material is unknown; the message suggests the nearest name.
+        DownloadError: the file cannot be fetched, or its SHA-256 differs from the published one.
+        OutputError: a different file has its name and `force` is False, or the file cannot be written.
     """
     checksums = merl_checksums()
     if material not in checksums:
@@ -99,7 +99,7 @@ def _sha256(path: Path) -> str:
 
 
 def _pieces(source: str, material: str) -> Generator[bytes]:
-    """Yield a published file in pieces, at most its size. DownloadError for all failures."""
+    """Yield a published file in pieces, at most its size; DownloadError for all failures."""
     # imported here, because it takes half a second that only a download requires
     import requests
     import urllib3
@@ -140,9 +140,7 @@ def _member(web: _Web, source: str, name: str) -> Iterator[bytes]:
         if member is None:
             raise DownloadError(f"{source} does not contain {name}")
         if member.file_size != _SIZE:
-            raise DownloadError(
-                f"{source}: says that {name} has {member.file_size} bytes; the published one has {_SIZE}"
-            )
+            raise DownloadError(f"{source}: lists {name} with {member.file_size} bytes; the published file has {_SIZE}")
         remote.end = min(remote.size, member.header_offset + member.compress_size + _BLOCK)
         with archive.open(member) as packed:
             yield from _limited(iter(lambda: packed.read(_BLOCK), b""), source)
@@ -164,7 +162,7 @@ class _Web:
             left = span[1] - span[0] + 1 if span else _SIZE + 1
             read = getattr(
                 reply.raw, "read1", reply.raw.read
-            )  # received pieces, so that a slow server meets the deadline
+            )  # pieces as received, so that the deadline also applies to a slow server
             while left > 0 and (piece := read(min(_BLOCK, left))):
                 left -= len(piece)
                 yield piece
@@ -195,7 +193,7 @@ class _RemoteFile(io.RawIOBase):
     """Remote file for zipfile: its end from memory, the remainder as a stream while it is read sequentially.
 
     Attributes:
-        size: of the file, bytes.
+        size: size of the file, bytes.
         end: byte before which a stream ends.
     """
 

@@ -1,14 +1,14 @@
 """Series of exposures of a uniform field and of darkness, from which a sensor is characterised.
 
-There are two kinds of folders. One has a descriptor, a text file in the format of the public EMVA 1288 reference data sets:
+There are two kinds of folders. The first has a descriptor, a text file in the format of the public EMVA 1288 data sets:
 
     n 12 640 480                    bits, width, height
-    b 40000.0 120.0                 lit: exposure time, ns, and photons a pixel
-    i images/b_000_snap_001.png     a file, relative to the descriptor; two or more of each exposure
+    b 40000.0 120.0                 lit: exposure time, ns, and photons per pixel
+    i images/b_000_snap_001.png     file, relative to the descriptor; two or more per exposure
     d 40000.0                       dark: exposure time, ns
 
-The other has pictures in folders dark/ and flat/, or with names that begin so. Exposure times are in the names
-("flat_20ms_1.tif") or in the metadata of the files; the lamp is constant.
+The second has images in folders dark/ and flat/, or with names that begin with "dark" or "flat". Exposure times are in
+the names ("flat_20ms_1.tif") or in the metadata of the files; the lamp is constant.
 """
 
 from __future__ import annotations
@@ -31,19 +31,19 @@ _NANO = 1e-9
 _UNITS = {"ns": 1e-9, "us": 1e-6, "ms": 1e-3, "s": 1.0}
 _TIME = re.compile(r"(?<![a-zA-Z0-9.])(\d+(?:\.\d+)?)\s?(ns|us|ms|s)(?![a-zA-Z0-9])")
 _KINDS = {"dark": False, "bias": False, "flat": True, "bright": True}
-"""Beginning of the name of a file or its folder -> whether it is lit."""
+"""Beginning of the name of a file or its folder -> True for lit frames, False for dark ones."""
 _MOST_LINES = 20_000
-"""Maximum number of lines of a descriptor. Most lines name a file, whose path takes 40 us to check."""
+"""Largest number of lines of a descriptor. Most lines name a file, whose path takes 40 us to check."""
 _DEEPEST = 32  # bits of a code
 _DIGITS = 6
-"""Significant digits to which exposure times of one set agree."""
+"""Number of significant digits to which exposure times of one set agree."""
 
 
 class ExposureSet(NamedTuple):
     """Frames of one exposure.
 
     Attributes:
-        lit: whether the field was lit.
+        lit: True if the field was lit.
         time: exposure time, s.
         photons: photons per pixel; NaN: unknown, and the light is proportional to the time.
         files: the frames.
@@ -63,7 +63,7 @@ class ExposureSet(NamedTuple):
 
 @dataclass(frozen=True)
 class ExposureSeries:
-    """Exposures of an uniform field and of darkness.
+    """Exposures of a uniform field and of darkness.
 
     Attributes:
         source: folder or descriptor that was read.
@@ -92,7 +92,8 @@ def read_exposure_series(path: str | Path) -> ExposureSeries:
         path: folder, or descriptor of one.
 
     Raises:
-        FileFormatError: there is no such series, a line of the descriptor is wrong, or a frame has no exposure time.
+        FileFormatError: the folder contains no series, a line of the descriptor is wrong, or a frame has no exposure
+            time.
     """
     path = Path(path)
     with reading(path):
@@ -102,7 +103,7 @@ def read_exposure_series(path: str | Path) -> ExposureSeries:
     texts = [one for one in sorted(path.glob("*.txt")) if _is_descriptor(one)]
     if len(texts) > 1:
         names = ", ".join(one.name for one in texts)
-        raise FileFormatError(f"{path}: has several descriptors of exposures ({names}): name one of these files")
+        raise FileFormatError(f"{path}: has several descriptors of exposures ({names}): give one of these files")
     return _described(texts[0]) if texts else _listed(path)
 
 
@@ -181,7 +182,8 @@ def _listed(folder: Path) -> ExposureSeries:
         found[key] = one._replace(files=(*one.files, file))
     if not found:
         raise FileFormatError(
-            f"{folder}: contains no exposures: it needs pictures in dark/ and flat/, names that begin so, or a descriptor"
+            f"{folder}: contains no exposures: it needs images in dark/ and flat/, images with names that begin so, or a "
+            "descriptor"
         )
     return _series(folder, found.values(), None)
 
@@ -190,6 +192,6 @@ def _series(path: Path, sets: Iterable[ExposureSet], bits: int | None) -> Exposu
     found = [one for one in sets if one.files]
     for lit, kind in ((True, "lit"), (False, "dark")):
         if not any(one.lit == lit for one in found):
-            raise FileFormatError(f"{path}: names no {kind} exposure: a sensor needs lit and dark ones")
+            raise FileFormatError(f"{path}: contains no {kind} exposure: a sensor needs lit and dark ones")
     series = ExposureSeries(path, tuple(found), bits)
     return ExposureSeries(path, tuple(sorted(found, key=lambda one: (one.lit, series.light(one), one.time))), bits)

@@ -1,7 +1,7 @@
-r"""Pictures of 32-bit floats, (H, W) or (H, W, channels), row 0 on top, as TIFF and as OpenEXR.
+r"""Images of 32-bit floats, (H, W) or (H, W, channels), row 0 on top, as TIFF and as OpenEXR.
 
-TIFF 6.0 with SampleFormat 3: one page, channels beside each other, deflated losslessly. Three channels are marked as RGB, any
-other number as grey with extra samples; the values are linear all the same.
+TIFF 6.0 with SampleFormat 3: one page, interleaved channels, deflated losslessly. Three channels are marked as RGB, any
+other number as grey with extra samples; the values are linear in both cases.
 
 OpenEXR: one part, scan lines, 32-bit floats, lossless. All little-endian.
 
@@ -37,7 +37,7 @@ from matcam.files.picture_header import LARGEST, check_memory, check_promised, p
 _DECODERS = "matcam.files.picture_decoders"
 _MAGIC, _FLOAT, _MOST_CHANNELS = 20000630, 2, 4096
 _LINES_PER_CHUNK = {0: 1, 1: 1, 2: 1, 3: 16, 4: 32}
-"""Compression to number of scan lines per chunk: none, RLE, ZIPS, ZIP, PIZ. The others lose digits of floats."""
+"""Number of scan lines per chunk by compression: none, RLE, ZIPS, ZIP, PIZ. Others lose digits of floats."""
 _LONGEST_HEADER = 1 << 20  # bytes
 
 
@@ -111,7 +111,7 @@ def read_float_tiff(path: str | Path) -> np.ndarray:
         Values, float32, shape (H, W) or (H, W, channels), row 0 on top.
 
     Raises:
-        FileFormatError: the file is damaged, has several pages, or contains other numbers than 32-bit floats.
+        FileFormatError: the file is damaged, has several pages, or contains values other than 32-bit floats.
 
     Example:
         >>> import tempfile
@@ -159,7 +159,7 @@ def write_exr(path: str | Path, picture: ArrayLike, *, force: bool = False) -> N
 
 
 def write_exr_layers(path: str | Path, layers: Mapping[str, ArrayLike], *, force: bool = False) -> None:
-    """Write several pictures as layers of one OpenEXR file, which viewers show as groups: `corrected.R` and so on.
+    """Write several images as layers of one OpenEXR file, which viewers show as groups, such as `corrected.R`.
 
     Args:
         path: file to write (.exr).
@@ -221,7 +221,7 @@ def read_exr(path: str | Path) -> np.ndarray:
 
 
 def _names(channels: int | None) -> tuple[str, ...]:
-    """Name the channels of an image."""
+    """Generate the names of the channels of an image."""
     if channels is None:
         return ("Y",)
     return ("R", "G", "B") if channels == 3 else tuple(f"C{i:04}" for i in range(channels))
@@ -266,7 +266,7 @@ def _checked_skeleton(path: Path) -> _Skeleton:
 
 
 def _attributes(head: bytes) -> tuple[dict[str, bytes], int]:
-    """Parse the attributes of the header by name, and return the byte after them."""
+    """Parse the attributes of the header by name, and find the byte after them."""
     found, at = {}, 8
     while head[at]:
         name, at = _text(head, at)

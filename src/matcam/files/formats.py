@@ -1,6 +1,6 @@
-"""Formats that matcam reads and writes: one table, from which all lists are derived.
+"""Table of the formats that matcam reads and writes, from which all lists are derived.
 
-A format is recognised by the content of a file, and chosen by the suffix of an output. Readers and writers are imported
+The format of an input is identified by its content, that of an output by its suffix. Readers and writers are imported
 when they are called, so that the command line can print these lists without loading them.
 """
 
@@ -42,14 +42,14 @@ class Format:
 
     Attributes:
         name: short name, as in reports.
-        title: name for people.
+        title: full name, for messages and lists.
         holds: keys of `CONTENTS` that it supports.
         suffixes: endings of the names of its files, lower case, the preferred one first.
         starts: alternative first bytes of its files.
-        mark: text near the beginning of its documents.
-        hint: hint for people to recognise a file.
-        reader: function that reads a path, as "module:function" below `matcam`; "": in a layer above this package.
-        writers: functions that write (path, data, force=...), by content, named likewise.
+        mark: text near the beginning of its documents, by which they are identified.
+        hint: description of the mark, for messages.
+        reader: function that reads a path, as "module:function" below `matcam`; "" if it is in a higher layer.
+        writers: functions that write (path, data, force=...), by content, as "module:function".
     """
 
     name: str
@@ -72,7 +72,7 @@ class Format:
         return _function(self.reader)(path, **options)
 
     def writer(self, content: str) -> Callable[..., None]:
-        """Return the function that writes (path, data, force=...); ArgumentError if the format does not support the content."""
+        """Return the function that writes (path, data, force=...); ArgumentError if the content is not supported."""
         if content in self.writers:
             return _function(self.writers[content])
         choice, suffix = ", ".join(suffixes_for(content)), self.suffixes[0]
@@ -221,7 +221,7 @@ def suffixes_for(*contents: str) -> tuple[str, ...]:
 
 
 def titles_for(*contents: str) -> str:
-    """Return titles and suffixes of the formats that can be read and support any of these contents, for people."""
+    """Describe the formats that can be read and support any of these contents by titles and suffixes, for messages."""
     read = (form for form in FORMATS if set(contents) & set(form.holds) and form.name != "materialx")
     return ", ".join(
         f"{form.title} ({', '.join(form.suffixes)})" if ".json" not in form.suffixes else form.title for form in read
@@ -231,7 +231,7 @@ def titles_for(*contents: str) -> str:
 def identify(path: str | Path) -> str:
     """Identify the format of a file by its content, or by its name if the content is damaged.
 
-    Raises FileFormatError for unsupported files.
+    Raise FileFormatError for unsupported files.
     """
     path = Path(path)
     with reading(path), path.open("rb") as file:
@@ -269,7 +269,7 @@ def identify(path: str | Path) -> str:
 def format_for(path: str | Path, *contents: str) -> Format:
     """Return the format for the name of an output, among those that support any of these contents.
 
-    Default: any measurement. ArgumentError for a name with none of their suffixes.
+    contents: keys of `CONTENTS`. Default: any measurement. ArgumentError for a name with another suffix.
     """
     name, contents = Path(path).name.lower(), contents or MEASUREMENTS
     for form in FORMATS:
@@ -292,12 +292,12 @@ _DECODERS = {
         (".arw", ".cr2", ".cr3", ".dng", ".nef", ".raf", ".rw2"), ("matcam.files.picture_decoders", "rawpy")
     ),
 }
-"""Suffix to modules that decode such files in a separate process."""
+"""Modules that decode files in a separate process, by suffix."""
 _MOST_LOOKED_AT = 100
 
 
 def decoded_by(paths: Iterable[Path]) -> list[str]:
-    """Return the modules that decode existing ones of `paths`, or files in them, by the names of the files."""
+    """List the modules that decode the existing files among `paths` and in their folders, by the names of the files."""
     suffixes = set()
     for path in paths:
         with contextlib.suppress(OSError, ValueError):  # the command reports the error

@@ -1,8 +1,8 @@
-"""Light position files (`.lp`) of reflectance transformation imaging: one line per photograph, with the position of its lamp.
+"""Light position files (`.lp`) of reflectance transformation imaging: lamp position of each photograph.
 
-The first line is the number of lines that follow. Each has a file name and x, y, z of the lamp seen from the sample's centre:
-x right, y up, z to the camera. Vectors have unit length, or the lamp's distance in any unit (RTIBuilder, Cultural Heritage
-Imaging; relight, Visual Computing Lab of CNR).
+The first line is the number of lines that follow. Each line has a file name and x, y, z of the lamp from the sample's
+centre: x right, y up, z to the camera. Vectors have unit length, or the length is the distance of the lamp in any unit
+(RTIBuilder, Cultural Heritage Imaging; relight, Visual Computing Lab of CNR).
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from matcam.core.io import replacing
 from matcam.core.readers.texts import read_lines
 
 _UNIT = 0.02
-"""Relative scatter of the lengths about 1 below which vectors are unit vectors: files round to two digits or more."""
+"""Departure of lengths from 1 below which vectors are unit vectors. Files are rounded to two or more digits."""
 
 
 class LightPosition(NamedTuple):
@@ -80,7 +80,7 @@ def write_light_positions(path: str | Path, positions: Sequence[LightPosition], 
 
     Args:
         path: file to write (.lp).
-        positions: of the lamp in each photograph.
+        positions: positions of the lamp in each photograph.
         force: replace an existing file. Default: False.
 
     Raises:
@@ -106,7 +106,7 @@ def write_light_positions(path: str | Path, positions: Sequence[LightPosition], 
             raise ArgumentError(f"position of {one.file} must be three finite numbers, not all 0, got {one.position}")
         if len(one.file.splitlines()) != 1 or one.file != one.file.strip():
             raise ArgumentError(
-                f"file of a light position must be a name of one line without blanks about it, got {one.file!r}"
+                f"file of a light position must be one line without blanks at its ends, got {one.file!r}"
             )
     lines = [f"{one.file} {' '.join(repr(float(axis)) for axis in one.position)}" for one in positions]
     with replacing(path, force=force) as temporary:

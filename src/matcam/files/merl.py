@@ -67,7 +67,7 @@ def read_merl(path: str | Path, sampling: Sampling = "centre") -> xr.DataArray:
     checks.choice("sampling", sampling, SAMPLINGS)
     stored = _read_stored(path)
     missing = stored < 0
-    # a reduction shows whether a value is wrong; only then is its position searched
+    # a reduction detects a wrong value; its position is searched only in that case
     with np.errstate(over="ignore", invalid="ignore"):
         suspicious = not np.isfinite(np.sum(stored, where=~missing)) or np.isneginf(np.min(stored))
     if suspicious:
@@ -82,16 +82,16 @@ def read_merl(path: str | Path, sampling: Sampling = "centre") -> xr.DataArray:
 def write_merl(path: str | Path, brdf: xr.DataArray, *, force: bool = False) -> None:
     """Write a BRDF table as a MERL file.
 
-    Missing values (NaN) become -1, the format's own.
+    Missing values (NaN) are written as -1, which means missing in the format.
 
     Args:
         path: file to write (.binary).
-        brdf: table in 1/sr as from `read_merl`, three channels (by their labels R, G, B, if they have labels),
-            non-negative, not all missing, shape (90, 90, 180, 3).
+        brdf: table in 1/sr as from `read_merl`, shape (90, 90, 180, 3), non-negative, not all missing. Labelled
+            channels must be R, G and B.
         force: replace an existing file (no unit). Default: False.
 
     Raises:
-        ArgumentError: the format does not support the table: it has not three channels, negative values, or no values.
+        ArgumentError: the table does not have three channels, or has negative values or no values.
         OutputError: the file cannot be written, or exists and `force` is False.
 
     Example:

@@ -1,4 +1,4 @@
-"""Photographs as arrays of their own codes: TIFF, PNG and JPEG in 8 or 16 bits, OpenEXR, camera raw.
+"""Photographs as arrays of their stored codes: TIFF, PNG and JPEG in 8 or 16 bits, OpenEXR, camera raw.
 
 Images are not converted, scaled, rotated or demosaiced. Files are decoded in a separate process (picture_decoders.py).
 """
@@ -29,7 +29,7 @@ _LIBRARIES = ("tifffile", "imagecodecs._zlib", "imagecodecs._png", "imagecodecs.
 _EXR = b"\x76\x2f\x31\x01"
 _LARGEST = 2 << 30  # bytes
 PICTURES = (".tif", ".tiff", ".png", ".jpg", ".jpeg", ".exr", *SUFFIXES)
-"""Suffixes of files that may be photographs."""
+"""Suffixes of files that are listed as photographs."""
 
 
 class Mosaic(NamedTuple):
@@ -38,7 +38,7 @@ class Mosaic(NamedTuple):
     Attributes:
         values: counts above the black level, float32 (height, width).
         cfa: colours of the first 2 x 2 px, row by row ("RGGB").
-        saturation: counts at which a pixel is full.
+        saturation: counts of a saturated pixel.
     """
 
     values: np.ndarray
@@ -49,8 +49,8 @@ class Mosaic(NamedTuple):
 def read_raw(path: str | Path, region: tuple[int, int, int, int] | None = None) -> Mosaic:
     """Read the mosaic of a camera raw file, or a region of it (first column and row, both even, width, height).
 
-    FileFormatError that names the file if LibRaw does not support it, if it is damaged, if its colours are not a Bayer
-    mosaic, or if rawpy is not installed.
+    Raise FileFormatError that names the file if LibRaw does not support it, if it is damaged, if its colours are not a
+    Bayer mosaic, or if rawpy is not installed.
     """
     path = Path(path)
     there = _memory_for(path)
@@ -64,10 +64,10 @@ class Photograph(NamedTuple):
     """Image as stored in its file, with metadata.
 
     Attributes:
-        values: (height, width) or (height, width, 3), in the file's own type.
+        values: (height, width) or (height, width, 3), in the type of the file.
         cfa: colours of a mosaic's first 2 x 2 px, row by row ("RGGB"); None: not a mosaic.
-        saturation: value of a full pixel; infinite if it is not known.
-        linear: whether the format stores linear values: camera raw, floats.
+        saturation: value of a saturated pixel; infinite if unknown.
+        linear: True if the format stores linear values (camera raw, floats).
         exif: metadata of the camera.
     """
 
@@ -81,9 +81,9 @@ class Photograph(NamedTuple):
 def open_photograph(path: str | Path, region: tuple[int, int, int, int] | None = None) -> Photograph:
     """Read an image of any of these formats, or a region of it.
 
-    region: first column, first row, width, height, px; the first two even, to preserve the mosaic. It is cropped during
-    decoding. FileFormatError that names the file if it is missing, unknown, damaged, smaller than the region, or too
-    large for the memory.
+    region: first column, first row, width, height, px; the first two even, to preserve the mosaic. Images are cropped
+    during decoding. Raise FileFormatError that names the file if it is missing, of an unknown format, damaged, smaller
+    than the region, or too large for the memory.
     """
     path = Path(path)
     with reading(path, "a picture"), path.open("rb") as file:
@@ -100,7 +100,7 @@ def open_photograph(path: str | Path, region: tuple[int, int, int, int] | None =
 def read_photograph(path: str | Path, region: tuple[int, int, int, int] | None = None) -> np.ndarray:
     """Read the codes of an image or of a region, (height, width) or (height, width, 3), in the type of the file.
 
-    An alpha channel is left out. FileFormatError that names the file if it is missing, of another format, or damaged.
+    An alpha channel is omitted. Raise FileFormatError that names the file if it is missing, unsupported or damaged.
     """
     path = Path(path)
     there = _memory_for(path)
@@ -117,7 +117,7 @@ def _read_exr(path: Path) -> np.ndarray:
 
 
 def _memory_for(path: Path) -> int:
-    """Return the available memory for an image, bytes; FileFormatError for a file that is too large."""
+    """Compute the available memory for an image, bytes; FileFormatError for a file that is too large."""
     with reading(path, "a picture"):
         if path.stat().st_size > _LARGEST:
             raise FileFormatError(f"{path}: {path.stat().st_size} bytes is too large for a photograph")

@@ -1,8 +1,8 @@
 """Decoders of images (TIFF, PNG, JPEG, OpenEXR, camera raw), which run in a separate process (apart.py).
 
-Decoders are tifffile and imagecodecs, which keep 16 bits (Pillow turns a 16-bit colour PNG into 8 bits), OpenEXR, and
-LibRaw (rawpy, extra `raw`), which gives the mosaic of the sensor. `there` is the memory, in bytes, of the calling
-process for the image and its working copies: a larger image is rejected before decoding.
+Decoders are tifffile and imagecodecs, which keep 16 bits (Pillow converts a 16-bit colour PNG to 8 bits), OpenEXR, and
+LibRaw (rawpy, extra `raw`), which returns the mosaic of the sensor. `there` is the memory, in bytes, that the calling
+process has for the image and its working copies: a larger image is rejected before decoding.
 """
 
 from __future__ import annotations
@@ -76,7 +76,7 @@ def _decoded(path: Path, start: bytes, there: int, *, in_part: bool = False) -> 
 
 
 def _tiff_size(shape: tuple[int, ...]) -> tuple[int, int, int]:
-    """Return height, width and channels; pages with separate colours have the channels first."""
+    """Read height, width and channels. Pages with separate colours have the channels first."""
     if len(shape) == 3 and shape[0] < shape[2]:
         return shape[1], shape[2], shape[0]
     return shape[0], shape[1], int(np.prod(shape[2:]))
@@ -115,7 +115,7 @@ def decode_float_tiff(path: Path, *, there: int) -> np.ndarray:
     import tifffile
 
     size = path.stat().st_size
-    logging.getLogger("tifffile").setLevel(logging.CRITICAL + 1)  # it also logs the errors that it raises
+    logging.getLogger("tifffile").setLevel(logging.CRITICAL + 1)  # tifffile also logs the errors that it raises
     with tifffile.TiffFile(path) as file:
         if len(file.pages) != 1:
             raise FileFormatError(f"{path}: {len(file.pages)} pages; one is read")

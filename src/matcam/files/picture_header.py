@@ -1,11 +1,11 @@
-"""Metadata of an image before decoding: its size, and the camera.
+"""Metadata of an image, read before decoding: its size and the camera.
 
 The size is read from the first bytes, before memory is allocated for the image.
 
-Maker, model and f-number are in the TIFF or Exif directory. Exif is a TIFF directory in one of these places: at the
-start of a TIFF and of most camera raw files, in the APP1 segment of a JPEG, in the eXIf chunk of a PNG (CIPA
-DC-008-2023, 4.6). It is a uint16 count, then entries of 12 bytes: uint16 tag, uint16 type, uint32 count, and the value
-or its offset. A damaged directory counts as absent.
+Maker, model and f-number are in the TIFF or Exif directory. Exif is a TIFF directory at the start of a TIFF and of most
+camera raw files, in the APP1 segment of a JPEG, or in the eXIf chunk of a PNG (CIPA DC-008-2023, 4.6). It consists of a
+uint16 count and entries of 12 bytes: uint16 tag, uint16 type, uint32 count, and the value or its offset. A damaged
+directory is treated as absent.
 """
 
 from __future__ import annotations
@@ -26,19 +26,19 @@ _WORKING = 24  # bytes per pixel: a plane of light in float64, its mask, and two
 _UNASKED, _MOST_TIMES = 1 << 30, 100  # bytes that any image may take; beyond them, a multiple of its file
 _MOST_SEGMENTS = 200
 LARGEST = 1 << 29
-"""Largest number of values in an image of floats (2 GiB): a header with more is damaged."""
+"""Largest number of values in an image of floats (2 GiB). A header with more is damaged."""
 DEFLATE_LIMIT = 1032
 """Largest expansion of a byte by deflate (258 for every 2 bits)."""
 _FRAMES = {0xC0, 0xC1, 0xC2, 0xC3, 0xC5, 0xC6, 0xC7, 0xC9, 0xCA, 0xCB, 0xCD, 0xCE, 0xCF}
 _CHANNELS = {0: 1, 2: 3, 3: 3, 4: 2, 6: 4}
-"""Colour types of PNG to number of channels."""
+"""Number of channels by colour type of PNG."""
 _MAKE, _MODEL, _EXIF, _F_NUMBER, _DNG = 0x010F, 0x0110, 0x8769, 0x829D, 0xC612
 _EXPOSURE_TIME = 0x829A
 _WIDTH, _HEIGHT, _LONG = 0x0100, 0x0101, 4
 _ASCII, _LONGEST_TEXT = 2, 200
 _MOST_ENTRIES = 500
 _TIFF = {b"II*\0": "<", b"MM\0*": ">", b"IIRO": "<", b"IIU\0": "<"}
-"""First bytes to byte order; the last two are those of Olympus and Panasonic."""
+"""Byte order by first bytes of a file. The last two entries are of Olympus and Panasonic."""
 
 
 def picture_memory() -> int:
@@ -49,7 +49,8 @@ def picture_memory() -> int:
 def check_memory(path: Path, height: int, width: int, channels: int, depth: int, there: int) -> None:
     """Raise FileFormatError for an image that does not fit into `there` bytes with its working copies.
 
-    Unless files are trusted, a large image of more than a hundred times its file is rejected, too: no camera writes one.
+    Unless files are trusted, a large image of more than a hundred times the size of its file is also rejected, because
+    no camera writes one.
     """
     decoded = height * width * channels * depth
     needed = decoded + height * width * _WORKING
@@ -61,8 +62,8 @@ def check_memory(path: Path, height: int, width: int, channels: int, depth: int,
     size = path.stat().st_size
     if needed > _UNASKED and decoded > _MOST_TIMES * size and not files_are_trusted():
         raise FileFormatError(
-            f"{path}: a picture of {width} x {height} px in {size} bytes is compressed too strongly, and needs "
-            f"{needed / 2**30:.1f} GiB"
+            f"{path}: a picture of {width} x {height} px in {size} bytes is compressed too strongly: it needs "
+            f"{needed / 2**30:.1f} GiB of memory"
         )
 
 
@@ -77,7 +78,7 @@ def cut(picture: np.ndarray, region: Sequence[int] | None, path: Path) -> np.nda
     if column + width > picture.shape[1] or row + height > picture.shape[0] or min(column, row) < 0:
         raise FileFormatError(
             f"{path}: a picture of {picture.shape[1]} x {picture.shape[0]} px has no region of {width} x {height} "
-            f"px at column {column}, row {row}: is it of another size than the others?"
+            f"px at column {column}, row {row}: check that all images have the same size"
         )
     return picture[row : row + height, column : column + width]
 
@@ -121,8 +122,8 @@ class Exif(NamedTuple):
 
     Attributes:
         camera: maker and model; empty: unknown.
-        f_number: f-number of the picture; None: unknown.
-        dng: whether the file is a digital negative: camera raw in a TIFF container.
+        f_number: f-number of the image; None: unknown.
+        dng: True if the file is a digital negative (camera raw in a TIFF container).
         size: width and height in the first directory of a TIFF, px; None: unknown.
     """
 
@@ -165,7 +166,7 @@ def exposure_time(path: str | Path) -> float | None:
 
 
 def _start(file: BinaryIO) -> int | None:
-    """Return the offset of the TIFF header, or None."""
+    """Find the offset of the TIFF header; None without one."""
     head = file.read(12)
     if head[:4] in _TIFF:
         return 0
@@ -220,7 +221,7 @@ def _size(entries: dict[int, tuple[int, int, bytes]], order: str) -> tuple[int, 
 
 
 def _entries(file: BinaryIO, base: int, offset: int, order: str) -> dict[int, tuple[int, int, bytes]]:
-    """Return tag -> (type, count, value or offset)."""
+    """Read the entries of a directory: tag -> (type, count, value or offset)."""
     file.seek(base + offset)
     count = struct.unpack(order + "H", file.read(2))[0]
     if count > _MOST_ENTRIES:

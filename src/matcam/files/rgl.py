@@ -14,11 +14,11 @@ Fields of a BRDF, with P azimuths and T angles of the light, rows along azimuth 
     vndf [P, T, ., .]             f32  density whose inversion takes facet normals to the unit square
     luminance [P, T, N, N]        f32  density of samples on that square
     rgb [P, T, 3, N, N]           f32  on that square; or spectra [P, T, W, N, N] and wavelengths [W], nm
-    jacobian [1]                  u8   whether rgb or spectra times ndf / (4 sigma) is the BRDF times cos theta_o, or they alone
+    jacobian [1]                  u8   BRDF times cos theta_o: 1, rgb or spectra times ndf / (4 sigma); 0, they alone
     description                   u8   text
 
-Directions on a unit square: theta = u^2 pi / 2, phi = (2 v - 1) pi, u along the columns. Other fields ("version", "valid")
-are kept as they are. What the fields mean together: `material/measured.py`.
+Directions on a unit square: theta = u^2 pi / 2, phi = (2 v - 1) pi, u along the columns. Other fields ("version",
+"valid") are copied unchanged. `material/measured.py` describes how the fields define a BRDF.
 """
 
 from __future__ import annotations
@@ -70,16 +70,16 @@ _ORDER = (
 def read_rgl(path: str | Path) -> xr.Dataset:
     """Read a BRDF in RGL's parameterisation.
 
-    Each field of the file becomes a variable of its own type.
+    Each field of the file becomes a variable with its type.
 
     Args:
         path: RGL file (.bsdf).
 
     Returns:
-        Dataset of the fields; `Adaptive` makes a material of it.
+        Dataset of the fields; `Adaptive` converts it to a material.
 
     Raises:
-        FileFormatError: the file is not a tensor file, is truncated, or its fields do not make a BRDF; the message
+        FileFormatError: the file is not a tensor file, is truncated, or its fields do not define a BRDF; the message
             names the byte or the field.
 
     Source:
@@ -111,7 +111,7 @@ def write_rgl(path: str | Path, fields: xr.Dataset, *, force: bool = False) -> N
         force: replace an existing file (no unit). Default: False.
 
     Raises:
-        ArgumentError: the fields do not make a BRDF; the message names the field.
+        ArgumentError: the fields do not define a BRDF; the message names the field.
         OutputError: the file cannot be written, or exists and `force` is False.
 
     Example:
@@ -126,15 +126,13 @@ def write_rgl(path: str | Path, fields: xr.Dataset, *, force: bool = False) -> N
     """
     if not isinstance(fields, xr.Dataset):
         raise ArgumentError(
-            f"an RGL file is made of a Dataset (see read_rgl, adaptive_grid), got {type(fields).__name__}"
+            f"fields of an RGL file must be a Dataset (see read_rgl, adaptive_grid), got {type(fields).__name__}"
         )
     names = sorted(map(str, fields.variables), key=lambda n: _ORDER.index(n) if n in _ORDER else len(_ORDER))
     arrays = {name: np.ascontiguousarray(fields[name].values) for name in names}
     unknown = [name for name, array in arrays.items() if array.dtype not in _CODES]
     if unknown:
-        raise ArgumentError(
-            f"field {unknown[0]}: {arrays[unknown[0]].dtype} cannot be stored; whole numbers and floats can"
-        )
+        raise ArgumentError(f"field {unknown[0]}: {arrays[unknown[0]].dtype} cannot be stored: use integers or floats")
     check_fields(fields)
     for name, unit in (("phi_i", "rad"), ("theta_i", "rad"), ("wavelengths", "nm")):
         if name in fields:
@@ -154,7 +152,7 @@ def write_rgl(path: str | Path, fields: xr.Dataset, *, force: bool = False) -> N
 
 
 def check_fields(fields: xr.Dataset) -> xr.Dataset:
-    """Check fields and name their dimensions as in the file; ArgumentError that names a wrong field."""
+    """Check fields and name their dimensions as in the file. The ArgumentError names the wrong field."""
     return _checked({str(name): field.values for name, field in fields.variables.items()})
 
 
@@ -163,7 +161,7 @@ def _next_aligned(at: int) -> int:
 
 
 def _checked(fields: dict[str, np.ndarray]) -> xr.Dataset:
-    """Label the fields; ArgumentError that names a wrong field."""
+    """Check and label the fields. The ArgumentError names the wrong field."""
     colour = "spectra" if "wavelengths" in fields else "rgb"
     missing = [name for name in (*_REQUIRED, colour) if name not in fields]
     if missing:

@@ -1,4 +1,4 @@
-"""BRDF samples as plain text (CSV), one pair of directions per line, for exchange with other programs and goniophotometers.
+"""BRDF samples as text (CSV), one pair of directions per line, for exchange with other programs and goniophotometers.
 
     theta_h_rad,theta_d_rad,phi_d_rad,R_per_sr,G_per_sr,B_per_sr
     0.0123,0.5,1.2,0.31,0.30,0.28
@@ -37,11 +37,11 @@ from matcam.files.table_decoders import VALUE as _VALUE
 
 _ON_THE_GRID = 1e-6  # rad
 _LABEL = re.compile(r"[^,\x00-\x1f\"]{1,60}")
-"""Label of a channel that can be the name of a column."""
+"""Pattern of channel labels that can be the name of a column."""
 
 
 def samples_of(table: xr.DataArray) -> xr.DataArray:
-    """Return all values of a table that exist in some channel, as samples with dims (sample, channel)."""
+    """Convert all cells of a table with a value in some channel to samples with dims (sample, channel)."""
     stacked = checked_table(table).transpose("phi_d", "theta_d", "theta_h", "channel")
     known = np.isfinite(stacked.values).any(axis=-1)
     angles = np.meshgrid(*(stacked[name].values for name in reversed(_HALF)), indexing="ij")[::-1]
@@ -49,7 +49,7 @@ def samples_of(table: xr.DataArray) -> xr.DataArray:
 
 
 def table_of(samples: xr.DataArray) -> xr.DataArray:
-    """Build the table of these samples; other cells are missing.
+    """Build the table of some samples; all other cells are missing.
 
     There is no interpolation: ArgumentError if a sample is not on the MERL grid, or two are in one cell.
     """
@@ -69,20 +69,20 @@ def table_of(samples: xr.DataArray) -> xr.DataArray:
         worst = int(np.argmax(np.max(apart, axis=0)))
         where = ", ".join(f"{name} {np.degrees(found[name][worst]):.4f}" for name in _HALF)
         raise ArgumentError(
-            f"sample {worst + 1} ({where} degrees) is not on the MERL grid: scattered samples are not resampled"
+            f"sample {worst + 1} ({where} degrees) must lie on the MERL grid: scattered samples are not resampled"
         )
     values = np.full((*(g.size for g in grid.values()), len(CHANNELS)), np.nan)
     numbers = np.ravel_multi_index(tuple(nearest), values.shape[:3])
     if np.unique(numbers).size < numbers.size:
         twice = int(np.flatnonzero(np.bincount(numbers) > 1)[0])
         cell = tuple(int(i) for i in np.unravel_index(twice, values.shape[:3]))
-        raise ArgumentError(f"cell {cell} of the MERL grid has several samples: give one")
+        raise ArgumentError(f"cell {cell} of the MERL grid has several samples: give one sample per cell")
     values[tuple(nearest)] = samples.values
     return brdf_table(values, sampling)
 
 
 def checked_samples(samples: xr.DataArray) -> xr.DataArray:
-    """Check samples of a BRDF, dims (sample, channel); ArgumentError names the wrong dims, coordinate, label or unit."""
+    """Check samples of a BRDF, dims (sample, channel). Errors name the wrong dims, coordinate, label or unit."""
     if not isinstance(samples, xr.DataArray) or samples.dims != ("sample", "channel"):
         dims = getattr(samples, "dims", type(samples).__name__)
         raise ArgumentError(f"samples must have dims (sample, channel) (see read_samples), got {dims}")
@@ -95,12 +95,12 @@ def checked_samples(samples: xr.DataArray) -> xr.DataArray:
         check_unit(f"coordinate {name}", samples[name], "rad")
     labels = [str(label) for label in samples["channel"].values]
     if "channel" not in samples.coords or len(set(labels)) < len(labels) or not all(map(_LABEL.fullmatch, labels)):
-        raise ArgumentError(f"samples must label each channel by a name of its own, got {', '.join(labels)!r:.60}")
+        raise ArgumentError(f"samples must have a different label for each channel, got {', '.join(labels)!r:.60}")
     return samples
 
 
 def _nearest(axis: np.ndarray, angle: np.ndarray) -> np.ndarray:
-    """Return the indices of the nearest points of an axis."""
+    """Find the indices of the nearest points of an axis."""
     above = np.clip(np.searchsorted(axis, angle), 1, axis.size - 1)
     return np.where(angle - axis[above - 1] < axis[above] - angle, above - 1, above)
 
@@ -110,8 +110,8 @@ def write_samples(path: str | Path, samples: xr.DataArray, *, force: bool = Fals
 
     Args:
         path: file to write (.csv).
-        samples: values in 1/sr as from `read_samples`, dims (sample, channel), shape (n, channels), with the coordinates
-            theta_h, theta_d and phi_d in rad.
+        samples: values in 1/sr as from `read_samples`, dims (sample, channel), shape (n, channels), with the
+            coordinates theta_h, theta_d and phi_d in rad.
         force: replace an existing file (no unit). Default: False.
 
     Raises:
@@ -145,8 +145,8 @@ def read_samples(path: str | Path) -> xr.DataArray:
         path: CSV file whose first line names its columns, such as theta_h_deg or R_per_sr.
 
     Returns:
-        Values in 1/sr, dims (sample, channel), shape (n, channels), NaN where missing. Coordinates theta_h, theta_d and phi_d
-        are in rad.
+        Values in 1/sr, dims (sample, channel), shape (n, channels), NaN where missing. Coordinates theta_h, theta_d and
+        phi_d are in rad.
 
     Raises:
         FileFormatError: a column is unknown, a line is not numeric, an angle is out of its range, or a value is

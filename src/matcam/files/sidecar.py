@@ -1,4 +1,4 @@
-"""Sidecar of an image: a JSON file beside it with all data that are required to invert it.
+"""Sidecar of an image: JSON file beside it with all information that an inversion requires.
 
     {
       "format": "matcam picture sidecar",  "version": 1,
@@ -6,9 +6,9 @@
       "picture": {"file": "copper.exr", "shape": [512, 512, 3], "quantity": "radiance", "channel_wavelengths_m": [...],
                   "axis_column_px": 255.5, "axis_row_px": 255.5},
       "camera": {...},                                        a camera profile, whole
-      "sample": {"kind": "sphere", "radius_px": 256.0, "distance_radii": null},           null: infinitely far
-      "lamp": {"angles_rad": [0.5], "azimuths_rad": [0.0],    lamp-axis as the sample's centre sees it; 0: towards +x, then up
-               "radius_rad": 0.004, "distance_radii": null},  null: infinitely far
+      "sample": {"kind": "sphere", "radius_px": 256.0, "distance_radii": null},           null: infinite
+      "lamp": {"angles_rad": [0.5], "azimuths_rad": [0.0],    seen from the sample's centre; 0: towards +x, then up
+               "radius_rad": 0.004, "distance_radii": null},  null: infinite
       "blur": {"jitter_px": 0.0, "aperture": 0.0, "focus_rad": 0.0},        registration; pupil over distance, and focus
       "exposure": {"electrons_per_radiance": [1e4], "times_s": [0.01], "seed": 1},        null: no noise was added
       "material": {...},                                      free
@@ -119,7 +119,7 @@ def sidecar_path(picture: str | Path) -> Path:
     """Return the path of the sidecar of an image.
 
     Args:
-        picture: the picture's file.
+        picture: file of the image.
 
     Returns:
         The same name with ".json" appended.
@@ -149,15 +149,16 @@ def write_sidecar(
 ) -> None:
     """Write the sidecar of a picture from its sections.
 
-    docs/forward.md and the published schema (docs/picture-sidecar-v1.schema.json) list the fields; units are in their names.
+    docs/forward.md and the published schema (docs/picture-sidecar-v1.schema.json) list the fields; units are in their
+    names.
 
     Args:
         path: file to write, as from `sidecar_path`.
         picture: file, shape (rows, columns, channels), quantity, wavelengths in m, position of the optical axis in px.
         camera: camera profile, as from `Camera.profile()`.
-        sample: kind "sphere", "cylinder" or "flat", radius in px, distance in radii; None: infinite.
-        lamp: angles between lamp and optical axis, azimuths about it (None: 0) and the lamp's angular radius, rad, all
-            seen from the centre of the sample; its distance in radii (None: infinite).
+        sample: kind "sphere", "cylinder" or "flat", radius in px, distance in radii (None: infinite).
+        lamp: angles between lamp and optical axis, azimuths about the axis (None: 0) and the lamp's angular radius,
+            rad, all seen from the centre of the sample; distance of the lamp in radii (None: infinite).
         blur: jitter in px, aperture over distance (no unit), focus in rad.
         exposure: electrons per unit of radiance, times in s, seed; None: without noise.
         material: free description of the material.
@@ -217,7 +218,8 @@ def read_sidecar(path: str | Path) -> dict[str, Any]:
         Its sections as dicts by name, checked, with all fields present.
 
     Raises:
-        FileFormatError: the file is not a sidecar, or a field is missing, unknown or out of its range; the message names it.
+        FileFormatError: the file is not a sidecar, or a field is missing, unknown or out of its range; the message
+            names it.
 
     Example:
         >>> matcam.io.read_sidecar("none.exr.json")

@@ -1,6 +1,7 @@
 """Decoders of tables (CSV, RGL, UTIA), which run in a separate process (core/readers/apart.py).
 
-samples.py, rgl.py and utia.py describe the formats. This file imports neither xarray nor JAX, to start quickly.
+samples.py, rgl.py and utia.py describe the formats. This file imports neither xarray nor JAX, so that it starts
+quickly.
 """
 
 from __future__ import annotations
@@ -20,14 +21,14 @@ VALUE = "_per_sr"
 _UNITS = {"rad": 1.0, "deg": np.pi / 180}
 _LONGEST_HEAD, _LINES_AT_ONCE = 4096, 1 << 16
 _LONGEST_LINE = 16 << 10
-"""Bytes in a line of a CSV file: at most 450 columns with at most 25 characters each."""
+"""Largest length of a line of a CSV file, bytes: 450 columns of 25 characters."""
 _BLOCK = 1 << 16  # bytes
 
 RGL_MAGIC, RGL_VERSION = b"tensor_file\0", b"\1\0"
 RGL_TYPES = dict(enumerate(("u1", "i1", "<u2", "<i2", "<u4", "<i4", "<u8", "<i8", "<f2", "<f4", "<f8"), 1))
 UTIA_SHAPE = (3, 6, 48, 6, 48)
 _UTIA_BYTES = 8 * math.prod(UTIA_SHAPE)
-"""Size of a UTIA file, bytes, its only mark."""
+"""Size of a UTIA file, bytes. The format has no other mark."""
 _MOST_FIELDS, _MOST_DIMENSIONS, _LONGEST_NAME = 64, 8, 64
 
 
@@ -39,7 +40,7 @@ def decode_csv(path: Path) -> dict[str, Any]:
 
 
 def _check_lines(path: Path) -> None:
-    """Reject a long line, which takes the parser much more time and memory than many short ones."""
+    """Reject a long line, because the parser needs much more time and memory for it than for many short lines."""
     before, number = 0, 1
     with path.open("rb") as file:
         while block := file.read(_BLOCK):
@@ -89,7 +90,7 @@ def _values(path: Path, columns: int) -> np.ndarray:
     """Read the lines below the names of the columns, (lines, columns)."""
     import pandas as pd
 
-    old = tuple(map(int, pd.__version__.split(".")[:2])) < (3, 1)  # whose standard converter loses the last digit
+    old = tuple(map(int, pd.__version__.split(".")[:2])) < (3, 1)  # their standard converter loses the last digit
     exact: Any = {"float_precision": "round_trip"} if old else {}
     blocks, at = [], 0
     try:
@@ -116,7 +117,7 @@ def _values(path: Path, columns: int) -> np.ndarray:
     except (ValueError, pd.errors.ParserError, pd.errors.ParserWarning, OverflowError) as error:
         raise FileFormatError(f"{path}: after line {at + 1}: {' '.join(str(error).split())[:120]}") from None
     if not blocks:
-        raise FileFormatError(f"{path}: there is no line after the names of the columns")
+        raise FileFormatError(f"{path}: has no line after the names of the columns")
     return np.concatenate(blocks)
 
 

@@ -1,12 +1,13 @@
-"""Tone curves: the light of the codes of an image.
+"""Tone curves: mapping from the codes of an image to light.
 
-The transfer function of sRGB (IEC 61966-2-1) and its inverse: light as a share of white <-> code as a share of full scale.
+The transfer function of sRGB (IEC 61966-2-1) and its inverse: light as a share of white <-> code as a share of full
+scale.
 
 Curves as text (OECF tables, ISO 14524):
 
-    one number per line         linear value of code 0, 1, 2, ... three numbers per line      the same for red, green
-    and blue two numbers per line        code and linear value, codes increasing; values between are interpolated
-    without overshoot
+    one number per line         linear value of code 0, 1, 2, ...
+    three numbers per line      linear values for red, green and blue
+    two numbers per line        increasing code and its linear value; interpolated between codes without overshoot
 
 Numbers are separated by blanks, commas or semicolons; "#" begins a comment.
 """
@@ -39,7 +40,7 @@ def decoded(code: ArrayLike) -> np.ndarray:
 def read_tone_curve(path: str | Path) -> np.ndarray:
     """Read linear values by code, (codes,) or (codes, 3).
 
-    FileFormatError that names file and line if it is not a tone curve, or not monotone.
+    Raise FileFormatError that names file and line if it is not a tone curve, or not monotone.
     """
     values = read_numbers(path)
     try:
@@ -54,7 +55,7 @@ def read_tone_curve(path: str | Path) -> np.ndarray:
 def read_numbers(path: str | Path, columns: int | None = None) -> np.ndarray:
     """Read lines of numbers as (lines, columns), without comments and empty lines.
 
-    columns: numbers in every line; None: one to three, the same in all. FileFormatError that names file and line.
+    columns: numbers in every line; None: one to three, the same in all lines. Errors name file and line.
     """
     path = Path(path)
     lines = read_lines(path, "a tone curve")
@@ -66,7 +67,7 @@ def read_numbers(path: str | Path, columns: int | None = None) -> np.ndarray:
         try:
             rows.append([float(word) for word in words])
         except ValueError:
-            raise FileFormatError(f"{path}: line {number}: {line.strip()[:40]!r} is not numbers") from None
+            raise FileFormatError(f"{path}: line {number}: {line.strip()[:40]!r} must be numbers") from None
         if len(words) != (columns or len(rows[0])) or (columns is None and len(words) > 3):
             wanted = columns or "one, two or three"
             raise FileFormatError(f"{path}: line {number} has {len(words)} numbers; {wanted} in every line are read")
@@ -77,14 +78,14 @@ def checked_curve(values: np.ndarray) -> np.ndarray:
     """Check a table of linear values by code; ArgumentError if it is too short, not finite or not monotone."""
     if values.ndim not in (1, 2) or len(values) < 2 or (values.ndim == 2 and values.shape[1] != 3):
         raise ArgumentError(
-            f"tone curve must be at least 2 linear values by code, one or three each, got shape {values.shape}"
+            f"tone curve must have at least 2 codes with one or three linear values each, got shape {values.shape}"
         )
     if not np.isfinite(values).all():
         raise ArgumentError("tone curve must be finite numbers")
     falls = (np.diff(values, axis=0) < 0).reshape(len(values) - 1, -1).any(1)
     if falls.any():
         code = int(np.argmax(falls))
-        raise ArgumentError(f"tone curve is not monotone: it falls from code {code} to {code + 1}")
+        raise ArgumentError(f"tone curve must be monotone, but falls from code {code} to {code + 1}")
     if (values[-1] <= values[0]).any():
         raise ArgumentError("tone curve is flat: all codes have the same light")
     return values
@@ -93,7 +94,7 @@ def checked_curve(values: np.ndarray) -> np.ndarray:
 def curve_through(codes: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Interpolate a table (codes,) through points (code, linear value), extrapolated linearly to code 0.
 
-    ArgumentError if codes do not increase strictly within 0 to 65535, or values fall.
+    Raise ArgumentError if codes do not increase strictly within 0 to 65535, or values fall.
     """
     from scipy.interpolate import PchipInterpolator
 
@@ -101,7 +102,7 @@ def curve_through(codes: np.ndarray, values: np.ndarray) -> np.ndarray:
         raise ArgumentError(f"tone curve's codes must increase strictly, from 0 to {_DEEPEST} at most")
     if not np.isfinite(values).all() or (np.diff(values) < 0).any():
         bad = int(np.argmax(~(np.diff(values) >= 0)))
-        raise ArgumentError(f"tone curve is not monotone: it falls from code {codes[bad]:g} to {codes[bad + 1]:g}")
+        raise ArgumentError(f"tone curve must be monotone, but falls from code {codes[bad]:g} to {codes[bad + 1]:g}")
     at = np.arange(int(np.ceil(codes[-1])) + 1)
     try:
         inside = PchipInterpolator(codes, values)(np.clip(at, codes[0], codes[-1]))

@@ -1,11 +1,12 @@
 """BSDF Data Interchange files of Zemax OpticStudio (.bsdf): text, supported for reflection with plane symmetry.
 
-    Symmetry PlaneSymmetrical          SpectralContent Monochrome, or XYZ           ScatterType BRDF SampleRotation 1 /
-    0               AngleOfIncidence 3 / 0 30 60                 ScatterAzimuth 19 / 0 10 ... 180 ScatterRadial 11 / 0 5
-    ... 80      Monochrome DataBegin then for each angle of incidence a total (TIS) and one row per azimuth
+    Symmetry PlaneSymmetrical          SpectralContent Monochrome, or XYZ           ScatterType BRDF
+    SampleRotation 1 / 0               AngleOfIncidence 3 / 0 30 60                 ScatterAzimuth 19 / 0 10 ... 180
+    ScatterRadial 11 / 0 5 ... 80      Monochrome DataBegin
+    then, for each angle of incidence, a total (TIS) and one row per azimuth
 
-Directions of view are given about the mirror direction: radial is the angle from it, azimuth 0 points to the surface
-normal. RGL's files have the same suffix; the content distinguishes them.
+Directions of view are relative to the mirror direction: radial is the angle from it, and azimuth 0 points to the
+surface normal. RGL's files have the same suffix and are distinguished by their content.
 """
 
 from __future__ import annotations
@@ -29,8 +30,8 @@ def read_zemax(path: str | Path) -> xr.DataArray:
         path: file to read (.bsdf).
 
     Returns:
-        Values in 1/sr of all directions above the surface, dims (sample, channel), channels Y, or X, Y and Z. Coordinates
-        theta_h, theta_d and phi_d are in rad.
+        Values in 1/sr of all directions above the surface, dims (sample, channel), channels Y, or X, Y and Z.
+        Coordinates theta_h, theta_d and phi_d are in rad.
 
     Raises:
         FileFormatError: the file is damaged, or contains transmission or a sample without plane symmetry.

@@ -1,6 +1,6 @@
 """Decoder of Zemax's BSDF Data Interchange files, which runs in a separate process (core/readers/apart.py).
 
-zemax.py describes the format. This file imports neither xarray nor JAX, to start quickly.
+zemax.py describes the format. This file imports neither xarray nor JAX, so that it starts quickly.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 from matcam.core.errors import FileFormatError
 
 _LARGEST = 256 << 20
-"""Largest size of a file, bytes; a thousand times a measurement at one wavelength."""
+"""Largest size of a file, bytes: a thousand times that of a measurement at one wavelength."""
 AXES = ("SampleRotation", "AngleOfIncidence", "ScatterAzimuth", "ScatterRadial")
 _CHANNELS = {"Monochrome": "Y", "TristimulusX": "X", "TristimulusY": "Y", "TristimulusZ": "Z"}
 _MOST = 100_000
@@ -40,7 +40,7 @@ def decode_zemax(path: Path) -> dict[str, Any]:
             raise FileFormatError(f"{path}: {key} {found} is not read: it must be {' or '.join(allowed)}")
     if len(axes["SampleRotation"]) > 1:
         raise FileFormatError(
-            f"{path}: has {len(axes['SampleRotation'])} sample rotations: one is read, of isotropic samples"
+            f"{path}: has {len(axes['SampleRotation'])} sample rotations; only isotropic samples with one are read"
         )
     shape = (len(axes["AngleOfIncidence"]), len(axes["ScatterAzimuth"]), len(axes["ScatterRadial"]))
     names, values = _blocks(path, words[start:], shape)

@@ -25,7 +25,7 @@ _POINTS: dict[CellValue, tuple[float, ...]] = {
 
 
 def cell_sampling(cell_value: CellValue) -> Sampling:
-    """Return the point of a cell at which a table is sampled."""
+    """Find the position in its cell at which a table is sampled: "centre" or "edge"."""
     return "edge" if cell_value == "edge" else "centre"
 
 
@@ -35,11 +35,11 @@ class CellChoice(NamedTuple):
     Attributes:
         cell_value: meaning of a cell's value.
         crop: (height, width) of the sensor, px; None: unlimited.
-        azimuth: of the lamp in all pictures, rad.
-        elongation: of the material's lobe, no unit.
-        pixel_phase: of the real pixels that are looked up, px; None: every cell has its own pixels.
-        even: whether the pictures through the lens are the same mirrored up and down.
-        shift: of the pictures, (right, up), px.
+        azimuth: azimuth of the lamp in all pictures, rad.
+        elongation: elongation of the material's lobe, no unit.
+        pixel_phase: phase of the real pixels that are looked up, px; None: every cell has its own pixels.
+        even: True if images through the lens are symmetric above and below.
+        shift: shift of the images, (right, up), px.
     """
 
     cell_value: CellValue
@@ -77,13 +77,13 @@ class TableCells(NamedTuple):
 
     With the lamp in the x direction of the sensor, the image at phi_d + pi mirrors that at pi - phi_d. Reversing phi_d,
     and the points along it, therefore gives the other direction. With any other lamp, or through a lens that is not
-    even, phi_d covers the whole turn.
+    even, phi_d covers the full turn.
 
     Attributes:
-        places: positions of the visible ones.
-        flat_index: their indices in the flattened arrays.
-        irradiance: cosine of the light at each cell, times a near lamp's irradiance over that at the centre.
-        weight: share of each point in the value of its cell; 0 where it is not visible.
+        places: positions of the visible points.
+        flat_index: indices of the visible points in the flattened arrays.
+        irradiance: cosine of the light at each cell, times the irradiance of a near lamp relative to the centre.
+        weight: share of each point in the value of its cell; 0 for invisible points.
         pixels: pixels behind the cells, (theta_h, theta_d, phi_d).
         mirrored: True where reversing phi_d gives the other direction.
     """
@@ -104,7 +104,7 @@ def table_cells(
     lamp_nearness: jax.Array | None = None,
     even: bool = True,
 ) -> TableCells:
-    """Find the cells of a table in the pictures of a sphere.
+    """Find the cells of a table in the images of a sphere.
 
     The sensor covers `crop`, (height, width), px; None: unlimited.
     """
@@ -145,7 +145,7 @@ def table_cells(
 
 
 class RealCells(NamedTuple):
-    """The cells of a table that are looked up in real pixels.
+    """Cells of a table that are looked up in real pixels.
 
     Attributes:
         places: the pixels, of all slices.
@@ -190,7 +190,7 @@ def _real_cells(radius: float, chosen: CellChoice, phase: PixelPhase) -> RealCel
 def cell_means(radiance: jax.Array, cells: TableCells | RealCells) -> jax.Array:
     """Average the BRDF over the positions of each cell, both directions.
 
-    It is NaN where no position is visible.
+    The mean is NaN where no position is visible.
     """
     channels = radiance.shape[-1]
     if isinstance(cells, RealCells):

@@ -1,9 +1,9 @@
-"""Record of the cells of a table on a cylinder, which shows the normals of one line (docs/model.md 3).
+"""Record of the cells of a table on a cylinder, whose normals lie in one plane (docs/model.md 3).
 
-The normal of a cell lies beside the plane of camera and lamp. A sphere shows it there. A cylinder shows it if the lamp
-is turned about the optical axis until the normal is perpendicular to the axis of the cylinder. Each cell therefore has
-its own lamp, and is recorded on the line across the axis that contains the optical axis. In a near rig only that line
-shows the cell at its angles.
+The normal of a cell lies outside the plane of camera and lamp. On a sphere such a normal is visible. On a cylinder it
+is visible if the lamp is turned about the optical axis until the normal is perpendicular to the axis of the cylinder.
+Each cell therefore has its own lamp, and is recorded on the line across the axis that contains the optical axis. In a
+near rig the cell is visible at its angles only on that line.
 """
 
 from __future__ import annotations
@@ -24,17 +24,17 @@ from matcam.rigs import UNKNOWN, Rig
 from matcam.sample.curved import Cylinder, Sphere
 
 _TURN = 1e-9
-"""Sine of half an azimuth below which it is a whole turn."""
+"""Sine of half an azimuth below which the azimuth counts as a multiple of a full turn."""
 
 
 class CylinderCells(NamedTuple):
     """Cells of a table on a cylinder. Arrays over (theta_h, theta_d, phi_d, direction).
 
     Attributes:
-        places: positions of the visible ones.
-        flat_index: their indices in the flattened arrays.
-        irradiance: of the surface at each cell, over that at the centre of a surface that faces the lamp.
-        seen: whether a cell is visible.
+        places: positions of the visible cells.
+        flat_index: indices of the visible cells in the flattened arrays.
+        irradiance: irradiance of the surface at each cell, over that at the centre of a surface that faces the lamp.
+        seen: True for visible cells.
     """
 
     places: LinePlaces
@@ -44,7 +44,7 @@ class CylinderCells(NamedTuple):
 
 
 def check_cylinder(rig: Rig, azimuth: float = 0.0) -> None:
-    """Raise ArgumentError for a rig with a cylinder of which no table can be recorded.
+    """Raise ArgumentError if no table can be recorded by a rig with a cylinder.
 
     rig: with a cylinder. azimuth: requested azimuth of the lamp, rad.
     """
@@ -94,7 +94,8 @@ def cylinder_cells(rig: Rig) -> CylinderCells:
 def line_places(rig: Rig, theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray) -> LinePlaces:
     """Compute the positions of half and difference angles on the cylinder of a rig, and their lamps.
 
-    A sphere of the same radius shows them at the same distance from the optical axis, under a lamp at the same angle from it.
+    The positions have the same distance from the optical axis as on a sphere of the same radius, under a lamp at the
+    same angle from the axis.
     """
     sample: Cylinder = rig.sample  # type: ignore[assignment]
     sphere = Sphere(float(sample.radius), float(sample.distance))

@@ -1,4 +1,4 @@
-"""False haze and false diffuse part that glare of a lens adds to a record."""
+"""Apparent haze and apparent diffuse part that glare of a lens adds to a record."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ _NAMES = {
     "added": "BRDF that the halo adds [1/sr]",
     "false_diffuse": "albedo that the halo adds",
 }
-"""Names in words, and units, of the variables of the result."""
+"""Description and unit of each variable of the result."""
 
 
 def false_light(material: Material, rig: Rig, theta_d: float = np.pi / 8) -> xr.Dataset:
     """Predict the haze and the diffuse part that a halo adds.
 
-    They are veiling glare of the highlight (docs/model.md 2). The angles lie across the plane of camera and lamp (phi_d
-    = pi / 2), where light and view stay far from the horizon.
+    Both are veiling glare of the highlight (docs/model.md 2). The angles lie across the plane of camera and lamp
+    (phi_d = pi / 2), where light and view are far from the horizon.
 
     Args:
         material: the material.
@@ -44,8 +44,8 @@ def false_light(material: Material, rig: Rig, theta_d: float = np.pi / 8) -> xr.
 
     Returns:
         Dataset over theta_h (rad) and channel, 1/sr: `true` BRDF, `recorded`, and `added`, the difference to the record
-        without the halo. `false_diffuse` over channel is the albedo of the Lambertian part that would explain `added`
-        far from the highlight: pi times its mean from 30 degrees on.
+            without the halo. `false_diffuse` over channel is the albedo of the Lambertian part that would explain
+            `added` far from the highlight: pi times its mean from 30 degrees on.
 
     Raises:
         ArgumentError: the lens has no halo, or the sample is not a sphere.

@@ -1,9 +1,10 @@
-"""Images of a material on a curved sample, as the camera of a rig takes them.
+"""Images of a material on a curved sample by the camera of a rig.
 
-An image within a given error is exact only where required: most of a sample is smooth, or dark beside its highlight. A
-pixel records a value between the smallest and the largest radiance within the support of its kernel. Where these differ
-by less than the error, the radiance at its centre suffices. A highlight may lie between the centres, so its whole
-surroundings are exact. So may a crescent, or its tips, so light is evaluated along the limb, too.
+An image with a given error is computed exactly only where required, because most of a sample is smooth or much darker
+than the highlight. The value of a pixel lies between the smallest and the largest radiance within the support of its
+kernel. Where these differ by less than the error, the radiance at the centre of the pixel suffices. A highlight may lie
+between the centres, so all pixels around it are exact. A crescent or its tips may also lie between the centres, so
+light is evaluated along the limb, too.
 """
 
 from __future__ import annotations
@@ -52,31 +53,34 @@ def picture(
     The lamp's irradiance is 1 at the sample's centre, on a surface that faces it. Row 0 is on top. Pixel centres lie on
     integers, and the optical axis at ((width - 1) / 2, (height - 1) / 2). For derivatives see `picture_values`.
 
-    The image under a source disc is the mean over those of its points. This takes 15 times as long for a disc whose
-    image is as wide as the blur, and longer for a larger one.
+    The image under a source disc is the mean of the images under its points. This takes 15 times as long for a disc
+    whose image is as wide as the blur, and longer for a larger disc.
 
     Args:
         material: material of the sample, such as `Microfacet(GGX(0.1), 0.9)`.
         rig: camera, sample and lamp; the sample is a `Sphere` or `Cylinder`.
         lamp_angle: angle between lamp and optical axis, seen from the sample's centre, rad: 2 theta_d in a distant rig.
             In [0, pi), or up to the angle where a near lamp lights no visible surface.
-        azimuth: of the lamp about the optical axis, in [-2 pi, 2 pi], rad. Pixels and the axis of a cylinder (y) do not
-            turn with it. Default: None, the rig's `lamp_azimuth`, or 0, the lamp towards +x (right); pi / 2 is towards
-            +y (up).
+        azimuth: azimuth of the lamp about the optical axis, in [-2 pi, 2 pi], rad. Pixels and the axis of a cylinder
+            (y) do not turn with it. Default: None, the rig's `lamp_azimuth`, or 0, the lamp towards +x (right); pi / 2
+            is towards +y (up).
         shape: (height, width), px. Default: the crop of the rig, or an area that contains the sample and its blur.
-        shift: of the sample and the optical axis from the picture's middle, px: columns to the right, rows down. Default:
-            none.
-        error: largest error allowed, as a share of the picture's peak, in [1e-6, 0.1], no unit; the larger, the faster.
-            Default: None, full accuracy (1e-4 of every value or 1e-7 of the peak). The route by frequencies allows an
-            error of the transfer function of half of it, by default 1e-6.
-        exposure: electrons per unit of radiance, e- sr, for a raw picture of the camera's sensor. Default: None, radiance.
-        seed: seed of the raw picture's noise, a whole number or a JAX key. Default: None, allowed for radiance only.
-        time: exposure time of the raw picture, s, for the dark current. Default: 0.
+        shift: shift of the sample and the optical axis from the centre of the image, px: columns to the right, rows
+            down.
+            Default: none.
+        error: largest allowed error, as a share of the peak of the image, in [1e-6, 0.1], no unit; larger is faster.
+            Default: None, full accuracy (1e-4 of every value or 1e-7 of the peak). Where the image is filtered by
+            frequencies, half of it is the allowed error of the transfer function, by default 1e-6.
+        exposure: electrons per unit of radiance, e- sr, for a raw image of the camera's sensor. Default: None,
+            radiance.
+        seed: seed of the noise of the raw image, an integer or a JAX key. Default: None, for radiance only.
+        time: exposure time of the raw image, s, for the dark current. Default: 0.
 
     Returns:
-        Radiance, 1/sr, or digital values, DN, (row, column, channel); (row, column) behind a colour mosaic. Coordinates `x`
-        and `y`, px, count from the optical axis, y upwards. Attribute `kernel_error`: see `measure`. Attribute `route`:
-        "frequencies" where a finer picture was filtered as the lens does, "space" where the lens is a sum of Gaussians.
+        Radiance, 1/sr, or digital values, DN, (row, column, channel); (row, column) for a colour mosaic. Coordinates
+        `x` and `y`, px, are relative to the optical axis, y upwards. Attribute `kernel_error`: see `measure`. Attribute
+        `route`: "frequencies" if a finer image was filtered by the transfer function of the lens, "space" if the lens
+        is a sum of Gaussians.
 
     Raises:
         ArgumentError: an argument is out of its range, the lamp lights no visible surface or is inside the camera, the
@@ -86,7 +90,7 @@ def picture(
         docs/model.md 2, 3 and 10.
 
     Example:
-        The middle of a sphere, where no kernel meets the highlight or the limb; without a shape, the whole sphere.
+        The middle of a sphere, where no kernel contains the highlight or the limb; without a shape, the whole sphere.
 
         >>> rig = matcam.Rig(matcam.Camera(matcam.GaussianOptics(0.5)), matcam.Sphere(40.0))
         >>> image = matcam.picture(matcam.Microfacet(matcam.GGX(0.1), 0.9), rig, lamp_angle=1.0, shape=(3, 5))
@@ -146,15 +150,16 @@ def picture_values(
     Args:
         material: material of the sample, such as `Microfacet(GGX(0.1), 0.9)`.
         rig: camera, sample and lamp; the sample is a `Sphere` or `Cylinder`.
-        lamp_angle: angle between lamp and optical axis, see `picture`, rad. Its derivatives are those of a sphere and a point.
+        lamp_angle: angle between lamp and optical axis, see `picture`, rad. It can be differentiated for a sphere under
+            a point lamp.
         shape: (height, width), px. Default: see `picture`.
-        azimuth: of the lamp about the optical axis, rad; it cannot be traced. Default: None, see `picture`.
+        azimuth: azimuth of the lamp about the optical axis, rad; it cannot be traced. Default: None, see `picture`.
 
     Returns:
         Radiance under unit irradiance, (height, width, channels), 1/sr.
 
     Raises:
-        ArgumentError: see `picture`; or the call stands inside jax.jit.
+        ArgumentError: see `picture`; or the call is inside jax.jit.
 
     Source:
         docs/model.md 2 and 3.
@@ -168,7 +173,7 @@ def picture_values(
 
 
 def _record_within(error: float, material: Material, view: View) -> jax.Array:
-    """Record a picture within `error` of its largest value.
+    """Record an image with an error of at most `error` times its largest value.
 
     It must not be differentiated, because the material decides which pixels are exact.
     """
@@ -219,7 +224,7 @@ _Places = Sequence[np.ndarray]
 _ALONG = 0.5
 """Step along the limb at which light is evaluated, px."""
 _BELOW_LIMB = 1.5 * 3.0 ** -np.arange(16)
-"""Distances of these positions from the limb, px: one lies in any crescent."""
+"""Distances of these positions from the limb, px. At least one lies in any crescent."""
 
 
 def _on_sphere(
@@ -240,7 +245,7 @@ def _on_sphere(
 
 
 def _most_at_limb(scene: Scene, radius: float, light: np.ndarray, wide: _Places) -> np.ndarray:
-    """Return the light at centres, or at the nearest point of the limb if that is brighter."""
+    """Compute the light at centres, or at the nearest point of the limb if that is brighter."""
     count = few_lengths(int(np.ceil(2 * np.pi * radius / _ALONG)))
     azimuth = 2 * np.pi * np.arange(count) / count
     depth = radius - np.minimum(_BELOW_LIMB, radius / 2)[:, None]
@@ -256,7 +261,7 @@ def _most_at_limb(scene: Scene, radius: float, light: np.ndarray, wide: _Places)
 def _on_cylinder(
     material: Material, view: View, point: LampPoint, wide: _Places, pixels: _Places
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The same for a cylinder; its limbs count as highlights, too."""
+    """Compute the same as `_on_sphere` for a cylinder, whose limbs are treated as highlights, too."""
     sample, blur, nearness = view.imaging
     assert isinstance(sample, Cylinder)
     seen, own = (places_under(at[0].ravel(), at[1].ravel(), point, nearness) for at in (wide, pixels))
@@ -276,13 +281,13 @@ def _at_centres(scene: Scene, x: jax.Array, y: jax.Array) -> jax.Array:
 def _raw_conversion(
     sensor: Sensor | None, exposure: float | None, seed: Seed | None, time: float
 ) -> Callable[[jax.Array], jax.Array] | None:
-    """Return the function from radiance to a raw image; None for radiance."""
+    """Build the function from radiance to a raw image; None if radiance is requested."""
     if exposure is None:
         return None
     if sensor is None:
         raise ArgumentError("exposure needs a camera with a sensor: Camera(optics, pixel, sensor=Sensor(...))")
     if seed is None:
-        raise ArgumentError("exposure needs a seed: a whole number, which selects the noise")
+        raise ArgumentError("exposure needs a seed: give an integer, which selects the noise")
 
     def raw(values: jax.Array) -> jax.Array:
         if sensor.cfa is not None and values.shape[-1] == 1:

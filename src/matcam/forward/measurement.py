@@ -1,9 +1,9 @@
-"""Table of a material as a rig records it: every cell of the MERL grid through its pixels (docs/model.md 3).
+"""Table of a material as recorded by a rig: the pixels of every cell of the MERL grid (docs/model.md 3).
 
-One picture of a sphere, with lamp and camera 2 theta_d apart, is one theta_d slice of a table. It shows each cell
-twice: at azimuth pi - phi_d about the half vector, and opposite. The cell's value is the mean of the two records, each
-divided by the cosine of the light there. Their positions and integrals depend on the rig alone, so a workspace keeps
-the plan for the next material. Cells on one pixel share its noise (docs/model.md 8).
+One image of a sphere, with lamp and camera 2 theta_d apart, is one theta_d slice of a table. Each cell occurs twice in
+it: at azimuth pi - phi_d about the half vector, and opposite. The value of a cell is the mean of the two records, each
+divided by the cosine of the light there. Positions and integrals depend only on the rig, so a workspace keeps the plan
+for further materials. Cells on one pixel share its noise (docs/model.md 8).
 """
 
 from __future__ import annotations
@@ -60,38 +60,39 @@ def measure(
 
     The value of a cell comes from a pixel centred on the point of the cell that `cell_value` of the rig specifies;
     "mean" is the mean over the pixels inside. "nearest" and "bilinear" look the cell up in a real grid of pixels, and
-    so does "mean" if the rig has a `pixel_phase`. Cells near the peak then repeat a pixel. The record is divided by the
-    cosine of the light at the pixel's centre. It is averaged over the two positions that show the cell (reciprocity).
-    The light of a flat sample is uniform and is not blurred.
+    so does "mean" if the rig has a `pixel_phase`. Several cells near the peak then have the value of the same pixel.
+    The record is divided by the cosine of the light at the centre of the pixel, and averaged over the two positions of
+    the cell (reciprocity). The light of a flat sample is uniform and is not blurred.
 
-    In a near rig each cell comes from the image whose lamp shows it at its angles, and is divided by the irradiance of
-    the lamp there. A whole table takes about 15 s on two cores, for each of the 20 or more points of a source disc. For
-    derivatives see `table_values`.
+    In a near rig each cell comes from the image in which it is visible at its angles, and is divided by the irradiance
+    of the lamp there. A complete table takes about 15 s on two cores, for each of the 20 or more points of a source
+    disc. For derivatives see `table_values`.
 
-    A cylinder shows the normals of one line, which crosses its axis at height 0. Each cell comes from the image whose
+    On a cylinder, cells are recorded on a line that crosses its axis at height 0. Each cell comes from the image whose
     lamp is turned about the optical axis until the normal of the cell lies on that line.
 
     Args:
         material: material to record, such as `Microfacet(GGX(0.1), 0.9)`, with one channel (grey) or three.
         rig: camera, sample and lamp; any sample.
         workspace: keeps the plan of a rig's table for its next material. Default: None, that of the process.
-        azimuth: of the lamp about the optical axis in all pictures, in [-2 pi, 2 pi], rad. The plane of incidence
-            turns; the square pixels do not. Default: None, the rig's `lamp_azimuth`, or 0, the lamp towards +x.
+        azimuth: azimuth of the lamp about the optical axis in all images, in [-2 pi, 2 pi], rad. The plane of
+            incidence turns; the square pixels do not. Default: None, the rig's `lamp_azimuth`, or 0, the lamp towards
+            +x.
 
     Returns:
-        BRDF, 1/sr, on the MERL grid (theta_h, theta_d, phi_d, channel), NaN where no pixel shows a cell. Coordinate
-        `pixels` (theta_h, theta_d, phi_d) counts the pixels behind a cell at both positions. Attribute `kernel_error`
-        is the largest error of the transfer function of the lens; 0 for Gaussian lenses.
+        BRDF, 1/sr, on the MERL grid (theta_h, theta_d, phi_d, channel), NaN for invisible cells. Coordinate `pixels`
+        (theta_h, theta_d, phi_d) is the number of pixels behind a cell at both positions. Attribute `kernel_error` is
+        the largest error of the transfer function of the lens; 0 for Gaussian lenses.
 
     Raises:
-        ArgumentError: a cylinder's lamp has an azimuth, or its cells are on real pixels; the lens differs over the field, or
-            by direction before a cylinder; or the call stands inside jax.jit.
+        ArgumentError: the lamp of a cylinder has an azimuth, or its cells are on real pixels; the lens varies over the
+            field, or is not isotropic for a cylinder; or the call is inside jax.jit.
 
     Source:
         docs/model.md 2 and 3. The error is below 1e-4 of the value or 1e-7 of the peak for Gaussian optics (tests).
 
     Example:
-        A perfect measurement, of a flat sample; a sphere's is `matcam.measure(material, matcam.rigs.merl())`.
+        A perfect measurement of a flat sample. For a sphere use `matcam.measure(material, matcam.rigs.merl())`.
 
         >>> material = matcam.Microfacet(matcam.GGX(0.1), 0.9)
         >>> table = matcam.measure(material, matcam.Rig(matcam.rigs.merl().camera, matcam.Flat()))
@@ -132,13 +133,14 @@ def table_values(
     The values are differentiable in the parameters of material and camera.
 
     Args:
-        material: material to record, with any count of channels.
+        material: material to record, with any number of channels.
         rig: camera, sample and lamp; any sample.
         workspace: keeps the plan of a rig's table for its next material. Default: None, that of the process.
-        azimuth: of the lamp about the optical axis in all pictures, rad. Default: None, the rig's, or 0, towards +x.
+        azimuth: azimuth of the lamp about the optical axis in all images, rad. Default: None, the rig's, or 0,
+            towards +x.
 
     Returns:
-        BRDF, (90, 90, 180, channels), 1/sr, NaN where no pixel shows a cell; and the number of pixels behind each cell,
+        BRDF, (90, 90, 180, channels), 1/sr, NaN for invisible cells; and the number of pixels behind each cell,
         (90, 90, 180).
 
     Raises:
@@ -173,7 +175,7 @@ def table_values(
 
 
 def _colours(rig: Rig) -> list[tuple[Rig, tuple[float, float]]]:
-    """Return the rig of each colour of a lens that has several, otherwise of all, and the shift of its image, px."""
+    """Return the rig and the image shift, px, of each colour of the lens; one rig if the lens has no colours."""
     optics = rig.camera.optics
     if not isinstance(optics, ColourOptics):
         return [(rig, (0.0, 0.0))]
@@ -185,7 +187,7 @@ def _colours(rig: Rig) -> list[tuple[Rig, tuple[float, float]]]:
 def _values_through(
     material: Material, rig: Rig, azimuth: float, shift: tuple[float, float], workspace: Workspace
 ) -> tuple[jax.Array, np.ndarray]:
-    """Compute values and pixel counts of a table through one lens. shift: of its images, (right, up), px."""
+    """Compute values and pixel counts of a table through one lens. shift: shift of its images, (right, up), px."""
     if served_by_frequencies(rig, material):
         return _by_frequencies(material, rig, azimuth, shift)
     imaging = imaging_of(rig)
@@ -210,7 +212,7 @@ def _by_frequencies(
 
 
 def _azimuth(rig: Rig, azimuth: ArrayLike | None) -> float:
-    """Return the azimuth of the lamp in the images of a table: as given, otherwise that of the rig, otherwise 0."""
+    """Choose the azimuth of the lamp in the images of a table: as given, otherwise that of the rig, otherwise 0."""
     return float(checks.scalar("azimuth", rig.azimuths(azimuth)))
 
 
@@ -243,13 +245,11 @@ class TablePlan(NamedTuple):
 
 
 def _table_plan(imaging: Imaging, chosen: CellChoice, workspace: Workspace) -> TablePlan:
-    """Plan the table of a rig. Needs concrete values: ArgumentError inside jax.jit."""
+    """Plan the table of a rig. Values must be concrete: ArgumentError inside jax.jit."""
     imaging = jax.lax.stop_gradient(imaging)
     leaves, tree = jax.tree.flatten(imaging)
     if not all(is_concrete(leaf) for leaf in leaves):
-        raise ArgumentError(
-            "the rig's parameters set which pixels make up a table: call this outside of jax.jit and vmap"
-        )
+        raise ArgumentError("the rig's parameters select the pixels of a table: call this outside of jax.jit and vmap")
 
     def plan() -> TablePlan:
         cells = chosen.cells(imaging.sample, imaging.lamp_nearness)
@@ -298,10 +298,10 @@ def _under_disc(material: Material, rig: Rig, imaging: Imaging, chosen: CellChoi
 def _flat_values(material: Material, rig: Rig) -> jax.Array:
     """Compute the values of a flat sample, both directions.
 
-    It is tilted so that each cell is visible. Uniform light is not blurred.
+    The sample is tilted so that each cell is visible. Uniform light is not blurred.
     """
     if rig.cell_value not in ("centre", "edge", UNKNOWN):
-        raise ArgumentError("a flat sample's pixels all show one cell: cell_value must be 'centre' or 'edge'")
+        raise ArgumentError("all pixels of a flat sample belong to one cell: cell_value must be 'centre' or 'edge'")
     sampling = cell_sampling(rig.cell_value)
     theta_h, theta_d, phi_d = np.meshgrid(*merl_grid(sampling), indexing="ij")
     values = (material.brdf(theta_h, theta_d, phi_d) + material.brdf(theta_h, theta_d, phi_d + np.pi)) / 2
@@ -310,26 +310,27 @@ def _flat_values(material: Material, rig: Rig) -> jax.Array:
 
 
 PICTURE_STRIDE = 1 << 13
-"""Pixels per row in the number of a pixel; no image is that wide."""
+"""Number of pixels per row in the number of a pixel. It exceeds the width of any image."""
 
 CHROMIUM_WIDTH = 0.002
 """Width of the lobe of `simulated_chromium`, rad: half a pixel on the MERL rig's sphere."""
 
 
 def with_pixel_noise(table: xr.DataArray, rig: Rig, noise: PixelNoise, seed: int) -> xr.DataArray:
-    """Add to a table the noise of the pixels behind its cells.
+    """Add the noise of the pixels behind its cells to a table.
 
-    Each theta_d slice is one picture. Cells that share a pixel share its noise; a mean of pixels has that of their
-    mean. Negative results are kept, because clipping would bias faint cells.
+    Each theta_d slice is one image. Cells that share a pixel share its noise; a mean of pixels has the mean of their
+    noise. Negative results are kept, because clipping would bias faint cells.
 
     Args:
         table: BRDF on the MERL grid, (90, 90, 180, channels), 1/sr.
-        rig: rig that recorded it; its sample must be a `Sphere`, or a `Cylinder`, of which each cell has pixels of its own.
-        noise: standard deviation of a pixel, relative to its value and to its picture's brightest (no unit).
-        seed: seed of the random numbers, a whole number; the same seed gives the same noise.
+        rig: rig that recorded the table; its sample must be a `Sphere`, or a `Cylinder` with separate pixels for each
+            cell.
+        noise: standard deviation of a pixel, relative to its value and to the brightest pixel of its image (no unit).
+        seed: seed of the random numbers, an integer; the same seed gives the same noise.
 
     Returns:
-        The noisy table, with the coordinates and attributes of the given one.
+        Table with noise, with the coordinates and attributes of `table`.
 
     Raises:
         ArgumentError: the sample is flat, the noise is out of its range, or the table is not on the MERL grid.
@@ -379,13 +380,13 @@ def with_pixel_noise(table: xr.DataArray, rig: Rig, noise: PixelNoise, seed: int
 
 
 class CellPixels(NamedTuple):
-    """Numbers of the pixels that show each cell, arrays of shape (theta_d, theta_h, phi_d).
+    """Numbers of the pixels behind each cell, arrays of shape (theta_d, theta_h, phi_d).
 
-    A number is unique within its slice. The sphere's axis lies on a pixel's centre.
+    A number is unique within its slice. The axis of the sphere lies at the centre of a pixel.
 
     Attributes:
         first: pixel at azimuth pi - phi_d about the half vector.
-        second: pixel opposite.
+        second: pixel at the opposite azimuth.
     """
 
     first: np.ndarray
@@ -393,7 +394,7 @@ class CellPixels(NamedTuple):
 
 
 def cell_pixels(sphere: Sphere, sampling: Sampling, azimuth: float = 0.0) -> CellPixels:
-    """Number the pixels of a sphere's pictures behind the cells. azimuth: of the lamp, rad."""
+    """Number the pixels behind the cells in the images of a sphere. azimuth: azimuth of the lamp, rad."""
     grid = merl_grid(sampling)
     theta_h, theta_d, phi_d = grid.theta_h[:, None], grid.theta_d[:, None, None], grid.phi_d
     place = jax.jit(lambda sphere, *angles: sphere.place(*angles))
@@ -410,15 +411,15 @@ def simulated_chromium(seed: int = 1) -> xr.DataArray:
     """Simulate the table of an ideal chromium sphere on the MERL rig.
 
     The lobe is Gaussian, 0.002 rad wide; n and k are those of Rakic et al. (1998). Noise is 1 % per pixel, without a
-    floor, because a MERL file cannot contain negative values. The truth is known, so this serves demonstrations and
-    tests of the installation. It does not test the method; tests/oracle does.
+    floor, because a MERL file cannot contain negative values. The truth is known, so the table is useful for
+    demonstrations and tests of the installation. The tests of the method are in tests/oracle.
     """
     return default_workspace().remember("simulated chromium", seed, lambda: _noisy_chromium(seed), most=1).copy()
 
 
 def _noisy_chromium(seed: int) -> xr.DataArray:
     n, k, _ = metal("Cr", CHANNEL_WAVELENGTHS, "rakic")
-    # without masking, which for so smooth a surface is 1 to within 1e-6 up to 89 degrees
+    # without masking, which is 1 to within 1e-6 up to 89 degrees for such a smooth surface
     chromium = Microfacet(GaussianNDF(CHROMIUM_WIDTH), Conductor(n, k), masking=None)
     table = with_pixel_noise(measure(chromium, merl()), merl(), PixelNoise(0.01, 0.0), seed)
     return table.assign_attrs(source="simulated chromium")

@@ -23,7 +23,7 @@ from matcam.rigs import ON_REAL_PIXELS, CellValue, PixelPhase, Rig
 _SMALLEST = 1e-12
 """Weight below which an interpolation omits a pixel."""
 _STRIDE = 1 << 16
-"""Pixels per row in the number of a pixel; no image is that wide."""
+"""Number of pixels per row in the number of a pixel. It exceeds the width of any image."""
 
 
 class PixelGrid(NamedTuple):
@@ -31,9 +31,9 @@ class PixelGrid(NamedTuple):
 
     Attributes:
         rule: "nearest", "bilinear" or "mean".
-        phase: of the grid, px; one for all pictures, or one for the picture of each slice of theta_d. None: a "mean" of
-            pixels of any phase.
-        azimuth: of the lamp relative to the rows of the grid, rad.
+        phase: phase of the grid, px; one for all images, or one for the image of each slice of theta_d. None: "mean" is
+            averaged over all phases.
+        azimuth: azimuth of the lamp relative to the rows of the grid, rad.
     """
 
     rule: CellValue
@@ -51,7 +51,7 @@ def phase_of_slices(phase: PixelPhase) -> np.ndarray:
 
 
 def grid_of(rig: Rig) -> PixelGrid | None:
-    """Return the grid in which the cells of a rig are looked up; None: each cell has its own pixel, or the grid is unknown."""
+    """Return the grid in which the cells of a rig are looked up; None if each cell has its own pixel, or if unknown."""
     if rig.cell_value == "mean" or (rig.cell_value in ON_REAL_PIXELS and rig.pixel_phase is not None):
         return PixelGrid(rig.cell_value, rig.pixel_phase, rig.lamp_azimuth or 0.0)
     return None
@@ -61,9 +61,9 @@ class PlacePixels(NamedTuple):
     """Pixels that are looked up for positions in an image; the last axis is over the pixels of one position.
 
     Attributes:
-        x: centres, px from the sphere's centre.
-        y: the same upwards.
-        weight: share of each; the shares add up to 1.
+        x: centres to the right of the sphere's centre, px.
+        y: centres upwards from the sphere's centre, px.
+        weight: share of each pixel; the shares add up to 1.
     """
 
     x: np.ndarray
@@ -76,7 +76,7 @@ class SlicePixels(NamedTuple):
 
     Attributes:
         x: (pixels,), centres in the plane of light and view, px from the sphere's centre, the lamp towards +x.
-        y: (pixels,), the same across it.
+        y: (pixels,), centres across this plane, px.
         cos_i: (pixels,), cosine of the light at each centre.
         share: (cells, pixels) matrix, cells over (theta_h, phi_d); rows add up to 1, or to 0 for invisible cells.
     """
@@ -92,9 +92,9 @@ def looked_up(rule: CellValue, phase: ArrayLike, x: np.ndarray, y: np.ndarray) -
 
     Args:
         rule: "nearest" or "bilinear".
-        phase: of the pixel grid, px, (2,) or (..., 2), over the axes of the positions.
+        phase: phase of the pixel grid, px, (2,) or (..., 2), over the axes of the positions.
         x: positions, px from the centre of the sphere along the rows of the sensor.
-        y: the same across them.
+        y: positions across the rows of the sensor, px.
     """
     shift = np.asarray(phase)
     a, b = shift[..., 0], shift[..., 1]
@@ -110,13 +110,13 @@ def looked_up(rule: CellValue, phase: ArrayLike, x: np.ndarray, y: np.ndarray) -
 
 
 class PixelAngles(NamedTuple):
-    """Angles at which the image of a distant sphere shows pixels; arrays of one shape.
+    """Angles at pixels of the image of a distant sphere; arrays of one shape.
 
     Attributes:
         theta_h: half angle, rad.
         psi: azimuth about the half vector from the lamp's side, rad.
-        cos_i: cosine of the light; -1 beside the sphere.
-        cos_o: cosine of the view; -1 beside the sphere.
+        cos_i: cosine of the light; -1 outside the sphere.
+        cos_o: cosine of the view; -1 outside the sphere.
     """
 
     theta_h: np.ndarray
@@ -154,11 +154,11 @@ def slice_pixels(
 
     Args:
         rule: "nearest", "bilinear" or "mean".
-        phase: of the pixel grid, px.
-        radius: of the sphere, px.
-        theta_d: of the slice, rad.
+        phase: phase of the pixel grid, px.
+        radius: radius of the sphere, px.
+        theta_d: theta_d of the slice, rad.
         crop: (height, width) of the sensor, px about the optical axis; None: unlimited.
-        azimuth: of the lamp about the optical axis, rad.
+        azimuth: azimuth of the lamp about the optical axis, rad.
     """
     n_h, _, n_p = GRID_SHAPE
     grid = merl_grid("centre")
@@ -197,7 +197,7 @@ def slice_pixels(
 def _pixels_inside(
     phase: np.ndarray, radius: float, theta_d: float, azimuth: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return (cell, x, y) of every lit pixel, with the cell that contains the directions at its centre."""
+    """Find (cell, x, y) of every lit pixel, where the cell contains the directions at the centre of the pixel."""
     n_h, _, n_p = GRID_SHAPE
     size = int(np.ceil(radius)) + 1
     line = np.arange(-size, size + 1.0)

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
 LOSS = 0.05
-"""Relative loss above which an angle is not trusted (`loss_angle`)."""
+"""Relative loss that defines the loss angle (`loss_angle`)."""
 _ANGLES = np.radians(np.append(np.arange(0, 90, 0.25), 89.9))
 
 
@@ -27,7 +27,7 @@ class Prediction(NamedTuple):
 
     Attributes:
         family: name of the family.
-        roughness: of the lobes, (lobes,).
+        roughness: roughness of the lobes, (lobes,).
         theta: viewing angles, rad, (angles,).
         response: recorded over true peak, (lobes, angles), no unit.
         loss_angle: see `loss_angle`, rad, (lobes,).
@@ -41,11 +41,11 @@ class Prediction(NamedTuple):
 
     @property
     def relative_response(self) -> np.ndarray:
-        """Divide the response by that at theta = 0, no unit."""
+        """Compute the response relative to that at theta = 0, no unit."""
         return self.response / self.response[:, :1]
 
     def columns(self) -> dict[str, Sequence[Any]]:
-        """Return the values by name and unit: a row for each lobe and angle."""
+        """Return the values as columns by name and unit, with a row for each lobe and angle."""
         lobes, angles = self.response.shape
         arrays = {
             "roughness": np.repeat(self.roughness, angles),
@@ -77,14 +77,14 @@ class Prediction(NamedTuple):
             {
                 "response": "recorded over true peak",
                 "relative_response": "recorded over true peak, relative to theta = 0",
-                "loss_angle": f"first angle that loses {LOSS:.0%} of the peak [rad]",
+                "loss_angle": f"first angle at which {LOSS:.0%} of the peak is lost [rad]",
                 "roughness": f"roughness of the {self.family} lobe [{unit}]",
             },
         )
 
 
 def predict(rig: Rig, ndfs: NDF | Sequence[NDF], *, dims: int = 2, exact: bool = False) -> xr.Dataset:
-    """Predict which share of a highlight's peak a rig keeps.
+    """Predict the recorded share of the peak of a highlight.
 
     `matcam predict` prints the same.
 
@@ -97,8 +97,8 @@ def predict(rig: Rig, ndfs: NDF | Sequence[NDF], *, dims: int = 2, exact: bool =
 
     Returns:
         Dataset over roughness and theta (rad, viewing angle of the highlight): `response`, recorded over true peak, and
-        `relative_response`, relative to theta = 0, both without unit; and `loss_angle`, rad, the first angle whose relative
-        loss exceeds 5 %, pi/2 where none below 89.9 degrees does. `result.matcam.plot()` draws it.
+        `relative_response`, relative to theta = 0, both without unit; and `loss_angle`, rad, the first angle whose
+        relative loss exceeds 5 %, pi/2 if there is none below 89.9 degrees. `result.matcam.plot()` draws it.
 
     Raises:
         ArgumentError: see `peak_response`, or the lobes are of several families.
@@ -128,10 +128,8 @@ def prediction_summary(data: xr.Dataset) -> Summary:
     return Summary(
         f"Peaks of {data.attrs['family']} lobes, as a rig records them",
         sections={
-            "Share of the peak that is kept at 0°": [
-                Quantity(*pair) for pair in zip(names, kept.tolist(), strict=True)
-            ],
-            f"First angle that loses {100 * LOSS:g} % of that": [
+            "Recorded share of the peak at 0°": [Quantity(*pair) for pair in zip(names, kept.tolist(), strict=True)],
+            f"First angle with a relative loss of {100 * LOSS:g} %": [
                 Quantity(*pair) for pair in zip(names, losses, strict=True)
             ],
         },
@@ -139,7 +137,7 @@ def prediction_summary(data: xr.Dataset) -> Summary:
 
 
 def predicted(rig: Rig, ndfs: Sequence[NDF], dims: int = 2, exact: bool = False, fast: bool = False) -> Prediction:
-    """Predict the loss at the peak for several lobes of one family, as arrays: small commands do without xarray.
+    """Predict the loss at the peak for several lobes of one family, as arrays, without import of xarray.
 
     Args:
         rig: camera, sample and lamp.

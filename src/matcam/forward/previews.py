@@ -1,9 +1,8 @@
 """Previews of records, about a thousand times faster than the exact computation and nearly as accurate.
 
 - The light at the centres of pixels gives the sphere without a camera.
-- The highlight is a sum of Gaussians in the tangent plane (docs/model.md 4), through a lens that is a sum of Gaussians,
-  too.
-- The difference of these two lobes times the peak is the effect of the camera. It is added to the sphere.
+- The highlight is a sum of Gaussians in the tangent plane (docs/model.md 4). The lens is also a sum of Gaussians.
+- The effect of the camera is the difference of recorded and true lobe times the peak. It is added to the sphere.
 
 A preview thus has no blurred limb and no blurred terminator. It uses the shape of the lobe at the highlight everywhere,
 replaces a source disc by a Gaussian of its variance, and neglects the aperture of a rig. A program is compiled once for
@@ -41,14 +40,15 @@ _STEEPEST = 1.56
 _LARGEST = 4096
 """Largest number of values along the side of a preview."""
 _FAR = 1e8
-"""Distance that replaces an infinite one, radii, so that near and far rigs share a program."""
+"""Distance that replaces an infinite one, in radii, so that near and distant rigs share a program."""
 
 
 def response_preview(rig: Rig, ndf: NDF, theta: ArrayLike) -> jax.Array:
     """Compute the response at the peak, fast enough for a slider.
 
-    It is `peak_response` in the tangent plane, with the lens as a sum of Gaussians: within 1e-6 for a Gaussian lens and
-    its halo, within 0.5 % for others. A source disc is a Gaussian, with an error of 2 % for a disc as wide as the blur.
+    It is `peak_response` in the tangent plane, with the lens as a sum of Gaussians. The error is 1e-6 for a Gaussian
+    lens and its halo, and 0.5 % for others. A source disc is approximated by a Gaussian, with an error of 2 % for a
+    disc as wide as the blur.
 
     Args:
         rig: camera, `Sphere` and lamp.
@@ -81,14 +81,14 @@ def highlight_preview(
 ) -> xr.Dataset:
     """Simulate a close-up of the highlight, with and without the camera.
 
-    The lobe is taken in the tangent plane. For lobes up to 0.05 rad it lies within 1 % of the exact picture's peak up to
-    60 degrees on a sphere of 60 px, wherever the picture shows neither limb nor terminator.
+    The lobe is computed in the tangent plane. For lobes up to 0.05 rad and up to 60 degrees on a sphere of 60 px, the
+    error is 1 % of the peak of the exact image if neither limb nor terminator is in the image.
 
     Args:
         material: a metal or dielectric whose lobe is a sum of Gaussians: ggx, beckmann or gaussian.
         rig: camera, `Sphere` and lamp.
         theta_d: difference angle at the highlight, in [0, 1.56], rad.
-        half_side: distance from the highlight to the close-up's border, px. Default: None, 4 half widths of the recorded lobe.
+        half_side: distance from the highlight to the border, px. Default: None, 4 half widths of the recorded lobe.
         points: number of values along each side. Default: 96.
 
     Returns:
@@ -120,20 +120,21 @@ def highlight_preview(
 def sphere_preview(material: Microfacet, rig: Rig, theta_d: float, side: int = 192) -> xr.Dataset:
     """Simulate a sphere under the lamp, with and without the camera.
 
-    For lobes up to 0.1 rad it lies within 1 % of the peak of the exact picture up to 60 degrees on a sphere of 60 px,
-    and for lobes of 0.3 rad within 3 %, wherever the picture shows neither limb nor terminator. With a halo of 2 % of
-    the light, which carries both far into the image, the error is 1.5 %.
+    For lobes up to 0.1 rad and up to 60 degrees on a sphere of 60 px, the error is 1 % of the peak of the exact image,
+    and 3 % for lobes of 0.3 rad, away from limb and terminator. A halo of 2 % of the light spreads limb and terminator
+    far into the image; the error is then 1.5 %.
 
     Args:
         material: a metal or dielectric whose lobe is a sum of Gaussians: ggx, beckmann or gaussian.
         rig: camera, `Sphere` and lamp.
         theta_d: difference angle at the highlight, in [0, 1.56], rad.
-        side: largest width and height, in values. For a wider sphere a value covers several pixels. Default: 192.
+        side: largest width and height, number of values. For a wider sphere a value covers several pixels. Default:
+            192.
 
     Returns:
         Dataset over y and x, px from the optical axis, x towards the lamp: `true` and `recorded` radiance of the middle
-        channel, 1/sr, and `difference`, recorded less true. A value is the mean of `pixels_per_value` squared
-        pixels; `true`, of the light on them. Attributes: also `largest` and `largest_difference`.
+        channel, 1/sr, and `difference`, recorded less true. A value is the mean over `pixels_per_value` squared pixels.
+        Further attributes are `largest` and `largest_difference`.
 
     Raises:
         ArgumentError: an argument is out of its range or of the wrong kind.
@@ -223,12 +224,12 @@ def _count(name: str, value: int, low: int) -> int:
 
 
 class _SumOfGaussians(eqx.Module):
-    """A highlight on the sensor: Gaussians of the lobe times Gaussians of the lens.
+    """Highlight on the sensor: Gaussians of the lobe times Gaussians of the lens.
 
     Attributes:
-        weights: of the lobe, (n,), no unit.
-        std: of the lobe along x and y, (n,) each, px.
-        lens_weights: of the lens, (k,), no unit.
+        weights: weights of the lobe, (n,), no unit.
+        std: standard deviations of the lobe along x and y, (n,) each, px.
+        lens_weights: weights of the Gaussians of the lens, (k,), no unit.
         spread: standard deviation of lens, jitter and lamp along x and y, (k,) each, px.
     """
 
@@ -272,7 +273,7 @@ def _responses(rig: Rig, ndf: MixtureNDF, theta: jax.Array) -> jax.Array:
 def _closeup(
     material: Microfacet, rig: Rig, theta: jax.Array, places: jax.Array, half_side: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Return half the side, px, and the true and the recorded lobe, (y, x) each, 1/sr; half_side NaN: see above."""
+    """Compute half the side, px, and the true and the recorded lobe, (y, x), 1/sr. half_side: NaN for the default."""
     lobe = _sum_of_gaussians(rig, _mixture(material), theta)
     half_side = jnp.where(jnp.isnan(half_side), 4 * _recorded_width(rig, lobe), half_side)
     scene, place = _scene(material, rig, theta)

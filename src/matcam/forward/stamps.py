@@ -1,8 +1,9 @@
-"""Small pictures of single highlights, by the thousand: elliptical Gaussians through a Gaussian lens and a box pixel.
+"""Small images of many single highlights: elliptical Gaussians through a Gaussian lens and a box pixel.
 
-Lens and highlight add up to one Gaussian. Along the pixel grid its mean over a pixel is a product of two differences of
-erf, and neighbouring pixels share their edges. At any other orientation it is the Gaussian of y times that of x given
-y, whose mean depends on y. The integral over x is again a difference of erf; that over the pixel's height is smooth.
+Lens and highlight combine to one Gaussian. Along the pixel grid its mean over a pixel is a product of two differences
+of erf, and neighbouring pixels share their edges. At any other orientation it is the Gaussian in y times the
+conditional Gaussian in x, whose mean depends on y. The integral over x is again a difference of erf; the integrand over
+the height of the pixel is smooth and integrated numerically.
 """
 
 from __future__ import annotations
@@ -62,7 +63,7 @@ class Highlights(NamedTuple):
 
 
 def highlight_stamps(camera: Camera, size: int, highlights: Highlights) -> jax.Array:
-    """Draw pictures of Gaussian highlights.
+    """Compute small images of Gaussian highlights.
 
     Row 0 is on top. Stamps along the pixel grid are exact. At any angle they are within 5e-7 of the peak if the total
     standard deviation is at least 0.2 px (tests).
@@ -102,16 +103,16 @@ def rig_highlights(
 ) -> Highlights:
     """Compute the highlights of a lobe on the sphere of a rig.
 
-    The lobe is Gaussian, and the sphere is replaced by its tangent plane. A near lamp's irradiance falls off, and it
-    turns the half vector over the picture, as a near camera does. The source disc, defocus and registration jitter
-    widen a highlight as Gaussians of the same variance. There is no masking.
+    The lobe is Gaussian, and the sphere is replaced by its tangent plane. The decrease of a near lamp's irradiance, and
+    the variation of the half vector by a near lamp or camera, are included. The source disc, defocus and registration
+    jitter widen a highlight as Gaussians of the same variance. There is no masking.
 
     Args:
         rig: camera, sample and lamp; the sample is a `Sphere`. Its lens and pixel are for `highlight_stamps`.
         width: standard deviation of the lobe, rad, (0, 0.5].
-        lamp_angle: between lamp and optical axis, seen from the sphere's centre, rad. All arguments broadcast.
-        azimuth: of the lamp about the optical axis, in [-2 pi, 2 pi], rad. Default: None, the rig's `lamp_azimuth`, or 0,
-            towards +x, for stamps along the pixel grid, which are faster.
+        lamp_angle: angle between lamp and optical axis, seen from the sphere's centre, rad. All arguments broadcast.
+        azimuth: azimuth of the lamp about the optical axis, in [-2 pi, 2 pi], rad. Default: None, the rig's
+            `lamp_azimuth`, or 0, towards +x, for stamps along the pixel grid, which are faster.
         reflectance: F of each highlight, no unit, >= 0. Default: 1.
 
     Returns:
@@ -136,7 +137,7 @@ def rig_highlights(
         raise ArgumentError(f"rig must be a Rig such as rigs.merl(), got {type(rig).__name__}")
     sample, near = rig.sample, rig.lamp.nearness
     if not isinstance(sample, Sphere):
-        raise ArgumentError(f"highlights of a rig need a Sphere, this rig has a {type(sample).__name__}")
+        raise ArgumentError(f"highlights of a rig need a Sphere, got a rig with a {type(sample).__name__}")
     lobe = checks.within("width", width, 0, GaussianNDF.largest, "rad", open_low=True)
     angle = checked_lamp_angles(lamp_angle, rig.lamp, sample.distance)
     share = checks.within("reflectance", reflectance, 0, np.inf, open_high=True)
@@ -200,17 +201,14 @@ class _PixelEdges(eqx.Module):
     half_width: jax.Array
 
     def positions(self) -> jax.Array:
-        """Return the edges, px from the middle.
-
-        They are one row of shared edges, or all left edges followed by all right ones.
-        """
+        """Return the edges, px from the middle: one row of shared edges, or all left edges followed by all right ones."""
         if self.shared:
             return jnp.arange(self.size + 1) - self.size / 2
         centres = jnp.arange(self.size) - (self.size - 1) / 2
         return jnp.concatenate([centres - self.half_width, centres + self.half_width])
 
     def differences(self, at_edges: jax.Array) -> jax.Array:
-        """Return right less left of a function at the edges (last axis)."""
+        """Compute the value of a function at the right edge less that at the left edge (last axis)."""
         if self.shared:
             return at_edges[..., 1:] - at_edges[..., :-1]
         return at_edges[..., self.size :] - at_edges[..., : self.size]

@@ -1,8 +1,8 @@
 """Synthetic capture of a known material: brackets of mosaic frames, dark frames, outline, reference.
 
-It serves practice and planning. It is simulated with the forward model of this package, so a reconstruction from it
-tests everything except that model. The stated values have realistic errors: lamp table, exposure times, distances,
-reflectance of the patch. The sphere moves a little from one lamp position to the next, and the lamp's light drifts.
+It is intended for practice and planning. It is simulated with the forward model of this package, so a reconstruction
+from it tests everything except that model. The specified values have realistic errors: lamp table, exposure times,
+distances, reflectance of the patch. The sphere moves slightly between lamp positions, and the light of the lamp drifts.
 """
 
 from __future__ import annotations
@@ -36,13 +36,13 @@ _FIELD = 0.6  # of the full well, by the bright field of an outline frame
 
 
 class WhitePatch(NamedTuple):
-    """White patch beside the sphere that faces the camera, and the errors of its stated properties.
+    """White patch beside the sphere that faces the camera, and the errors of its specified properties.
 
     Attributes:
-        reflectance: no unit. Default: 0.98.
-        reflectance_std: error of the stated reflectance. Default: 0.003.
+        reflectance: reflectance, no unit. Default: 0.98.
+        reflectance_std: standard deviation of the specified reflectance. Default: 0.003.
         depth: distance from the centre of the sphere towards the camera, radii. Default: 0.
-        depth_std: error of the stated depth, radii. Default: 0.02.
+        depth_std: standard deviation of the specified depth, radii. Default: 0.02.
     """
 
     reflectance: float = 0.98
@@ -52,23 +52,23 @@ class WhitePatch(NamedTuple):
 
 
 class CapturePlan(NamedTuple):
-    """Contents of a synthetic capture, and the errors of its stated values.
+    """Contents of a synthetic capture, and the errors of its specified values.
 
     Attributes:
         theta_d: difference angle of each lamp position at the sphere's mirror point, rad, (n,).
-        azimuth: of the lamp's arc about the optical axis, rad.
+        azimuth: azimuth of the lamp's arc about the optical axis, rad.
         exposures: number per lamp position. Default: 5.
         step: ratio of successive exposures, > 1. Default: 4.
-        lamp_std: error of the stated lamp angles, rad. Default: 0.3 degrees.
+        lamp_std: standard deviation of the specified lamp angles, rad. Default: 0.3 degrees.
         gain_std: standard deviation of the light between lamp positions, relative. Default: 0.005.
         time_std: true over nominal exposure time, relative. Default: 0.05.
-        error: of the simulated images, as a share of their peak (`picture`). Default: 1e-4.
+        error: error of the simulated images, as a share of their peak (`picture`). Default: 1e-4.
         shift_std: standard deviation of the position of the sphere between lamp positions, along columns and rows, px.
             Default: 0.2.
-        distance_std: error of the stated distances, relative. Default: 0.005.
-        patch: the white patch that is in every frame of a sphere or cylinder; None: light that follows the lamp's
-            output. Default: a typical one.
-        shape: (height, width) of a flat sample's pictures, px. Default: None, 256 x 256.
+        distance_std: standard deviation of the specified distances, relative. Default: 0.005.
+        patch: white patch in every frame of a sphere or cylinder; None: a monitor of the lamp's output. Default: a
+            typical patch.
+        shape: (height, width) of the images of a flat sample, px. Default: None, 256 x 256.
     """
 
     theta_d: Sequence[float]
@@ -95,26 +95,26 @@ def simulate_capture(
     force: bool = False,
     progress: Callable[[int, int], None] | None = None,
 ) -> dict[str, Any]:
-    """Write a capture of a sphere, a cylinder or a flat sample, and its truth beside it (truth.json).
+    """Write a capture of a sphere, a cylinder or a flat sample, and its true parameters (truth.json).
 
     A flat sample has textures of diffuse albedo and specular strength about the material's. It is tilted between images
     under one distant lamp, and its capture has neither reference nor outline frames.
 
     Args:
-        material: of the sample.
+        material: material of the sample.
         rig: camera with a sensor of at most 16 bits, a sample and a lamp.
-        plan: lamp positions, exposures, and errors of stated values.
+        plan: lamp positions, exposures, and errors of specified values.
         folder: output folder; it is created.
-        seed: of noise and errors. Default: 0.
+        seed: seed of noise and errors. Default: 0.
         force: replace existing files (no unit). Default: False.
-        progress: called with the numbers of finished and of all lamp positions. Default: None.
+        progress: function that is called with the numbers of finished and of all lamp positions. Default: None.
 
     Returns:
-        The truth, as in truth.json.
+        True parameters, as in truth.json.
 
     Raises:
-        ArgumentError: `seed` is no whole number from 0, the rig has no sensor, its sample cannot be simulated, or the plan is
-            out of range.
+        ArgumentError: `seed` is not a non-negative integer, the rig has no sensor, its sample cannot be simulated, or
+            the plan is out of range.
         OutputError: a file exists and `force` is False, or cannot be written.
     """
     checks.whole_number("seed", seed, 0)
@@ -239,7 +239,7 @@ def _mosaic(sensor: Sensor, radiance: np.ndarray) -> np.ndarray:
 
 
 def _exposed(sensor: Sensor, electrons: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Compute codes of expected electrons that are a mosaic already (`Sensor.expose` is for radiance)."""
+    """Compute codes from the expected electrons of a mosaic (`Sensor.expose` expects radiance)."""
     well = float(sensor.full_well)
     charge = np.minimum(rng.poisson(np.minimum(electrons, 2 * well + 100)), well)
     code = float(sensor.gain) * (charge + float(sensor.read_noise) * rng.standard_normal(charge.shape))
@@ -261,7 +261,7 @@ def _patch_radiance(patch: WhitePatch, rig: Rig, lamp: dict[str, Any], shape: tu
 
 
 def _of_curved(rig: Rig, name: str) -> float:
-    """Return radius or camera distance of a curved sample; infinite for a flat one."""
+    """Return radius or camera distance of a curved sample; infinity for a flat one."""
     return float(getattr(rig.sample, name, math.inf))
 
 
@@ -276,7 +276,7 @@ def _finite(value: Any) -> float | None:
 def _settings(
     rig: Rig, sample: SyntheticSample, sensor: Sensor, plan: CapturePlan, rng: np.random.Generator
 ) -> dict[str, Any]:
-    """Build capture.toml from the stated values, including their errors."""
+    """Build capture.toml from the specified values, including their errors."""
     spread = plan.distance_std
     distances = {
         "camera_mm": _of_curved(rig, "distance") * (1 + spread * rng.standard_normal()),

@@ -1,4 +1,4 @@
-"""Samples of synthetic captures: a sphere, a cylinder and a textured flat sample, each with its lamps, images and outline."""
+"""Samples of synthetic captures: sphere, cylinder and textured flat sample, each with lamps, images and outline."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _ROWS = 96
 """Height of a cylinder's picture, px."""
 _LARGEST_TILT = math.radians(40)
 _LAMP_OF_FLAT = math.radians(20)
-"""Angle of the fixed lamp over a flat sample, rad: half angles then range from 10 degrees through 0 to 30 as it is tilted."""
+"""Angle of the fixed lamp over a flat sample, rad. Tilting it gives half angles from 10 degrees through 0 to 30."""
 _TEXTURE_SLOPE = -2.0
 """Exponent of the textures' power over frequency, as of natural textures (van der Schaaf and van Hateren 1996)."""
 _CONTRASTS = (0.2, 0.3)
@@ -35,9 +35,7 @@ _MM_PER_PX = 0.02
 
 
 class LampErrors(NamedTuple):
-    """Standard deviations of a lamp position: of its stated direction, rad, its light, relative, and the shift of the
-    sample, px.
-    """
+    """Standard deviations of the specified direction of a lamp, rad, its relative light, and the sample shift, px."""
 
     direction: float
     gain: float
@@ -49,18 +47,18 @@ class SyntheticSample(Protocol):
 
     shape: tuple[int, int]
     may_clip: bool
-    """Whether longer exposures may clip. Images of a flat sample are transformed, and a clipped pixel has no value."""
+    """True if longer exposures may clip. Images of a flat sample are transformed, and a clipped pixel has no value."""
 
     def lamps(
         self, theta_d: np.ndarray, azimuth: float, errors: LampErrors, rng: np.random.Generator
     ) -> Iterator[dict[str, Any]]:
-        """Yield every lamp position: true and stated direction, light, and shift of the sample."""
+        """Yield every lamp position: true and specified direction, light, and shift of the sample."""
 
     def drawn(self, material: Material, lamp: dict[str, Any], error: float) -> np.ndarray:
         """Compute the radiance of one lamp position, (height, width, channels), 1/sr."""
 
     def before_field(self, shift: np.ndarray) -> np.ndarray | None:
-        """Compute the share of a bright field that each pixel receives past the sample; None: the sample has no outline."""
+        """Compute the share of a bright field in each pixel past the sample; None: the sample has no outline."""
 
     def settings(self) -> dict[str, Any]:
         """Return the section [sample] of capture.toml."""
@@ -71,8 +69,8 @@ def synthetic_sample(rig: Rig, shape: tuple[int, int] | None, seed: int) -> Synt
 
     Args:
         rig: camera, sample and lamp.
-        shape: (height, width) of the pictures, px; None: that of the sample. For flat samples only.
-        seed: of a flat sample's textures.
+        shape: (height, width) of the images, px; None: that of the sample. For flat samples only.
+        seed: seed of a flat sample's textures.
 
     Raises:
         ArgumentError: the sample has no pictures, or a shape is given for a curved one.
@@ -109,7 +107,7 @@ def _lamp(
 
 
 class _CurvedSample:
-    """A sphere or a cylinder on the optical axis."""
+    """Sphere or cylinder on the optical axis."""
 
     may_clip = True
 
@@ -135,9 +133,7 @@ class _CurvedSample:
         return image if image.ndim == 3 else image[..., None]
 
     def _past_edge(self, beyond: np.ndarray, angle: np.ndarray) -> np.ndarray:
-        """Compute the light of a field beyond a straight edge, by the distance from it, px, and the direction across
-        it, rad.
-        """
+        """Compute the light of a field beyond a straight edge at a distance, px, and a direction across it, rad."""
         out = (beyond > 0).astype(float)
         near = np.abs(beyond) < 12
         turned = np.minimum(np.mod(angle, np.pi / 2), np.pi / 2 - np.mod(angle, np.pi / 2))[
@@ -162,7 +158,7 @@ class _SphereSample(_CurvedSample):
         super().__init__(rig, (side, side))
 
     def before_field(self, shift: np.ndarray) -> np.ndarray:
-        """Along a limb with a radius of hundreds of pixels the edge is straight."""
+        """Treat the limb as a straight edge, because its radius is hundreds of pixels."""
         x, y = self._from_centre(shift)
         return self._past_edge(np.hypot(x, y) - self.radius, np.arctan2(y, x))
 
@@ -171,7 +167,7 @@ class _SphereSample(_CurvedSample):
 
 
 class _CylinderSample(_CurvedSample):
-    """One strip of material round an upright cylinder."""
+    """Strip of material around an upright cylinder."""
 
     def __init__(self, rig: Rig, cylinder: Cylinder):
         super().__init__(rig, (_ROWS, 2 * (math.ceil(float(cylinder.radius)) + MARGIN)))
@@ -191,13 +187,13 @@ class _CylinderSample(_CurvedSample):
 
 
 class _FlatSample:
-    """A flat sample with textures of diffuse albedo and specular strength, tilted under a fixed distant lamp."""
+    """Flat sample with textures of diffuse albedo and specular strength, tilted under a fixed distant lamp."""
 
     may_clip = False
 
     def __init__(self, rig: Rig, shape: tuple[int, int], seed: int):
         if isinstance(rig.lamp, NearLamp):
-            raise ArgumentError("a flat sample is simulated under a distant lamp: leave out the lamp's distance")
+            raise ArgumentError("a flat sample is simulated under a distant lamp: leave out the lamp distance")
         if rig.camera.sensor is not None and rig.camera.sensor.cfa is not None:
             raise ArgumentError("a flat sample needs a grey sensor: give a camera whose sensor has no cfa")
         self.rig, self.shape = rig, shape
@@ -230,7 +226,7 @@ class _FlatSample:
 
 
 def _noise(shape: tuple[int, int], rng: np.random.Generator) -> np.ndarray:
-    """Draw a periodic random texture of mean 0 and standard deviation 1, without frequencies that a texel cannot represent."""
+    """Draw a periodic random texture of mean 0 and standard deviation 1, band-limited to the texels."""
     frequency = np.hypot(np.fft.fftfreq(shape[0])[:, None], np.fft.fftfreq(shape[1]))
     amplitude = np.maximum(frequency, 2 / min(shape)) ** (_TEXTURE_SLOPE / 2) * (frequency < 0.45)
     amplitude[0, 0] = 0.0
@@ -239,7 +235,7 @@ def _noise(shape: tuple[int, int], rng: np.random.Generator) -> np.ndarray:
 
 
 def _weights(material: Material, tilt: float, towards: np.ndarray) -> tuple[float, float]:
-    """Compute the radiance of the lobe and of the diffuse part where both textures are 1, mean of the channels, 1/sr."""
+    """Compute the radiance of lobe and diffuse part where both textures are 1, mean of the channels, 1/sr."""
     normal, view = np.array([math.sin(tilt), 0.0, math.cos(tilt)]), np.array([0.0, 0.0, 1.0])
     half = (towards + view) / np.linalg.norm(towards + view)
     cos_i = max(float(normal @ towards), 0.0)

@@ -1,8 +1,8 @@
 """Texture on a flat sample: contrast after tilt and camera (paper (4)), and its image.
 
-A texture is periodic, so its image is a sum of waves. Each has its own frequency on the sensor, changed by the tilt
-along x, and is multiplied by the transfer function of the camera there. The sum is evaluated at the centres of pixels,
-without resampling.
+A texture is periodic, so its image is a sum of waves. The tilt along x changes the frequency of each wave on the
+sensor, and the wave is multiplied by the transfer function of the camera at this frequency. The sum is evaluated at the
+centres of pixels, without resampling.
 """
 
 from __future__ import annotations
@@ -63,8 +63,8 @@ def textured_picture(
 ) -> jax.Array:
     """Simulate the image of a textured flat sample, tilted along x.
 
-    The camera is distant. The texture is periodic, and its centre is that of the image. The result is exact to rounding
-    if the MTF of the lens vanishes at its `band()`.
+    The camera is distant. The texture is periodic, and its centre is at the centre of the image. The result is exact to
+    rounding if the MTF of the lens vanishes at its `band()`.
 
     Args:
         texture: albedo, or any factor of the light, (H, W) or (H, W, channels), finite and >= 0; row 0 on top.
@@ -73,8 +73,8 @@ def textured_picture(
         shape: (rows, columns) of the picture, px. Default: the texture's.
         texture_pitch: distance of neighbouring texels on the sensor, head-on, px. Default: 1.
         texels: signal between the texels' centres. Default: "band-limited", the smoothest periodic signal through their
-            values: a sampled sine is reproduced, and edges overshoot, even below 0. "squares" makes each texel a square
-            of constant albedo (a chart, a print): the picture of a positive kernel stays >= 0.
+            values: a sampled sine is reproduced, and edges overshoot, even below 0. With "squares" each texel is a
+                square of constant albedo (a chart, a print): the image through a positive kernel is >= 0.
 
     Returns:
         Picture in the texture's unit, (rows, columns) or (rows, columns, channels). A uniform texture keeps its value.
@@ -122,7 +122,7 @@ def textured_picture(
 
 
 class _AxisWaves(NamedTuple):
-    """The waves exp(2 pi i k u / texels) of a texture along one axis, symmetric about 0.
+    """Waves exp(2 pi i k u / texels) of a texture along one axis, symmetric about 0.
 
     Attributes:
         texels: number of texels.
@@ -140,7 +140,7 @@ class _AxisWaves(NamedTuple):
 def _axis_waves(texels: int, pixels: int, foreshortening: ArrayLike, pitch: float, band: float | None) -> _AxisWaves:
     """Build the waves along an axis.
 
-    Those of squares go up to `band`, cycles/px. None: a band-limited signal.
+    band: highest frequency for square texels, cycles/px; None: a band-limited signal.
     """
     at = (texels - 1) / 2 + (jnp.arange(pixels) - (pixels - 1) / 2) / (pitch * foreshortening)
     if band is None:

@@ -1,7 +1,7 @@
 """View of a sample by a rig, and the exact record of its pixels.
 
-Through a lens that is a sum of Gaussians every pixel is recorded separately, by the operator (`integral/`). Through a
-band-limited lens all light is computed or recorded at several positions per pixel, and filtered (`frequencies/`).
+For a lens that is a sum of Gaussians, every pixel is recorded separately by the operator (`integral/`). For a
+band-limited lens, all light is computed or recorded at several positions per pixel, and filtered (`frequencies/`).
 """
 
 from __future__ import annotations
@@ -38,21 +38,21 @@ from matcam.sample.curved import Cylinder, Sphere
 from matcam.sample.shape import Curved
 
 _PLACES = 1 << 20
-"""Pixels times points of a lamp that are recorded at once: they fit into 1 GiB."""
+"""Number of pixels times points of a lamp that are recorded at once. They fit into 1 GiB."""
 _AT_ONCE = 1 << 18
 """Number of positions of a fine record that are recorded at once."""
 _FARTHEST_REACH = 8.0  # px beyond the limb that a picture holds unless it is given a shape
 
 
 class View(NamedTuple):
-    """Sample, camera and lamp, and the part of the sample in the image.
+    """Sample, camera and lamp, and the visible part of the sample in an image.
 
     Attributes:
         imaging: sample, blur and the lamp's nearness.
         lamp_angle: angle between lamp and optical axis, rad.
-        turning: 0, with the derivative of the lamp's angle, rad; None: it is not differentiated.
-        azimuth: of the lamp, rad.
-        points: the lamp's points, each of one angle and azimuth.
+        turning: 0, with the derivative of the lamp angle, rad; None: it is not differentiated.
+        azimuth: azimuth of the lamp, rad.
+        points: points of the lamp, each with one angle and azimuth.
         x: positions of the columns, px.
         y: positions of the rows, px.
         lens: filter of a fine record; None: the lens is part of the imaging.
@@ -78,7 +78,7 @@ def view_of(
     """Build the view of a sample by a rig.
 
     Args:
-        material: of the sample.
+        material: material of the sample.
         rig: camera, sample and lamp.
         lamp: angle between lamp and optical axis, and its azimuth; None: the rig's, rad.
         shape: (height, width) of the picture, px. None: an area that contains the sample.
@@ -94,7 +94,7 @@ def view_of(
     if not isinstance(rig, Rig):
         raise ArgumentError(f"rig must be a Rig such as rigs.merl(), got {type(rig).__name__}")
     if not isinstance(rig.sample, Curved):
-        raise ArgumentError("a flat sample shows one normal: see textured_picture, or use a Sphere or a Cylinder")
+        raise ArgumentError("a flat sample has only one normal: see textured_picture, or use a Sphere or a Cylinder")
     lens = _lens_of(material, rig, rig.sample, error)
     if lens is not None:
         rig = eqx.tree_at(lambda one: one.camera, rig, Camera(GaussianOptics(lens.limit.sigma), BoxPixel(POINT)))
@@ -111,7 +111,7 @@ def view_of(
     points = lamp_points(rig.lamp, np.array(angle), azimuth, float(fineness))
     if turning is not None and (len(points) > 1 or not isinstance(rig.sample, Sphere)):
         raise ArgumentError(
-            "derivatives by lamp_angle need a Sphere under a lamp without a disc: give lamp_angle as a number"
+            "derivatives with respect to lamp_angle need a Sphere and a point lamp: give lamp_angle as a number"
         )
     x, y = np.arange(width) - (width - 1) / 2, (height - 1) / 2 - np.arange(height)
     return View(imaging, angle, turning, azimuth, points, x, y, lens)

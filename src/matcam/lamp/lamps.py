@@ -25,16 +25,16 @@ if TYPE_CHECKING:
     from matcam.core.jax import jax
 
 _LARGEST_DISC = np.pi / 8
-"""Largest angular radius of a lamp's disc, rad."""
+"""Largest angular radius of a source disc, rad."""
 STEEPEST = 0.1
-"""Smallest cosine of theta_d by which the ellipse of a lamp is stretched: there it is as long as the sample."""
+"""Smallest cosine of theta_d by which the image of a source disc is stretched. There it is as long as the sample."""
 _TURNS = 2 * np.pi
 _AT_CAMERA = 1e-6
-"""Distance from the camera, as a share of that of the camera, below which a lamp is inside it."""
+"""Distance of a lamp from the camera, over the camera's distance, below which the lamp is inside the camera."""
 
 
 class Lamp(Module):
-    """Lamp: a point, or a disc that faces the sample's centre."""
+    """Point source, or source disc that faces the sample's centre."""
 
     @property
     @abstractmethod
@@ -51,15 +51,15 @@ class Lamp(Module):
         """Return the same lamp with a disc of another angular radius.
 
         Args:
-            angular_radius: seen from the sample's centre, rad; not checked.
+            angular_radius: angular radius seen from the sample's centre, rad; not checked.
         """
 
 
 class DistantLamp(Lamp):
-    """Lamp whose light falls parallel on the sample.
+    """Distant lamp, whose light is parallel.
 
     Args:
-        radius: angular radius of the lamp's disc seen from the sample, rad, [0, pi/8]. Default: 0, a point.
+        radius: angular radius of the source disc seen from the sample, rad, [0, pi/8]. Default: 0, a point.
 
     Raises:
         ArgumentError: the radius is out of range, or not a single number.
@@ -79,7 +79,7 @@ class DistantLamp(Lamp):
 
     @property
     def nearness(self) -> None:
-        """None, because its light is parallel."""
+        """Return None, because the light is parallel."""
         return
 
     @property
@@ -93,16 +93,16 @@ class DistantLamp(Lamp):
 
 
 class NearLamp(Lamp):
-    """Lamp close by, whose light falls off.
+    """Lamp at a finite distance, whose irradiance varies over the sample.
 
     Irradiance is proportional to the inverse square of the distance from the lamp, and to the cosine at the surface.
 
     Args:
-        distance: of the lamp from the sample's centre, in radii of the sample, above 1.
-        radius: of its disc, in radii of the sample, up to 0.41 of the distance. Default: 0, a point.
+        distance: distance of the lamp from the sample's centre, in radii of the sample, above 1.
+        radius: radius of the source disc, in radii of the sample, up to 0.41 of the distance. Default: 0, a point.
 
     Raises:
-        ArgumentError: a parameter is out of range (a lamp inside the sample, for one), or not a single number.
+        ArgumentError: a parameter is out of range (for example, the lamp is inside the sample), or not a single number.
 
     Source:
         docs/model.md 10.
@@ -141,9 +141,9 @@ class NearLamp(Lamp):
 
 
 def closeness(lamp_nearness: ArrayLike | None, cos_i: jax.Array) -> jax.Array:
-    """Compute the distance of the lamp from the centre of the sample over that from its surface, 1 for a distant lamp.
+    """Compute the ratio of the lamp's distance from the centre of the sample to its distance from the surface.
 
-    Its square is the irradiance across the light there, over that at the centre.
+    The ratio is 1 for a distant lamp. Its square is the irradiance of a facing surface there, relative to the centre.
 
     Args:
         lamp_nearness: inverse of the lamp's distance from the centre, 1/radii; None: a distant lamp.
@@ -156,12 +156,12 @@ def closeness(lamp_nearness: ArrayLike | None, cos_i: jax.Array) -> jax.Array:
 
 
 class LampPoint(NamedTuple):
-    """One point of a lamp in some pictures, as the sample's centre sees it.
+    """One point of a lamp in some images, seen from the sample's centre.
 
     Attributes:
-        angle: between the point and the optical axis in each picture, rad.
-        azimuth: of the point about the axis, from +x towards +y, of angle's shape, rad.
-        distance: of the point over that of the centre of the lamp, no unit.
+        angle: angle between the point and the optical axis in each image, rad.
+        azimuth: azimuth of the point about the axis, from +x towards +y, of angle's shape, rad.
+        distance: distance of the point over the distance of the lamp's centre, no unit.
         weight: share of the lamp's irradiance at the sample's centre, no unit.
     """
 
@@ -172,19 +172,19 @@ class LampPoint(NamedTuple):
 
 
 def lamp_points(lamp: Lamp, lamp_angle: np.ndarray, azimuth: np.ndarray | float, fineness: float) -> list[LampPoint]:
-    """Generate the points whose mean is the lamp.
+    """Generate the points of a quadrature rule over the source disc.
 
-    The rule is Gauss-Legendre in the squared radius times equal steps round the disc. For the blur given by `fineness`,
-    its error is below 5e-5 of any value above a thousandth of the peak (tests).
+    The rule is Gauss-Legendre in the squared radius times equal steps around the disc. For the blur given by
+    `fineness`, its error is below 5e-5 of any value above a thousandth of the peak (tests).
 
     Args:
         lamp: the lamp.
         lamp_angle: angles between the lamp's centre and the optical axis, rad, any shape.
-        azimuth: of the lamp about the optical axis, rad, one or of lamp_angle's shape.
+        azimuth: azimuth of the lamp about the optical axis, rad, one or of lamp_angle's shape.
         fineness: radius of the disc over the standard deviation of the blur of its image, no unit.
 
     Returns:
-        One point of the rule after the other, ring by ring.
+        Points of the rule, ring by ring.
     """
     angle, disc = np.asarray(lamp_angle, dtype=np.float64), disc_of(lamp)
     if disc == 0:
@@ -210,22 +210,22 @@ def lamp_points(lamp: Lamp, lamp_angle: np.ndarray, azimuth: np.ndarray | float,
 
 
 def rings_and_spokes(fineness: float) -> tuple[int, int]:
-    """Return the number of rings of points, and of points on each, for a uniform disc; see `lamp_points`."""
+    """Compute the number of rings, and the number of points per ring, for a uniform disc; see `lamp_points`."""
     return int(np.ceil(1.3 + 1.1 * fineness)), int(np.ceil(6.5 + 4.2 * fineness))
 
 
 def disc_of(lamp: Lamp) -> float:
-    """Return the angular radius of a source disc, which sets its number of points, rad; outside of jax.jit."""
-    return checks.outside_jit(lamp.angular_radius, "the lamp's numbers")
+    """Return the angular radius of a source disc, rad. It sets the number of points, so it must be concrete."""
+    return checks.outside_jit(lamp.angular_radius, "the lamp's parameters")
 
 
 def checked_azimuth(azimuth: ArrayLike, name: str = "azimuth") -> float:
-    """Check one azimuth in [-2 pi, 2 pi] rad; larger values are degrees by mistake. name: of the argument, for the message."""
+    """Check one azimuth in [-2 pi, 2 pi] rad. Larger values are likely degrees. name: name of the argument."""
     return float(checks.scalar(name, checked_azimuths(azimuth, name)))
 
 
 def checked_azimuths(azimuth: ArrayLike, name: str = "azimuth") -> jax.Array:
-    """Check azimuths in [-2 pi, 2 pi] rad, any shape. name: of the argument, for the message."""
+    """Check azimuths in [-2 pi, 2 pi] rad, any shape. name: name of the argument, for the message."""
     what = "rad (2 pi is a turn)"
     return checks.within(name, azimuth, -_TURNS, _TURNS, what)
 
@@ -246,8 +246,8 @@ def checked_lamp_angles(lamp_angle: ArrayLike, lamp: Lamp, camera_distance: Arra
     Raises:
         ArgumentError: the lamp is behind the visible surface, or inside the camera.
     """
-    camera_distance = checks.outside_jit(camera_distance, "the rig's numbers")
-    nearness = 0.0 if lamp.nearness is None else checks.outside_jit(lamp.nearness, "the lamp's numbers")
+    camera_distance = checks.outside_jit(camera_distance, "the rig's parameters")
+    nearness = 0.0 if lamp.nearness is None else checks.outside_jit(lamp.nearness, "the lamp's parameters")
     most = float(np.arccos(1 / camera_distance) + np.arccos(nearness))
     behind = f"rad (beyond {'pi' if most == np.pi else 'that'} the lamp is behind the sample)"
     angle = checks.within("lamp_angle", lamp_angle, 0, most, behind, open_high=True)

@@ -19,7 +19,7 @@ def departure(coefficients: ArrayLike, cos_i: ArrayLike, cos_o: ArrayLike, theta
     """Compute a diffuse part over the Lambertian one of its albedo at normal incidence, no unit, at least 0.
 
     Args:
-        coefficients: of the terms, no unit, (TERMS,), or (0,) for a Lambertian part.
+        coefficients: coefficients of the terms, no unit, (TERMS,), or (0,) for a Lambertian part.
         cos_i: cosine of the light's angle to the normal, no unit.
         cos_o: cosine of the view's angle to the normal, no unit.
         theta_d: half the angle between light and view, rad.

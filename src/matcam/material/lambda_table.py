@@ -1,7 +1,7 @@
 """Smith's Lambda of a lobe in many directions, from a small table with common directions for all lobes.
 
-The position of a direction in the table does not depend on the lobe, so that a fit, which evaluates successive lobes in
-the same directions, computes each position once. 1 / (1 + Lambda) is accurate to 3e-6 for roughnesses from 1e-4 to 1,
+The position of a direction in the table does not depend on the lobe. A fit evaluates successive lobes in the same
+directions, so it computes each position once. 1 / (1 + Lambda) is accurate to 3e-6 for roughnesses from 1e-4 to 1,
 and to 1e-5 for lobes as steep as EPD's with kappa 1.8.
 """
 
@@ -44,7 +44,7 @@ def quick_table(ndf: NDF) -> jax.Array | None:
 
 
 def place_of(cos: AnyValues) -> AnyValues:
-    """Compute the position of directions in the table, counted from 0; arrays of NumPy give arrays of NumPy."""
+    """Compute the position of directions in the table, counted from 0. NumPy arrays give NumPy arrays."""
     numbers = np if isinstance(cos, np.ndarray) else jnp
     sin2 = numbers.maximum((1 - cos) * (1 + cos), _LEVEL**-2)
     return numbers.log(cos / numbers.sqrt(sin2) / STEEPEST) / _STEP
@@ -57,9 +57,9 @@ def lambda_at(table: jax.Array, place: jax.Array) -> jax.Array:
 
 
 def by_entries(place: jax.Array, by_log: jax.Array) -> jax.Array:
-    """Differentiate a sum by the entries of a table, for each index of the first axis, (cells, entries).
+    """Differentiate a sum with respect to the entries of a table, for each index of the first axis, (cells, entries).
 
-    by_log: derivatives by ln(1 + Lambda) at each position, of its shape (cells, ...).
+    by_log: derivatives with respect to ln(1 + Lambda) at each position, of its shape (cells, ...).
     """
     first, shares = four_about(jnp.clip(place, 0.0, _LAST), _ENTRIES)
     cell = jnp.arange(place.shape[0]).reshape(-1, *[1] * (place.ndim - 1))

@@ -1,7 +1,7 @@
 """Masking and shadowing: the visible share of a rough surface (docs/model.md 6).
 
-Smith's Lambda of a direction is the ratio of masked to visible facets. A lobe gives it in closed form, by an integral over
-its slopes, or from a table of that integral; `g2` joins the Lambdas of light and view.
+Smith's Lambda of a direction is the ratio of masked to visible facets. It has a closed form, is an integral over the
+slopes of the lobe, or comes from a table of that integral. `g2` combines the Lambdas of light and view.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ Masking = str | None
 """Name of a masking model, one of `MASKING_MODELS`; None for no masking."""
 
 MASKINGS: tuple[Masking, ...] = (*MASKING_MODELS, None)
-"""All values of `masking`."""
+"""Names of all masking models."""
 
 JointMasking = Callable[["jax.Array", "jax.Array", "jax.Array"], "jax.Array"]
 """G2 from the Lambdas of light and view and the azimuth between them."""
@@ -55,11 +55,11 @@ def smith_lambda(slope_density: SlopeDensity, scale: jax.Array, cot: jax.Array) 
 
 
 def smith_rule(scale: jax.Array, cot: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Return squared slopes and weights on a trailing axis: Lambda is the sum of weight times P22(squared slope).
+    """Compute squared slopes and weights on a trailing axis: Lambda is the sum of weight times P22(squared slope).
 
-    Lambda = (2 / mu) integral over r > mu of r P22(r) [sqrt(r^2 - mu^2) - mu acos(mu / r)], mu = cot theta. The integral
-    runs over the height y = sqrt(r^2 - mu^2), on an exp-sinh grid (double exponential rule) about the scale on which P22
-    falls. Its relative error is below 1e-10 (tests).
+    Lambda = (2 / mu) integral over r > mu of r P22(r) [sqrt(r^2 - mu^2) - mu acos(mu / r)], mu = cot theta. The
+    integral runs over the height y = sqrt(r^2 - mu^2), on an exp-sinh grid (double exponential rule) about the scale on
+    which P22 falls. Its relative error is below 1e-10 (tests).
 
     Args:
         scale: scale of the slope on which P22 falls, shape ().
@@ -81,7 +81,7 @@ def smith_rule(scale: jax.Array, cot: jax.Array) -> tuple[jax.Array, jax.Array]:
 
 
 def tabulated_lambda(slope_density: SlopeDensity, scale: jax.Array, cos: jax.Array) -> jax.Array:
-    """Return Smith's Lambda in directions of cosine `cos` > 0 to the normal.
+    """Compute Smith's Lambda in directions of cosine `cos` > 0 to the normal.
 
     Few directions use the integral. More directions than nodes of a table use a table and cubic interpolation, to 1e-9
     of 1 / (1 + Lambda) for scales from 1e-4 to 1.

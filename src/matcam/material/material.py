@@ -15,7 +15,7 @@ from matcam.core.grid import cosines
 from matcam.core.jax import jax, jnp
 from matcam.core.shading import Shading, local_shading, vector
 
-_NODES, _AZIMUTHS = 720, 64  # of the albedo's half vectors: theta_h, phi_h
+_NODES, _AZIMUTHS = 720, 64  # numbers of theta_h and phi_h of the half vectors of the albedo
 
 
 class Material(eqx.Module):
@@ -85,7 +85,7 @@ def shading_at(theta_h: ArrayLike, theta_d: ArrayLike, phi_d: ArrayLike, phi_h: 
 
 
 def above_horizon(shading: Shading) -> tuple[Shading, jax.Array]:
-    """Return `shading` with harmless values below the horizon, and a mask of what lies above it.
+    """Replace values of `shading` below the horizon by harmless ones, and return it with a mask of values above it.
 
     NaN in an unused branch would still affect derivatives.
     """
@@ -105,9 +105,9 @@ def theta_h_of(shading: Shading) -> jax.Array:
 def albedo(material: Material, theta: ArrayLike) -> np.ndarray:
     """Integrate a BRDF over the hemisphere: the directional albedo.
 
-    The directional-hemispherical reflectance is the integral of BRDF cos theta_i over the light's directions. The midpoint
-    rule runs over half vectors, evenly in sqrt(theta_h), with d omega_i = 4 cos theta_d d omega_h. It resolves lobes down to
-    1e-4 rad.
+    The directional-hemispherical reflectance is the integral of BRDF cos theta_i over the light's directions. The
+    midpoint rule runs over half vectors, evenly in sqrt(theta_h), with d omega_i = 4 cos theta_d d omega_h. It resolves
+    lobes down to 1e-4 rad.
 
     Args:
         material: any material; missing values (NaN) count as 0.

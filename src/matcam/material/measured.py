@@ -3,18 +3,18 @@
 A table is interpolated linearly, and missing values stay missing. The adaptive parameterisation is that of Dupuy &
 Jakob (2018; files/rgl.py has its fields).
 
-The half vector m is a point u of the unit square: theta = u^2 pi / 2, phi = (2 v - 1) pi, azimuth from that of the
-light where the material is isotropic. A map that flattens the density `vndf` maps it to the point s at which `rgb` is
-tabulated:
+The half vector m is a point u of the unit square: theta = u^2 pi / 2, phi = (2 v - 1) pi. For an isotropic material
+the azimuth is relative to that of the light. A map that flattens the density `vndf` maps it to the point s at which
+`rgb` is tabulated:
 
-    BRDF cos theta_o = rgb(s) ndf(u_m) / (4 sigma(u_i))           with `jacobian`; rgb(s) alone without.
+    BRDF cos theta_o = rgb(s) ndf(u_m) / (4 sigma(u_i))           with `jacobian`; otherwise rgb(s) alone.
 
 "i" is the light, "o" the view. A measured file need not be reciprocal, and its tables have some negative values.
 
 Densities are bilinear between the nodes of a grid and given for some directions of light. The map runs row by row
 (section 4): y is the marginal distribution along the rows' axis, x the conditional one along the columns within a row.
-Between the directions of light the densities AND their integrals are interpolated linearly, as Mitsuba's `Marginal2D`
-does, so that positions on the flattened square agree with that renderer.
+Between the directions of light, both the densities and their integrals are interpolated linearly, as in Mitsuba's
+`Marginal2D`, so that positions on the flattened square agree with that renderer.
 """
 
 from __future__ import annotations
@@ -44,13 +44,14 @@ class Tabulated(Material):
 
     - Values are at the centre or the edge of their cells, according to `sampling` of the table.
     - phi_d + pi is phi_d (reciprocity), so the last phi_d and the first are neighbours.
-    - Below the first theta_h the first value is used: through theta_h = 0 the table continues at phi_d + pi, which is
-      the same. Beyond the last theta_h and theta_d the last value is used.
+    - Below the first theta_h the first value is used, because through theta_h = 0 the table continues at phi_d + pi,
+      which has the same value. Beyond the last theta_h and theta_d the last value is used.
     - A missing cell (NaN) stays missing: the result is NaN if the nearest sampling point is. Otherwise missing
       neighbours are omitted, and the weights of the others are normalised.
 
     Args:
-        table: BRDF, 1/sr, dims (theta_h, theta_d, phi_d, channel), shape (90, 90, 180, channels), such as `read_merl` reads.
+        table: BRDF, 1/sr, dims (theta_h, theta_d, phi_d, channel), shape (90, 90, 180, channels), such as `read_merl`
+            reads.
 
     Attributes:
         values: the table, 1/sr, shape (90, 90, 180, channels).
@@ -126,7 +127,7 @@ class Tabulated(Material):
 def _whole_where_close(place: jax.Array) -> jax.Array:
     """Round positions that are integers up to rounding errors.
 
-    A compiler may compute a position twice with different rounding: for its cell and for its share of it.
+    A compiler may compute a position twice with different rounding: for its cell and for its fraction of the cell.
     """
     whole = jnp.round(place)
     return jnp.where(jnp.abs(place - whole) < 1e-9, whole, place)
@@ -188,7 +189,8 @@ class Warp(eqx.Module):
     """Map of the unit square that makes densities on it uniform.
 
     Attributes:
-        density: of each slice, normalised so that trapezoid sums over whole grid steps are 1; (slices, rows, columns).
+        density: density of each slice, normalised so that trapezoid sums over whole grid steps are 1; (slices, rows,
+            columns).
         conditional: its integral along each row up to each node, same shape.
         marginal: the integral of whole rows up to each row, (slices, rows).
     """
@@ -209,7 +211,7 @@ class Warp(eqx.Module):
     def flatten(self, chosen: Blend, x: jax.Array, y: jax.Array) -> tuple[jax.Array, jax.Array]:
         """Map (x, y), shape (points,) each, to the flattened square.
 
-        A point without density around it is mapped to the start of its cell.
+        A point in a region of zero density is mapped to the start of its cell.
         """
         i_x, t_x = _cell(x, self.density.shape[2])
         i_y, t_y = _cell(y, self.density.shape[1])
@@ -228,7 +230,7 @@ class Warp(eqx.Module):
         Every row must have a positive value.
 
         Returns:
-            x and y on the density's square and the density there, shape (slices, ny, nx) each.
+                x and y on the square of the density, and the density there, shape (slices, ny, nx) each.
         """
         density, conditional, marginal = (np.asarray(a) for a in (self.density, self.conditional, self.marginal))
         slices, rows, columns = density.shape
@@ -272,18 +274,18 @@ class Adaptive(Material):
         fields: Dataset that `read_rgl` reads or `adaptive_grid` makes.
 
     Attributes:
-        azimuths: of the light, rad, (P,).
-        angles: of the light to the normal, rad, (T,).
+        azimuths: azimuths of the light, rad, (P,).
+        angles: angles of the light to the normal, rad, (T,).
         ndf: density of facet normals on the unit square, (rows, columns).
         sigma: projected area of the facets towards each direction, (rows, columns).
         warp: map that flattens the density of visible normals.
         values: tabulated BRDF on the flattened square, (P T, N, N, channels).
         jacobian: True if `values` lack the factor ndf / (4 sigma).
-        mirrored: ratio of a whole turn to the range of the azimuths of the light, 1, 2 or 4; the remainder follows by
-            symmetry. 0 for an isotropic material.
+        mirrored: ratio of a full turn to the range of the azimuths of the light, 1, 2 or 4; the other azimuths follow
+            by symmetry. 0 for an isotropic material.
 
     Raises:
-        ArgumentError: `fields` is not such a Dataset, or its azimuths span neither a whole turn nor a half or a quarter.
+        ArgumentError: `fields` is not such a Dataset, or its azimuths do not span a full, a half or a quarter turn.
 
     Source:
         Dupuy & Jakob (2018), "An Adaptive Parameterization for Efficient Material Acquisition and Rendering".
@@ -321,7 +323,7 @@ class Adaptive(Material):
         self.mirrored = 0 if self.azimuths.size <= 2 else round(2 * np.pi / span)
         if self.mirrored not in (0, 1, 2, 4):
             raise ArgumentError(
-                f"field phi_i must span a whole turn, a half or a quarter: the others follow by symmetry; got {span:.4g} rad"
+                f"field phi_i must span a full, half or quarter turn (others follow by symmetry), got {span:.4g} rad"
             )
 
     @eqx.filter_jit

@@ -41,7 +41,7 @@ def metals(name: str | None = None) -> dict[str, tuple[str, ...]]:
     Results depend on the source: chromium's reflectance at 550 nm is 0.555, 0.650 or 0.681.
 
     Args:
-        name: of one metal, such as "Cr" or "brass". None: all of them.
+        name: name of one metal, such as "Cr" or "brass". None: all of them.
 
     Returns:
         Names of the tables by the name of the metal; `metal` takes both.
@@ -74,8 +74,8 @@ def metal(name: str, wavelength: ArrayLike, source: str | None = None) -> MetalI
     Args:
         name: one of `metals()`, such as "Cr" or "brass".
         wavelength: in vacuum, m, any shape.
-        source: name of the table, one of those that `metals` lists. None: the first. Compare several, because published
-            tables of one metal differ.
+        source: name of the table, one of those that `metals` lists. None: the first. Compare several tables, because
+            published values of one metal differ.
 
     Returns:
         `MetalIndex`: n and k, no unit, shape of `wavelength`; and the citation.

@@ -1,4 +1,4 @@
-"""Reflectance of a smooth interface (microfacet) at each angle of incidence."""
+"""Reflectance of a smooth interface (microfacet) as a function of the angle of incidence."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ _LARGEST_INDEX = 1e6  # of any material at any wavelength; fourth powers of it a
 
 
 def fresnel_conductor(theta: ArrayLike, n: ArrayLike, k: ArrayLike) -> jax.Array:
-    """Return the unpolarised reflectance of a metal's surface in air.
+    """Compute the unpolarised reflectance of a metal surface in air.
 
-    Arguments broadcast.
+    The arguments broadcast.
 
     Args:
         theta: angle of incidence, rad, [0, pi/2].
@@ -221,7 +221,7 @@ class Constant(Reflectance):
 class Sampled(Reflectance):
     """Fresnel term that is tabulated at some angles.
 
-    It is linear between them and constant beyond.
+    It is linear between these angles and constant beyond them.
 
     Args:
         theta: angles of incidence, rad, [0, pi/2], ascending, shape (angles,).
@@ -265,7 +265,7 @@ def as_reflectance(value: Reflectance | ArrayLike) -> Reflectance:
 
 
 def per_channel(name: str, value: jax.Array) -> jax.Array:
-    """Return `value` if it is a number or one per channel; ArgumentError with its shape otherwise."""
+    """Check that `value` is a number or has one entry per channel; ArgumentError with its shape otherwise."""
     if value.ndim > 1:
         raise ArgumentError(f"{name} must be a number or a list with one entry per channel, got shape {value.shape}")
     return value

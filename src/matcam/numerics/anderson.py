@@ -30,12 +30,12 @@ class AndersonMixing:
         self._steps: list[np.ndarray] = []
 
     def step(self, place: np.ndarray, step: np.ndarray, metric: np.ndarray) -> np.ndarray:
-        """Return the step to take.
+        """Compute the accelerated step.
 
         Args:
             place: current position of the iteration, (n,).
-            step: its next step, (n,).
-            metric: of steps, (n, n).
+            step: step of the iteration at this position, (n,).
+            metric: matrix of the scalar product of steps, (n, n).
         """
         self._places, self._steps = [*self._places[-_DEPTH:], place], [*self._steps[-_DEPTH:], step]
         if len(self._steps) == 1:

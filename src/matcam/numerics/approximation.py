@@ -19,7 +19,7 @@ AnyValues = TypeVar("AnyValues", bound=Any)
 
 
 def nodes_between(low: AnyValues, high: AnyValues, order: int) -> tuple[AnyValues, AnyValues]:
-    """Compute Gauss-Legendre (nodes, weights) on [low, high], on a trailing axis; arrays of NumPy give arrays of NumPy."""
+    """Compute Gauss-Legendre (nodes, weights) on [low, high], on a trailing axis. NumPy arrays give NumPy arrays."""
     unit, weight = np.polynomial.legendre.leggauss(order)
     half = (high - low)[..., None] / 2
     return (high + low)[..., None] / 2 + half * unit, half * weight
@@ -34,7 +34,8 @@ def nodes_in_panels(cuts: AnyValues, order: int) -> tuple[AnyValues, AnyValues]:
 def ascending(cuts: list[jax.Array], rows: int) -> jax.Array:
     """Sort cuts in ascending order, on a trailing axis.
 
-    They are exchanged in pairs, because the sort of XLA takes a hundred times as long for few numbers at many positions.
+    They are exchanged in pairs, because the sort of XLA takes a hundred times as long for few numbers at many
+    positions.
 
     Args:
         cuts: arrays of one shape; each of the first `rows` is at most the next.
@@ -70,7 +71,7 @@ def between_entries(table: jax.Array, place: jax.Array) -> jax.Array:
 
 
 def four_about(place: jax.Array, entries: int) -> tuple[jax.Array, list[jax.Array]]:
-    """Return the first of the four entries about each position, and the shares of the four in the value there."""
+    """Compute the first of the four entries about each position, and the weights of the four entries."""
     left = constant(xp.clip(xp.floor(place), 1, entries - 3))
     return left.astype(int) - 1, lagrange_basis(np.arange(-1.0, 3.0), place - left)
 
@@ -80,9 +81,9 @@ POINTS = 8
 
 
 def lagrange_basis(points: np.ndarray, at: Any) -> list[Any]:
-    """Return Lagrange's polynomials through `points` (n,) at the positions `at`: n arrays of its shape and kind.
+    """Evaluate Lagrange's basis polynomials of `points` (n,) at the positions `at`: n arrays of its shape and kind.
 
-    The polynomial through values v_k is `sum_k v_k basis_k`. Derivatives are finite at the points, too.
+    The polynomial through values v_k is `sum_k v_k basis_k`. Its derivatives are also finite at the points.
     """
     differences = points[:, None] - points + np.eye(points.size)
     factors = [at - point for point in points]
@@ -113,7 +114,7 @@ def interpolated(grids: jax.Array, which: jax.Array, row: jax.Array, column: jax
 
 
 def on_steps(position: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Return (index of the first point, weights (..., POINTS)) of Lagrange's polynomial at `position`, in grid steps."""
+    """Compute (index of the first point, weights (..., POINTS)) of Lagrange's polynomial at `position`, grid steps."""
     first = xp.floor(position).astype(int) - (POINTS // 2 - 1)
     return first, xp.stack(lagrange_basis(np.arange(float(POINTS)), position - first), axis=-1)
 
@@ -163,9 +164,10 @@ def combined(coefficients: jax.Array, basis: jax.Array) -> jax.Array:
 
 
 def smoothness(count: int) -> np.ndarray:
-    """Return the rows (rows, count) whose products with the coefficients of a smooth spline are small.
+    """Build the smoothness penalty of a spline: rows (rows, count), whose products with its coefficients are penalised.
 
-    They are second differences, a third of the first ones, and a small share of the mean, which another parameter absorbs.
+    The rows are second differences, first differences times 1/3, and the mean with a small factor. Another parameter
+    absorbs the mean.
     """
     unit = np.eye(count)
     return np.concatenate([np.diff(unit, 2, axis=0), np.diff(unit, axis=0) / 3, np.full((1, count), 0.1 / count)])

@@ -1,8 +1,8 @@
-"""Uncertainty budget according to the *Guide to the expression of uncertainty in measurement* (JCGM 100:2008, 5 and G.4).
+"""Uncertainty budget (*Guide to the expression of uncertainty in measurement*, JCGM 100:2008, 5 and G.4).
 
-u_c^2 = sum_ij c_i c_j u_i u_j r_ij        c_i sensitivity, u_i standard uncertainty, r_ij correlation of the sources 1
-/ nu = sum_i (c_i u_i)^4 / (nu_i u_c^4)  effective degrees of freedom (Welch and Satterthwaite), of independent sources
-U = k u_c                                  k = 2, or Student's t at 95.45 % for few degrees of freedom
+u_c^2 = sum_ij c_i c_j u_i u_j r_ij       c_i sensitivity, u_i standard uncertainty, r_ij correlation of the sources
+1 / nu = sum_i (c_i u_i)^4 / (nu_i u_c^4) effective degrees of freedom (Welch-Satterthwaite), independent sources
+U = k u_c                                 k = 2, or Student's t at 95.45 % for few degrees of freedom
 """
 
 from __future__ import annotations
@@ -22,9 +22,7 @@ _COVERAGE = 0.9545
 """Probability of +-2 standard deviations of a normal distribution."""
 _COLUMNS = ("source", "type", "value", "standard_uncertainty", "sensitivity", "contribution", "degrees_of_freedom")
 _STEP = 1e-3
-"""Share of a standard uncertainty by which a source is changed for a numerical sensitivity; its square is the relative
-error.
-"""
+"""Step of a numerical sensitivity, in standard uncertainties of the source. The relative error is its square."""
 
 
 class UncertaintySource(NamedTuple):
@@ -34,7 +32,7 @@ class UncertaintySource(NamedTuple):
         name: name of the source, with its unit.
         value: estimate, in its unit.
         uncertainty: standard uncertainty, in the same unit.
-        sensitivity: change of the result over that of the source.
+        sensitivity: change of the result divided by the change of the source.
         kind: "A" by statistics of repeated readings, "B" by other means (JCGM 100, 4.2 and 4.3).
         degrees: degrees of freedom of the uncertainty, no unit. Default: infinite.
 
@@ -60,13 +58,13 @@ class UncertaintyBudget:
     """Uncertainty budget of one result.
 
     Args:
-        name: of the result, with its unit.
+        name: name of the result, with its unit.
         value: estimate of the result.
-        sources: of its uncertainty, at least one.
-        correlation: of the sources, (n, n). Default: None, independent.
+        sources: sources of uncertainty, at least one.
+        correlation: correlation of the sources, (n, n). Default: None, independent.
 
     Raises:
-        ArgumentError: there is no source, an uncertainty is negative, or this is not a correlation.
+        ArgumentError: there is no source, an uncertainty is negative, or `correlation` is not a correlation matrix.
 
     Example:
         >>> one = matcam.UncertaintySource("a", 1.0, 0.3, 1.0, "A", 9)
@@ -108,10 +106,10 @@ class UncertaintyBudget:
         """Build the budget of a function of its sources.
 
         Args:
-            name: of the result, with its unit.
+            name: name of the result, with its unit.
             function: result as a function of the values of the sources, in order.
-            sources: their sensitivities are replaced by numerical ones.
-            correlation: of the sources, (n, n). Default: None, independent.
+            sources: sources of uncertainty. Their sensitivities are replaced by numerical ones.
+            correlation: correlation of the sources, (n, n). Default: None, independent.
         """
         given = checks.instances("sources", sources, UncertaintySource)
         values = [one.value for one in given]
@@ -186,8 +184,8 @@ class UncertaintyBudget:
         """List the rows of the table.
 
         Returns:
-            Name, type, value, standard uncertainty, sensitivity, contribution and degrees of freedom of each source, and of the
-            combined and the expanded uncertainty.
+            Name, type, value, standard uncertainty, sensitivity, contribution and degrees of freedom of each source,
+            and of the combined and the expanded uncertainty.
         """
         rows: list[list[Any]] = [
             [one.name, one.kind, one.value, one.uncertainty, one.sensitivity, one.contribution, one.degrees]
@@ -202,7 +200,7 @@ class UncertaintyBudget:
 
 
 def _checked(source: UncertaintySource) -> UncertaintySource:
-    """Check that the numbers of a source are single and in their ranges. ArgumentError."""
+    """Raise ArgumentError if a number of a source is not a single number or is out of its range."""
     name = f"of source {checks.instance('name of a source', source.name, str)!r:.60}"
     numbers = {
         "value": checks.numbers(f"value {name}", source.value),
@@ -220,11 +218,11 @@ def write_budgets(path: str | Path, budgets: Sequence[UncertaintyBudget], *, for
 
     Args:
         path: file to write, .json or .csv.
-        budgets: one per result; without any, the file is empty.
+        budgets: one per result. Without budgets the file is empty.
         force: replace an existing file. Default: False.
 
     Raises:
-        ArgumentError: the suffix is another.
+        ArgumentError: the suffix is neither .json nor .csv.
         OutputError: the file cannot be written, or exists and `force` is False.
 
     Example:
@@ -265,7 +263,7 @@ def fit_budget(name: str, value: float, std: float) -> UncertaintyBudget:
     """Build the budget of a fitted value, whose one source is the fit (type A).
 
     Args:
-        name: of the value, with its unit.
+        name: name of the value, with its unit.
         value: estimate.
         std: standard uncertainty, in the same unit.
     """
@@ -277,9 +275,9 @@ def parameter_budgets(names: Sequence[str], values: Sequence[float], covariance:
     """Build the budgets of fitted parameters.
 
     Args:
-        names: of the parameters, with units.
+        names: names of the parameters, with units.
         values: estimates, (n,).
-        covariance: of the estimates, (n, n).
+        covariance: covariance of the estimates, (n, n).
     """
     stds = np.sqrt(np.maximum(np.diag(covariance), 0))
     return [fit_budget(*one) for one in zip(names, values, stds, strict=True)]

@@ -1,4 +1,4 @@
-"""Where a sampled curve first falls to a level."""
+"""First position at which a sampled curve falls to a level."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ def first_fall(x: FloatArray, curve: FloatArray, level: float = 0.5) -> FloatArr
     """Find the lowest x at which a curve falls to a level, by linear interpolation.
 
     Args:
-        x: places of the samples (n,), rising.
+        x: positions of the samples (n,), ascending.
         curve: samples (..., n).
-        level: the level. Default: 0.5.
+        level: level to find, in the unit of the curve. Default: 0.5.
 
     Returns:
-        The places (...); NaN where a curve begins below the level, or stays above it.
+        Positions (...); NaN where a curve begins below the level, or stays above it.
     """
     curve = np.asarray(curve)
     below = curve < level

@@ -12,9 +12,9 @@ from typing import NamedTuple
 import numpy as np
 
 COUNTS = (4, 6, 9, 13, 18, 26, 36, 48, 64)
-"""Numbers of chords. The first is for small discs."""
+"""Available numbers of chords. The first is for small discs."""
 _SMALL = 1.2
-"""Radius of the disc over the blur's standard deviation up to which it is small."""
+"""Ratio of the radius of a disc to the standard deviation of the blur up to which the disc is small."""
 _LEAST, _ACROSS, _ALONG = 2.0, 2.4, 1.0
 """Number of chords: minimum, and additional ones per standard deviation of the blur in half the width of the disc
 across and along them.
@@ -37,7 +37,7 @@ class Chords(NamedTuple):
 
 
 def chords_of(count: int) -> Chords:
-    """Build one of `COUNTS` numbers of chords."""
+    """Build the chords of the unit disc; count: one of `COUNTS`."""
     if count == COUNTS[0]:
         at, weight = 2 * np.arange(1, count + 1) / (count + 1) - 1, np.full(count, 2 / (count + 1))
     else:
@@ -47,14 +47,14 @@ def chords_of(count: int) -> Chords:
 
 
 def half_of(chords: Chords) -> Chords:
-    """Return the chords on one side of the centre; each represents two, one of them mirrored."""
+    """Select the chords on one side of the centre. Each represents itself and its mirror image."""
     side = chords.at > -1e-12
     at, half, share = (a[side] for a in chords)
     return Chords(at, half, np.where(at < 1e-12, share / 2, share))
 
 
 def chord_rule(across: np.ndarray, along: np.ndarray) -> np.ndarray:
-    """Choose the index into `COUNTS` for discs. across, along: half their widths over the standard deviation of the blur."""
+    """Choose the index into `COUNTS`. across, along: half widths of discs over the standard deviation of the blur."""
     large = np.maximum(COUNTS[1], _LEAST + _ACROSS * across + _ALONG * along)
     needed = np.where(np.maximum(across, along) <= _SMALL, 0.0, large)
     return np.minimum(np.searchsorted(COUNTS, needed), len(COUNTS) - 1)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 LARGEST = 1.5
-"""Radius of the disc over the standard deviation of the blur up to which the sum has this accuracy."""
+"""Ratio of the radius of the disc to the standard deviation of the blur up to which the sum has this accuracy."""
 
 DISC_GAUSSIANS = np.array(
     [
@@ -23,6 +23,6 @@ DISC_GAUSSIANS = np.array(
 )
 """Share of the light and variance over the disc's radius squared, of each Gaussian (Gaussians, 2).
 
-They minimise the largest error, relative to the blurred disc and 1e-5 of its middle, for radii of 0.75, 1.1 and 1.5 standard
-deviations.
+They minimise the largest error, relative to the blurred disc and 1e-5 of its middle, for radii of 0.75, 1.1 and 1.5
+standard deviations.
 """

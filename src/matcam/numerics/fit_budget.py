@@ -1,9 +1,9 @@
 """Uncertainty budgets of the results of fits, read from the covariance of the fit (JCGM 100:2008, 5).
 
 A least-squares fit with priors is linear at its solution: p = C (J' W y + L m), where C is the covariance of the
-parameters, W the weights of the readings y, and m the stated values of information L. The readings and the stated
-values are independent sources, and their variances C J' W J C and C L C add up to C. A budget therefore follows from
-the covariance of a fit.
+parameters, W the weights of the readings y, and m the specified values with information L. The readings and the
+specified values are independent sources, and their variances C J' W J C and C L C add up to C. A budget therefore
+follows from the covariance of a fit.
 """
 
 from __future__ import annotations
@@ -20,19 +20,19 @@ from matcam.numerics.budget import UncertaintyBudget, UncertaintySource
 from matcam.numerics.linalg import scaled_inverse
 
 _EFFECT = 1e-6
-"""Share of the combined uncertainty below which a source is neglected: 1e-12 of the variance is rounding."""
+"""Share of the combined uncertainty below which a source is neglected. 1e-12 of the variance is rounding."""
 _UNCORRELATED = 1e-9
-"""Share of the information about two parameters below which their priors are independent, which is rounding."""
+"""Relative off-diagonal information below which the priors of two parameters are independent. Less is rounding."""
 
 
 class StatedParameter(NamedTuple):
-    """Stated value of one parameter of a fit.
+    """Specified value of one parameter of a fit.
 
     Attributes:
         place: index of the parameter.
         name: name of the parameter, with its unit.
-        value: stated value, in its unit.
-        slope: derivative of the value by the fit's coordinate, in its unit.
+        value: specified value, in its unit.
+        slope: derivative of the value with respect to the coordinate of the fit, in its unit.
     """
 
     place: int
@@ -42,13 +42,13 @@ class StatedParameter(NamedTuple):
 
 
 class Statement(NamedTuple):
-    """Knowledge of the parameters of a fit beside its data (type B).
+    """Prior knowledge of the parameters of a fit (type B).
 
     Attributes:
-        name: of the source.
-        information: (n, n), of the fit's coordinates.
-        stated: the parameters. Each becomes a source, correlated with the others. Default: none; the statement is then one
-            source, in the unit of the result.
+        name: name of the source.
+        information: information matrix of the fit's coordinates, (n, n).
+        stated: specified parameters. Each becomes a source, correlated with the others. Default: none; the statement is
+            then one source, in the unit of the result.
     """
 
     name: str
@@ -83,7 +83,7 @@ class Statement(NamedTuple):
 
 
 class Readings(NamedTuple):
-    """Readings of a fit, which are one source of its uncertainty.
+    """Readings of a fit as one source of uncertainty.
 
     Attributes:
         name: name of the source.
@@ -100,11 +100,12 @@ class VariancePart(NamedTuple):
     """Variances of several results by one source.
 
     Attributes:
-        name: of the source.
+        name: name of the source.
         kind: type of the source, "A" or "B".
-        variance: of the results, in their unit squared.
-        value: of the source, in its unit. Default: 0, a correction whose estimate is 0.
-        uncertainty: standard uncertainty of the source, in its unit. Default: None, the source has the unit of the result.
+        variance: variance of the results, in their unit squared.
+        value: value of the source, in its unit. Default: 0, a correction whose estimate is 0.
+        uncertainty: standard uncertainty of the source, in its unit. Default: None, the source has the unit of the
+            result.
         degrees: degrees of freedom, no unit. Default: infinite.
     """
 
@@ -182,7 +183,7 @@ def posterior_budget(
     """Build the budget of a result that is linear in the parameters of a fit with priors.
 
     Args:
-        name: of the result, with its unit.
+        name: name of the result, with its unit.
         value: estimate.
         slope: (n,), derivatives of the result by the fit's coordinates.
         covariance: (n, n), of the coordinates.
@@ -209,7 +210,7 @@ def stated_parameters(
     """Describe the prior knowledge of some parameters: each correlated group of them is one statement.
 
     Args:
-        name: of the sources together.
+        name: common name of the sources.
         information: (n, n), of the fit's coordinates.
         stated: the parameters. Parameters without prior knowledge are left out.
         least: information below which a parameter is unknown. Default: 0.

@@ -10,11 +10,13 @@ import numpy as np
 from matcam.numerics.normal import robust_std
 
 _OUTLIER = 8.0
-"""Robust standard deviations beyond which a difference is a cosmic ray or a hot pixel; probability of normal values: 1e-15."""
+"""Number of robust standard deviations beyond which a difference is a cosmic ray or a hot pixel. Normal values exceed
+it with a probability of 1e-15.
+"""
 _SMALLEST_SPREAD = 0.5
 """Smallest robust standard deviation, codes: most pixels of a quiet frame have one code."""
 _SIGNIFICANT = 5.0
-"""Standard deviations by which a departure from a straight line differs from 0."""
+"""Number of standard deviations from which a departure from a straight line is significant."""
 
 
 def clipped_variance(values: np.ndarray) -> float:
@@ -24,7 +26,7 @@ def clipped_variance(values: np.ndarray) -> float:
         values: any shape, centred about 0, DN.
 
     Returns:
-        Variance, DN^2; 0 of no values.
+        Variance, DN^2; 0 for an empty array.
     """
     width = _OUTLIER * max(robust_std(values), _SMALLEST_SPREAD)
     kept = values[np.abs(values) <= width]
@@ -49,7 +51,7 @@ def pair_variance(first: np.ndarray, second: np.ndarray) -> float:
 
 
 def pair_variance_error(frames: int, pixels: int) -> float:
-    """Relative standard deviation of the mean `pair_variance` of consecutive frames.
+    """Compute the relative standard deviation of the mean `pair_variance` of consecutive frames.
 
     Args:
         frames: number of frames, at least 2.
@@ -62,7 +64,7 @@ def pair_variance_error(frames: int, pixels: int) -> float:
 
 
 def fixed_pattern_variance(measured: float, temporal: float, frames: int) -> float:
-    """Compute the variance of the pixels' own levels from that of a mean of frames (EMVA 1288, 8.2.2).
+    """Compute the fixed pattern variance of the pixels from the variance of a mean of frames (EMVA 1288, 8.2.2).
 
     Args:
         measured: variance of the mean of the frames over its pixels, DN^2.
@@ -70,16 +72,16 @@ def fixed_pattern_variance(measured: float, temporal: float, frames: int) -> flo
         frames: number of frames of the mean.
 
     Returns:
-        Variance, DN^2; negative by chance if the pixels do not differ.
+        Variance, DN^2. It may be negative by chance if the pixels do not differ.
     """
     return measured - temporal / frames
 
 
 def fixed_pattern_variance_error(pattern: float, temporal: float, frames: int, pixels: int) -> float:
-    """Standard deviation of `fixed_pattern_variance`, DN^2: the part from temporal noise for these pixels.
+    """Compute the standard deviation of `fixed_pattern_variance` due to temporal noise, DN^2.
 
     Args:
-        pattern: variance of the pixels' own levels, DN^2.
+        pattern: fixed pattern variance, DN^2.
         temporal: variance of one pixel from frame to frame, DN^2.
         frames: number of frames of the mean, at least 2.
         pixels: number of pixels of a frame.
@@ -104,7 +106,7 @@ def line_of_least_relative_error(x: np.ndarray, y: np.ndarray) -> tuple[float, f
 
 
 def not_linear(departure: np.ndarray, std: np.ndarray, least: float) -> np.ndarray:
-    """Find departures from a straight line that are larger than allowed, and significant.
+    """Find departures from a straight line that are larger than allowed and significant.
 
     Args:
         departure: relative to the line, no unit.

@@ -1,8 +1,8 @@
 """Inversion of information matrices whose parameters have different units.
 
-An information matrix (the inverse of a covariance) is symmetric and positive semidefinite. Its entries may differ by a factor
-of 1e20, because its parameters have different units; so it is scaled to a unit diagonal before it is inverted. One floor
-decides which directions the data determine.
+An information matrix (the inverse of a covariance) is symmetric and positive semidefinite. Its entries may differ by a
+factor of 1e20, because its parameters have different units; so it is scaled to a unit diagonal before it is inverted.
+One floor decides which directions the data determine.
 """
 
 from __future__ import annotations
@@ -22,14 +22,15 @@ AnyMatrix = TypeVar("AnyMatrix", bound=Any)
 
 
 def scaled_inverse(information: AnyMatrix, undetermined: float = 0.0) -> AnyMatrix:
-    """Return the inverse of a symmetric, positive semidefinite matrix, by way of a unit diagonal.
+    """Invert a symmetric, positive semidefinite matrix, scaled to a unit diagonal.
 
     NumPy arrays are inverted by their eigenvalues, with `FLOOR` as the smallest, so that sums which are indefinite by
     rounding are harmless. JAX arrays are lifted by `FLOOR` and inverted by Cholesky's decomposition, which compiles to
     less. The two differ by `FLOOR` over the smallest eigenvalue.
 
     Args:
-        information: matrix, or a stack of them (NumPy only), shape (..., n, n); the inverse squares of the parameters' units.
+        information: matrix, or a stack of them (NumPy only), shape (..., n, n), in inverse squares of the parameters'
+            units.
         undetermined: variance of a parameter whose diagonal entry is 0. Default: 0.0, the parameter is fixed.
 
     Returns:
@@ -47,7 +48,7 @@ def scaled_inverse(information: AnyMatrix, undetermined: float = 0.0) -> AnyMatr
 
 
 def lifted_inverse(information: AnyMatrix, undetermined: float = 0.0) -> AnyMatrix:
-    """Invert one matrix of either kind as `scaled_inverse` does for arrays of JAX."""
+    """Invert one NumPy or JAX matrix as `scaled_inverse` inverts JAX arrays."""
     diagonal = xp.diagonal(information)
     scale = xp.where(diagonal > 0, 1 / xp.sqrt(xp.where(diagonal > 0, diagonal, 1.0)), 0.0)
     lifted = information * scale[:, None] * scale + xp.diag(xp.where(scale > 0, FLOOR, 1.0))

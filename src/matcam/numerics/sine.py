@@ -13,14 +13,14 @@ from matcam.core.arrays import xp
 if TYPE_CHECKING:
     from matcam.core.jax import jax
 
-# sin(x) / x as a polynomial in x^2: it agrees with it at 10 Chebyshev nodes of [0, (pi/2)^2]. From the constant upwards, which
-# is less than 1 by two roundings, since a sine above 1 has no cosine
+# sin(x) / x as a polynomial in x^2 that interpolates it at 10 Chebyshev nodes of [0, (pi/2)^2], lowest power first. The
+# constant is two roundings below 1, so that no sine exceeds 1
 _SINE = (
     1 - 2**-52, -0.16666666666666666, 0.008333333333333333, -0.0001984126984126967, 2.755731922394071e-06,
     -2.5052108378602197e-08, 1.6059043206300948e-10, -7.647127739966418e-13, 2.8102145350022103e-15, -7.982518961783833e-18,
 )  # fmt: skip
 
-# asin(x) / x as a polynomial in x^2: it agrees with it at 13 Chebyshev nodes of [0, 1/4]; from the constant upwards
+# asin(x) / x as a polynomial in x^2 that interpolates it at 13 Chebyshev nodes of [0, 1/4], lowest power first
 _ARCSINE = (
     1.0, 0.16666666666664942, 0.07500000000385201, 0.044642856805998936, 0.03038195969768514, 0.022371749733164054,
     0.01735977964134998, 0.01388484282640208, 0.012170138592391726, 0.0065293020047365695, 0.019513468251252167,
@@ -29,12 +29,12 @@ _ARCSINE = (
 
 
 def sine(angle: jax.Array) -> jax.Array:
-    """Compute the sine within [-pi/2, pi/2] to the last digit but one."""
+    """Compute the sine within [-pi/2, pi/2], accurate to the last digit but one."""
     return _odd(_SINE, angle, angle * angle)
 
 
 def arcsine(x: jax.Array) -> jax.Array:
-    """Compute the arcsine within [-1, 1] to the last digit but one; beyond 1/2 from that of sqrt((1 - |x|) / 2)."""
+    """Compute the arcsine within [-1, 1], accurate to the last digit but one; beyond 1/2 from sqrt((1 - |x|) / 2)."""
     size = xp.abs(x)
     steep = size > 0.5
     square = xp.where(steep, (1 - size) / 2, size * size)

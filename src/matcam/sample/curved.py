@@ -1,4 +1,4 @@
-"""Curved samples: a sphere shows every normal in one image, a cylinder those of one plane, each along a line."""
+"""Curved samples. The image of a sphere contains every visible normal, that of a cylinder the normals of one plane."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from matcam.sample.shape import (
 )
 
 _LARGEST = 1e100
-"""Largest radius, px. Sums of its square and of those of blurs are finite in float64."""
+"""Largest radius, px. Sums of its square and of the squares of blurs are finite in float64."""
 
 if TYPE_CHECKING:
     from jax.typing import ArrayLike
@@ -32,14 +32,15 @@ if TYPE_CHECKING:
 
 
 class Sphere(Curved):
-    """Sphere, which shows all normals in one image.
+    """Sphere, whose image contains all visible normals.
 
-    u and v are longitude and latitude of its normal about the y axis.
+    u and v are the longitude and latitude of the normal about the y axis.
 
     Args:
-        radius: of its limb in the picture, in (0, 1e100] px.
-        distance: of the camera from its centre, in radii of the sphere, above 1. Default: infinite, an orthographic camera.
-            Give it where the camera is closer than some hundred radii: a near camera sees less than half the sphere.
+        radius: radius of its limb in the picture, in (0, 1e100] px.
+        distance: distance of the camera from its centre, in radii of the sphere, above 1. Default: infinite, an
+            orthographic camera. Specify it if the camera is closer than some hundred radii, because less than half of
+            the sphere is visible from a near camera.
 
     Raises:
         ArgumentError: a parameter is out of range, or not a single number.
@@ -78,7 +79,7 @@ class Sphere(Curved):
         Its area is per solid angle of the normal, px^2/sr.
 
         Args:
-            normal: the direction, a unit vector's three parts; arrays that broadcast.
+            normal: components of the unit vector of the direction; arrays that broadcast.
         """
         view, length, depth = self.line_of_sight(normal, normal[1])
         scale = self.stretch / depth
@@ -116,7 +117,7 @@ class Sphere(Curved):
         return normal[2] / section, xp.zeros(()), -normal[0] / section
 
     def coordinates(self, element: Element) -> tuple[jax.Array, jax.Array]:
-        """Return longitude and latitude about the y axis, rad."""
+        """Return the longitude and latitude about the y axis, rad."""
         n_x, n_y, n_z = element.normal
         return xp.arctan2(n_x, n_z), xp.arcsin(xp.clip(n_y, -1, 1))
 
@@ -147,7 +148,7 @@ class Sphere(Curved):
         if lamp_nearness is not None:  # from the centre of the sample to the lamp, along the light from this normal
             w, cos_i = xp.asarray(lamp_nearness), xp.sum(normal * light, axis=0)
             light = w * normal + (xp.sqrt(xp.maximum(1 - w**2 * (1 - cos_i**2), 0.0)) - w * cos_i) * light
-        # x axis: direction of the lamp across the optical axis; if lamp and camera coincide, that of the frame
+        # x axis: direction of the lamp across the optical axis; if lamp and camera coincide, the x axis of the frame
         frame = xp.stack([view[2], 0 * view[2], -view[0]])
         x_axis = light - xp.sum(light * axis, axis=0) * axis
         size = xp.sqrt(xp.sum(x_axis**2, axis=0))
@@ -191,8 +192,8 @@ class Sphere(Curved):
     def lit_rows(self, lamp_angle: jax.Array, lamp_nearness: ArrayLike) -> jax.Array:
         """Return the largest lit and visible latitude, rad.
 
-        There limb or terminator end, or they meet: the angles with cosines q / cos v and w / cos v then add up to the
-        angle of the lamp.
+        At this latitude the limb or the terminator ends, or they meet. Where they meet, the angles with cosines
+        q / cos v and w / cos v add up to the angle of the lamp.
         """
         q, w, cosine, sine = self.nearness, xp.asarray(lamp_nearness), xp.cos(lamp_angle), xp.sin(lamp_angle)
         sine = xp.where(sine > 0, sine, 1.0)
@@ -204,7 +205,7 @@ class Sphere(Curved):
     def rows(self, x: jax.Array, y: jax.Array, reach: ArrayLike) -> tuple[jax.Array, jax.Array]:
         """Return the latitudes close to an image position, rad.
 
-        They end where the limb leaves these columns.
+        The interval ends where the limb leaves these columns.
         """
         low, high = self.window(y - reach, y + reach, self.across(x, xp.zeros_like(x)))
         share = xp.clip((xp.abs(x) - reach) / self.radius, 0, 1)
@@ -219,14 +220,15 @@ class Sphere(Curved):
 
 
 class Cylinder(Curved):
-    """Cylinder seen across its axis, which is the y axis.
+    """Cylinder about the y axis, seen perpendicular to its axis.
 
-    It extends beyond the image. v is the position along the axis, in radii. An anisotropic material's first direction
-    runs around it.
+    It extends beyond the image. v is the position along the axis, in radii. The first tangent of an anisotropic
+    material runs around the cylinder.
 
     Args:
-        radius: half the width of its picture, in (0, 1e100] px.
-        distance: of the camera from its axis, in radii of the cylinder, above 1. Default: infinite, an orthographic camera.
+        radius: half the width of its image, in (0, 1e100] px.
+        distance: distance of the camera from its axis, in radii of the cylinder, above 1. Default: infinite, an
+            orthographic camera.
 
     Raises:
         ArgumentError: a parameter is out of range, or not a single number.
@@ -250,7 +252,7 @@ class Cylinder(Curved):
         self.distant = is_infinite(distance)
 
     def surface(self, u: jax.Array, v: jax.Array) -> Element:
-        """Return the surface: the sphere's equator across the axis, constant along it."""
+        """Return the surface element: a circle across the axis, constant along it."""
         element, _ = self._element(xp.sin(u), xp.cos(u), v)
         return element
 
@@ -275,7 +277,7 @@ class Cylinder(Curved):
     ) -> Place:
         """Compute the position and the lamp for half and difference angles.
 
-        Only normals in the plane of camera and lamp are visible at v = 0: phi_d must be 0 or pi; otherwise the position is NaN.
+        At v = 0 only normals in the plane of camera and lamp are visible: the position is NaN unless phi_d is 0 or pi.
         """
         theta_h, theta_d, phi_d = (xp.asarray(a, dtype=xp.float64) for a in (theta_h, theta_d, phi_d))
         side = -xp.cos(phi_d)
@@ -301,7 +303,7 @@ class Cylinder(Curved):
         return (middle - half) / scale, (middle + half) / scale
 
     def lit_rows(self, lamp_angle: jax.Array, lamp_nearness: ArrayLike) -> jax.Array:
-        """Return infinity: limb and terminator are straight."""
+        """Return infinity, because limb and terminator are straight."""
         return xp.full_like(lamp_angle, xp.inf)
 
     def rows(self, x: jax.Array, y: jax.Array, reach: ArrayLike) -> tuple[jax.Array, jax.Array]:

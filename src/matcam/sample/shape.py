@@ -1,10 +1,11 @@
 """Shapes of samples: image positions of surface normals (docs/model.md 3).
 
-The x axis of the image lies in the plane of camera and lamp, y across it; both in px from the optical axis through the
-centre of the sample. The lamp is in the plane of x and the axis, towards +x; another azimuth turns these axes relative
-to the sensor. Distances are in radii of the sample. A lamp's nearness is 1 / its distance; None means a distant lamp.
+The x axis of the image lies in the plane of camera and lamp, the y axis is perpendicular to it; both are in px from
+the optical axis through the centre of the sample. The lamp is in the plane of x and the optical axis, towards +x;
+another azimuth turns these axes relative to the sensor. Distances are in radii of the sample. The nearness of a lamp
+is the inverse of its distance; None means a distant lamp.
 
-A flat sample shows one normal; a curved one (`Sphere`, `Cylinder`) shows many in one picture.
+A flat sample has one normal; the image of a curved sample (`Sphere`, `Cylinder`) contains many.
 """
 
 from __future__ import annotations
@@ -30,13 +31,13 @@ class Element(NamedTuple):
     """Surface elements in the image; arrays that broadcast.
 
     Attributes:
-        normal: of the surface.
+        normal: surface normal.
         tangent: first tangent, in the plane of x and the axis.
         view: direction to the camera.
         x: position in the image, px.
         y: position in the image, px.
-        area: area in the picture over the cosine of the view. That cosine cancels in the light towards the camera, so
-            that it is regular at the limb. px^2 per du dv for an element at (u, v), per px^2 for one at (x, y).
+        area: area in the image over the cosine of the view. This cosine cancels in the light towards the camera, so the
+            product is regular at the limb. px^2 per du dv for an element at (u, v), per px^2 for one at (x, y).
     """
 
     normal: Vector
@@ -75,21 +76,21 @@ class Sample(Module):
 
     @abstractmethod
     def px_per_rad(self, theta_o: jax.Array, lamp_nearness: ArrayLike | None = None) -> tuple[jax.Array, jax.Array]:
-        """Return the shift of the image per turn of the normal, px/rad.
+        """Return the shift of the image per rotation of the normal, px/rad.
 
         Args:
             theta_o: angle between normal and view at the highlight, rad.
             lamp_nearness: inverse of the lamp's distance, 1/radii. Default: None, a distant lamp.
 
         Returns:
-            Shift towards the limb and across; infinite in a direction with a constant normal.
+            Shift towards the limb and perpendicular to it; infinite in a direction with a constant normal.
         """
 
 
 class Flat(Sample):
     """Flat sample, tilted away from the camera.
 
-    Its normal is constant, so a camera blurs only its texture, not its reflectance.
+    Its normal is constant, so the camera blurs its texture but not its reflectance.
 
     Source:
         Holzschuch & Pacanowski (2017), section 3; docs/model.md 3.
@@ -106,10 +107,10 @@ class Flat(Sample):
     def frequency_on_sensor(self, frequency: ArrayLike, theta_o: ArrayLike) -> jax.Array:
         """Return the frequency of a texture on the sensor, cycles/px.
 
-        The texture varies along the tilt, which foreshortens it (paper (4)).
+        The texture varies along the direction of the tilt, which foreshortens it (paper (4)).
 
         Args:
-            frequency: of the texture seen head-on, cycles/px.
+            frequency: frequency of the texture seen head-on, cycles/px.
             theta_o: tilt, rad, [0, pi/2); broadcasts with frequency.
 
         Raises:
@@ -124,14 +125,14 @@ class Flat(Sample):
 
 
 class Curved(Sample):
-    """Sample that shows many normals in one image.
+    """Curved sample, whose image contains many normals.
 
     The surface has two coordinates: u, the angle of its normal from the optical axis in the plane of camera and lamp,
-    and v, out of that plane. At every v the visible and lit part is one interval of u, smooth between sharp ends.
+    and v, out of that plane. At every v the visible and lit part is one interval of u, with sharp ends.
 
     Attributes:
-        radius: of the limb in the picture, px.
-        distance: from the sample's centre to the camera, in radii of the sample; infinite: orthographic.
+        radius: radius of the limb in the image, px.
+        distance: distance from the sample's centre to the camera, in radii of the sample; infinite if orthographic.
         distant: True if the distance is infinite. The view direction is then constant.
     """
 
@@ -196,12 +197,12 @@ class Curved(Sample):
 
     @abstractmethod
     def window(self, low: jax.Array, high: jax.Array, u: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Return the interval of v between two rows of the picture.
+        """Return the interval of v between two rows of the image.
 
         Args:
             low: first row, y in px.
             high: last row, y in px.
-            u: angle of the normal around which the interval must hold, rad.
+            u: angle of the normal around which the interval must be valid, rad.
         """
 
     @abstractmethod
@@ -279,7 +280,7 @@ class Curved(Sample):
     def across(self, x: jax.Array, v: jax.Array) -> jax.Array:
         """Return the visible u at a column of the image, rad.
 
-        Without one, it is the nearest visible u.
+        If there is none, return the nearest visible u.
 
         Args:
             x: position in the image, px.
@@ -321,7 +322,7 @@ class Curved(Sample):
     def theta_d(self, lamp_angle: jax.Array, lamp_nearness: ArrayLike | None = None) -> jax.Array:
         """Return half the angle between lamp and camera, rad.
 
-        It is the angle seen from the highlight: the inverse of `lamp_angle`.
+        The angle is seen from the highlight. This is the inverse of `lamp_angle`.
 
         Args:
             lamp_angle: angle between lamp and optical axis, rad.
@@ -350,7 +351,7 @@ class Curved(Sample):
 
     @staticmethod
     def _half_vector_turn(theta_d: jax.Array, lamp_nearness: ArrayLike | None) -> tuple[jax.Array, jax.Array]:
-        """Return the turn of the half vector by a near lamp per turn of the normal, against it, along and across."""
+        """Compute the rotation of the half vector by a near lamp, against that of the normal, along and across."""
         if lamp_nearness is None:
             return xp.zeros(()), xp.zeros(())
         w = xp.asarray(lamp_nearness)
@@ -363,12 +364,12 @@ class Curved(Sample):
         """Return the angle between normal and half vector per radius along y, given the share of the half vector."""
 
     def line_of_sight(self, normal: Vector, y: jax.Array) -> tuple[Vector, jax.Array, jax.Array]:
-        """Return direction to the camera, its length, and the points' depth.
+        """Return direction to the camera, its length, and depth of the points.
 
-        Length and depth (along the axis) are over the camera's distance. They are scalars if the camera is distant.
+        Length and depth (along the optical axis) are divided by the camera's distance; scalars for a distant camera.
 
         Args:
-            normal: of the surface at the points.
+            normal: surface normal at the points.
             y: distance from the plane of x and the axis, in radii.
         """
         zero, one = xp.zeros(()), xp.ones(())
@@ -395,7 +396,7 @@ def highlight_between(lamp_angle: jax.Array, camera: ArrayLike, lamp: ArrayLike)
         return 2 * u + view - light - lamp_angle, 2 + view_slope + light_slope
 
     def newton(state: tuple[jax.Array, jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array, jax.Array]:
-        u, low, high = state  # the root lies between these: a step outside is replaced by a bisection
+        u, low, high = state  # the root lies between low and high: a step outside is replaced by a bisection
         value, slope = miss(u)
         low, high = xp.where(value < 0, u, low), xp.where(value < 0, high, u)
         step = u - value / slope
@@ -420,7 +421,7 @@ def _parallax(aside: jax.Array, nearness: ArrayLike) -> tuple[jax.Array, jax.Arr
 
 
 def angle_on_circle(slope: jax.Array, tilt: jax.Array) -> jax.Array:
-    """Return the u nearest to 0 with sin u + tilt cos u = slope; +-pi/2 if there is none.
+    """Solve sin u + tilt cos u = slope for the u nearest to 0; +-pi/2 if there is none.
 
     It is the intersection of a line of sight with a circle.
     """
@@ -431,7 +432,7 @@ def angle_on_circle(slope: jax.Array, tilt: jax.Array) -> jax.Array:
 
 
 def depth_of(slope: jax.Array, q: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Return cos t of the visible point with sin t = slope (1 - q cos t), and a mask of lines of sight that hit."""
+    """Compute cos t of the visible point with sin t = slope (1 - q cos t), and a mask of lines of sight that hit."""
     square = slope**2
     root = 1 + square * (q**2 - 1)
     hits = root > 0
@@ -445,5 +446,5 @@ def checked_distance(distance: ArrayLike) -> jax.Array:
 
 
 def is_infinite(distance: ArrayLike) -> bool:
-    """Return True for a concrete infinite distance."""
+    """Check whether a distance is concrete and infinite."""
     return is_concrete(distance) and bool(np.isinf(np.asarray(distance, dtype=np.float64)))

@@ -31,7 +31,7 @@ POINT = 1e-3
 """Half width, px, of the pixel of a fine record: practically a point."""
 _MOST_PER_PX = 8
 _AMPLIFIED = 3.0
-"""Largest factor by which a filter may amplify a frequency, and with it the errors of the record."""
+"""Largest factor by which a filter may amplify a frequency and the errors of the record."""
 EXACT = 1e-6
 """Error of a transfer function below which no finer sampling is used."""
 _SIGMAS = np.arange(0.1, 2.0, 0.025)
@@ -57,7 +57,7 @@ class BandLimit(NamedTuple):
 
 
 def band_limit(camera: Camera, enough: float = EXACT) -> BandLimit | None:
-    """Choose the filter of images of a camera; None if its lens is a sum of Gaussians, or closer to one.
+    """Choose the filter of images of a camera; None if a sum of Gaussians describes its lens at least as well.
 
     enough: error of a transfer function below which no finer sampling is used.
     """
@@ -78,7 +78,7 @@ def concrete(camera: Camera) -> bool:
 
 
 def sampling_of(lenses: Sequence[Optics], pixel: PixelResponse, enough: float = EXACT) -> BandLimit:
-    """Choose the sampling of an image that each of these lenses filters; their parameters must be concrete."""
+    """Choose the sampling of images through some lenses, whose parameters must be concrete."""
     stopped = without_derivatives(list(lenses))
     pixel = without_derivatives(pixel)
     frequency = np.linspace(0, max(lens.band() for lens in stopped), _FREQUENCIES)
@@ -88,7 +88,7 @@ def sampling_of(lenses: Sequence[Optics], pixel: PixelResponse, enough: float = 
 
 
 def _at_most(optics: Optics, frequency: np.ndarray) -> np.ndarray:
-    """Return an upper bound of the transfer of a lens in all directions: aberrations only reduce it."""
+    """Compute an upper bound of the transfer function of a lens in all directions: aberrations only reduce it."""
     if optics.isotropic:
         return np.abs(np.asarray(optics.mtf(frequency)))
     parts = [
@@ -101,9 +101,9 @@ def _at_most(optics: Optics, frequency: np.ndarray) -> np.ndarray:
 
 @lru_cache(maxsize=32)
 def _chosen(frequencies: tuple[float, ...], passed: tuple[tuple[float, ...], ...], enough: float) -> BandLimit:
-    """Choose the coarsest sampling with a sufficiently small error and its best Gaussian, otherwise the smallest error.
+    """Choose the coarsest sampling with a sufficiently small error, otherwise that with the smallest error.
 
-    passed: transfer of lens and pixel at these frequencies, along `_ANGLES`.
+    passed: transfer function of lens and pixel at these frequencies, along `_ANGLES`.
     """
     f, total = np.array(frequencies), np.array(passed)
     fx, fy = (f * part(_ANGLES[:, None]) for part in (np.cos, np.sin))
@@ -126,9 +126,9 @@ class FineLine(NamedTuple):
     """Positions along one axis at which an image is recorded before it is filtered.
 
     Attributes:
-        at: px, in steps of a fraction of a pixel, in the order of the pixels of the image.
-        first: index of the picture's first pixel.
-        step: 1.0 to the right or upwards, otherwise -1.0.
+        at: positions, px, in steps of a fraction of a pixel, in the order of the pixels of the image.
+        first: index of the first pixel of the image.
+        step: 1.0 if positions increase to the right or upwards, otherwise -1.0.
     """
 
     at: np.ndarray
@@ -137,7 +137,7 @@ class FineLine(NamedTuple):
 
 
 def fine_line(pixels: np.ndarray, low: float, high: float, per_px: int) -> FineLine:
-    """Return positions that cover the pixels of an image and all light sources, from low to high px."""
+    """Compute positions that cover the pixels of an image and all light from low to high, px."""
     step = 1.0 if pixels.size < 2 else float(np.sign(pixels[1] - pixels[0]))
     ends = (low, high) if step > 0 else (high, low)
     before, after = max(0.0, step * (pixels[0] - ends[0])), max(0.0, step * (ends[1] - pixels[-1]))
@@ -153,7 +153,7 @@ class FineRecord(NamedTuple):
         spectrum: (rows, columns, channels), complex, of real values.
         fx: frequency of its columns, to the right, cycles/px.
         fy: frequency of its rows, upwards, cycles/px.
-        padded: rows and columns of the record with its distance to the periodic copy.
+        padded: rows and columns of the record including the distance to its periodic copy.
         size: rows and columns of the record.
     """
 
@@ -193,7 +193,7 @@ def transformed(values: jax.Array, across: FineLine, along: FineLine, per_px: in
         across: its columns.
         along: its rows.
         per_px: positions along the side of a pixel.
-        periodic: True if the record is constant along y, as that of a cylinder.
+        periodic: True if the record is constant along y, as for a cylinder.
     """
     height, width = values.shape[:2]
     rows, columns = (next_fast_len(n + APART * per_px, real=True) for n in (height, width))
@@ -211,7 +211,7 @@ def filtered(record: FineRecord, optics: Optics, pixel: PixelResponse, limit: Ba
         optics: the lens.
         pixel: the pixel.
         limit: sampling of the record.
-        shift: of the picture, (right, up), px.
+        shift: shift of the picture, (right, up), px.
 
     Returns:
         Transform of the filtered record.

@@ -12,11 +12,11 @@ from matcam.forward.frequencies.taps import Taps
 from matcam.numerics.approximation import nodes_in_panels
 
 _GRADED = 3.0 ** -np.arange(5, 0, -1.0)
-"""Borders within the panel beside the half vector, as shares of it."""
+"""Borders within the panel next to the half vector, as shares of the panel."""
 _PANELS = 5
 """Number of panels in the plane of incidence, on either side."""
 _TALL = (8, 20, 48)
-"""Numbers of panels across it: few values, because each requires a program."""
+"""Numbers of panels across the plane of incidence. There are few values, because each requires a program."""
 _WIDEST_PANEL = 2.9
 """Width of the widest panel, in standard deviations of a border."""
 _NODES = 8
@@ -26,8 +26,9 @@ class PatchSize(NamedTuple):
     """Size of the patch about a highlight on a grid.
 
     Attributes:
-        panels: across the plane of incidence, to either side.
-        columns: number of grid points. rows: points of the grid.
+        panels: number of panels across the plane of incidence, to either side.
+        columns: number of grid points along a row.
+        rows: number of grid points along a column.
     """
 
     panels: int
@@ -41,10 +42,10 @@ def patch_size(widths: RegionWidths, squeezed: float, step: float, taps: Taps, a
     Args:
         widths: widths of the regions.
         squeezed: cosine of the view at the highlight.
-        step: of the grid, px.
+        step: step of the grid, px.
         taps: weights of light on the grid.
-        alike: whether only the upper half is computed.
-        turned: whether the sensor is turned relative to the scene.
+        alike: True if only the upper half is computed.
+        turned: True if the sensor is turned relative to the scene.
     """
     squeezed = max(squeezed, STEEPEST)
     widest = _WIDEST_PANEL * widths.sigma
@@ -64,11 +65,11 @@ def lay_highlight(
     Args:
         grid: (rows, columns, channels).
         regions: regions of the light.
-        size: of the patch.
+        size: size of the patch.
         x: positions of the grid's columns, px.
         y: positions of its rows, px.
         taps: weights of light on the grid.
-        alike: whether only the upper half is computed, for symmetric light.
+        alike: True if only the upper half is computed, for symmetric light.
     """
     scene, around = regions.scene, regions.widths.around
     counts = min(size.columns, x.size), min(size.rows, y.size)

@@ -32,7 +32,7 @@ _FINE_ENOUGH = 2.4
 _TILE = 32, 64
 """Rows and columns of a tile of the grid."""
 _ACROSS = 30.0
-"""Smallest number of grid steps in the radius of a sphere, beyond those that the cutoff of the lens requires."""
+"""Number of grid steps in the radius of a sphere in addition to those that the cutoff of the lens requires."""
 _SMALLEST = 2.5
 """Smallest radius of a sphere, px."""
 _HIGHEST = 3.3
@@ -43,8 +43,8 @@ class Laying(NamedTuple):
     """Arrangement of the light outside the regular points of a grid. Each kind requires a program.
 
     Attributes:
-        lines: those of the limb.
-        patch: size of that about the highlight.
+        lines: lines of the limb.
+        patch: size of the patch about the highlight.
     """
 
     lines: tuple[LimbLines, ...]
@@ -56,10 +56,10 @@ class LightGrid(NamedTuple):
 
     Attributes:
         x: positions of the columns, at a constant step, px.
-        y: positions of the rows, px; from half a step upwards if the light is symmetric.
-        widths: of the regions.
+        y: positions of the rows, px; if the light is symmetric, starting half a step above the axis.
+        widths: widths of the regions.
         taps: weights of single points of light.
-        alike: whether only the upper half is computed, for symmetric light.
+        alike: True if only the upper half is computed, for symmetric light.
     """
 
     x: np.ndarray
@@ -100,7 +100,7 @@ def per_px_for(highest: float, radius: float) -> int:
 
     Args:
         highest: frequency up to which the light is used, cycles/px.
-        radius: of the sphere, px.
+        radius: radius of the sphere, px.
     """
     return max(2, int(np.ceil(_FINE_ENOUGH * highest)), int(np.ceil(highest + _ACROSS / radius)))
 
@@ -115,7 +115,7 @@ def serves(sample: Curved, elongation: float, highest: float) -> bool:
 
     Args:
         sample: the sample.
-        elongation: of the material's lobe, no unit.
+        elongation: elongation of the material's lobe, no unit.
         highest: cutoff of the lens, cycles/px.
     """
     if not isinstance(sample, Sphere) or not sample.distant or elongation != 1 or highest > _HIGHEST:

@@ -1,9 +1,9 @@
 """Light at the limb on a grid, from nodes along its rows and columns.
 
-Within a few px of the limb light varies as the square root of the distance, and then ends. Along a line it is a smooth
-function of the angle up to the limb, or up to the terminator if that is closer. Lines that meet the limb at less than
-45 degrees would alias, so rows are used at its left and right and columns at its top and bottom, with a smooth
-transition.
+Within a few px of the limb, light varies as the square root of the distance and ends at the limb. Along a line it is a
+smooth function of the angle up to the limb, or up to the terminator if that is closer. Lines that meet the limb at less
+than 45 degrees would alias, so rows are used at the left and right limb and columns at the top and bottom, with a
+smooth transition.
 """
 
 from __future__ import annotations
@@ -33,9 +33,10 @@ class LimbLines(NamedTuple):
 
     Attributes:
         upright: True for columns, False for rows.
-        side: 1 if they end at the right or top, -1 at the left or bottom.
-        first: index of the first. last: index after the last.
-        length: number of grid points that receive the light of one.
+        side: 1 if the lines end at the right or top, -1 at the left or bottom.
+        first: index of the first line.
+        last: index after the last line.
+        length: number of grid points that receive the light of one line.
     """
 
     upright: bool
@@ -50,7 +51,7 @@ def limb_lines(fixed: np.ndarray, radius: float, widest: float, taps: Taps, upri
 
     Args:
         fixed: positions of all lines across their direction, at a constant step, px.
-        radius: of the limb, px.
+        radius: radius of the limb, px.
         widest: depth of the region of the limb, px.
         taps: weights of light on the grid.
         upright: see `LimbLines`.
@@ -70,9 +71,9 @@ def lay_limb(
     Args:
         grid: (rows, columns, channels).
         regions: regions of the light.
-        served: the lines of that side.
-        across: positions of all lines of their kind, px.
-        along: positions of the grid's points on one of them, px.
+        served: lines of that side.
+        across: positions of all lines of the same direction, px.
+        along: positions of the grid points on one line, px.
         taps: weights of light on the grid.
     """
     first, step = along[0], along[1] - along[0]

@@ -1,4 +1,4 @@
-"""Rows and columns of the sensor: each is half a circle on a sphere in front of a distant camera, with one lit arc."""
+"""Rows and columns of the sensor: half circles on a sphere in front of a distant camera, each with one lit arc."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ _LEAST = 1e-12
 class Lines(NamedTuple):
     """Lines of the sensor.
 
-    A position on a line is an angle from the optical axis about the axis of the line, rad: 0 is its middle, pi / 2 its
-    right or upper end.
+    A position on a line is an angle from the optical axis about the axis of the line, rad: 0 is the middle and pi / 2
+    the right or upper end of the line.
 
     Attributes:
         scene: the scene.
         upright: True for columns, False for rows.
-        fixed: position of each across its direction, px.
+        fixed: position of each line across its direction, px.
     """
 
     scene: Scene

@@ -1,9 +1,9 @@
 """Transfer function of a lens for images that are symmetric above and below: only the upper half is transformed.
 
-Half a picture with its mirror image below has a cosine transform. Apart from a phase this is the transform of the half
-with its even rows first and its odd rows in reverse order after them (Makhoul 1980, A fast cosine transform in one and
-two dimensions). The phases of both transforms become a part of the transfer function, which mixes every frequency of
-the half with its mirror image.
+The transform of half an image with its mirror image below is a cosine transform. Apart from a phase this is the
+transform of the half with its even rows first, followed by its odd rows in reverse order (Makhoul 1980, A fast cosine
+transform in one and two dimensions). The phases of both transforms are included in the transfer function, which mixes
+every frequency of of the half with its mirror image.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ class MirroredTransfer(NamedTuple):
     """Transfer of a lens for half an image.
 
     Attributes:
-        own: share of each frequency that stays, (rows, columns of half the plane), no unit.
-        other: share of the frequency mirrored in the row, same shape, complex.
+        own: factor of each frequency, (rows, columns of half the plane), no unit.
+        other: factor of the frequency mirrored along the columns, same shape, complex.
     """
 
     own: jax.Array
@@ -30,7 +30,8 @@ class MirroredTransfer(NamedTuple):
     def of(cls, transfer: jax.Array) -> MirroredTransfer:
         """Build the transfer of a symmetric lens.
 
-        transfer: of the lens at frequencies 0, 1, 2... cycles per two halves along y, an even number of rows.
+        transfer: transfer function of the lens at frequencies 0, 1, 2... cycles per two halves along y, an even number
+            of rows.
         """
         rows = transfer.shape[0]
         mirrored = jnp.concatenate([jnp.zeros_like(transfer[:1]), transfer[:0:-1]])
@@ -41,8 +42,8 @@ class MirroredTransfer(NamedTuple):
         """Filter an upper half by the lens, from half a step above the axis: (rows, columns, channels).
 
         Args:
-            light: of the half, (rows, columns, channels), 1/sr.
-            width: columns of the periodic picture.
+            light: light of the half, (rows, columns, channels), 1/sr.
+            width: number of columns of the periodic image.
         """
         rows = self.own.shape[0]
         order = np.concatenate([np.arange(0, rows, 2), np.arange(rows - 1, 0, -2)])

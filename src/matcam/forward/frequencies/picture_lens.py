@@ -1,4 +1,4 @@
-"""Filter of an image: one lens, one for each colour, or several lenses between which the kernel at a position is interpolated.
+"""Filter of an image: one lens, one lens per colour, or several lenses between which the kernel is interpolated.
 
 A lens that varies over the field is sampled at some positions (`place_shares.py`). The light is divided into as many
 shares by smooth weights of the position of its source. Each share is filtered by its own lens, and the shares are
@@ -28,14 +28,14 @@ _DEGREES = (3, 6, 9, 12, 16)
 _ENOUGH = 1e-4
 """Error of an interpolated transfer function below which no higher degree is used."""
 _LEFT_OUT = 1e-3
-"""Largest norm of the neglected part of all values of a transfer function (248 complex ones)."""
+"""Largest norm of the neglected part of the 248 complex values of a transfer function."""
 _TOLERABLE = 3e-4
 """Largest acceptable error of a transfer function of an image."""
 _RINGS, _ROUND = (0.35, 0.65, 0.85, 1.0), 7
 _FITTED = (0.05, 0.15, 0.27, 0.39, 0.51, 0.63, 0.75, 0.87), 31
-"""Frequencies, shares of the cutoff, and number of directions by which positions are chosen."""
+"""Frequencies, as shares of the cutoff, and number of directions by which positions are chosen."""
 _CHECKED = (0.1, 0.33, 0.57, 0.81), 13
-"""Other frequencies and directions, at which the error is determined."""
+"""Frequencies and number of directions at which the error is determined."""
 
 
 class ColourLens(NamedTuple):
@@ -43,7 +43,7 @@ class ColourLens(NamedTuple):
 
     Attributes:
         lenses: one for each share of the light.
-        shift: of its image, (right, up), px.
+        shift: shift of the image of this colour, (right, up), px.
     """
 
     lenses: tuple[Optics, ...]
@@ -73,18 +73,18 @@ class PictureLens(NamedTuple):
         return max(optics_band(lens) for colour in self.colours for lens in colour.lenses)
 
     def channels(self, material: int) -> int:
-        """Return the number of channels of the image for that of a material. ArgumentError if they do not match."""
+        """Return the number of channels of the image of a material; ArgumentError if they do not match the lens."""
         if len(self.colours) > 1 and material not in (1, len(self.colours)):
             raise ArgumentError(f"the lens has 3 colours, and the material {material} channels: give it 1 or 3")
         return max(material, len(self.colours))
 
 
 def picture_lens(camera: Camera, radius: float, error: float | None = None) -> PictureLens | None:
-    """Build the filter of images of a camera; None if its lens is a sum of Gaussians, or closer to one.
+    """Build the filter of images of a camera; None if a sum of Gaussians describes its lens at least as well.
 
     Args:
         camera: the camera.
-        radius: of the limb of the sample, px; beyond it there is no light.
+        radius: radius of the limb of the sample, px; beyond it there is no light.
         error: target for the largest error of a transfer function. Default: None, `EXACT`.
 
     Raises:
@@ -121,7 +121,7 @@ def picture_lens(camera: Camera, radius: float, error: float | None = None) -> P
 
 
 def varies_over_field(optics: Optics) -> bool:
-    """Check whether a lens, or that of a colour, varies over the field."""
+    """Check whether a lens, or the lens of one colour, varies over the field."""
     parts = optics.lenses if isinstance(optics, ColourOptics) else (optics,)
     return any(isinstance(one, SeidelOptics) for one in parts)
 
@@ -136,7 +136,7 @@ def _colour(optics: Optics, shares: PlaceShares | None, shift: jax.Array | None 
 
 
 def _shares_for(optics: tuple[Optics, ...], radius: float) -> tuple[PlaceShares | None, float]:
-    """Choose the fewest shares between which the lenses are interpolated accurately, and return their error."""
+    """Choose the fewest shares between which the lenses are interpolated accurately, and compute their error."""
     varying = [jax.lax.stop_gradient(one) for one in optics if isinstance(one, SeidelOptics)]
     if not varying:
         return None, 0.0

@@ -1,7 +1,7 @@
 """Light divided into shares by the position of its source, each of which is filtered by its own lens.
 
-A kernel that varies smoothly with the position is a sum of few kernels, those at chosen positions, with weights that
-are polynomials in x and y. Pivoted QR selects the positions. Kernels over the disc of the light are polynomials of the
+A kernel that varies smoothly with the position is a weighted sum of few kernels at chosen positions. The weights are
+polynomials in x and y. Pivoted QR selects the positions. Kernels over the disc of the light are polynomials of the
 position, whose coefficients are combinations of the chosen kernels, found by least squares.
 
 The light is known as a record R through a Gaussian of standard deviation s. The record of light weighted by w follows
@@ -32,9 +32,10 @@ class PlaceShares(NamedTuple):
     """Weights of positions on the sensor.
 
     Attributes:
-        side: radius of the disc about the optical axis in which they hold, px.
+        side: radius of the disc about the optical axis in which the weights are valid, px.
         places: the chosen positions, (shares, 2), px.
-        coefficients: of Chebyshev's T_a(x / side) T_b(y / side) with a + b <= degree, (degree + 1, degree + 1, shares).
+        coefficients: coefficients of Chebyshev's T_a(x / side) T_b(y / side) with a + b <= degree, (degree + 1, degree
+            + 1, shares).
     """
 
     side: float
@@ -46,9 +47,9 @@ class PlaceShares(NamedTuple):
         """Choose positions and weights.
 
         Args:
-            degree: of the polynomials.
+            degree: degree of the polynomials.
             side: radius of the disc, px.
-            values: of the kernels at positions (n, 2), px: (n, numbers), complex.
+            values: values of the kernels at positions (n, 2), px: (n, numbers), complex.
             left_out: norm of the neglected part of the values of a kernel.
         """
         unit = _in_disc(degree + 3)
@@ -72,8 +73,8 @@ class PlaceShares(NamedTuple):
         """Bound the contribution of derivatives beyond `ORDER` to a record, as a share of its peak.
 
         Args:
-            sigma: standard deviation of the Gaussian that it was recorded through, px.
-            values: of the kernels at the chosen positions, (shares, numbers).
+            sigma: standard deviation of the Gaussian of the record, px.
+            values: values of the kernels at the chosen positions, (shares, numbers).
         """
         places = _in_disc(self.coefficients.shape[0])
         more = [
@@ -89,11 +90,11 @@ class PlaceShares(NamedTuple):
         """Compute the record of each share of the light.
 
         Args:
-            record: function that returns a derivative of the whole record of given orders in x and y: (rows, columns,
+            record: function of two orders that returns a derivative of the total record in x and y: (rows, columns,
                 channels).
             x: positions of the columns, px.
             y: positions of the rows, px.
-            sigma: standard deviation of the Gaussian that it was recorded through, px.
+            sigma: standard deviation of the Gaussian of the record, px.
         """
         degree = self.coefficients.shape[0] - 1
         along, across = (np.polynomial.chebyshev.chebvander(a / self.side, degree) for a in (x, y))
@@ -113,7 +114,7 @@ class PlaceShares(NamedTuple):
         return self._replace(coefficients=self.coefficients + sigma**2 / 2 * one.coefficients + sigma**4 / 8 * two)
 
     def _derived(self, along: int, across: int) -> np.ndarray:
-        """Return the coefficients of a derivative by px, in the shape of those of the weights."""
+        """Compute the coefficients of a derivative with respect to px, in the shape of those of the weights."""
         found = self.coefficients
         for axis, times in ((0, along), (1, across)):
             if times:
@@ -128,7 +129,7 @@ def _evaluated(coefficients: np.ndarray, unit: np.ndarray) -> np.ndarray:
 
 
 def _in_disc(rings: int) -> np.ndarray:
-    """Return positions in the unit disc, (n, 2), denser towards its border."""
+    """Generate positions in the unit disc, (n, 2), denser towards its border."""
     radius = np.sin(np.pi / 2 * (np.arange(rings) + 0.5) / rings)
     turn = 2 * np.pi * (np.arange(2 * rings) + 0.5 * (np.arange(rings)[:, None] % 2)) / (2 * rings)
     return np.stack([radius[:, None] * np.cos(turn), radius[:, None] * np.sin(turn)], axis=-1).reshape(-1, 2)

@@ -1,7 +1,7 @@
 """Interpolation of an image between the points of the grid on which its transform is known.
 
-A value is a sum over neighbouring points, weighted by a narrow window. The transform has been divided by that of the
-window before.
+A value is a sum over neighbouring points, weighted by a narrow window. The transform of the image is divided by that of
+the window first.
 """
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ from matcam.core.jax import jax, jnp
 _REACH = 5
 """Support radius of the window, steps."""
 _STEEPNESS = 0.97
-"""Steepness of the logarithm of the window, over the one with which its transform ends where frequencies alias."""
+"""Steepness of the logarithm of the window, relative to that for which its transform ends at aliased frequencies."""
 
 
 class Reading(NamedTuple):
     """Window that interpolates on a grid.
 
     Attributes:
-        steepness: of the window's logarithm, no unit.
+        steepness: steepness of the window's logarithm, no unit.
     """
 
     steepness: float
@@ -47,11 +47,10 @@ class Reading(NamedTuple):
         """Interpolate values between the points of a grid.
 
         Args:
-            grid: periodic, (rows, columns, channels).
+            grid: periodic grid, (rows, columns, channels).
             row: positions, in steps from the first row.
-            column: the same from the first column.
-            mirrored: whether the mirror image of the grid continues it beyond its last row and before its first.
-                Default: False.
+            column: positions, in steps from the first column.
+            mirrored: True if the grid is continued by its mirror image beyond its first and last rows. Default: False.
 
         Returns:
             Values, (positions, channels).

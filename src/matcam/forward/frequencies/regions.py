@@ -22,16 +22,16 @@ STEEPEST = 0.1
 _SMOOTH = 0.84
 """Standard deviation of a border, times the lowest aliased frequency."""
 _ENDS = 4.9
-"""Standard deviations from the middle of a border to where its weight is 0 or 1 within 1e-6."""
+"""Number of standard deviations from the middle of a border to a weight of 0 or 1 within 1e-6."""
 _NEAR = 6.65
-"""Standard deviations from a highlight to the middle of its border; a lobe narrower than a step is smooth beyond it."""
+"""Number of standard deviations from a highlight to the middle of its border. Narrower lobes are smooth beyond it."""
 _MORE = 4.4
-"""Standard deviations by which a crescent may be wider than the region of the limb, and still belong to it as a whole."""
+"""Number of standard deviations by which a crescent within the region of the limb may exceed it."""
 _NO_BORDER = 1e9
 
 
 class RegionWidths(NamedTuple):
-    """Widths of the regions. They belong to a grid, not to a scene.
+    """Widths of the regions, which depend on the grid and not on the scene.
 
     Attributes:
         sigma: standard deviation of a border, px.
@@ -41,7 +41,7 @@ class RegionWidths(NamedTuple):
 
     @classmethod
     def above(cls, frequency: float) -> RegionWidths:
-        """Choose regions whose borders have hardly any content above a frequency, cycles/px."""
+        """Choose regions whose borders have negligible content above a frequency, cycles/px."""
         return cls(_SMOOTH / frequency)
 
     @property
@@ -61,14 +61,14 @@ class RegionWidths(NamedTuple):
 
 
 class Regions(NamedTuple):
-    """Regions of a scene's light.
+    """Regions of the light of a scene.
 
     Attributes:
         scene: a sphere in front of a distant camera, under one lamp.
-        widths: their widths.
+        widths: widths of the regions.
         peak: position of the highlight on the scene's x axis, px.
-        squeezed: cosine of the view there, at least `STEEPEST`.
-        all_limb: whether the light is a thin crescent that belongs to the limb as a whole.
+        squeezed: cosine of the view at the highlight, at least `STEEPEST`.
+        all_limb: True if the light is a thin crescent that belongs entirely to the region of the limb.
         depth: depth of the region of the limb, px.
     """
 
@@ -81,7 +81,7 @@ class Regions(NamedTuple):
 
     @classmethod
     def of(cls, scene: Scene, widths: RegionWidths) -> Regions:
-        """Return the regions of a scene."""
+        """Build the regions of a scene."""
         radius = scene.sample.radius
         peak = highlight_x(scene.sample, scene.lamp_angle, scene.lamp_nearness)
         end = jnp.maximum(scene.lamp_angle - jnp.arccos(horizon(scene)), 0.0)
@@ -116,7 +116,7 @@ class Regions(NamedTuple):
         return (1 - self.limb(*at)) * (1 - self.highlight(*at))
 
     def lit(self, x: jax.Array, y: jax.Array) -> jax.Array:
-        """Check whether positions on the sensor, px, show lit surface, without computing all angles."""
+        """Check whether the surface is lit at positions on the sensor, px, without computing all angles."""
         radius, angle = self.scene.sample.radius, self.scene.lamp_angle
         n_x, n_y = (at / radius for at in self.scene.from_sensor(x, y))
         depth2 = 1 - n_x**2 - n_y**2
@@ -135,5 +135,5 @@ def falling(at: jax.Array, sigma: float) -> jax.Array:
 
 
 def horizon(scene: Scene) -> jax.Array:
-    """Return the cosine between a normal and the lamp, from the centre of the sample, at which light ends."""
+    """Compute the cosine between normal and lamp, seen from the centre of the sample, at which light ends."""
     return jnp.zeros(()) if scene.lamp_nearness is None else scene.lamp_nearness

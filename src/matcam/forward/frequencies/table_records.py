@@ -2,8 +2,8 @@
 
 One image of the sphere is one theta_d slice of a table. Its light is computed on a grid (`light_grid.py`), the
 transform of the grid is multiplied by that of lens and pixel, and the result is interpolated at the cells. The lens is
-its transfer function, with all aberrations. This requires a distant camera and a distant point lamp, so that all cells
-of a slice lie in one image.
+described by described by its transfer function, with all aberrations. Camera and point lamp must be distant, so that
+all cells of a slice lie in one image.
 """
 
 from __future__ import annotations
@@ -32,14 +32,14 @@ from matcam.sample.curved import Sphere
 
 
 class _Frame(NamedTuple):
-    """Grid and frequencies of an image, and the transfer of a lens at each.
+    """Grid and frequencies of an image, and the transfer function of a lens at each frequency.
 
     Attributes:
         grid: grid of the light; for symmetric light, the lower half is the mirror image.
-        transfer: of lens, pixel and the reading, (rows, columns of half the plane), no unit; of half an image, if the
-            lens is symmetric too.
-        sides: rows and columns of the periodic picture.
-        per_px: its points per pixel.
+        transfer: transfer function of lens, pixel and the reading, (rows, columns of half the plane), no unit; of half
+            an image, if the lens is symmetric too.
+        sides: rows and columns of the periodic image.
+        per_px: points of the grid per pixel.
         reading: interpolation of values.
     """
 
@@ -51,10 +51,11 @@ class _Frame(NamedTuple):
 
 
 def served_by_frequencies(rig: Rig, material: Material) -> bool:
-    """Check whether a table is recorded by frequencies: the lens is not a sum of Gaussians, and camera and lamp are distant.
+    """Check whether a table is recorded by frequencies.
 
-    The lamp must be a point, because under a disc each slice would require as many images as the disc has points. A
-    lens may be differentiated, but its parameters must be concrete.
+    This requires a lens that is not a sum of Gaussians, a distant camera and a distant lamp. The lamp must be a point,
+    because under a disc each slice would require as many images as the disc has points. A lens may be differentiated,
+    but its parameters must be concrete.
     """
     optics = rig.camera.optics
     known = without_derivatives((rig, material))
@@ -77,7 +78,7 @@ def record_by_frequencies(
         material: the material.
         rig: camera and sphere; see `served_by_frequencies`.
         lamps: angle between the lamp of each image and the optical axis, rad.
-        azimuth: of all lamps, rad.
+        azimuth: azimuth of all lamps, rad.
         places: positions in ascending order of their images.
 
     Returns:
@@ -119,7 +120,7 @@ def _recorded(
 
 
 def _frame(rig: Rig, sample: Sphere, *, right_half: bool, alike: bool) -> _Frame:
-    """Build the common grid of all images of half a sphere or a whole one, and the transfer of the lens on it."""
+    """Build the common grid of all images of half a sphere or a full one, and the transfer function on it."""
     optics, pixel = rig.camera.optics, rig.camera.pixel
     highest, radius = optics_band(optics), float(jax.lax.stop_gradient(sample.radius))
     per_px = per_px_for(highest, radius)

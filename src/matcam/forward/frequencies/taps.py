@@ -1,6 +1,7 @@
 """Distribution of points of light over a regular grid, accurate below a frequency limit.
 
-Each is distributed by a windowed sinc, whose transform is 1 below the limit and 0 at frequencies that alias to below it.
+Each point is distributed by a windowed sinc, whose transform is 1 below the limit and 0 at frequencies that alias below
+it.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ import numpy as np
 from matcam.core.jax import AnyArray, jax, jnp
 
 _LOST = 14.0
-"""Logarithm of the inverse error of the distribution: 1e-6."""
+"""Logarithm of the inverse error of the distribution, for an error of 1e-6."""
 _DEGREE = 12
 """Degree of the polynomial in the squared distance that approximates the window to 3e-7."""
 _ON_A_POINT = 1e-9  # steps

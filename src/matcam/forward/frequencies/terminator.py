@@ -2,8 +2,8 @@
 
 A sum over points at step h, of a function that starts at 0 with slope s, is its integral less h^2 s B_2(d) / 2, where d
 is the distance of the first point from the start in steps (Euler and Maclaurin; B_2 is the second Bernoulli
-polynomial). This term is added to the two points about the start. Rows and columns both give it; they are weighted by
-the squared slopes of the cosine of the light along them.
+polynomial). This term is added to the two points about the start. It is computed along rows and along columns, and the
+results are weighted by results are weighted by the squared slopes of the cosine of the light along them.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ _STEP = 0.25
 
 
 def mend_bend(grid: jax.Array, regions: Regions, upright: bool, across: jax.Array, along: jax.Array) -> jax.Array:
-    """Add to a grid the correction of the sum of each row, or column, at the terminator.
+    """Add the correction of the sum of each row, or column, at the terminator to a grid.
 
     Args:
         grid: (rows, columns, channels).

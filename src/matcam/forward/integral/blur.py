@@ -31,11 +31,11 @@ from matcam.sample.curved import Sphere
 from matcam.sample.shape import Curved
 
 _LEAST_DISC = 1e-4
-"""Smallest radius of a disc in standard deviations of its blur: the difference over a chord keeps 12 digits."""
+"""Smallest radius of a disc in standard deviations of its blur. The difference over a chord then has 12 digits."""
 
 
 Line = Callable[[jax.Array], jax.Array]
-"""A kernel along one axis, 1/px, of the offset from the pixel's centre, px."""
+"""Kernel along one axis, 1/px, as a function of the offset from the pixel's centre, px."""
 
 
 class Spread(NamedTuple):
@@ -53,17 +53,17 @@ class Spread(NamedTuple):
 
 
 class Blur(eqx.Module):
-    """Everything that spreads the light of a surface element over the sensor.
+    """Blur of the light of a surface element on the sensor by lens, pixel, registration, focus and lamp.
 
     Attributes:
         pixel: response of a pixel, included in the terms.
         weights: shares of the Gaussians, (Gaussians,), no unit.
         stds: standard deviations of the Gaussians, (Gaussians,), px.
-        lamp_radius: angular radius of the lamp's disc, rad.
+        lamp_radius: angular radius of the source disc, rad.
         aperture: diameter of the entrance pupil over its distance, no unit.
         focus: angle of the normals in focus from the optical axis, rad.
         varies: True where lamp or focus add to the terms; the kernel then depends on the position.
-        chords: of the disc of a lens out of focus, one of `disc_chords.COUNTS`; 0: it is a Gaussian.
+        chords: number of chords of the disc of a lens out of focus, one of `disc_chords.COUNTS`; 0: it is a Gaussian.
         rest: residual of the Gaussians, the last term; None: no residual.
     """
 
@@ -101,7 +101,7 @@ class Blur(eqx.Module):
         return jnp.ones(()) if self.is_rest(term) else self.weights[term]
 
     def only(self, terms: tuple[int, ...]) -> Blur:
-        """Restrict the blur to some of the terms: one program serves as many Gaussians of any width."""
+        """Restrict the blur to some of the terms. A program depends on the number of Gaussians, not on their widths."""
         index = np.array([term for term in terms if not self.is_rest(term)], dtype=int)
         rest = self.rest if any(map(self.is_rest, terms)) else None
         return dataclasses.replace(self, weights=self.weights[index], stds=self.stds[index], rest=rest)
@@ -109,7 +109,7 @@ class Blur(eqx.Module):
     def spread(
         self, sample: Curved, normal_z: jax.Array, lamp_angle: jax.Array, lamp_nearness: jax.Array | None = None
     ) -> Spread:
-        """Return the contribution of focus and lamp, which depends on the z component of the normal and on the lamp."""
+        """Compute the contribution of focus and lamp at a z component of the normal."""
         if not self.varies:
             return Spread(jnp.zeros(()), jnp.zeros(()), jnp.zeros(()))
         disc = jnp.abs(self.defocus(sample.radius, normal_z))
@@ -126,7 +126,7 @@ class Blur(eqx.Module):
     def defocus(self, radius: ArrayLike, normal_z: ArrayLike) -> jax.Array:
         """Compute the radius of the disc of a lens out of focus at z of a normal, px; negative behind the focus.
 
-        radius: of the sample, px.
+        radius: radius of the sample, px.
         """
         return jnp.asarray(radius) * self.aperture * (jnp.asarray(normal_z) - jnp.cos(self.focus)) / 2
 
@@ -137,7 +137,7 @@ class Blur(eqx.Module):
         return self.through_disc(term, spread, lambda along, across: along(x) * across(y))
 
     def through_disc(self, term: int, spread: Spread, of: Callable[[Line, Line], jax.Array]) -> jax.Array:
-        """Sum a function over the products that one term of the kernel consists of.
+        """Sum a function over the products of lines that make up one term of the kernel.
 
         Args:
             term: index of the term.
@@ -170,7 +170,7 @@ class Blur(eqx.Module):
         return jax.lax.scan(lambda total, chord: (total + of_chord(chord), None), first, rest)[0]
 
     def _through_rest(self, spread: Spread, of: Callable[[Line, Line], jax.Array]) -> jax.Array:
-        """Sum a function over the products of the residual. Discs spread it as Gaussians do, because it is small."""
+        """Sum a function over the products of the residual. It is small, so discs are replaced by Gaussians."""
         rest, (along, across) = self.rest, self._rest_variances(spread) or (None, None)
         assert rest is not None
 
@@ -237,7 +237,7 @@ class Blur(eqx.Module):
         return jnp.asarray(total)
 
     def plane_rule(self, term: int, spread: Spread) -> tuple[jax.Array, jax.Array, jax.Array]:
-        """Return offsets along x and y (px) and weights that integrate smooth light through a term, each (..., nodes)."""
+        """Compute offsets along x and y (px) and weights that integrate smooth light through a term, (..., nodes)."""
         if self.rest is not None and self.is_rest(term):
             return self.rest.nodes()
         (dx, x_weight), (dy, y_weight) = (self.rule(term, added) for added in (spread.along, spread.across))
@@ -293,8 +293,8 @@ class BlurTerms(eqx.Module):
     """Some terms of a blur, integrated over the same nodes.
 
     Attributes:
-        blur: the whole blur.
-        terms: indices of its terms.
+        blur: complete blur.
+        terms: indices of the selected terms of the blur.
     """
 
     blur: Blur
@@ -312,9 +312,10 @@ class BlurTerms(eqx.Module):
 
 
 def std_of_half(weights: np.ndarray, stds: np.ndarray) -> float:
-    """Compute the standard deviation of the Gaussian whose transfer falls to a half at the same frequency as that of a sum.
+    """Compute the standard deviation of the Gaussian with the same half-value frequency as a sum of Gaussians.
 
-    The variance of the sum does not describe a lens: that of an ideal lens is infinite, because of faint tails.
+    The half-value frequency is that at which the transfer function is one half. The variance of the sum is unsuitable:
+    for an ideal lens it is infinite, because of faint tails.
     """
     if stds.size == 1:
         return float(stds[0])
@@ -328,8 +329,8 @@ def blur_of(rig: Rig, *, in_discs: bool = False, whole: bool = False, rest: Kern
 
     Args:
         rig: the rig.
-        in_discs: whether a lens out of focus has discs, not Gaussians.
-        whole: whether the residual of the Gaussians is a term, too. The lens then need not be isotropic.
+        in_discs: True if a lens out of focus is described by discs, False for Gaussians.
+        whole: True to include the residual of the Gaussians as a term. The lens then need not be isotropic.
         rest: residual to use, for a lens that differs little. Default: None, that of the lens.
     """
     optics = rig.camera.optics
@@ -349,7 +350,7 @@ def blur_of(rig: Rig, *, in_discs: bool = False, whole: bool = False, rest: Kern
 
 
 def _with_rest(optics: Optics) -> GaussianSum:
-    """Return the Gaussians that a residual is added to: more of them for derivatives, which use them alone."""
+    """Return the Gaussians of a lens with a residual. There are more for derivatives, which neglect the residual."""
     known = all(map(is_concrete, jax.tree.leaves(optics)))
     return few_gaussians(optics) if known else round_gaussians(optics)
 
@@ -392,8 +393,8 @@ class Imaging(NamedTuple):
 def imaging_of(rig: Rig, gaussian_disc: bool = False) -> Imaging:
     """Build the imaging of a rig whose sample is curved.
 
-    The source disc is not part of it: its record is the mean over `lamp_points`. `gaussian_disc`: it is a Gaussian in
-    the blur, and so is the disc of a lens out of focus.
+    The source disc is not included, because the record is the mean over `lamp_points`. `gaussian_disc`: include the
+    source disc, and the disc of a lens out of focus, as Gaussians in the blur.
     """
     if not isinstance(rig.sample, Curved):
         raise ArgumentError(

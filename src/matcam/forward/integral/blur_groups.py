@@ -16,7 +16,7 @@ from matcam.sample.shape import Curved
 _ONE_WIDTH = 1.4
 """Largest ratio of the standard deviations in a group."""
 _ONE_WIDTH_OF_TAILS = 1.8
-"""The same beyond the core of a non-Gaussian lens, where shares and thus errors are small."""
+"""Largest ratio beyond the core of a non-Gaussian lens, where shares and thus errors are small."""
 _SHARP = 0.7
 """Standard deviation, in half widths of the pixel, below which the borders of the pixel are steps."""
 _FOLLOWED = 5.2
@@ -39,7 +39,7 @@ class BlurScale(NamedTuple):
         squeezed: support radius of the kernel for a squeezed lobe.
         margin: distance from the ends of the light beyond which the surroundings of a pixel are smooth.
         reach: support radius of the kernel.
-        reach_in_focus: the same without discs.
+        reach_in_focus: support radius of the kernel without discs.
         disc: radius of the largest disc out of focus; 0 if it is a Gaussian.
         finest: standard deviation of the narrowest term, without the pixel.
         spacing: step of the grid that resolves a record.
@@ -65,15 +65,13 @@ class BlurGroup(NamedTuple):
 
 
 def groups_of(blur: Blur, sample: Curved, turned: bool = False) -> tuple[BlurGroup, ...]:
-    """Group the terms of a blur by width. Needs concrete values: ArgumentError inside jit.
+    """Group the terms of a blur by width. Values must be concrete: ArgumentError inside jit.
 
     If the pixel is turned relative to the plane of camera and lamp, lengths include its corners.
     """
     lengths = [jax.lax.stop_gradient(a) for a in (blur.stds, blur.pixel.half_width, sample.radius, blur.lamp_radius)]
     if not all(is_concrete(a) for a in lengths):
-        raise ArgumentError(
-            "the rig's parameters set how its picture is integrated: call this outside of jax.jit and vmap"
-        )
+        raise ArgumentError("the rig's parameters select the integration nodes: call this outside of jax.jit and vmap")
     stds, half = np.asarray(lengths[0]), float(lengths[1])
     disc, added = _widest_spread(blur, sample)
     widened = np.maximum(np.sqrt(stds**2 + added), np.sqrt(stds**2 + added - disc**2 / 4) + disc / _FOLLOWED)

@@ -1,6 +1,6 @@
 """Source disc in front of a cylinder: the record is the mean over its points (docs/model.md 3).
 
-Across the cylinder lens and lobe blur the image of the disc. Along it light hardly changes, so only the lobe blurs the disc.
+Across the cylinder, lens and lobe blur the image of the disc. Along it light is nearly constant, so only the lobe does.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from matcam.rigs import Rig
 from matcam.sample.curved import Cylinder
 
 _PLACES = 1 << 20
-"""Positions times points of a lamp that are recorded at once: they fit into 1 GiB."""
+"""Number of positions times points of a lamp that are recorded at once. They fit into 1 GiB."""
 _LEAST_FINENESS = 0.25
-"""Radius of the image of a lamp over its blur below which the number of points is the smallest."""
+"""Ratio of the radius of the image of a lamp to its blur below which the smallest number of points is used."""
 
 
 class LinePlaces(NamedTuple):
@@ -31,8 +31,8 @@ class LinePlaces(NamedTuple):
 
     Attributes:
         x: px from the axis.
-        lamp_angle: between lamp and optical axis, rad.
-        azimuth: of the lamp about that axis, rad.
+        lamp_angle: angle between lamp and optical axis, rad.
+        azimuth: azimuth of the lamp about that axis, rad.
     """
 
     x: np.ndarray
@@ -47,9 +47,9 @@ def cylinder_fineness(
 
     Args:
         rig: the rig.
-        blur: its blur.
+        blur: blur of the rig.
         lamp_angle: angle between lamp and optical axis, rad, any shape.
-        azimuth: of the lamp about the optical axis, rad; broadcasts with lamp_angle.
+        azimuth: azimuth of the lamp about the optical axis, rad; broadcasts with lamp_angle.
         material: the material.
     """
     disc = disc_of(rig.lamp)
@@ -57,7 +57,7 @@ def cylinder_fineness(
         return np.zeros(np.broadcast_shapes(np.shape(lamp_angle), np.shape(azimuth)))
     rig, blur = jax.lax.stop_gradient((rig, blur))
     std = float(np.min(np.asarray(blur.stds)))
-    lobe = LOBE * checks.outside_jit(material.finest, "the material's numbers")
+    lobe = LOBE * checks.outside_jit(material.finest, "the material's parameters")
     theta_d = np.asarray(rig.sample.theta_d(jnp.asarray(lamp_angle), rig.lamp.nearness))  # type: ignore[attr-defined]
     larger = 1.0 if rig.lamp.nearness is None else 1 / (1 - float(rig.lamp.nearness))
     aslant, turn = np.maximum(np.cos(theta_d), disc), (np.cos(azimuth), np.sin(azimuth))
@@ -85,9 +85,9 @@ def record_under_points(
         cylinder: the cylinder.
         blur: under a lamp without a disc.
         at: x and y of the positions, (positions,), px.
-        points: of the lamp, whose angle and azimuth are those of one lamp, or (places,).
+        points: points of the lamp; their angle and azimuth are of one lamp, or of shape (places,).
         nearness: inverse of the lamp's distance, 1/radii; None: a distant lamp.
-        one_picture: whether all positions are those of one image. If its rows are equal, each column is recorded once.
+        one_picture: True if all positions are in one image. If its rows are equal, each column is recorded once.
             Default: False.
     """
     total: jax.Array | float = 0.0
@@ -127,7 +127,7 @@ def line_record(material: Material, rig: Rig, places: LinePlaces) -> jax.Array:
 
 
 def places_under(x: np.ndarray, y: np.ndarray, point: LampPoint, nearness: jax.Array | None) -> CylinderPlaces:
-    """Return positions under one point of a lamp. nearness: of the lamp, 1/radii; None: it is distant."""
+    """Return positions under one point of a lamp. nearness: inverse of the lamp's distance; None: distant."""
     lamp = tuple(np.broadcast_to(a, x.shape) for a in towards(point.angle, point.azimuth))
     near = None if nearness is None else np.full(x.shape, float(jax.lax.stop_gradient(nearness)) / point.distance)
     return CylinderPlaces(x, y, lamp, near)  # type: ignore[arg-type]

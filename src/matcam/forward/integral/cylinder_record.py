@@ -5,7 +5,7 @@ The axes of the pixel are those of the cylinder, so the kernel is a product acro
     R(x, y) = integral over rows of  k(y - row)  integral over the visible, lit u of  k(x - x(u)) rho cos_i cos_o ... du.
 
 In a distant rig light is constant along the cylinder, and the outer integral is 1. Otherwise the mirror point of a lamp
-is found as in a plane, because a path that is mirrored by a cylinder has a constant slope along its axis.
+is is found as in a plane, because a path reflected by a cylinder has a constant slope along its axis.
 
 - Where light is smooth on the kernel's scale, in one direction or in both, the Gauss rule of the kernel is used (`Blur.rule`).
 - Elsewhere panels become smaller towards the position closest to the half vector, on the scale of the lobe. They end at
@@ -42,21 +42,21 @@ _GRADED, _EVEN, _ORDER = 6, 4, 6
 _ENDS = 3.0
 """Width of the panel at the ends of the light, where masking sets in, in scales of the lobe."""
 _STEPS = 6
-"""Newton steps to the position closest to the half vector; each leaves a few per cent of the error."""
+"""Number of Newton steps to the position closest to the half vector. Each reduces the error to a few per cent."""
 _SMOOTH, _ROUGH, _BOTH = 4096, 256, 2
-"""Positions that are computed at a time, on a line and where rows are rough, too: their nodes fit into the cache of a
-processor.
+"""Numbers of positions that are computed at a time, on a line and where rows are rough, too. Their nodes fit into the
+cache of a processor.
 """
 _RULE = 5
-"""Nodes of `Blur.rule`."""
+"""Number of nodes of `Blur.rule`."""
 
 
 class CylinderPlaces(NamedTuple):
     """Positions in images of a cylinder, arrays of shape (positions,), each under its own lamp.
 
     Attributes:
-        x: px from the axis.
-        y: px along it, from the plane of camera and lamp.
+        x: distance from the axis, px.
+        y: position along the axis, from the plane of camera and lamp, px.
         lamp: direction from the cylinder's centre to the lamp, three arrays.
         nearness: inverse of the lamp's distance from the centre, 1/radii; None: distant lamps.
     """
@@ -68,7 +68,7 @@ class CylinderPlaces(NamedTuple):
 
 
 class PlacedLamps(NamedTuple):
-    """Lamps of some positions, ready to broadcast: directions, and nearness; None: distant."""
+    """Lamps of some positions, in shapes that broadcast: directions, and nearness; None: distant."""
 
     towards: Vector
     nearness: AnyArray | None
@@ -175,7 +175,7 @@ def ends_of_light(cylinder: Cylinder, light: PlacedLamps) -> tuple[jax.Array, ja
 
 
 def mirror_row(cylinder: Cylinder, light: PlacedLamps, low: jax.Array, high: jax.Array) -> jax.Array:
-    """Compute the row, px, in which the cylinder mirrors the lamp; 0 if it does in all or in none."""
+    """Compute the row, px, in which the cylinder mirrors the lamp; 0 if all rows or no row does."""
     x, y, z = light.towards
     if light.nearness is None and cylinder.distant:
         return jnp.zeros_like(x)
@@ -193,7 +193,7 @@ def mirror_row(cylinder: Cylinder, light: PlacedLamps, low: jax.Array, high: jax
 def seen_at(
     cylinder: Cylinder, light: PlacedLamps, u: jax.Array, row: jax.Array
 ) -> tuple[Element, Vector, jax.Array | None]:
-    """Compute the surface at u in rows, px, the direction to the lamp, and the square of its distance; None: 1."""
+    """Compute the surface at u in rows, px, the direction to the lamp, and its squared distance; None: 1."""
     element = cylinder.surface(u, row / cylinder.stretch * (1 - cylinder.nearness * jnp.cos(u)))
     if light.nearness is None:
         return element, light.towards, None
@@ -230,7 +230,7 @@ def ridge_of(
 
 
 def turn_along(cylinder: Cylinder, light: PlacedLamps, u: jax.Array, row: jax.Array) -> jax.Array:
-    """Compute the largest turn of the half vector along the cylinder, rad/px."""
+    """Compute the largest rotation of the half vector along the cylinder, rad/px."""
     if light.nearness is None and cylinder.distant:
         return jnp.zeros_like(u)
     element, lamp, square = seen_at(cylinder, light, u, row)
@@ -386,7 +386,7 @@ def _rows_about(
 def _graded(middle: jax.Array, sides: list[tuple[jax.Array, jax.Array]], scale: jax.Array) -> _Nodes:
     """Compute nodes that become denser towards a position, on a scale, on either side of it.
 
-    sides: each an end, and borders of panels up to it.
+    sides: end of each side, and borders of panels up to it.
     """
     found = []
     for end, cuts in sides:
@@ -410,7 +410,7 @@ def _sum_over(
 ) -> jax.Array:
     """Integrate the light in rows (positions, rows) through the kernel.
 
-    y: of the pixels; None: the weights of the rows include the kernel, or light is constant.
+    y: y of the pixels, px; None: the weights of the rows include the kernel, or light is constant.
     """
     low, high, reach, x = (a[:, None, None] for a in window[:4])
     beside, row = light.beside(1), rows.at

@@ -1,4 +1,4 @@
-"""Records on a grid around a highlight through a lens out of focus: light in shares, each spread over discs of one radius.
+"""Records on a grid around a highlight through a lens out of focus, with light divided into shares by disc radius.
 
 Each surface element is spread over its own disc. Around a highlight the radii c differ little, and the kernel is a
 smooth function of c: a polynomial through few radii. Light is therefore divided into shares by the Lagrange basis at
@@ -25,11 +25,11 @@ _LEAST, _PER_BLUR = 4.3, 6.0
 of half the range of c.
 """
 _ALONG = 8
-"""Smallest number of positions along a chord."""
+"""Smallest number of positions along a chord of a disc."""
 
 
 def shares_for(change: float) -> int:
-    """Compute the number of shares. change: half the range of radii of the discs, in standard deviations of the blur."""
+    """Compute the number of shares. change: half the range of disc radii, in standard deviations of the blur."""
     needed = _LEAST + _PER_BLUR * change
     return next((count for count in _SHARES if count >= needed), _SHARES[-1])
 
@@ -44,10 +44,10 @@ class DiscShares(NamedTuple):
 
     Attributes:
         blur: the blur, with its discs.
-        radius: of the sample, px.
-        middle: middle of the range of radii, px; signed, as those of `Blur.defocus`.
+        radius: radius of the sample, px.
+        middle: middle of the range of radii, px, with the sign of `Blur.defocus`.
         half: half the range, px.
-        unit: the nodes in [-1, 1]; none without defocus.
+        unit: Chebyshev nodes in [-1, 1]; empty without defocus.
     """
 
     blur: Blur
@@ -58,7 +58,7 @@ class DiscShares(NamedTuple):
 
     @classmethod
     def over(cls, blur: Blur, sample: Curved, element: Element, count: int) -> DiscShares:
-        """Choose a number of shares for the light of surface elements; 0: it is not divided."""
+        """Divide the light of surface elements into `count` shares; 0: it is not divided."""
         discs = blur.defocus(sample.radius, element.normal[2])
         low, high = (jax.lax.stop_gradient(end(discs)) for end in (jnp.min, jnp.max))
         unit = np.cos(np.pi * (np.arange(count) + 0.5) / max(count, 1))
@@ -83,7 +83,7 @@ class DiscShares(NamedTuple):
         Args:
             grids: records of the shares, (rows, columns, channels x shares).
             spacing: step of the grid, px.
-            margin: rows and columns on each side by which the result is smaller.
+            margin: number of rows and columns that the result lacks on each side.
 
         Returns:
             The record, (rows, columns, channels).
@@ -103,7 +103,7 @@ class DiscShares(NamedTuple):
 
 
 def _disc_on_grid(radius: jax.Array, margin: int, chords: int) -> jax.Array:
-    """Compute weights of grid points, (2 margin + 1, 2 margin + 1), whose sum is the mean over a disc. radius: in steps."""
+    """Compute weights of grid points, (2 margin + 1, 2 margin + 1), for the mean over a disc. radius: in steps."""
     at, half, share = chords_of(chords)
     along, weight = np.polynomial.legendre.leggauss(max(chords, _ALONG))
     across = _cardinal(radius * at, margin)

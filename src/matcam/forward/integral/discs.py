@@ -1,7 +1,7 @@
 """Source disc in a record: number and positions of the points that represent it (docs/model.md 3).
 
-On a sphere the record under a disc is the mean over its points. Between two points the highlight may move by a share of
-its blur by the kernel and the lobe.
+On a sphere the record under a disc is the mean of the records under its points. The distance of two points may move the
+highlight by a fraction of its blur by kernel and lobe.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from matcam.material.material import Material
 from matcam.rigs import Rig
 
 LOBE = 0.5
-"""Share of the scale of a lobe that counts as its blur: a GGX lobe has its singularities at its scale."""
+"""Share of the scale of a lobe that is used as its blur. The singularities of a GGX lobe lie at its scale."""
 _WIDEST = 2.0
 """Largest radius of the image of a disc, in radii of the sample."""
 
@@ -26,7 +26,7 @@ def disc_fineness(rig: Rig, imaging: Imaging, lamp_angle: np.ndarray, material: 
 
     Args:
         rig: the rig.
-        imaging: its imaging.
+        imaging: imaging of the rig.
         lamp_angle: angle between lamp and optical axis, rad, any shape.
         material: the material. Default: None, a mirror.
     """
@@ -34,7 +34,7 @@ def disc_fineness(rig: Rig, imaging: Imaging, lamp_angle: np.ndarray, material: 
     if disc == 0:
         return np.zeros_like(lamp_angle)
     rig, imaging = jax.lax.stop_gradient((rig, imaging))
-    finest = 0.0 if material is None else checks.outside_jit(material.finest, "the material's numbers")
+    finest = 0.0 if material is None else checks.outside_jit(material.finest, "the material's parameters")
     theta_d = imaging.sample.theta_d(jnp.asarray(lamp_angle), rig.lamp.nearness)
     std = float(np.min(np.asarray(imaging.blur.stds)))
     along, across = (np.asarray(a) for a in rig.px_per_rad(theta_d))

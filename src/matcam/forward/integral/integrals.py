@@ -1,4 +1,4 @@
-"""Three integrals of the record of a scene: around a highlight, inside smooth light, and at the ends of the light.
+"""Integrals for the record of a scene: around a highlight, inside smooth light, and at the ends of the light.
 
 A pixel receives radiance rho cos_i, not rho (docs/model.md 3). With dx dy = area cos_o du dv, the record is
 
@@ -7,9 +7,9 @@ A pixel receives radiance rho cos_i, not rho (docs/model.md 3). With dx dy = are
 All cosines in denominators cancel, so the integrand is regular at the limb.
 
 - `record_around`: over normals about the half vector. The nodes become denser towards the half vector on the scale of
-  the lobe, and their distances resolve the kernel. A highlight of a thousandth of a pixel is neither missed nor noisy.
+  the lobe, and their distances resolve the kernel, so a highlight of a thousandth of a pixel is integrated accurately.
   Nodes and kernel are products in u and v, so two matrix products give all pixels of a rectangle. Through a lens out of
-  focus this holds for shares of the light, each with one disc (`disc_stamps.py`).
+  focus this applies to shares of the light, each with one disc (`disc_stamps.py`).
 - `record_inside`: few nodes on the sensor about each pixel, where the light is smooth on the scale of the kernel.
 - `record_in_window`: over (u, v) about each pixel, along limb and terminator. The visible and lit surface is one
   interval of u with known ends, and the light is smooth up to them.
@@ -35,17 +35,17 @@ _RIDGE_PANELS = 4
 _RIDGE_CUTS = np.array([-2.0, 0.0, 2.0])
 _MASKING_LAYER = np.array([3.0])
 _ALONG = 1e-9
-"""Sine of an angle below which two lines are parallel."""
+"""Sine of an angle below which two lines are treated as parallel."""
 
 
 class HighlightPanels(NamedTuple):
-    """Fineness of the integral around a highlight.
+    """Panels of the integral around a highlight.
 
     Attributes:
-        graded: panels that grow outwards from the scale of the lobe.
-        even: panels of one length between the half vector and the border.
-        order: Gauss-Legendre nodes per panel.
-        margin: points by which a record is smaller than the requested rectangle, if light is divided.
+        graded: number of panels that grow outwards from the scale of the lobe.
+        even: number of equal panels between the half vector and the border.
+        order: number of Gauss-Legendre nodes per panel.
+        margin: number of points by which a record is smaller than the requested rectangle, if light is divided.
         shares: number of shares of light by disc out of focus; 0: in focus.
     """
 
@@ -63,7 +63,7 @@ class WindowPanels(NamedTuple):
         reach: support radius of the kernel, px.
         cuts: offsets, px, between which the kernel is smooth; none if it is smooth everywhere.
         along_v: number of panels along v.
-        ridge: True if a squeezed lobe crosses the window. Towards the limb the surface turns within a pixel, and a lobe
+        ridge: True if a squeezed lobe crosses the window. Towards the limb the normal varies within a pixel, and a lobe
             is a narrow ridge even far from its peak, along the u of the half vector.
         orders: Gauss-Legendre nodes per panel along u and v.
     """
@@ -121,7 +121,7 @@ def record_around_turned(
 ) -> jax.Array:
     """Record a rectangle of pixels that is turned relative to the plane of camera and lamp.
 
-    Kernel and nodes are then not products in x and y, and both sides of that plane differ.
+    Kernel and nodes are then not products in x and y, and the two sides of the plane differ.
 
     Args:
         scene: the light; its lamp_angle and turn have shape ().
@@ -165,9 +165,10 @@ def record_around_turned(
 def _around(
     scene: Scene, ends_x: tuple[jax.Array, jax.Array], extent_y: jax.Array, panels: HighlightPanels
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Compute nodes u (lines, nodes), v (lines,) on one side of the plane of camera and lamp, and weights as u.
+    """Compute nodes u (lines, nodes), v (lines,) on one side of the plane of camera and lamp, and weights of the shape
+    of u.
 
-    They cover the range between two columns of the scene, and from its x axis to a row, px.
+    The nodes cover the range between two columns of the scene, and from its x axis to a row, px.
     """
     sample, lamp, near = scene.sample, scene.lamp_angle, scene.lamp_nearness
     peak, finest = sample.highlight(lamp, near), scene.material.finest
@@ -208,7 +209,7 @@ def record_inside(scene: Scene, blur: BlurTerms, x: jax.Array, y: jax.Array) -> 
     for term in blur.terms:
         dx, dy, share = blur.blur.plane_rule(term, spread)
         light = _arriving(scene, blur.blur, x[:, None] - dx, y[:, None] - dy)
-        if blur.blur.is_rest(term):  # its corners, of hardly any weight, may lie beyond the limb
+        if blur.blur.is_rest(term):  # the corners of the residual have negligible weight and may lie beyond the limb
             _, lit = scene.shown(x[:, None] - dx, y[:, None] - dy)
             light = jnp.where(lit[..., None], light, 0.0)
         total += blur.blur.share(term) * jnp.sum(light * share[..., None], axis=1)
@@ -278,9 +279,9 @@ class _SurfaceNodes(NamedTuple):
 
 
 def _cuts_along_u(scene, places, v, ends, panels: WindowPanels) -> list[jax.Array]:  # type: ignore[no-untyped-def]
-    """Compute the positions in u at which panels must end, on a trailing axis; those of the first array are in order.
+    """Compute the positions in u between which the integrand is smooth, on a trailing axis.
 
-    Between them the integrand is smooth.
+    Panels must end at these positions. The positions in the first array are in ascending order.
     """
     sample, finest, (x, y) = scene.sample, scene.material.finest, places
     cuts = panels.reach * np.linspace(-1, 1, _RIDGE_PANELS + 1)[1:-1] if panels.ridge else jnp.zeros(1)

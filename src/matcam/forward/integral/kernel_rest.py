@@ -1,12 +1,13 @@
 """Residual of the kernel of a lens beyond a sum of Gaussians: its rings, and its dependence on direction.
 
-The kernel of lens and pixel is exact on a grid, as the transform of a band-limited transfer function. Its difference
-from the Gaussians vanishes some rings from the centre. A singular value decomposition of the grid gives a few products
+On a grid, the kernel of lens and pixel is computed exactly as the transform of a band-limited transfer function. Its
+difference from the Gaussians vanishes a few rings from the centre. A singular value decomposition of the grid gives a
+few products
 
     rest(x, y) = sum over r of  u_r(x) v_r(y),
 
-which the operator for Gaussians can use, because Gaussians are such products too. Their lines are polynomials between
-knots. Single positions are interpolated from the grid.
+which the operator for Gaussians can use, because Gaussians are also such products. The functions u and v are
+polynomials between between knots. Single positions are interpolated from the grid.
 """
 
 from __future__ import annotations
@@ -24,15 +25,15 @@ from matcam.core.workspace import default_workspace
 from matcam.numerics.approximation import lagrange_basis
 
 _REACH, _REACH_OF_ABERRATIONS = 9, 16
-"""Support radius of the residual, in periods of the cutoff: further out rings are below 1e-4 of the peak and average out."""
+"""Support radius of the residual, in periods of the cutoff. Rings beyond it are below 1e-4 of the peak."""
 _TAPERED = 0.6
 """Share of the support radius beyond which the residual is tapered to 0."""
 _KNOTS = 21
-"""Intervals per period of the cutoff."""
+"""Number of intervals of the knots per period of the cutoff."""
 _APART = 128
-"""Half period of the transform, in periods of the cutoff: the light of its copies within the support is 2e-5 of the total."""
+"""Half period of the transform, in periods of the cutoff. Its copies have 2e-5 of the light within the support."""
 _STENCIL = np.arange(-2, 4)
-"""Knots of the polynomial of an interval."""
+"""Number of knots for the polynomial of an interval."""
 MARGIN = 3
 """Number of zeros around the grid."""
 _LEFT_OUT = 1e-5
@@ -40,9 +41,9 @@ _LEFT_OUT = 1e-5
 _FEWEST = 4
 """Numbers of products are multiples of this value, because each requires a program."""
 REST_RULE = _REACH, _REACH_OF_ABERRATIONS, _TAPERED, _KNOTS, _LEFT_OUT
-"""All parameters of the residual of a lens: a stored rule is valid only for the same values."""
+"""Parameters of the residual of a lens. A stored rule is valid only for the same values."""
 _SMOOTH = np.polynomial.legendre.leggauss(9)
-"""Gauss-Legendre nodes along each axis for light that is smooth on the scale of the residual."""
+"""Number of Gauss-Legendre nodes along each axis for light that is smooth on the scale of the residual."""
 _HERMITE = (-np.sqrt(3), 1 / 6), (0.0, 2 / 3), (np.sqrt(3), 1 / 6)
 """Offsets, in standard deviations, and shares that represent the blur of the residual by additional Gaussians."""
 
@@ -54,10 +55,10 @@ class KernelRest(eqx.Module):
         lines: coefficients of the polynomials along x and y, (products, 2, intervals, degree + 1), 1/px.
         grid: values at the knots along x and y, padded with zeros, 1/px^2.
         smooth: weights of the nodes in smooth light, (nodes along x, nodes along y), no unit.
-        reach: half side of its support, px.
-        period: of the lens's cutoff, px.
+        reach: half side of the square support, px.
+        period: period of the lens's cutoff, px.
         error: largest remaining error of the transfer function, no unit.
-        even: whether it is symmetric above and below.
+        even: True if the kernel is symmetric above and below.
     """
 
     lines: jax.Array
@@ -69,7 +70,7 @@ class KernelRest(eqx.Module):
     even: bool = eqx.field(static=True)
 
     def at(self, x: jax.Array, y: jax.Array, variances: tuple[jax.Array, jax.Array] | None) -> jax.Array:
-        """Evaluate the residual at offsets along x and y, px. variances: px^2, along x and y, of a Gaussian that blurs it."""
+        """Evaluate the residual at offsets along x and y, px. variances: of an additional Gaussian blur, px^2."""
         if variances is None:
             return self._read(x, y)
         along, across = (jnp.sqrt(variance) for variance in variances)
@@ -77,7 +78,7 @@ class KernelRest(eqx.Module):
         return sum((a[1] * b[1] * self._read(x + a[0] * along, y + b[0] * across) for a, b in both), jnp.zeros(()))
 
     def _read(self, x: jax.Array, y: jax.Array) -> jax.Array:
-        """Interpolate by the cubic through the knots about each position, which are close."""
+        """Interpolate by the cubic through the knots about each position."""
         side = self.grid.shape[0]
         half = (side - 1) / 2
         flat = self.grid.ravel()
@@ -113,11 +114,11 @@ class KernelRest(eqx.Module):
         return jnp.where((place >= 0) & (place <= count), value, 0.0)
 
     def reach_through(self, variance: Any) -> Any:
-        """Compute the half side of the support after a blur of this variance, px^2, px."""
+        """Compute the half side of the support, px, after a blur of this variance, px^2."""
         return float(self.reach) + _HERMITE[-1][0] * np.sqrt(variance)
 
     def nodes(self) -> tuple[jax.Array, jax.Array, jax.Array]:
-        """Return offsets along x and y, px, and weights of a rule for light that is smooth within the support, (nodes,)."""
+        """Compute offsets along x and y, px, and weights of a rule for smooth light within the support, (nodes,)."""
         x, y = (self.reach * a.ravel() for a in np.meshgrid(_SMOOTH[0], _SMOOTH[0], indexing="ij"))
         return x, y, self.smooth.ravel()
 
@@ -184,7 +185,7 @@ def _taper(share: np.ndarray) -> np.ndarray:
 
 
 def _enough(u: np.ndarray, size: np.ndarray, v: np.ndarray, most: float, rest: np.ndarray) -> int:
-    """Return the number of products beyond which the remainder is below `most` everywhere."""
+    """Compute the number of products beyond which the remainder is below `most` everywhere."""
     for count in range(_FEWEST, size.size, _FEWEST):
         if np.abs((u[:, :count] * size[:count]) @ v[:count] - rest).max() < most:
             return count
@@ -192,7 +193,7 @@ def _enough(u: np.ndarray, size: np.ndarray, v: np.ndarray, most: float, rest: n
 
 
 def _polynomials(values: np.ndarray) -> np.ndarray:
-    """Compute the coefficients of the polynomials between knots, by powers of the position; (..., intervals, degree + 1)."""
+    """Compute the coefficients of the polynomials between knots by powers of position, (..., intervals, degree + 1)."""
     padded = np.pad(values, [(0, 0)] * (values.ndim - 1) + [(2, 2)])  # the residual is 0 beyond its support
     count = values.shape[-1] - 1
     through = np.linalg.inv(np.vander(_STENCIL.astype(float), increasing=True))

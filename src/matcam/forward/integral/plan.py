@@ -23,13 +23,13 @@ from matcam.sample.curved import Sphere
 from matcam.sample.shape import Curved
 
 _PANELS_ALONG_V = ((2.6, 2), (5.0, 4), (np.inf, 10))
-"""(extent along the surface in units of the kernel's, panels in v): the first row that covers the kernel is used."""
+"""Rows of (extent along the surface over that of the kernel, panels in v). The first sufficient row is used."""
 _OCTAGON = np.sqrt(2) - 1
 _ONE_LAMP = 1e-12  # rad
 _FAINT = 0.1
 """Share of the terms of a lens below which fewer nodes suffice."""
 _NO_CRESCENT = 0.6
-"""Share of the support radius of a residual within which all must be lit, for the light to be smooth up to the limb."""
+"""Share of the support radius of a residual within which all surface must be lit for smooth light up to the limb."""
 _FINER = 1.4
 """Factor of the length of a window along v that includes the corners of a turned pixel, for the number of panels."""
 _SHORTEST, _SHORT, _MEDIUM = 16, 1024, 8192  # places
@@ -42,8 +42,8 @@ class RecordPlaces(NamedTuple):
         x: column from the optical axis, px.
         y: row from the optical axis, upwards, px.
         lamp_angle: angle between lamp and optical axis, rad.
-        picture: index of the picture.
-        azimuth: of the lamp of each position, rad; None: every lamp is towards +x.
+        picture: index of the image.
+        azimuth: azimuth of the lamp of each position, rad; None: every lamp is towards +x.
     """
 
     x: np.ndarray
@@ -54,7 +54,7 @@ class RecordPlaces(NamedTuple):
 
     @property
     def turn(self) -> Turn | None:
-        """Return cosine and sine of the azimuth."""
+        """Return cosine and sine of the azimuth; None if it is None."""
         return None if self.azimuth is None else Turn(np.cos(self.azimuth), np.sin(self.azimuth))
 
 
@@ -83,21 +83,21 @@ class PlanPart(eqx.Module):
         reach_in_focus: the same without the discs of a lens out of focus, px.
         cuts: offsets between which the kernel is smooth, px; () if it is smooth everywhere.
         spacing: step of the grid around a highlight, px.
-        steps: points of that grid from the highlight to its border.
-        even: panels that the kernel requires between the highlight and the border.
-        margin: grid points beyond its border for discs of a lens out of focus; 0: no discs.
+        steps: number of points of that grid from the highlight to its border.
+        even: number of panels that the kernel requires between the highlight and the border.
+        margin: number of grid points beyond its border for discs of a lens out of focus; 0: no discs.
         shares: number of shares of the light by disc out of focus; 0: no discs.
         lamps: lamps whose highlights are recorded, (pictures, 1 or 3), rad.
-        turns: azimuth of each picture's lamps, (pictures,), rad; None: 0.
+        turns: azimuth of the lamps of each image, (pictures,), rad; None: 0.
         inside: indices of positions in smooth light.
         limb: indices of positions with the limb in the support of the residual of a lens.
         limb_rule: weights of their nodes; None: no such positions.
         near: indices of positions around the highlight.
-        near_whole: True for those of them whose kernel contains no end of the light.
+        near_whole: True for positions in `near` whose kernel contains no end of the light.
         windows: positions with their own window.
-        faint: whether the share of the terms in the blur is so small that fewer nodes suffice.
+        faint: True if the share of the terms in the blur is so small that fewer nodes suffice.
         place: for each position, its index in the concatenated records of inside, limb, windows and near. The last
-            index is darkness.
+            index is the value 0.
     """
 
     terms: tuple[int, ...] = eqx.field(static=True)
@@ -128,7 +128,7 @@ class IntegrationPlan(NamedTuple):
     parts: tuple[PlanPart, ...]
 
     def turned(self, by: jax.Array) -> IntegrationPlan:
-        """Return the plan under lamps that are turned away from the optical axis by a small angle, rad."""
+        """Return the plan with lamps turned away from the optical axis by a small angle, rad."""
         places = self.places._replace(lamp_angle=self.places.lamp_angle + by)
         parts = (eqx.tree_at(lambda one: one.lamps, part, part.lamps + by) for part in self.parts)
         return IntegrationPlan(places, tuple(parts))
@@ -148,11 +148,11 @@ def integration_plan(
         lamp_angles: lamp of each picture, (pictures,), rad.
         places: positions to record.
         azimuths: azimuth of each picture's lamp, (pictures,), rad; None, as in `places`: 0.
-        elongation: of the lobe, no unit: factor of the distance from a highlight within which a lobe may be narrow on
-            the scale of the kernel. Default: 1, a round lobe.
+        elongation: elongation of the lobe, no unit: factor of the distance from a highlight within which a lobe may be
+            narrow on the scale of the kernel. Default: 1, a round lobe.
 
     Returns:
-        The plan, which serves any material and any camera whose parameters differ little.
+        The plan. It is valid for any material, and for cameras whose parameters differ little.
     """
     imaging = jax.lax.stop_gradient(imaging)
     groups = groups_of(imaging.blur, imaging.sample, turned=azimuths is not None)
@@ -169,8 +169,8 @@ def pad_indices(index: np.ndarray) -> np.ndarray:
 def few_lengths(size: int) -> int:
     """Round up to one of few lengths, because each requires a compilation, and programs of 10 to 20 MB.
 
-    A compilation costs more than a thousand positions, so up to that number each length is four times the previous one.
-    Beyond it there are two per power of two, and eight beyond some thousands.
+    A compilation takes longer than a thousand positions, so up to that number each length is four times the previous
+    one. Beyond it there are two lengths per power of two, and eight beyond several thousand.
     """
     length = _SHORTEST
     while length < min(size, _SHORT):
@@ -273,7 +273,7 @@ def _rest_beside(
         sample: the sphere.
         reach: support radius of the residual, px.
         at: x and y, px, and lamp of all positions.
-        aslant: whether a position is near the poles of the sphere, where crescents are dim.
+        aslant: True for positions near the poles of the sphere, where crescents are dim.
         places: candidates.
     """
     index = np.flatnonzero(places)
@@ -343,10 +343,10 @@ def _even_panels(scale: BlurScale, longer: float) -> int:
 
 
 def _lamps_around(lamp_angles: np.ndarray, places: RecordPlaces, near: np.ndarray) -> np.ndarray:
-    """Return the lamps whose highlights are recorded.
+    """Choose the lamps whose highlights are recorded.
 
-    There is one per image, or three that span the lamps of its positions: with a near camera a slice of a table comes
-    from images of many lamps.
+    There is one lamp per image, or three that span the lamps of its positions, because with a near camera a slice of a
+    table comes from images of many lamps.
     """
     offset = np.abs(places.lamp_angle[near] - lamp_angles[places.picture[near]])
     if not near.any() or offset.max() < _ONE_LAMP:
@@ -364,7 +364,7 @@ def _round_up(number: int, unit: int) -> int:
 def _away_from_ends(sample: Curved, x: jax.Array, y: jax.Array, lamp: _SceneLamp, margin: float) -> jax.Array:
     """Find positions whose surroundings within `margin` px are visible and lit.
 
-    The circle is replaced by the octagon about it.
+    The circle is replaced by its circumscribed octagon.
     """
     equator = sample.across(x, jnp.zeros_like(x))
     inside = jnp.ones(jnp.broadcast_shapes(x.shape, y.shape), dtype=bool)
@@ -381,7 +381,7 @@ def _away_from_ends(sample: Curved, x: jax.Array, y: jax.Array, lamp: _SceneLamp
 def _crowded(sample: Curved, x: jax.Array, y: jax.Array, lamp: _SceneLamp, reach: float) -> jax.Array:
     """Find positions where foreshortening squeezes a lobe into the kernel.
 
-    The surface under the kernel turns there by more than its angle from the half vector.
+    There, the normal varies under the kernel by more than its angle from the half vector.
     """
     v, _ = sample.window(y, y, sample.across(x, jnp.zeros_like(x)))
     low, high = sample.lit(v, *lamp)
@@ -394,7 +394,8 @@ def _crowded(sample: Curved, x: jax.Array, y: jax.Array, lamp: _SceneLamp, reach
 def _turn_along_v(sample: Curved, x: jax.Array, y: jax.Array, reach: float) -> jax.Array:
     """Compute the length in v, px, under a kernel at (x, y).
 
-    Along the surface it is twice the support radius of the kernel, and more where it is foreshortened.
+    Along the surface the length is twice the support radius of the kernel, and larger where the surface is
+    foreshortened.
     """
     first, last = sample.rows(x, y, reach)
     return (last - first) * sample.stretch
@@ -404,7 +405,7 @@ def _turn_along_v(sample: Curved, x: jax.Array, y: jax.Array, reach: float) -> j
 def _lit_within(sample: Curved, x: jax.Array, y: jax.Array, lamp: _SceneLamp, reach: float) -> jax.Array:
     """Find positions with lit surface within `reach` px.
 
-    Errors are rare, and never declare a lit position dark.
+    Errors are rare, and a lit position is never classified as dark.
     """
     first, last = sample.rows(x, y, reach)
     if lamp.nearness is not None:

@@ -13,11 +13,11 @@ import numpy as np
 from matcam.core.jax import jax, jnp
 
 _STEPS = 3
-"""Iterations for s; each multiplies the error by the derivative of c."""
+"""Number of iterations for s. Each multiplies the error by the derivative of c."""
 
 
 def _points() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return x, y and shares of 12 points of the unit disc: exact for polynomials of degree 7 (Stroud 1971, S2: 7-1)."""
+    """Compute x, y and shares of 12 points of the unit disc, exact to degree 7 (Stroud 1971, S2: 7-1)."""
     near, far = (np.sqrt((27 + side * 3 * np.sqrt(29)) / 104) for side in (-1, 1))
     low, high = ((551 - side * 41 * np.sqrt(29)) / 6264 for side in (1, -1))
     axis, signs = np.array([1.0, 0.0, -1.0, 0.0]), np.array([1.0, 1.0, -1.0, -1.0])
@@ -39,9 +39,9 @@ def mean_over_pupil(
 
     Args:
         sent: function that returns the light of a sharp image at positions, channels last.
-        disc: function that returns the radius of its disc out of focus, px.
+        disc: function that returns the radius of the disc out of focus at positions, px.
         x: positions, px.
-        y: the same across.
+        y: positions across, px.
     """
 
     def of_point(point: tuple[jax.Array, ...]) -> jax.Array:

@@ -1,9 +1,8 @@
 """Record of a curved sample at given positions in its images: the operator behind tables and images.
 
-It follows a plan (`plan.py`), in which each kind of position has its own integral (`integrals.py`). Around each
-highlight the record is computed on a grid that contains it, and interpolated between the points of the grid. Where the
-kernel contains no end of the light, each integral is divided by its record of a flat field, which is known, so that
-quadrature errors cancel.
+A plan (`plan.py`) assigns an integral (`integrals.py`) to each position. Around each highlight the record is computed
+on a grid and interpolated between its points. Where the kernel contains no end of the light, each integral is divided
+by its record of a flat field, whose true value is known, so that quadrature errors cancel.
 """
 
 from __future__ import annotations
@@ -43,7 +42,7 @@ def record(material: Material, imaging: Imaging, plan: IntegrationPlan) -> jax.A
 
     Args:
         material: the material.
-        imaging: sample and blur, those of the plan or with parameters that differ little.
+        imaging: sample and blur, as in the plan or with slightly different parameters.
         plan: the plan.
 
     Returns:
@@ -54,7 +53,7 @@ def record(material: Material, imaging: Imaging, plan: IntegrationPlan) -> jax.A
 
 
 class _Subject(NamedTuple):
-    """A material on a sample in front of a camera, under any lamp."""
+    """Material on a sample in front of a camera, under any lamp."""
 
     material: Material
     imaging: Imaging
@@ -155,7 +154,7 @@ def _record_in_window(
 
 
 class _HighlightGrid(NamedTuple):
-    """The grid around each highlight; fields as those of a `PlanPart`."""
+    """Grid around each highlight; fields as in `PlanPart`."""
 
     terms: tuple[int, ...]
     steps: int
@@ -216,7 +215,7 @@ def _read_highlights(
 def _over_flat_field(values: jax.Array, whole: jax.Array, blur: BlurTerms) -> jax.Array:
     """Divide records by the relative error of a flat field, the last channel.
 
-    This applies where the kernel is complete; the last channel is dropped.
+    The division applies where the kernel contains no end of the light. The last channel is removed.
     """
     values, flat = values[:, :-1], values[:, -1]
     if blur.blur.varies or blur.of_rest:
@@ -227,7 +226,7 @@ def _over_flat_field(values: jax.Array, whole: jax.Array, blur: BlurTerms) -> ja
 def in_batches(function: Callable[..., jax.Array], arrays: tuple[Any, ...], size: int) -> jax.Array:
     """Map over the leading axis of all arrays in batches of one shape.
 
-    So memory stays small. The last batch is padded.
+    This limits the memory. The last batch is padded.
     """
     arrays = jax.tree.map(jnp.asarray, arrays)
     count = jax.tree.leaves(arrays)[0].shape[0]

@@ -1,10 +1,10 @@
 """Residual of a lens at the limb: few nodes in the light, whose weights include the rings of the kernel.
 
 The light ends at the limb, and the rings of the residual have the period of the cutoff, so a window about a pixel would
-require thousands of nodes. But the light itself is smooth up to the limb: a polynomial through few nodes in c = sqrt(1
-- (distance from the axis / limb)^2) and in the azimuth about the axis approximates it. The integrals of the residual
-times each polynomial, the weights of the nodes, depend only on the residual, on the depth within the limb and on the
-azimuth. They are computed once, on a lattice.
+require thousands of nodes. However, the light is smooth up to the limb: a polynomial through few nodes in c = sqrt(1 -
+(distance from the axis / limb)^2) and in the azimuth about the axis approximates it. The weights of the nodes are
+integrals of the residual times each basis polynomial. They depend only on the residual, on the depth within the limb
+and on the azimuth, and are computed once, on a lattice.
 
 The residual carries at most 0.2 % of the light, so 1 % relative accuracy suffices.
 """
@@ -24,9 +24,9 @@ from matcam.forward.integral.scene import Scene
 from matcam.numerics.approximation import four_about, lagrange_basis
 
 _ACROSS = np.polynomial.legendre.leggauss(8)[0]
-"""Gauss-Legendre nodes in c."""
+"""Number of Gauss-Legendre nodes in c."""
 _ALONG = np.polynomial.legendre.leggauss(4)[0]
-"""Gauss-Legendre nodes in the azimuth."""
+"""Number of Gauss-Legendre nodes in the azimuth."""
 _FINE_ACROSS, _FINE_ALONG = (np.polynomial.legendre.leggauss(n) for n in (100, 50))
 """Nodes in c and in the azimuth that integrate the entries of a lattice: several per period everywhere."""
 _DEPTHS = 7
@@ -43,7 +43,7 @@ class LimbRule(eqx.Module):
     Attributes:
         weights: (depths, azimuths, nodes), px^2 times the kernel's 1/px^2.
         reach: support radius of the residual, px.
-        quarter: whether the period of the weights is a quarter of a turn; otherwise it is a whole turn.
+        quarter: True if the period of the weights is a quarter turn, False for a full turn.
     """
 
     weights: jax.Array
@@ -88,7 +88,7 @@ def _window(limb: Any, reach: Any, off: Any) -> tuple[Any, Any]:
 
 
 def limb_rule(rest: KernelRest, limb: float) -> LimbRule | None:
-    """Build the rule for a sphere with a limb of this radius, px; None if the support contains more than the border."""
+    """Build the rule for a sphere with a limb of this radius, px; None if the support is too large for the sphere."""
     if 4 * float(rest.reach) > limb:
         return None
     key = np.asarray(rest.grid).tobytes(), float(rest.reach), limb

@@ -13,7 +13,7 @@ from matcam.sample.shape import Curved, Element
 
 
 class Turn(NamedTuple):
-    """Cosine and sine of the azimuth of the lamp: of the x axis of the scene relative to that of the sensor."""
+    """Cosine and sine of the azimuth of the lamp: angle from the x axis of the sensor to that of the scene."""
 
     cosine: jax.Array
     sine: jax.Array
@@ -24,10 +24,10 @@ class Turn(NamedTuple):
 
 
 class Scene(eqx.Module):
-    """A material on a curved sample under a lamp; radiance is in 1/sr.
+    """Material on a curved sample under a lamp; radiance is in 1/sr.
 
-    The lamp's irradiance is 1 at the sample's centre. The scene's x axis points towards the lamp. A lamp at an azimuth
-    turns it relative to the sensor, so positions in the scene differ from positions on the sensor.
+    The lamp's irradiance is 1 at the sample's centre. The x axis of the scene points towards the lamp. If the lamp has
+    an azimuth, positions in the scene differ from positions on the sensor.
 
     Attributes:
         material: the material.
@@ -92,7 +92,7 @@ class Scene(eqx.Module):
     def sent(self, element: Element) -> jax.Array:
         """Compute rho cos_i cos_o area under the irradiance of the lamp, channels last.
 
-        It is the light of a surface element per unit of its coordinates.
+        This is the light of a surface element per unit of its coordinates.
         """
         direction, strength = self._light(element)
         seen = shading(element.normal, self._tangent(element), direction, element.view)
@@ -103,14 +103,14 @@ class Scene(eqx.Module):
         return light * (area[..., None] if jnp.ndim(area) else area)
 
     def flat_field(self, element: Element) -> jax.Array:
-        """Compute the same for a surface of radiance 1 everywhere.
+        """Compute `sent` for a surface of radiance 1 everywhere.
 
-        It has no channels, and includes unlit surface.
+        The result has no channels, and includes unlit surface.
         """
         return self.seen(element).cos_o * element.area
 
     def channels(self) -> int:
-        """Return the number of channels."""
+        """Number of channels of the material."""
         return jax.eval_shape(_sent_at_centre, self.material, self.sample, self.lamp_nearness).shape[-1]
 
 
@@ -122,13 +122,13 @@ def _sent_at_centre(material: Material, sample: Curved, lamp_nearness: jax.Array
 
 @jax.jit
 def highlight_x(sample: Curved, lamp_angle: jax.Array, lamp_nearness: jax.Array | None = None) -> jax.Array:
-    """Return the position of the highlight on the scene's x axis, px."""
+    """Compute the position of the highlight on the x axis of the scene, px."""
     return sample.surface(sample.highlight(lamp_angle, lamp_nearness), jnp.zeros(())).x
 
 
 def beside_nodes(lamp_angle: jax.Array, axes: int) -> jax.Array:
     """Reshape lamps to broadcast against `axes` further axes of nodes.
 
-    A single lamp stays as it is.
+    A single lamp is unchanged.
     """
     return lamp_angle.reshape(*lamp_angle.shape, *([1] * axes)) if jnp.ndim(lamp_angle) else lamp_angle

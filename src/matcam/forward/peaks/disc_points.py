@@ -1,8 +1,8 @@
-"""Discs of lamp and lens in the tangent plane, as points on the sensor over which the record of a highlight is averaged.
+"""Discs of lamp and lens in the tangent plane, as points over which the record of a highlight is averaged.
 
 A source disc moves a highlight over an ellipse; a lens out of focus spreads it over a disc (docs/model.md 3). In the
 tangent plane both are constant over the lobe. The record is therefore the mean of records in focus under a point lamp,
-shifted by the points of both discs: Gauss-Legendre in the squared radius times equal steps round the disc.
+shifted by the points of both discs: Gauss-Legendre in the squared radius times equal steps around the disc.
 """
 
 from __future__ import annotations
@@ -23,18 +23,18 @@ if TYPE_CHECKING:
     from matcam.rigs import Rig
 
 _LOBE = 0.5
-"""Share of the roughness of a lobe that counts as its blur: a GGX lobe has its singularities at its scale."""
+"""Share of the roughness of a lobe that is used as its blur. The singularities of a GGX lobe lie at its scale."""
 _UNKNOWN_FINENESS = 6.0
-"""Radius of a disc over the standard deviation of its blur that is assumed inside jit."""
+"""Ratio of the radius of a disc to the standard deviation of its blur that is assumed inside jit."""
 
 
 class DiscPoints(NamedTuple):
     """Points about some highlights.
 
     Attributes:
-        x: px towards the limb, (slices, points).
-        y: px across, the same.
-        share: of the points, (points,); their sum is 1.
+        x: offsets towards the limb, px, (slices, points).
+        y: offsets across, px, (slices, points).
+        share: shares of the points, (points,); their sum is 1.
         aside: angle by which a point turns the half vector across, rad, (slices, points).
     """
 
@@ -48,10 +48,10 @@ class Discs(NamedTuple):
     """Sizes of the discs about some highlights, (slices,) each.
 
     Attributes:
-        lamp_x: half axis of the lamp's ellipse towards the limb, px.
-        lamp_y: half axis across, px.
+        lamp_x: half axis of the ellipse of the source disc towards the limb, px.
+        lamp_y: half axis of this ellipse across, px.
         lens: radius of the disc of a lens out of focus, px.
-        turned: largest angle by which the lamp's disc turns the half vector across, rad.
+        turned: largest angle by which the source disc turns the half vector across, rad.
     """
 
     lamp_x: jax.Array
@@ -88,7 +88,7 @@ def mean_over_discs(
         rig: a rig with discs.
         theta: viewing angles of the highlights, rad, (slices,).
         record: function of indices of the angles that returns the mean over their points, slices first.
-        roughness: of a lobe that is seen from the side. Default: None, the record does not depend on `aside`.
+        roughness: roughness of the lobe if the record depends on `aside`. Default: None, it does not.
     """
     discs = disc_sizes(rig, theta)
     assert discs is not None
@@ -125,7 +125,7 @@ def has_discs(rig: Rig) -> bool:
 
 
 def _levels(fineness: jax.Array) -> np.ndarray:
-    """Round radii over the standard deviation of their blur up to powers of 2; 0 stays."""
+    """Round radii over the standard deviation of their blur up to powers of 2; 0 remains 0."""
     fineness = constant(fineness)
     if not is_concrete(fineness):
         return np.full(fineness.shape, _UNKNOWN_FINENESS)
@@ -134,7 +134,7 @@ def _levels(fineness: jax.Array) -> np.ndarray:
 
 
 def _unit_points(fineness: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return x, y and shares of points of the unit disc. fineness: its radius over the standard deviation of its blur."""
+    """Compute x, y and shares of points of the unit disc. fineness: radius over the standard deviation of the blur."""
     if fineness == 0:
         return np.zeros(1), np.zeros(1), np.ones(1)
     rings, spokes = rings_and_spokes(fineness)

@@ -25,7 +25,7 @@ from matcam.sample.curved import Cylinder
 from matcam.sample.shape import Curved, Flat
 
 _EVEN = 6
-"""Number of equal panels about an exact peak in focus."""
+"""Number of equal panels of the integral about an exact peak in focus."""
 
 
 def exact_response(rig: Rig, ndf: SlopeDistribution, theta: AnyArray, masking: Masking) -> jax.Array:
@@ -50,7 +50,7 @@ def exact_response(rig: Rig, ndf: SlopeDistribution, theta: AnyArray, masking: M
     if not disc:
         return _responses(material, imaging, terms, reaches, theta, even)
     if not is_concrete(theta):
-        raise ArgumentError("a lamp's disc sets how an exact peak is integrated: call this outside of jax.jit and vmap")
+        raise ArgumentError("the source disc selects the integration nodes: call this outside of jax.jit and vmap")
     lamps = np.asarray(imaging.sample.lamp_angle(theta, rig.lamp.nearness))
     if isinstance(rig.sample, Cylinder):
         return _responses_on_cylinder(material, rig, lamps)
@@ -60,7 +60,7 @@ def exact_response(rig: Rig, ndf: SlopeDistribution, theta: AnyArray, masking: M
 
 
 def _responses_on_cylinder(material: Microfacet, rig: Rig, lamp_angle: np.ndarray) -> jax.Array:
-    """Compute recorded over true peak on a cylinder under lamps with a disc."""
+    """Compute recorded over true peak on a cylinder under a source disc."""
     sample, near = rig.sample, rig.lamp.nearness
     assert isinstance(sample, Cylinder)
     x = np.asarray(highlight_x(sample, jnp.asarray(lamp_angle), near))
@@ -70,14 +70,14 @@ def _responses_on_cylinder(material: Microfacet, rig: Rig, lamp_angle: np.ndarra
 
 
 class _LampDisc(NamedTuple):
-    """A lamp's disc as points.
+    """Points of a source disc.
 
     Attributes:
-        angle: between the disc's centre and the optical axis, rad.
-        angles: the same of its points, (points,).
-        azimuths: of its points, rad.
-        distances: of its points, over that of the centre.
-        shares: of its light; 0 for padding.
+        angle: angle between the disc's centre and the optical axis, rad.
+        angles: angles between the points and the optical axis, rad, (points,).
+        azimuths: azimuths of the points, rad.
+        distances: distances of the points over that of the centre.
+        shares: shares of the points in the light; 0 for padding.
     """
 
     angle: np.ndarray

@@ -30,17 +30,17 @@ _VALUES = 1 << 19
 _GRADE = 2.0
 """Ratio of neighbouring panels of frequencies. The spectrum of a flat-topped lobe oscillates twice in one."""
 _MOST_PANELS = 28
-"""Number of panels towards 0 if the size of the lobe is traced, inside `jax.jit`: lobes of up to 1e5 px."""
+"""Number of panels towards 0 if the size of the lobe is traced inside `jax.jit`. It suffices for lobes up to 1e5 px."""
 _FLATTEST = 1e-3
-"""Product of the end of the first panel and the size of the lobe: below it the spectrum varies with its square."""
+"""Product of the end of the first panel and the size of the lobe. Below it the spectrum is quadratic in frequency."""
 _AZIMUTHS = 28
-"""Number of nodes in a quarter turn: an error of 1e-9 for lobes that are 600 times as long as wide."""
+"""Number of nodes in a quarter turn. The error is 1e-9 for lobes that are 600 times as long as wide."""
 _SHORTEST = 1.7e-3
-"""Ratio of the axes of a lobe that is assumed inside `jax.jit`: that on a sphere at 89.9 degrees."""
+"""Ratio of the axes of a lobe that is assumed inside `jax.jit`. A sphere has it at 89.9 degrees."""
 _UNKNOWN_REACH = 8.0
 """Distance of a position from the peak that is assumed inside `jax.jit`, px."""
 _CHEBYSHEV = 64
-"""Number of slices from which all others are interpolated if only the length of the lobe varies: an error of 1e-9."""
+"""Number of slices for interpolation if only the length of the lobe varies. The error is 1e-9."""
 
 Places = tuple["jax.Array", "jax.Array"]
 """Offsets from the peak towards the limb and across, px, (slices, points) each."""
@@ -75,7 +75,8 @@ def line_record(rig: Rig, ndf: NDF, theta: jax.Array, one_plane: bool) -> jax.Ar
         rig: the rig.
         ndf: the lobe.
         theta: viewing angles of the peak, rad, (slices,).
-        one_plane: True if the normals lie in one plane, as on a cylinder; a source disc turns the half vector out of it.
+        one_plane: True if the normals lie in one plane, as on a cylinder. A source disc turns the half vector out of
+            it.
     """
     discs = disc_sizes(rig, theta)
     if discs is None or not one_plane:
@@ -88,7 +89,7 @@ def line_record(rig: Rig, ndf: NDF, theta: jax.Array, one_plane: bool) -> jax.Ar
 
 
 def _line(rig: Rig, ndf: NDF, theta: jax.Array, discs: Discs | None, points: DiscPoints | None) -> jax.Array:
-    """Compute the record in one dimension, (slices, points): at the peak before discs, or at points beside it."""
+    """Compute the record in one dimension, (slices, points), at the peak or at points of discs about it."""
     scale = rig.px_per_rad(theta)[0]
     uniform = xp.isinf(scale)
     scale = xp.where(uniform, 1.0, scale)
@@ -120,13 +121,13 @@ class _PolarNodes(NamedTuple):
     """Nodes in a quarter of the plane of frequencies.
 
     Attributes:
-        spectrum: of the lobe.
+        spectrum: spectrum of the lobe.
         frequency: cycles/px, (n, 1).
-        cos: of the azimuths, (azimuths,).
-        sin: of the azimuths, (azimuths,).
+        cos: cosines of the azimuths, (azimuths,).
+        sin: sines of the azimuths, (azimuths,).
         amplitude: transfer function times the weights of all four quarters, (n, azimuths).
-        discs: whether records have discs.
-        largest: largest frequency times the largest disc.
+        discs: True if records have discs.
+        largest: largest frequency times the radius of the largest disc.
         together: number of slices that are summed at a time.
     """
 
@@ -179,9 +180,9 @@ def _polar_nodes(
 
 
 def _frequencies(rig: Rig, ndf: NDF, scale: jax.Array, reach: float) -> Rule:
-    """Build a rule over the band of the lens that resolves a lobe of any size, and its record up to a distance from its peak.
+    """Build a rule over the band of the lens that resolves a lobe of any size.
 
-    scale: px per unit of the lobe's coordinate. reach: px.
+    scale: px per unit of the lobe's coordinate. reach: largest distance of a record from the peak, px.
     """
     optics = rig.camera.optics
     size = constant(xp.max(scale * ndf.roughness)) * optics.band() / _FLATTEST
@@ -204,14 +205,14 @@ def _largest(*lengths: jax.Array) -> float:
 
 
 def _only_length_varies(scale_x: jax.Array, scale_y: jax.Array) -> bool:
-    """Check whether slices are many and differ in one concrete parameter, as on a distant sphere."""
+    """Check whether there are many slices that differ in one concrete parameter, as on a distant sphere."""
     if scale_x.size <= _CHEBYSHEV or not all(isinstance(scale, np.ndarray) for scale in (scale_x, scale_y)):
         return False
     return bool(np.all(scale_y == scale_y[0]) and np.ptp(scale_x) > 0)
 
 
 def _interpolated(nodes: _PolarNodes, scale_x: np.ndarray, scale_y: np.ndarray) -> np.ndarray:
-    """Interpolate the record at many peaks, (slices, 1), from Chebyshev nodes of the logarithm of the length of the lobe."""
+    """Interpolate the record at many peaks, (slices, 1), from Chebyshev nodes of ln of the length of the lobe."""
     domain = np.log([scale_x.min(), scale_x.max()])
     unit = np.polynomial.chebyshev.chebpts1(_CHEBYSHEV)
     length = np.exp(domain.mean() + np.ptp(domain) / 2 * unit)

@@ -4,7 +4,7 @@ A lobe is a function of the length of the tangent-plane coordinate, shape(r). It
 Hankel transform 2 pi integral r shape(r) J0(k r) dr, and along a line the cosine transform 2 integral shape(r) cos(k r)
 dr. Both are convolutions in ln r, which FFTs compute for all k at once: FFTLog (Talman 1978; Hamilton 2000). The grid
 covers 28 decades, which include a sharp peak, a power-law tail and the whole range of frequencies. Values between its
-points are interpolated by cubics: 2e-9 of the spectrum at k = 0.
+points are interpolated by cubics with an error of 2e-9 of the spectrum at k = 0.
 """
 
 from __future__ import annotations
@@ -40,9 +40,7 @@ class LobeSpectrum(NamedTuple):
     dims: int
 
     def at(self, ln_k: jax.Array) -> jax.Array:
-        """Interpolate the transform at ln k, k in rad per unit of r: (..., n); the leading axes of the table are those
-        of ln_k.
-        """
+        """Interpolate the transform at ln k, k in rad per unit of r: (..., n), with the leading axes of the table."""
         ln_k = ln_k + xp.log(self.scale)
         first, shares = four_about((ln_k - _FIRST) / _STEP, _POINTS)
         inside = xp.clip(first, 0, _POINTS - 4)
@@ -76,7 +74,7 @@ def lobe_spectrum(ndf: NDF, dims: int, aside: jax.Array | None = None) -> LobeSp
 
 @cache
 def _transform(dims: int) -> np.ndarray:
-    """Compute the transform of each wave in ln r, exp(i w ln r) r^-power: its factor of exp(-i w ln k) k^-power."""
+    """Compute the factor of exp(-i w ln k) k^-power in the transform of each wave in ln r, exp(i w ln r) r^-power."""
     from scipy.special import loggamma
 
     w = 2 * np.pi * np.arange(_POINTS // 2 + 1) / (_POINTS * _STEP)

@@ -7,8 +7,8 @@ product in both directions of
 
     b(u; s) = sqrt(2 pi) s pixel.of_gaussian(u, sqrt(s^2 + sigma^2)).
 
-The closed form is kept because it takes a thirtieth of the time, and the record of a whole table evaluates it at a
-million positions around the peak.
+The closed form takes a thirtieth of the time, which matters because the record of a table evaluates it at a million
+positions around the peak.
 """
 
 from __future__ import annotations
@@ -44,10 +44,10 @@ def response_at_peak(rig: Rig, ndf: SlopeDistribution, theta: jax.Array, dims: i
         rig: the rig.
         ndf: the lobe.
         theta: viewing angles of the peak, rad, (n,).
-        dims: 2 for a real sample, 1 for the direction towards the limb alone.
+        dims: 2 for a real sample, 1 for the direction towards the limb only.
 
     Raises:
-        ArgumentError: the lens is not isotropic, or the lobe is not.
+        ArgumentError: the lens or the lobe is not isotropic.
     """
     if not isinstance(ndf, NDF):
         raise ArgumentError(f"the tangent plane needs an isotropic lobe, not {type(ndf).__name__}: use exact=True")
@@ -69,7 +69,7 @@ def lobe_record(rig: Rig, ndf: NDF, theta_o: AnyArray, x: AnyArray, y: AnyArray)
     """Record a lobe at offsets from its peak, relative to the true peak.
 
     Args:
-        rig: the rig; a flat sample records the lobe as it is.
+        rig: the rig. A flat sample records the lobe unchanged.
         ndf: the lobe.
         theta_o: viewing angle of the peak, rad, (slices,).
         x: offsets towards the limb, px, (slices, points).
@@ -86,7 +86,7 @@ def lobe_record(rig: Rig, ndf: NDF, theta_o: AnyArray, x: AnyArray, y: AnyArray)
 
 
 def _gaussians_of(rig: Rig) -> Gaussians | None:
-    """Return the Gaussians of a lens, with the jitter in them; None if it is not a sum of Gaussians."""
+    """Return the Gaussians of a lens, widened by the jitter; None if it is not a sum of Gaussians."""
     parts = checked_isotropic(rig.camera.optics, "a prediction").components()
     if not all(isinstance(part, GaussianOptics) for _, part in parts):
         return None
@@ -114,7 +114,7 @@ def _closed_record(
 def _closed_in_focus(
     rig: Rig, ndf: MixtureNDF, lens: Gaussians, theta: jax.Array, places: tuple[jax.Array, jax.Array]
 ) -> jax.Array:
-    """Compute the same under a point lamp, through a lens in focus."""
+    """Compute the record of a lobe under a point lamp, through a lens in focus."""
     weights, widths = ndf.mixture()
 
     def record(scale_x: jax.Array, scale_y: jax.Array, x: jax.Array, y: jax.Array) -> jax.Array:
@@ -130,7 +130,7 @@ def _closed_in_focus(
 
 
 def _closed_line(rig: Rig, ndf: MixtureNDF, lens: Gaussians, theta: jax.Array, one_plane: bool) -> jax.Array:
-    """Compute the response at the peak in one dimension, (slices,): that of the paper, towards the limb.
+    """Compute the response at the peak in one dimension, (slices,): towards the limb, as in the paper.
 
     one_plane: see `line_record`.
     """

@@ -31,7 +31,7 @@ _FLAT = 1e-30  # squared sine below which a direction is the normal itself
 
 
 class SlopeDistribution(Module):
-    """Facets of a microfacet material, isotropic or not."""
+    """Distribution of the slopes of microfacets, isotropic or not."""
 
     @abstractmethod
     def density(self, along: jax.Array, across: jax.Array) -> jax.Array:
@@ -108,9 +108,9 @@ class NDF(SlopeDistribution):
 
     @abstractmethod
     def flattening(self, theta_h: jax.Array) -> jax.Array:
-        """Return D over D(0) and the shape in r.
+        """Return D divided by D(0) and by the shape in r.
 
-        It is 1 at the peak. The tangent plane neglects this factor.
+        It is 1 at the peak. The tangent plane approximation neglects this factor.
 
         Args:
             theta_h: angle between half vector and surface normal, rad.
@@ -178,8 +178,8 @@ class SlopeNDF(NDF):
 class MixtureNDF(NDF):
     """NDF that is a mixture of Gaussians in its coordinate.
 
-    shape(r) = sum_j weight_j exp(-r^2 / (2 width_j^2)). A camera's record of such a lobe has a closed form. `GaussianNDF`,
-    `Beckmann`, `GGX` and `SGD` are such lobes.
+    shape(r) = sum_j weight_j exp(-r^2 / (2 width_j^2)). A camera's record of such a lobe has a closed form.
+    `GaussianNDF`, `Beckmann`, `GGX` and `SGD` are such lobes.
 
     Source:
         docs/model.md 4.
@@ -228,7 +228,7 @@ class StretchedSlopes(SlopeDistribution):
         """
 
     def density(self, along: jax.Array, across: jax.Array) -> jax.Array:
-        """Return P22 of the slopes over their roughnesses."""
+        """Return P22 of the slopes divided by their roughnesses."""
         stretched2 = (along / self.alpha_along) ** 2 + (across / self.alpha_across) ** 2
         return self.unit_density(stretched2) / (self.alpha_along * self.alpha_across)
 
@@ -257,13 +257,13 @@ class StretchedSlopes(SlopeDistribution):
 
 
 def checked_roughness(name: str, value: ArrayLike, largest: float = 1.0, unit: str = "") -> jax.Array:
-    """Check a roughness in (0, largest]; ArgumentError otherwise, and if its square is not a finite positive number."""
+    """Check that a roughness lies in (0, largest] and its square is finite and positive; ArgumentError otherwise."""
     checks.within(name, value, 0, largest, unit, open_low=True)
     return checks.scalar(name, checks.within(name, value, _SMOOTHEST, largest, unit))
 
 
 def _tangents(shading: Shading) -> tuple[tuple[jax.Array, jax.Array], tuple[jax.Array, jax.Array]]:
-    """Return (part, offset): light and view along the tangents of the surface are offset + part and offset - part."""
+    """Compute (part, offset): light and view along the tangents of the surface are offset + part and offset - part."""
     slope2 = shading.slope_along**2 + shading.slope_across**2
     mirror = slope2 == 0  # there the azimuth of the half vector counts as 0
     slope = xp.sqrt(xp.where(mirror, 1.0, slope2))

@@ -21,7 +21,7 @@ KNOTS = 17
 SHADOWS = 8
 """Number of parameters of a free masking."""
 STIFFER = 10.0
-"""Factor of the stiffness of a spline where the data hardly determine the shape."""
+"""Factor of the stiffness of a spline at slopes where the data hardly determine the shape."""
 _STEEP = 0.9  # slope above which this holds
 _FINEST, _LAST = 0.0015, 26.4  # slopes at which the knots become even in the logarithm, and at which they end
 _END = float(np.arcsinh(_LAST / _FINEST))
@@ -54,7 +54,7 @@ class BentNDF(SlopeNDF):
         self.norm = _norm(base, bends)
 
     def slope_density(self, slope2: jax.Array) -> jax.Array:
-        """Return base times bend over their integral."""
+        """Return the base times the modification, divided by the integral of the product."""
         return self.base.slope_density(slope2) * jnp.exp(bend_at(self.bends, slope2)) / self.norm
 
     def smith_lambda(self, cos: jax.Array) -> jax.Array:
@@ -104,10 +104,10 @@ def _knot_at(slope2: jax.Array) -> jax.Array:
 
 
 def bend_smoothness() -> np.ndarray:
-    """Return the rows (rows, KNOTS) whose products with the coefficients are small: `smoothness`, stiff beyond 45 degrees.
+    """Build the smoothness penalty of the coefficients, (rows, KNOTS): `smoothness`, stiffer beyond 45 degrees.
 
-    Few cells, in the last pixels of the sphere, show such steep facets. There the tail continues as a power law of any
-    exponent.
+    Only few cells, in the outermost pixels of the sphere, depend on such steep facets. The tail continues there as a
+    power law of any exponent.
     """
     rows = smoothness(KNOTS)
     steep = slope_of_knot(np.arange(1.0, KNOTS - 1)) > _STEEP
@@ -116,7 +116,7 @@ def bend_smoothness() -> np.ndarray:
 
 
 def slope_of_knot(place: np.ndarray) -> np.ndarray:
-    """Return the slope at a knot, counted from 0; fractional knots are allowed."""
+    """Compute the slope at a knot, counted from 0; fractional knots are allowed."""
     return _FINEST * np.sinh(place / (KNOTS - 1) * _END)
 
 

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from matcam.core.jax import jax
 
-_SMALL = 1e-6  # squared slope below which its angle comes from a series, because the slope of the root is infinite at 0
+_SMALL = 1e-6  # squared slope below which the angle is a series, because the derivative of the root is infinite at 0
 
 
 class GaussianNDF(MixtureNDF):

@@ -29,8 +29,8 @@ class EPD(SlopeNDF):
 
     Args:
         beta: roughness, a slope, no unit, (0, 1].
-        power: p, no unit, [0.25, 4]. Below 1 the lobe has a sharp peak on broad flanks, and an infinite slope at the peak
-            below 1/2; above 1 it has a flat top.
+        power: p, no unit, [0.25, 4]. Below 1 the lobe has a sharp peak on broad flanks, and an infinite slope at the
+            peak below 1/2; above 1 it has a flat top.
 
     Raises:
         ArgumentError: a parameter is out of range, or not a single number.
@@ -77,8 +77,8 @@ class SGD(SlopeNDF, MixtureNDF):
     D = K exp(-x) / (pi x^p cos^4 theta_h), 1/sr, with x = alpha + tan^2 theta_h / alpha and
     K = 1 / (alpha Gamma(1 - p, alpha)); Gamma is the upper incomplete one.
 
-    The BRDF of the authors has pi where a microfacet BRDF has 4: a `Microfacet` is smaller than the printed formula by
-    `published_over_ours` at equal F. They also fit their own masking and Fresnel term.
+    The published BRDF has a factor pi where a microfacet BRDF has 4: at equal F, the printed formula is larger than a
+    `Microfacet` by `published_over_ours`. The authors also fit their own masking and Fresnel term.
 
     Args:
         alpha: no unit, (0, 1]. The core of the lobe is about alpha wide, as a slope, and its flanks sqrt(alpha).
@@ -130,8 +130,8 @@ class SGD(SlopeNDF, MixtureNDF):
 
         The error is 1e-10 of the peak.
 
-        x^-p exp(-x) = integral over u > 1 of (u - 1)^(p - 1) exp(-u x) du / Gamma(p), by the trapezoid rule in ln(u - 1).
-        All u below the first node are one Gaussian at their mean. The error holds for alpha >= 1e-6.
+        x^-p exp(-x) = integral over u > 1 of (u - 1)^(p - 1) exp(-u x) du / Gamma(p), by the trapezoid rule in ln(u -
+        1). All u below the first node are one Gaussian at their mean. The error holds for alpha >= 1e-6.
         """
         highest = xp.log(_FADED / self.alpha)
         step = (highest - _LOWEST) / (_MIXTURE_NODES - 2)
@@ -155,4 +155,4 @@ class SGD(SlopeNDF, MixtureNDF):
 
 
 _power = with_derivatives(lambda x, p: x**p, lambda dx, u, x, p: dx * u * p / x, lambda dp, u, x, p: dp * u * xp.log(x))
-"""x^p of x > 0. Its derivatives require no further power."""
+"""x^p for x > 0. Its derivatives reuse the power."""

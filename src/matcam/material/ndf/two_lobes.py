@@ -1,4 +1,4 @@
-"""Mixture of two lobes: a coat over a base, or facets of two finishes. Each is between GGX and Beckmann."""
+"""Mixture of two lobes, such as a coat over a base or facets of two finishes. Each is between GGX and Beckmann."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ if TYPE_CHECKING:
 
 
 class TwoLobes(SlopeNDF):
-    """Mixture of two lobes, each of which is itself a mixture of GGX and Beckmann of one roughness.
+    """Mixture of two lobes, each a mixture of GGX and Beckmann of one roughness.
 
-    P22 is linear in the shares, and so is Smith's Lambda, an integral of P22: both have closed forms. Fitting the share
+    P22 and Smith's Lambda are linear in the shares, and both have closed forms. Fitting the share
     of Beckmann, which determines the tails of each lobe, replaces the choice of a family.
 
     Attributes:

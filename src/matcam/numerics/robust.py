@@ -1,0 +1,65 @@
+"""Robust estimates: scatter of values with outliers, and linear least squares without outliers."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from matcam.core.arrays import FloatArray
+
+_ROBUST = 1.4826
+"""Ratio of the standard deviation of normal values to their median absolute value."""
+_FAR = 4.0
+"""Number of standard deviations above which a residual is an outlier. Normal values exceed it once in 16,000."""
+_ROUNDS = 4
+"""Number of fits, each without the outliers of the previous one."""
+
+
+class RobustFit(NamedTuple):
+    """Linear fit without outliers.
+
+    Attributes:
+        parameters: fitted parameters, (k,).
+        covariance: their covariance, from the standard deviations of the values, (k, k).
+        chi2: chi2 per degree of freedom. `covariance` times chi2 is the covariance from the scatter of the values.
+        kept: True for values that are not outliers, bool, (n,).
+    """
+
+    parameters: FloatArray
+    covariance: FloatArray
+    chi2: float
+    kept: np.ndarray
+
+
+def robust_std(values: FloatArray) -> float:
+    """Estimate the standard deviation of values about 0, most of which are normal, from their median absolute value."""
+    return _ROBUST * float(np.median(np.abs(values)))
+
+
+def robust_fit(
+    design: FloatArray,
+    values: FloatArray,
+    std: FloatArray | float = 1.0,
+    *,
+    least: float = 1e-12,
+    resolved: float = 1e-12,
+) -> RobustFit:
+    """Fit values by least squares without those that are far from the fit.
+
+    Args:
+        design: derivatives of the values with respect to the parameters, (n, k).
+        values: values, (n,).
+        std: standard deviations of the values, (n,). Default: 1.0.
+        least: smallest scatter, in units of `std`. Default: 1e-12.
+        resolved: singular values of the design below this share of the largest are set to 0. Default: 1e-12.
+    """
+    design, values = design / np.broadcast_to(std, len(values))[:, None], values / std
+    kept = np.ones(len(values), bool)
+    for _ in range(_ROUNDS):
+        parameters = np.linalg.lstsq(design[kept], values[kept], rcond=resolved)[0]
+        left = values - design @ parameters
+        kept = np.abs(left) < _FAR * max(robust_std(left[kept]), least)
+    chi2 = float((left[kept] ** 2).sum()) / max(int(kept.sum()) - design.shape[1], 1)
+    inverse = np.linalg.pinv(design[kept], rcond=resolved)
+    return RobustFit(np.asarray(parameters, float), np.asarray(inverse @ inverse.T, float), chi2, kept)
