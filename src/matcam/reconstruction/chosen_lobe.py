@@ -1,7 +1,8 @@
 """Choice of the lobe that explains the images best: one of two families, with a spline modification if it reduces the
 residual.
 
-A prior that the images contradict is widened until it agrees, with a remark: the stated value or the model is wrong.
+A prior that contradicts the images is widened until it agrees, with a remark: the specified value or the model is
+wrong.
 """
 
 from __future__ import annotations
@@ -29,31 +30,31 @@ _FEWEST = 3
 _NOISE_ALONE, _AS_NOISE = 0.003, 1.15
 """Unexplained share of the light, and mean squared residual, below either of which noise alone explains the images."""
 _CLEARLY, _AT_ONCE = 0.9, 0.5
-"""Ratios of the unexplained share that a spline-modified lobe must reach at the end, and before a stated value is blamed."""
+"""Ratios of unexplained shares for a spline modification, at the end and before a specified value is rejected."""
 _DIFFUSE_PIXELS = 0.2
 """Share of the pixels with more diffuse light than lobe, above which the shape of the diffuse part is considered."""
-_SEEN = 3.0  # standard deviations of the noise of a pixel above which it shows light
+_SEEN = 3.0  # standard deviations of the noise above which a pixel contains light
 _TURNS = 3  # number of sources that may be wrong
 _ODD = 4.0
-"""Chi squared of an image over the median of all above which it is reported. Scattered lamps and lenses double it at most."""
+"""Chi squared of an image over the median of all above which it is reported. Scatter of lamps at most doubles it."""
 _MANY, _SOME = 32, 16
-"""Number of images above which the lobe is chosen from an even selection, and the size of that selection.
+"""Number of images above which the lobe is chosen with an even selection of images, and the size of the selection.
 
-All are fitted at the end.
+All images are fitted at the end.
 """
 _HOPELESS = 1.5
-"""Ratio of unexplained shares above which a lobe is not tried again under other priors."""
+"""Ratio of unexplained shares above which a lobe is not fitted again with other priors."""
 _GUESSED = 0.25
-"""Relative standard deviation above which a lens is a guess."""
+"""Relative standard deviation above which the width of the lens counts as a guess."""
 
 
 class ChosenFit(NamedTuple):
     """Best fit, the alternatives that were tried, and remarks.
 
     Attributes:
-        fit: the best.
-        tried: unexplained share by the name of each lobe.
-        remarks: of priors that were widened and of the lobe.
+        fit: the best fit.
+        tried: unexplained share by name of the lobe.
+        remarks: remarks on widened priors and on the lobe.
         widened: factor of the standard deviation of each widened source.
     """
 
@@ -69,7 +70,7 @@ class FitOfPictures(Protocol):
     def __call__(
         self, pictures: Sequence[MergedPicture], scene: SphereScene, family: str = "ggx", **more: object
     ) -> SphereFit:
-        """Return the fit; further arguments as of `fit_sphere`."""
+        """Fit the images; arguments as of `fit_sphere`."""
 
 
 def chosen_fit(
@@ -87,13 +88,14 @@ def chosen_fit(
 
     Args:
         pictures: merged pictures.
-        scene: what is known beforehand.
+        scene: prior knowledge of the rig.
         lamps: directions to the lamps from the highlights, (pictures, 3).
-        family: family of the lobe; "auto": the most probable candidate, spline-modified if that explains more. Default: "auto".
-        masking: the lobe's G. Default: "smith".
-        diffuse: whether there is a Lambertian part. Default: True.
-        progress: is called with a line about each step. Default: None.
-        fit_pictures: function that fits one family; for samples other than a sphere, their own. Default: `fit_sphere`.
+        family: family of the lobe; "auto": the most probable candidate, spline-modified if that reduces the residual.
+            Default: "auto".
+        masking: masking G of the lobe. Default: "smith".
+        diffuse: True to include a Lambertian part. Default: True.
+        progress: function that is called with a line about each step. Default: None.
+        fit_pictures: function that fits one family, for samples other than a sphere. Default: `fit_sphere`.
     """
     say = progress or (lambda _: None)
     first = CANDIDATES[0] if family == AUTO else family
@@ -137,7 +139,7 @@ def chosen_fit(
     tried = {best.kind.family: best.solution.unexplained}
 
     def with_shape(best: SphereFit) -> SphereFit:
-        """Fit a non-Lambertian diffuse part, and return that fit if it leaves less unexplained."""
+        """Fit a non-Lambertian diffuse part, and return that fit if its unexplained share is smaller."""
         # a shape that few parameters do not improve is not improved by many
         if not diffuse or best.stuck or _explained(best) or _diffuse_pixels(best) < _DIFFUSE_PIXELS:
             return best
@@ -147,13 +149,13 @@ def chosen_fit(
         return other if less and _likelier(other, best) else best
 
     def rivalled(best: SphereFit) -> SphereFit:
-        """Fit the other candidates if noise alone does not explain a fit, and return the most probable."""
+        """Fit the other candidates if noise alone does not explain a fit, and return the most probable fit."""
         for name in CANDIDATES:
             if family != AUTO or name == best.kind.family or _explained(best):
                 continue
             if tried.get(name, 0.0) > _HOPELESS * best.solution.unexplained:
                 continue
-            # at the bound of a family its width is no start for another
+            # at the bound of a family its width is not a suitable start for another
             about = {} if _at_bound(best) else {"widths": np.exp(best.solution.p[0]) * np.array([0.4, 0.7, 1.1, 1.8])}
             other = fitted(name, scene, rounds=1, **about)
             tried[name] = other.solution.unexplained
@@ -166,7 +168,7 @@ def chosen_fit(
     bends: list[SphereFit] = []
 
     def bent(best: SphereFit, share: float) -> SphereFit:
-        """Fit a spline modification, and return that fit if it leaves less than a share of the unexplained light."""
+        """Fit a spline modification, and return that fit if it reduces the unexplained share to less than `share`."""
         name = f"{best.kind.family}, bent"
         if family != AUTO or best.kind.bends or _explained(best) or tried.get(name, 0.0) > best.solution.unexplained:
             return best
@@ -179,7 +181,7 @@ def chosen_fit(
         return other if tried[name] < share * best.solution.unexplained and _likelier(other, best) else best
 
     if few is None:
-        # before a source is blamed: a wrong lobe makes images unexplained, and stated values look wrong
+        # before a source is rejected: with a wrong lobe, images are unexplained and specified values seem wrong
         best = with_shape(best)
         shaped = best.layout.shape > 0
         best = bent(rivalled(best), _AT_ONCE)
@@ -228,7 +230,7 @@ def chosen_fit(
         before, best = best, fitted(first, scene, start=best, bend=_BEND if best.kind.bends else 0.0)
         hopeless = bool(best.stuck) and best.solution.unexplained > _CLEARLY * before.solution.unexplained
         if hopeless:
-            break  # a stated value is not the cause either
+            break  # a specified value is not the cause either
     if widened and len(pictures) < len(whole[0]):
         # with a wrong source widened, the images left out may be explained, too
         kept = pictures, scene, lamps
@@ -256,14 +258,14 @@ def chosen_fit(
         text = "Lambert's law does not explain the diffuse part: its shape was fitted"
         remarks.append(Remark("diffuse-not-lambertian", text))
     if best.kind.bends:
-        text = f"no lobe of a single family explains the pictures: {best.kind.family} was modified smoothly"
+        text = f"no lobe of a single family explains the pictures: {best.kind.family} was modified by a spline"
         remarks.append(Remark("lobe-bent", text))
     first = best.kind.family
     return ChosenFit(final(best), tried, tuple(remarks), widened)
 
 
 def _odd_pictures(fit: SphereFit) -> dict[int, float]:
-    """Return the images with an exceptional chi squared, and the unexplained share of their light."""
+    """Find the images with an exceptional chi squared, and the unexplained share of their light."""
     solution = fit.solution
     usual = max(float(np.median(solution.chi2)), 1.0)
     odd = np.flatnonzero(solution.chi2 > _ODD * usual).tolist()
@@ -324,7 +326,7 @@ def _diffuse_pixels(fit: SphereFit) -> float:
 
 
 def _likelier(one: SphereFit, other: SphereFit) -> bool:
-    """Check whether a fit explains its pixels better than another, both judged by the smaller unexplained share."""
+    """Check whether a fit explains its pixels better than another, given the smaller unexplained share for both."""
     judge = Likelihood(UnexplainedLight(max(min(one.solution.unexplained, other.solution.unexplained), 1e-3)))
     surprise = []
     for fit in (one, other):
@@ -339,9 +341,9 @@ def _likelier(one: SphereFit, other: SphereFit) -> bool:
 
 
 def _preferred(one: SphereFit, other: SphereFit) -> bool:
-    """Check whether a fit replaces another: it is more probable, and not a lobe at a bound that explains little more.
+    """Check whether a fit replaces another: it is more probable, and not a lobe at a bound with little improvement.
 
-    At a bound the family does not fit: a spike with long tails imitates a haze, and its width is meaningless.
+    At a bound the family is unsuitable: a spike with long tails imitates a haze, and its width is meaningless.
     """
     if _at_bound(one) == _at_bound(other):
         return _likelier(one, other)

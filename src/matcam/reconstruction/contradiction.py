@@ -1,4 +1,4 @@
-"""Stated values that contradict the images: each source is freed in turn, and the one that explains most is blamed."""
+"""Specified values that contradict the images. Each source is freed in turn to find the one that explains most."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from matcam.reconstruction.sphere_fit import SphereFit
 from matcam.reconstruction.sphere_scene import Known, SphereScene, prior_of
 
 _FAR = 10.0
-"""Standard deviations beyond which a distance is not printed, because it is a first-order estimate."""
+"""Number of standard deviations beyond which a distance is not printed, because it is a first-order estimate."""
 _CONTRADICTED = 2.5
 """Root mean square of the residuals of a source, in its standard deviations, above which it is wrong."""
 _EACH = 4.0
-"""Decrease of chi squared that a source must explain per stated value, because many values explain much by chance."""
+"""Decrease of chi squared per specified value that a source must explain, because of chance improvements."""
 _MUCH = 20.0
-"""Decrease of chi squared by freeing a source above which it is contradicted, even if no single prior is far off."""
+"""Decrease of chi squared by freeing a source above which its values are wrong, even if no single residual is large."""
 _FREE = 1e3  # factor of a standard deviation that frees its source
 _LENGTH = 0.1
-"""Smallest relative standard deviation of a freed length: a length stated as exact may be 2 % wrong."""
+"""Smallest relative standard deviation of a freed length. A length specified as exact may be 2 % wrong."""
 _IN_EACH = ("lamp", "gain", "shift")
 """Sources with a value for each image."""
 _WIDENED = {
@@ -33,23 +33,23 @@ _WIDENED = {
     "outline": "the highlights indicate another outline than the limb",
     "shift": "the sphere moves between the pictures by more than its limb indicates",
     "lamp": "the lamps are not at the directions of the table",
-    "camera distance": "the camera's distance is not as stated",
-    "lamp distance": "the lamp's distance is not as stated",
-    "sample radius": "the sample's radius in mm is not as stated",
+    "camera distance": "the camera distance differs from the specified value",
+    "lamp distance": "the lamp distance differs from the specified value",
+    "sample radius": "the sample radius in mm differs from the specified value",
     "rig": "the rig differs from that of the earlier reconstruction",
-    "gain": "the light of the pictures varies more than stated",
+    "gain": "the light of the pictures varies more than specified",
 }
 
 
 class _Blame(NamedTuple):
-    """Fall of chi squared when a source is freed, and its distance from the stated value in standard deviations.
+    """Decrease of chi squared if a source is freed, and its distance from the specified value.
 
     Attributes:
-        explains: to first order, less the expected decrease by chance.
-        source: its name.
-        pull: distance in standard deviations.
+        explains: decrease of chi squared to first order, less the expected decrease by chance.
+        source: name of the source.
+        pull: distance from the specified value, in standard deviations.
         step: change of the parameters, (size,).
-        freed: the problem without that source.
+        freed: problem without the prior of that source.
     """
 
     explains: float
@@ -59,9 +59,9 @@ class _Blame(NamedTuple):
     freed: JointProblem
 
     def holds(self, fit: SphereFit) -> bool:
-        """Check the predicted fall of chi squared along the step.
+        """Check the predicted decrease of chi squared along the step.
 
-        If the values of each image are free, little determines them, and the first order is inaccurate.
+        If the values of each image are free, they are hardly determined, and the first order is inaccurate.
         """
         if self.source not in _IN_EACH:
             return True
@@ -74,8 +74,8 @@ class _Blame(NamedTuple):
 def contradiction(fit: SphereFit, scene: SphereScene) -> tuple[str, float, Remark] | None:
     """Find the source that contradicts the images, the factor of its standard deviation, and a remark.
 
-    A wrong but narrow prior displaces other parameters. Therefore each is freed in turn, and the one that explains most
-    is blamed. None: no prior is displaced, and freeing none explains much.
+    A wrong but narrow prior displaces other parameters. Therefore each source is freed in turn, and the one that
+    explains most is returned. None: no prior is displaced, and no freed source explains much.
     """
     problem = fit.solution.problem
     away = problem.prior_rows @ fit.solution.p - problem.prior_values
@@ -89,7 +89,7 @@ def contradiction(fit: SphereFit, scene: SphereScene) -> tuple[str, float, Remar
     if blamed.source == "sample radius" and scene.sample_radius is not None:
         stated = scene.sample_radius.value
         wanted = stated * np.exp(float((fit.solution.p + blamed.step)[problem.layout.sample_radius]))
-        text += f" (the pictures indicate {wanted:.4g} mm, {stated:.4g} mm is stated)"
+        text += f" (the pictures indicate {wanted:.4g} mm, {stated:.4g} mm is specified)"
     remark = Remark(
         f"{blamed.source.replace(' ', '-')}-contradicted",
         f"{text}: {times_off(pull)} the given standard deviation, which was enlarged; the distance is extrapolated from the "
@@ -104,7 +104,7 @@ def times_off(pull: float) -> str:
 
 
 def _blamed(fit: SphereFit, scene: SphereScene) -> list[_Blame]:
-    """Compute the decrease of chi squared by freeing each source, to first order, less `_EACH` per stated value."""
+    """Compute the decrease of chi squared by freeing each source, to first order, less `_EACH` per specified value."""
     solution, problem = fit.solution, fit.solution.problem
     away = problem.prior_rows @ solution.p - problem.prior_values
     pictures = problem.layout.pictures
@@ -113,7 +113,7 @@ def _blamed(fit: SphereFit, scene: SphereScene) -> list[_Blame]:
     for name in _WIDENED:
         rows = _rows_of(name, problem.prior_sources)
         if not rows.any() or (name == "distortion" and scene.camera.field is None):
-            continue  # not stated, or not fitted
+            continue  # not specified, or not fitted
         wide, wanted, sources = prior_of(
             problem.layout, with_wider(scene, name, _freeing(scene, name)), problem.frames, 0.0, 0
         )
@@ -148,7 +148,7 @@ def _rms(values: np.ndarray) -> float:
 
 
 def _freeing(scene: SphereScene, source: str) -> float:
-    """Return the factor of the standard deviation of a source that frees it."""
+    """Compute the factor of the standard deviation of a source that frees it."""
     lengths = {
         "camera distance": scene.camera_nearness,
         "lamp distance": scene.lamp_nearness,
@@ -162,9 +162,9 @@ def with_wider(scene: SphereScene, source: str, factor: float) -> SphereScene:
     """Multiply the standard deviation of the values of one source.
 
     Args:
-        scene: stated values.
-        source: its name, as in a prior's sources.
-        factor: no unit.
+        scene: specified values.
+        source: name of the source, as in the prior.
+        factor: factor of the standard deviation, no unit.
     """
     if source == "lamp":
         return replace(scene, lamp_std=np.asarray(scene.lamp_std) * factor)

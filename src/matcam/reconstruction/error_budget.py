@@ -1,7 +1,7 @@
 """Sources of the uncertainty of a joint fit, and parameters that its images do not distinguish.
 
 There are two budgets. `error_budget` gives the reduction of the variance if a source were exact. `reading_budget` is
-that of the GUM: variances of independent sources, whose sum is the variance of the result.
+the the budget of the GUM: variances of independent sources, whose sum is the variance of the result.
 """
 
 from __future__ import annotations
@@ -29,21 +29,21 @@ _EXACT = 1e6  # factor of the information of a source that makes it exact
 _APART = 0.95
 """Correlation above which the images do not distinguish two parameters."""
 _WEAK = 3.0
-"""Ratio of standard deviations, from the images alone and with all stated values, above which a parameter is not determined."""
+"""Ratio of standard deviations without and with specified values above which a parameter is not determined."""
 _KEPT = 0.01
-"""Share of the prior information on a parameter that is kept to test what the images determine: if it were free, all
+"""Share of the prior information on a parameter that is kept in the test of determination. If the parameter were free,
 would follow it.
 """
 _NORMAL = np.radians([10, 15, 20, 25, 30, 35, 40, 45])
-"""theta_d over whose mean F is normalised, rad, within the range of the images."""
+"""Range of theta_d over which F is averaged for normalisation, rad, within the range of the images."""
 
 
 class Inseparable(NamedTuple):
     """Parameters that the images alone do not distinguish.
 
     Attributes:
-        names: two parameters.
-        correlation: between them, without a prior on the first.
+        names: names of two parameters.
+        correlation: correlation between the two, without a prior on the first.
     """
 
     names: tuple[str, str]
@@ -63,18 +63,18 @@ class Ratio(NamedTuple):
 
 
 class _Shared(NamedTuple):
-    """Parameters that all pictures share, as users see them: a spline-modified lobe has a half width instead of coefficients.
+    """Reported parameters that all images share. A spline-modified lobe has a half width instead of coefficients.
 
     Attributes:
-        names: in the order of `slopes`.
-        slopes: (names, coordinates of the fit), derivatives.
+        names: names in the order of `slopes`.
+        slopes: derivatives with respect to the coordinates of the fit, (names, coordinates).
     """
 
     names: tuple[str, ...]
     slopes: np.ndarray
 
     def covariance(self, whole: np.ndarray) -> np.ndarray:
-        """Compute the covariance of the shared parameters. whole: of the coordinates of the fit."""
+        """Compute the covariance of the shared parameters. whole: covariance of the coordinates of the fit."""
         size = self.slopes.shape[1]
         return self.slopes @ whole[:size, :size] @ self.slopes.T
 
@@ -98,7 +98,7 @@ def reflectance_ratio(fit: SphereFit, curve: ReflectanceCurve, covariance: np.nd
     Args:
         fit: the fit.
         curve: F of one channel.
-        covariance: of that channel's strengths.
+        covariance: covariance of that channel's strengths.
         theta_d: angle, rad.
     """
     ratio, row = _ratio(fit, curve, theta_d)
@@ -107,7 +107,7 @@ def reflectance_ratio(fit: SphereFit, curve: ReflectanceCurve, covariance: np.nd
 
 
 def _ratio(fit: SphereFit, curve: ReflectanceCurve, theta_d: float) -> tuple[float, np.ndarray]:
-    """Compute F at an angle over its mean from 10 to 45 degrees, and its derivatives by the coefficients of the curve."""
+    """Compute F at an angle over its mean from 10 to 45 degrees, and its derivatives with respect to the curve."""
     at = np.append(_normal_angles(fit), theta_d)
     value, slopes = curve.at(at), curve.slopes(at)
     mean = value[:-1].mean()
@@ -116,12 +116,12 @@ def _ratio(fit: SphereFit, curve: ReflectanceCurve, theta_d: float) -> tuple[flo
 
 
 def mean_level_std(fit: SphereFit, curve: ReflectanceCurve, covariance: np.ndarray) -> float:
-    """Compute the relative standard deviation of the mean of F from 10 to 45 degrees, without that of the unit.
+    """Compute the relative standard deviation of the mean of F from 10 to 45 degrees, excluding the unit.
 
     Args:
         fit: the fit.
         curve: F of one channel.
-        covariance: of that channel's strengths.
+        covariance: covariance of that channel's strengths.
     """
     at = _normal_angles(fit)
     row = curve.slopes(at).mean(axis=0) / curve.at(at).mean()
@@ -135,8 +135,9 @@ def _normal_angles(fit: SphereFit) -> np.ndarray:
 
 
 def channel_covariance(fit: SphereFit, channel: int, covariance: np.ndarray | None = None) -> np.ndarray:
-    """Return the covariance of the strengths of one channel, (pictures, pictures). covariance: of all parameters, if
-    another.
+    """Return the covariance of the strengths of one channel, (pictures, pictures).
+
+    covariance: covariance of all parameters; None: that of the fit.
     """
     whole = fit.strengths_covariance(covariance)
     pick = np.arange(fit.layout.pictures) * fit.layout.channels + channel
@@ -148,20 +149,20 @@ def error_budget(
 ) -> dict[str, dict[str, float]]:
     """Compute the contribution of each source to the standard deviation of the results.
 
-    It is the root of the decrease of the variance if the source were exact.
+    The contribution is the root of the decrease of the variance if the source were exact.
 
     Args:
         fit: the fit.
         curve: F of one channel.
-        channel: its index.
+        channel: index of the channel.
         theta_d: angle of F, rad.
-        unit_std: relative standard deviation of the pictures' unit, by a reference. Default: NaN, F is relative.
+        unit_std: relative standard deviation of the unit of the images, from a reference. Default: NaN, F is relative.
 
     Returns:
         Source -> result -> standard deviation. Results: "ratio" (F at theta_d over its mean from 10 to 45 degrees,
-        relative), "level" (that mean, relative; only where F is absolute), "roughness" (of the logarithm of the lobe's
-        first parameter, or of the half width of a spline-modified lobe), "radius_px", "lens" (relative). "total" has
-        all sources; "reference" is the unit's.
+        relative), "level" (that mean, relative; only if F is absolute), "roughness" (logarithm of the lobe's first
+        parameter, or of the half width of a spline-modified lobe), "radius_px", "lens" (relative). Source "total"
+        includes all sources; "reference" is the uncertainty of the unit.
     """
     absolute = bool(np.isfinite(unit_std))
     solution, shared = fit.solution, _shared(fit)
@@ -200,7 +201,8 @@ def inseparable(fit: SphereFit) -> tuple[Inseparable, ...]:
     """Find shared parameters that the images alone do not distinguish from the lens, the distances or the outline.
 
     The prior of each of these is removed in turn. If its correlation with another parameter then exceeds 0.95 and its
-    standard deviation grows more than threefold, the images do not determine it. The most correlated one is named.
+    standard deviation grows more than threefold, the images do not determine it. The most correlated parameter is
+    reported.
     """
     solution, shared = fit.solution, _shared(fit)
     names = shared.names
@@ -234,8 +236,8 @@ class FitReading(NamedTuple):
 
     Attributes:
         value: the value, in its unit.
-        slope: (size,), derivatives by the parameters of the fit.
-        more: sources of uncertainty beside the parameters.
+        slope: derivatives with respect to the parameters of the fit, (size,).
+        more: sources of uncertainty other than the parameters.
     """
 
     value: float
@@ -243,7 +245,7 @@ class FitReading(NamedTuple):
     more: tuple[UncertaintySource, ...] = ()
 
     def std(self, covariance: np.ndarray) -> float:
-        """Compute the standard deviation of the value. covariance: of the parameters of the fit."""
+        """Compute the standard deviation of the value. covariance: covariance of the parameters of the fit."""
         own = sum(source.contribution**2 for source in self.more)
         return float(np.sqrt(max(float(self.slope @ covariance @ self.slope) + own, 0.0)))
 
@@ -251,9 +253,9 @@ class FitReading(NamedTuple):
 def parameter_readings(
     fit: SphereFit, curves: Sequence[ReflectanceCurve], units: Sequence[Known]
 ) -> dict[str, FitReading]:
-    """Derive lobe, lens, n and k, and diffuse parts from a fit, by the names that users see.
+    """Derive lobe, lens, n and k, and diffuse parts from a fit, by reported names.
 
-    curves: F of each channel. units: of each channel, value of the pictures per radiance under unit irradiance.
+    curves: F of each channel. units: unit of each channel, value of the images per radiance under unit irradiance.
     """
     p, layout, unity = fit.solution.p, fit.layout, np.eye(fit.layout.size)
     found = _lobe_readings(fit)
@@ -301,7 +303,7 @@ def reflectance_readings(
 def length_readings(fit: SphereFit) -> dict[str, FitReading]:
     """Derive the radius of the outline, px, and the distances of camera and lamp, radii of the sample, from a fit.
 
-    A distance beyond what the pictures determine is left out.
+    A distance that the images do not determine is left out.
     """
     scene, unity = fit.layout.scene, np.eye(fit.layout.size)
     p = fit.solution.p[scene]
@@ -315,7 +317,7 @@ def length_readings(fit: SphereFit) -> dict[str, FitReading]:
 
 
 def reading_budget(fit: SphereFit, name: str, reading: FitReading) -> UncertaintyBudget:
-    """Build the uncertainty budget of a value that is derived from a fit (GUM). name: of the value, with its unit."""
+    """Build the uncertainty budget of a value derived from a fit (GUM). name: name of the value, with its unit."""
     solution = fit.solution
     unstated = float(reading.slope @ (solution.covariance - solution.fitted) @ reading.slope)
     more = list(reading.more)
@@ -323,7 +325,7 @@ def reading_budget(fit: SphereFit, name: str, reading: FitReading) -> Uncertaint
         k1 = solution.problem.unstated[0].field.k1
         more.append(
             UncertaintySource(
-                "distortion of the lens k1, not stated", k1.value, k1.std, np.sqrt(max(unstated, 0.0)) / k1.std, "B"
+                "distortion of the lens k1, not specified", k1.value, k1.std, np.sqrt(max(unstated, 0.0)) / k1.std, "B"
             )
         )
     pixels = sum(int(one.used.sum()) for one in solution.problem.pixels)
@@ -333,7 +335,7 @@ def reading_budget(fit: SphereFit, name: str, reading: FitReading) -> Uncertaint
 
 
 def _statements(fit: SphereFit) -> list[Statement]:
-    """Collect the prior knowledge of the parameters; a source of one parameter has its own name and unit."""
+    """Collect the prior knowledge of the parameters. A source of one parameter has its own name and unit."""
     problem, layout, scene = fit.solution.problem, fit.layout, fit.scene
     sigma = float(scene.camera.parameters().get("optics.sigma_px", np.nan))
     radius = np.nan if scene.sample_radius is None else scene.sample_radius.value
@@ -351,7 +353,7 @@ def _statements(fit: SphereFit) -> list[Statement]:
 
 
 def _lobe_readings(fit: SphereFit) -> dict[str, FitReading]:
-    """Derive the parameters of the lobe, or those of a spline-modified lobe; otherwise half widths, rad, too."""
+    """Derive the parameters of the lobe, and half widths, rad, except for a spline-modified lobe."""
     kind, size = fit.kind, fit.layout.size
     q = fit.solution.p[: kind.size]
 
@@ -370,7 +372,7 @@ def _lobe_readings(fit: SphereFit) -> dict[str, FitReading]:
         found[name] = reading(value, np.array([slope]), index)
     if not kind.stretched:
         return found | {HALF_WIDTH: reading(*half_maximum(kind, q))}
-    # along an axis of the slopes the lobe is the isotropic one with the roughness of that axis
+    # along an axis of the slopes the lobe is an isotropic lobe with the roughness of that axis
     plain = LobeKind(kind.family, kind.masking)
     for axis, index in (("x", 0), ("y", 1)):
         found[f"hwhm_{axis}_rad"] = reading(*half_maximum(plain, q[index : index + 1]), index)
@@ -378,7 +380,7 @@ def _lobe_readings(fit: SphereFit) -> dict[str, FitReading]:
 
 
 def _of_curve(fit: SphereFit, curve: ReflectanceCurve, channel: int, value: float, row: np.ndarray) -> FitReading:
-    """Build a value that is derived from the curve of a channel. row: its derivatives by the coefficients."""
+    """Build a value derived from the curve of a channel. row: derivatives with respect to the coefficients."""
     pick = np.arange(fit.layout.pictures) * fit.layout.channels + channel
     slope = row @ curve.gain @ fit.strengths_rows()[pick]
     by_scale, by_misfit = (float(np.sqrt(max(row @ part @ row, 0.0))) for part in (curve.by_scale, curve.by_misfit))

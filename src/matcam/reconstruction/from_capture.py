@@ -1,4 +1,4 @@
-"""Reconstruction from a capture, by the kind of its sample."""
+"""Reconstruction from a capture of a sphere, a cylinder or a flat sample."""
 
 from __future__ import annotations
 
@@ -40,30 +40,30 @@ def reconstruct(
 
     The sample is a sphere, a cylinder or a flat one. Frames are merged, with exposures, noise and clipping estimated
     from them. Outline and highlights give a first estimate of the geometry. Then lobe, reflectance, diffuse part, lens,
-    outline, lamps and distances are fitted to the pixels of all images jointly, with the stated values of the capture
-    as priors. Standard deviations include all of them, and the unexplained residual. For a flat sample, maps are
-    estimated at each frequency of its texture.
+    outline, lamps and distances are fitted to the pixels of all images jointly, with the specified values of the
+    capture as priors. Standard deviations include the uncertainty of all these quantities, and the unexplained
+    residual. For a flat sample, maps are estimated at each frequency of its texture.
 
     Args:
         capture: as from `files.capture.read_capture`, or its folder.
         ndf: family of the lobe: "ggx", "epd", "sgd", "beckmann" or "gaussian". Default: "auto", the more probable of
-            "ggx" and "epd", spline-modified if that explains more; for a cylinder with strips of several turns, GGX
-            with two roughnesses.
-        masking: the lobe's G: "smith", "smith-separable", "van-ginneken" or None. Default: "smith".
-        diffuse: whether the material may have a Lambertian part. Default: True.
+            "ggx" and "epd", spline-modified if that reduces the residual; for a cylinder with strips of several turns,
+            GGX with two roughnesses.
+        masking: masking G of the lobe: "smith", "smith-separable", "van-ginneken" or None. Default: "smith".
+        diffuse: True if the material may have a Lambertian part. Default: True.
         rig_from: an earlier reconstruction by the same rig, or its JSON file. Its lens, distances, lamps and
-            distortion, with their covariance, replace the stated values of the capture. Default: None.
-        progress: called with the name of a step, and the numbers of finished and of all parts. Default: None.
-        workers: lamp positions whose frames are read at a time, in threads. Default: 1.
-        keep: folder for intermediate results, from which an interrupted run resumes. Default: None, no intermediate results.
+            distortion, with their covariance, replace the specified values of the capture. Default: None.
+        progress: function of the name of a step, and the numbers of finished and of all parts. Default: None.
+        workers: number of lamp positions whose frames are read at a time, in threads. Default: 1.
+        keep: folder for intermediate results, from which an interrupted run resumes. Default: None, not stored.
 
     Returns:
         Table, parameters, geometry, error budget and remarks; for a flat sample, maps and their resolution.
 
     Raises:
-        ArgumentError: an argument is wrong, does not suit the sample, or `rig_from` is of another rig.
-        FileFormatError: the capture's files are wrong.
-        FitError: there is no sphere or cylinder, or too few highlights or values.
+        ArgumentError: an argument is wrong or unsuitable for the sample, or `rig_from` is of another rig.
+        FileFormatError: a file of the capture is wrong.
+        FitError: no sphere or cylinder was found, or there are too few highlights or values.
 
     Source:
         docs/model.md 10.
@@ -85,7 +85,7 @@ def reconstruct(
     checks.whole_number("workers", workers, 1)
     kind = capture.settings["sample"]["kind"]
     if rig_from is not None and kind != "sphere":
-        raise ArgumentError(f"rig_from is for photographs of a sphere, and the sample is a {kind}: leave it out")
+        raise ArgumentError(f"rig_from is for photographs of a sphere, but the sample is a {kind}: leave it out")
     kept = None if keep is None else KeptWork(Path(keep))
     steps = iter(range(1, 1000))
 

@@ -33,8 +33,8 @@ def material_table(fit: SphereFit, curves: Sequence[ReflectanceCurve], units: Se
 
     Args:
         fit: lobe, strengths and diffuse parts.
-        curves: F of each channel, in the fit's own unit.
-        units: of each channel, value per radiance under unit irradiance: divisor of strengths that gives F, with
+        curves: F of each channel, in the unit of the fit.
+        units: unit of each channel, value per radiance under unit irradiance: divisor of strengths that gives F, with
             relative standard deviation; NaN: F is relative.
 
     Returns:
@@ -78,10 +78,10 @@ class UnitEntries(NamedTuple):
     """Table entries for strengths and albedos of 1; entries on the last axes, theta_d on the last but one.
 
     Attributes:
-        lobe: with F = 1, 1/sr, NaN below the horizon.
-        by_lobe: its derivatives by the lobe's coordinates, in front.
-        diffuse: of the diffuse part, 1/sr.
-        by_shape: its derivatives by the terms that depart from Lambert's law, in front.
+        lobe: entries of the lobe with F = 1, 1/sr, NaN below the horizon.
+        by_lobe: derivatives of `lobe` with respect to the coordinates of the lobe, on the first axis.
+        diffuse: entries of the diffuse part, 1/sr.
+        by_shape: derivatives of `diffuse` with respect to the terms beside Lambert's law, on the first axis.
     """
 
     lobe: np.ndarray
@@ -102,11 +102,11 @@ def channel_entries(
 
     Args:
         fit: strengths, diffuse parts and their covariance.
-        curve: F of the channel, in the fit's own unit.
-        channel: its index.
+        curve: F of the channel, in the unit of the fit.
+        channel: index of the channel.
         unit: value per radiance under unit irradiance, with relative standard deviation; NaN: F is relative.
-        entries: of strengths and albedos of 1.
-        theta_d: angles along their last axis but one, rad.
+        entries: entries of strengths and albedos of 1.
+        theta_d: angles along the last axis but one of the entries, rad.
     """
     layout, solution, n = fit.layout, fit.solution, fit.layout.lobe
     reading = fit.strengths_rows()[channel :: layout.channels]
@@ -117,7 +117,7 @@ def channel_entries(
     albedo = solution.p[layout.diffuse][channel] / unit.value
     lobe, by_q = entries.lobe, entries.by_lobe
     value = lobe * f + albedo * entries.diffuse
-    # the derivatives by lobe and curve, weighted with their joint covariance
+    # derivatives with respect to lobe and curve, weighted with their joint covariance
     variance = np.einsum("q...,qr,r...->...", by_q, joint[:n, :n], by_q) * f**2
     variance += 2 * lobe * f * np.einsum("q...dp,dq->...dp", by_q, by_c @ joint[n:, :n])
     variance += lobe**2 * np.einsum("dc,ce,de->d", by_c, joint[n:, n:], by_c)[:, None]
@@ -134,7 +134,7 @@ def unit_entries(fit: SphereFit, *angles: np.ndarray) -> UnitEntries:
 
     Args:
         fit: lobe and shape of the diffuse part.
-        angles: theta_h, theta_d, phi_d and, where the lobe depends on it, phi_h, rad, which broadcast.
+        angles: theta_h, theta_d, phi_d and, if the lobe depends on it, phi_h, rad, which broadcast.
     """
     p, layout = fit.solution.p, fit.layout
     q, shape = p[: layout.lobe], p[layout.diffuse_shape]

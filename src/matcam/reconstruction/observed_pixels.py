@@ -1,7 +1,8 @@
-"""Selection of the pixels of an image for a fit: all about the highlight, and some everywhere else.
+"""Selection of the pixels of an image for a fit: all pixels about the highlight, and some elsewhere.
 
-The window about the highlight shows the lens and a narrow lobe. Beyond it the image is smooth, and pixels at all half
-angles determine tails and diffuse part. They are drawn uniformly in the logarithm of the half angle, with a fixed seed.
+The window about the highlight determines the lens and a narrow lobe. Beyond it the image is smooth, and pixels at all
+half angles determine tails and diffuse part. These pixels are drawn uniformly in the logarithm of the half angle, with
+a fixed seed.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from matcam.camera.lens_field import LensField
 from matcam.reconstruction.picture_rule import WINDOW, window_about
 
 SCATTERED = 768
-"""Number of pixels of an image beside its window."""
+"""Number of pixels of an image outside its window."""
 _STRATA = 24
 _LIMB = 3.0  # px from the outline within which the rule of a single pixel does not resolve the border
 _OUTSIDE = 1.5  # px beyond the outline up to which pixels of the window are read: the background is not modelled
@@ -24,17 +25,17 @@ _LIT = 0.1  # smallest cosine to the lamp: near the terminator the rule of a pix
 
 
 class ObservedPixels(NamedTuple):
-    """Chosen pixels of one picture: those of the window, row by row of (v, u), then the scattered ones.
+    """Chosen pixels of one image: pixels of the window, row by row of (v, u), then the scattered pixels.
 
     Attributes:
-        window: nodes and pixels about the highlight, as the model takes them.
-        column: of the scattered pixels, px without the lens's distortion, (SCATTERED,).
-        row: likewise, (SCATTERED,).
-        values: of all pixels, (WINDOW^2 + SCATTERED,); 0 if not used.
-        std: of the noise, same shape; 1 where not used.
-        clipped: pixels that are at least their value.
-        channel: index of each pixel's colour.
-        used: pixels that have a value and are fitted.
+        window: nodes and pixels about the highlight, as required by the model.
+        column: column of the scattered pixels, px without the lens's distortion, (SCATTERED,).
+        row: row of the scattered pixels, px without the lens's distortion, (SCATTERED,).
+        values: values of all pixels, (WINDOW^2 + SCATTERED,); 0 if not used.
+        std: standard deviation of the noise, same shape; 1 where not used.
+        clipped: True for pixels whose value is a lower bound.
+        channel: index of the colour of each pixel.
+        used: True for pixels that have a value and are fitted.
         seen: columns and rows of the scattered pixels in the frame, px, (2, SCATTERED).
         places: columns and rows of all pixels in the frame, px, (2, WINDOW^2 + SCATTERED).
     """
@@ -55,11 +56,11 @@ class HighlightPlace(NamedTuple):
     """Position of a highlight and its sphere in the frame, without the distortion of the lens.
 
     Attributes:
-        column: of the outline's centre, px.
-        row: of the outline's centre, px.
-        radius: of the outline, px.
+        column: column of the outline's centre, px.
+        row: row of the outline's centre, px.
+        radius: radius of the outline, px.
         lamp: direction to the lamp, (3,).
-        highlight: p_x, p_y of the mirror point on the outline's disc.
+        highlight: p_x, p_y of the mirror point on the disc of the outline.
     """
 
     column: float
@@ -82,13 +83,13 @@ def chosen_pixels(
     """Choose the pixels of an image that are fitted.
 
     Args:
-        picture: its values and their noise.
+        picture: values of the image and their noise.
         place: positions of sphere and highlight.
         scale: angle on which the lobe changes at its peak, rad.
         plateau: half the lamp's angular radius, rad.
-        seed: of the draw of the scattered pixels.
+        seed: seed of the draw of the scattered pixels.
         keep: earlier choice, which is kept except for its nodes if the highlight has not moved. Default: None.
-        field: the lens's distortion and blur over the field. Default: None, it is uniform.
+        field: distortion and blur of the lens over the field. Default: None, uniform.
     """
     window = window_about(
         (place.column, place.row),
@@ -121,7 +122,7 @@ def chosen_pixels(
         column, row = field.true_place(column, row)
     away = np.hypot(column - place.column, row - place.row)
     used = inside & np.isfinite(values) & (std > 0) & (away < place.radius + _OUTSIDE)
-    # the limb, with its dirt and stands, is read only beside the highlight
+    # the limb, with dirt and supports, is read only near the highlight
     peak_column, peak_row = (
         place.column + place.radius * place.highlight[0],
         place.row - place.radius * place.highlight[1],
@@ -178,6 +179,6 @@ def _scattered(
     picked = index[np.concatenate(chosen)] if chosen else np.zeros(0, int)
     column_out, row_out = np.full(SCATTERED, -1.0), np.full(SCATTERED, -1.0)
     column_out[: picked.size], row_out[: picked.size] = column[picked], row[picked]
-    # positions without a pixel are outside the frame; they stay inside the disc, where the model is defined
+    # positions without a pixel are outside the frame; they are kept inside the disc, where the model is defined
     column_out[picked.size :], row_out[picked.size :] = np.nan, np.nan
     return np.nan_to_num(column_out, nan=-(10.0**6)), np.nan_to_num(row_out, nan=-(10.0**6))

@@ -1,8 +1,8 @@
-"""Record of a lobe in the pixels of one image, with derivatives by every parameter.
+"""Record of a lobe in the pixels of one image, with derivatives with respect to every parameter.
 
 The value of a pixel is the integral of kernel(position - pixel) L(position) over the image. About the highlight the
-nodes are fixed on the sphere, so that they move with its centre and radius. Other pixels, where the image is smooth on
-their scale, use the Gauss rule of the kernel.
+nodes are fixed on the sphere, so that they move with its centre and radius. For other pixels the image is smooth on the
+scale of the kernel, and the Gauss rule of the kernel is used.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ tangents, rad.
 
 
 class LampFrame(NamedTuple):
-    """Base direction of a picture's lamp, and two tangents: unit vectors, (3,) each."""
+    """Base direction of the lamp of an image, and two tangents: unit vectors, (3,) each."""
 
     base: np.ndarray
     first: np.ndarray
@@ -42,8 +42,8 @@ class Recorded(NamedTuple):
     """Record of pixels under unit irradiance at the centre of the sphere.
 
     Attributes:
-        lobe: of a lobe with F = 1, 1/sr.
-        lambert: of a Lambertian surface of albedo 1, 1/sr.
+        lobe: record of a lobe with F = 1, 1/sr.
+        lambert: record of a Lambertian surface of albedo 1, 1/sr.
         theta_d: difference angle at the pixel, rad.
     """
 
@@ -53,14 +53,15 @@ class Recorded(NamedTuple):
 
 
 class ShownLight(NamedTuple):
-    """Parameters of one picture that change the radiance; their derivatives are computed separately.
+    """Parameters of one image that change the radiance; their derivatives are computed separately.
 
     Attributes:
         lobe: coordinates of the lobe, which do not affect angles.
-        pose: both nearnesses and the lamp's turn: camera, lamp, a, b.
+        pose: nearness of camera and of lamp, and the turn a, b of the lamp.
         shape: terms of the diffuse part.
-        table: of Lambda of the lobe if it is an integral; all images share it. Default: None.
-        by_lobe: its derivatives by the lobe's coordinates, (coordinates, nodes), on request. Default: None.
+        table: table of Lambda of the lobe if it is an integral; all images share it. Default: None.
+        by_lobe: derivatives of the table with respect to the coordinates of the lobe, (coordinates, nodes), on request.
+            Default: None.
     """
 
     lobe: Any
@@ -104,10 +105,10 @@ class PictureModel(eqx.Module):
     """Model of the images of one scene, with four compiled programs.
 
     Attributes:
-        kind: the lobe's family, masking and splines.
-        blur: the camera's kernel, its lens a sum of Gaussians.
-        places: places on the lamp's disc as turns of the lamp, rad, (points, 2).
-        weights: of these places, (points,); their sum is 1.
+        kind: family, masking and splines of the lobe.
+        blur: kernel of the camera, with a lens that is a sum of Gaussians.
+        places: positions on the source disc as turns of the lamp, rad, (points, 2).
+        weights: weights of these positions, (points,); their sum is 1.
         shape: number of terms of the diffuse part beside Lambert's. Default: 0.
     """
 
@@ -157,7 +158,7 @@ class PictureModel(eqx.Module):
     def _window_slopes(
         self, light: ShownLight, kernel: jax.Array, frame: LampFrame, window: Window
     ) -> tuple[Recorded, Recorded]:
-        """Compute value and derivatives by explicit formulas: three arrays of the kernel suffice for all its parameters."""
+        """Compute value and derivatives by explicit formulas, which require only three arrays of the kernel."""
         sum_u, sum_v, theta_d = self._projection(kernel, window, frame)
         radius, turned, (lateral, height) = kernel[1], window.turned > 0, _seen_disc(window)
         area = radius**2 * _area(window)
@@ -299,7 +300,7 @@ class PictureModel(eqx.Module):
         return jnp.concatenate(parts, axis=-1)
 
     def _theta_d(self, light: ShownLight, frame: LampFrame, p_x: jax.Array, p_y: jax.Array) -> jax.Array:
-        """Compute theta_d where the line of sight through the centre of a pixel meets the sphere, or is closest to it."""
+        """Compute theta_d where the line of sight through the centre of a pixel meets or approaches the sphere."""
         camera, lamp, a, b = light.pose
         beyond = jnp.sqrt(jnp.maximum(p_x**2 + p_y**2, 1e-12)) / 0.9999
         shrink = 1 / jnp.maximum(beyond, 1.0)
@@ -336,8 +337,8 @@ def _lambda_table(kind: LobeKind, lobe: bytes, slopes: bool) -> tuple[AnyArray |
 
     Args:
         kind: kind of the lobe.
-        lobe: its coordinates, the bytes of (kind.size,).
-        slopes: whether to compute derivatives.
+        lobe: bytes of the coordinates of the lobe, (kind.size,).
+        slopes: True to compute derivatives.
     """
     return _table_of(kind, np.frombuffer(lobe), slopes)
 

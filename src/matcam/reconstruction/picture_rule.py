@@ -38,13 +38,13 @@ class Window(NamedTuple):
     Attributes:
         u: nodes, rad, (NODES,).
         v: nodes, rad, (NODES,).
-        weight: their weights on the outline's disc of radius 1, (NODES, NODES), v before u.
+        weight: weights of the nodes on the disc of the outline, of radius 1, (NODES, NODES), v before u.
         pixel_u: column of each pixel, or its row where turned, px, (WINDOW,).
         pixel_v: row, or column where turned, px, (WINDOW,).
         turned: 1.0 if u runs along the rows' axis, else 0.0.
         stretch: derivatives of the image position, (2, 2).
-        shift: px, (2,).
-        tilt: rad.
+        shift: shift of the image position, px, (2,).
+        tilt: turn of the disc of the nodes, rad.
         widened: width of the lens at the highlight over that of its profile, no unit.
     """
 
@@ -74,15 +74,15 @@ def window_about(
 
     Args:
         centre: column and row of the outline's centre, px.
-        radius: of the outline, px.
-        place: p_x and p_y of the highlight on the outline's disc.
+        radius: radius of the outline, px.
+        place: p_x and p_y of the highlight on the disc of the outline.
         scale: angle on which the lobe changes at its peak, rad.
         plateau: angle about the peak within which it may lie, rad: half a lamp's radius. Default: 0.
         keep: earlier window, whose pixels are kept if the highlight has moved by at most a pixel. Default: None.
-        field: the lens's distortion and blur over the field. Default: None, it is uniform.
+        field: distortion and blur of the lens over the field. Default: None, uniform.
 
     Returns:
-        The nodes and pixels.
+        Window with nodes and pixels.
     """
     p_x, p_y = place
     turned = abs(p_y) > abs(p_x)
@@ -124,9 +124,9 @@ def through_lens(window: Window, field: LensField, highlight: tuple[float, float
     """Apply a lens, as an affine map about a highlight, to a window.
 
     Args:
-        window: its nodes and pixels are kept.
+        window: window whose nodes and pixels are kept.
         field: distortion and blur.
-        highlight: its column and row, px, without distortion.
+        highlight: column and row of the highlight, px, without distortion.
     """
     seen, stretch, true = np.array(field.seen_at(*highlight)), field.stretch(*highlight), np.array(highlight)
     turned = window.turned > 0
@@ -176,11 +176,10 @@ def graded_nodes(
 
 
 def lamp_disc(points: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return positions on the unit disc and their weights: the centre, or rings of a rule that is exact to degree 5 or
-    more.
+    """Compute positions on the unit disc and their weights: the centre, or rings of a rule exact to degree 5 or more.
 
     Args:
-        points: 1, or at least 7: rings of 6, 12, ... places.
+        points: number of positions: 1, or at least 7 for rings of 6, 12, ... positions.
     """
     if points <= 1:
         return np.zeros((1, 2)), np.ones(1)
@@ -200,9 +199,9 @@ class LampPlaces(NamedTuple):
     """Positions on a source disc that represent it.
 
     Attributes:
-        turns: of the lamp towards each place, rad, (points, 2).
-        weights: of the places, (points,); their sum is 1.
-        plateau: angle about a lobe's peak within which the disc spreads it, rad.
+        turns: turns of the lamp towards each position, rad, (points, 2).
+        weights: weights of the positions, (points,); their sum is 1.
+        plateau: angle over which the disc spreads the peak of a lobe, rad.
     """
 
     turns: np.ndarray
@@ -215,7 +214,7 @@ def lamp_places(lamp_radius: float, width: float) -> LampPlaces:
 
     Args:
         lamp_radius: angular radius of the lamp, rad.
-        width: of the lobe, rad.
+        width: width of the lobe, rad.
     """
     radius = lamp_radius if lamp_radius / 2 > _NO_DISC * width else 0.0
     places, weights = lamp_disc(_DISC_POINTS if radius else 1)

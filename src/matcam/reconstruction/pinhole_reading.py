@@ -17,12 +17,12 @@ def pinhole_reading(pictures: Iterable[MergedPicture], fit: SphereFit, units: np
     """Bin the pixels of all pictures as if the camera were perfect.
 
     Args:
-        pictures: in the order of the fit.
-        fit: its outline, lamps and distances are used, and each picture's gain.
-        units: of each channel, value per radiance under unit irradiance at the sphere's centre.
+        pictures: images in the order of the fit.
+        fit: fit with outline, lamps, distances and the gain of each image.
+        units: unit of each channel, value per radiance under unit irradiance at the sphere's centre.
 
     Returns:
-        A table on the MERL grid, 1/sr, NaN without pixels.
+        Table on the MERL grid, 1/sr, NaN without pixels.
     """
     p, layout = fit.solution.p, fit.layout
     _, radius, camera, lamp = p[layout.scene]

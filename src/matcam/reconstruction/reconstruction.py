@@ -56,14 +56,14 @@ class Reconstruction(Summarised):
         table: Dataset with `brdf` and `brdf_std` (1/sr), `supported`: over the MERL grid; of an anisotropic material over
             theta_h, phi_h, theta_d and phi_d.
         pinhole: table from binning the same images as a perfect camera, 1/sr; None: not computed.
-        fit: the joint fit.
+        fit: joint fit of all images.
         curves: F of each channel over theta_d.
-        units: of each channel, value of the pictures per radiance under unit irradiance, and its relative standard
-            deviation; the latter is NaN without a reference: F is then relative.
+        units: unit of each channel, value of the images per radiance under unit irradiance, and its relative standard
+            deviation. Without a reference the latter is NaN, and F is relative.
         budget: source -> result -> standard deviation.
         not_determined: parameters that the images alone do not distinguish.
         tried: unexplained share of the light by lobe.
-        remarks: what a reader should know.
+        remarks: remarks on the result.
         captured: data of the capture before the fit. Default: None, the images were merged elsewhere.
         sample: kind of the sample, "sphere" or "cylinder". Default: "sphere".
 
@@ -103,9 +103,9 @@ class Reconstruction(Summarised):
     def uncertainty_budget(self, name: str) -> UncertaintyBudget:
         """Return the uncertainty budget of a result (GUM).
 
-        Its combined uncertainty is the standard deviation of the result. Sources are the pixels and the stated values
-        of lens, lamps, distances, outline, gains and reference. Their variances add up; `budget` gives the gain if one
-        were exact.
+        Its combined uncertainty is the standard deviation of the result. Sources are the pixels and the specified
+        values of lens, lamps, distances, outline, gains and reference. Their variances add up. `budget` gives the
+        reduction of the uncertainty if one source were exact.
 
         Args:
             name: name of the result: one of `parameters`, of the lengths in radii or px, or of F, as `uncertainty_budgets`
@@ -185,8 +185,8 @@ class Reconstruction(Summarised):
     def lengths(self) -> dict[str, tuple[float, float]]:
         """Outline and distances, each with standard deviation.
 
-        They are those of `geometry`, by names with units: px, radii of the sample, and mm where its radius is stated. A
-        distance beyond what the pictures determine is infinite.
+        They are the values of `geometry`, by names with units: px, radii of the sample, and mm if its radius is
+        specified. A distance that the images do not determine is infinite.
         """
         geometry = self.geometry
         (column, row), (column_std, row_std) = geometry["centre_px"]
@@ -215,7 +215,7 @@ class Reconstruction(Summarised):
 
     @property
     def measured_range(self) -> tuple[float, float]:
-        """Least and largest theta_d of the pictures, rad."""
+        """Smallest and largest theta_d of the images, rad."""
         theta = self.fit.solution.theta_d
         return float(theta.min()), float(theta.max())
 
@@ -228,24 +228,24 @@ class Reconstruction(Summarised):
         bent = " bent" if self.fit.kind.bends else ""
         lobe = f"{self.fit.kind.family} lobe{bent} of half width {half_width}"
         words = [
-            f"{len(self.fit.names)} pictures show a {lobe}, from theta_d {low:.0f}° to {high:.0f}°; "
+            f"{len(self.fit.names)} pictures give a {lobe}, from theta_d {low:.0f}° to {high:.0f}°; "
             f"{self.supported_share:.0%} of the entries with a value are supported (known to 5 %)."
         ]
         if self.fit.stuck:
             words.append(
-                "No lobe explains the pictures, and more rounds of the fit explain no more: do not use these values."
+                "No lobe explains the pictures, and further rounds of the fit do not help: do not use these values."
             )
         if self.fit.solution.unexplained > _POOR:
             words.append(
-                f"The model leaves {self.fit.solution.unexplained:.0%} of the light unexplained, which widens every "
-                "error: look at the residual pictures."
+                f"The model does not explain {self.fit.solution.unexplained:.0%} of the light, which increases every "
+                "error: check the residual pictures."
             )
         pairs = [
             f"{one.names[0]} from {one.names[1]} (correlation {one.correlation:.3f})" for one in self.not_determined
         ]
         if pairs:
             words.append(
-                f"The pictures alone do not tell {', nor '.join(pairs)}: the result rests on their stated values."
+                f"The pictures alone do not separate {', nor '.join(pairs)}: the result depends on their specified values."
             )
         if not self.absolute:
             words.append("There was no reference of known reflectance: F is relative, scaled to 1 at most.")
@@ -260,19 +260,19 @@ class Reconstruction(Summarised):
 
     @property
     def absolute(self) -> bool:
-        """Check whether F is absolute, by a reference of known reflectance."""
+        """True if F is absolute, because of a reference of known reflectance."""
         return all(np.isfinite(one.std) for one in self.units)
 
     @property
     def complete(self) -> bool:
-        """Check whether every frame of the capture could be used."""
+        """True if every frame of the capture could be used."""
         return not any(remark.code in INCOMPLETE for remark in self.remarks)
 
     @property
     def supported_share(self) -> float:
-        """Compute the share of supported entries (no unit).
+        """Share of supported entries (no unit).
 
-        Entries without a value do not count.
+        Entries without a value are excluded.
         """
         return float(self.table["supported"].values[np.isfinite(self.table["brdf"].values)].mean())
 
@@ -351,15 +351,15 @@ def reconstructed(
         pictures: merged pictures, one per lamp position.
         scene: prior knowledge of camera, outline, lamps and distances.
         lamps: directions to the lamps from the highlights, (pictures, 3).
-        units: of each channel, value per radiance under unit irradiance, with its relative standard deviation. Default:
-            None, unknown.
+        units: unit of each channel, value per radiance under unit irradiance, with its relative standard deviation.
+            Default: None, unknown.
         family: family of the lobe. Default: "auto".
-        masking: the lobe's G. Default: "smith".
-        diffuse: whether there is a Lambertian part. Default: True.
-        remarks: of the steps before. Default: ().
+        masking: masking G of the lobe. Default: "smith".
+        diffuse: True to include a Lambertian part. Default: True.
+        remarks: remarks of the steps before. Default: ().
         pinhole: function that computes the pinhole table from the fitted geometry and the unit. Default: None.
-        progress: is called with a line about each step. Default: None.
-        fit_pictures: function that fits one family; for samples other than a sphere, their own. Default: `fit_sphere`.
+        progress: function that is called with a line about each step. Default: None.
+        fit_pictures: function that fits one family, for samples other than a sphere. Default: `fit_sphere`.
     """
     chosen = chosen_fit(
         pictures,
@@ -383,7 +383,7 @@ def reconstructed(
         for c in range(fit.layout.channels)
     )
     if units is None:
-        # a scale that keeps F below 1 everywhere: F is relative, and a remark states it
+        # a scale that keeps F below 1 everywhere: F is relative, and a remark reports it
         low, high = theta.min(), theta.max()
         top = max(float(curve.at(np.linspace(low, high, 60)).max()) for curve in curves)
         units = (Known(max(top, 1e-300), np.nan),) * fit.layout.channels
@@ -394,7 +394,7 @@ def reconstructed(
     every.extend(
         Remark(
             "not-determined",
-            f"the pictures alone do not tell {one.names[0]} from {one.names[1]}: their correlation is {one.correlation:.3f}",
+            f"the pictures alone do not separate {one.names[0]} from {one.names[1]}: correlation {one.correlation:.3f}",
         )
         for one in pairs
     )

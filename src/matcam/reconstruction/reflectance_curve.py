@@ -1,4 +1,4 @@
-"""F over theta_d from the strengths of all images: that of n and k if they explain the strengths, otherwise a smooth curve.
+"""F over theta_d from the strengths of all images: a curve of n and k if it explains them, otherwise a smooth curve.
 
 The strengths have independent and common errors. The curve interpolates F between them.
 """
@@ -30,9 +30,9 @@ class ReflectanceCurve:
     """F of one channel as a function of theta_d.
 
     Attributes:
-        model: "conductor", or "smooth" where n and k do not explain the strengths.
-        coefficients: of the curve.
-        gain: derivatives of the coefficients by the strengths, (coefficients, pictures).
+        model: "conductor", or "smooth" if n and k do not explain the strengths.
+        coefficients: coefficients of the curve.
+        gain: derivatives of the coefficients with respect to the strengths, (coefficients, pictures).
         by_scale: covariance of the coefficients from the prior of the scale.
         by_misfit: covariance of the coefficients from the unexplained residual.
         misfit: mean squared residual, in standard deviations.
@@ -56,11 +56,11 @@ class ReflectanceCurve:
         return _curve(self.model, self.coefficients, theta)
 
     def slopes(self, theta: np.ndarray) -> np.ndarray:
-        """Evaluate the derivatives of F by the coefficients, (angles, coefficients)."""
+        """Evaluate the derivatives of F with respect to the coefficients, (angles, coefficients)."""
         return _slopes(self.model, self.coefficients, theta)
 
     def parameters(self) -> dict[str, tuple[float, np.ndarray]]:
-        """Return n and k with their derivatives by the coefficients; empty for a smooth curve."""
+        """Return n and k with their derivatives with respect to the coefficients; empty for a smooth curve."""
         if self.model != "conductor":
             return {}
         found = {}
@@ -75,16 +75,16 @@ class ReflectanceCurve:
 def reflectance_curve(
     theta: np.ndarray, strengths: np.ndarray, covariance: np.ndarray, unit: Known | None
 ) -> ReflectanceCurve:
-    """Fit F over theta_d to strengths. The curve has their unit.
+    """Fit F over theta_d to strengths. The curve has the unit of the strengths.
 
     Args:
         theta: angles of the strengths, rad, (pictures,).
         strengths: F as measured, (pictures,).
-        covariance: of the strengths, (pictures, pictures).
+        covariance: covariance of the strengths, (pictures, pictures).
         unit: strength of F = 1, with its relative standard deviation; None: unknown.
 
     Returns:
-        The curve.
+        Fitted curve.
     """
     floor = (1e-3 * np.abs(strengths).max(initial=1e-12)) ** 2  # the accuracy of the model of an image limits that of F
     root = cholesky(covariance + floor * np.eye(len(theta)), lower=True)

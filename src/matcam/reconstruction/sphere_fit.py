@@ -1,7 +1,7 @@
 """Joint fit of merged images of a scene: priors, a start, and rounds of refinement.
 
-The lobe is searched on a lattice of widths, with the strengths of each image solved for. Then everything is fitted, and
-the windows are placed again about the fitted highlights, until convergence.
+The lobe is searched on a lattice of widths, with the strengths of each image solved for. Then all parameters are
+fitted, and and the windows are placed again about the fitted highlights, until convergence.
 """
 
 from __future__ import annotations
@@ -42,10 +42,10 @@ _SYSTEMATIC = 0.01
 standard deviation.
 """
 _HOPELESS = 20.0
-"""Mean squared residual, of an image and over that of the others, above which it is not explained at all."""
+"""Mean squared residual of an image, absolute and relative to other images, above which the image is unexplained."""
 _FEW = 6  # number of images in which the lobe is searched
 _BETWEEN, _ABOUT = np.array([0.75, 1.33]), np.array([0.4, 0.7, 1.1, 1.8])
-"""Relative widths of the second search, in the best of the first family, and in a rival family."""
+"""Relative widths of the second search, for the best family of the first search and for a rival family."""
 
 
 class LayProblem(Protocol):
@@ -71,15 +71,15 @@ class LayProblem(Protocol):
 
 @dataclass(frozen=True)
 class SphereFit:
-    """Joint fit of the pictures of a sphere, or of another sample whose parameters are the same.
+    """Joint fit of the images of a sphere, or of another sample with the same parameters.
 
     Attributes:
         scene: prior knowledge.
-        kind: the lobe's family, masking and splines.
+        kind: family, masking and splines of the lobe.
         solution: parameters and covariance.
         channels: names of the colours.
         names: names of the pictures.
-        stuck: unexplained share after each round, if the rounds were ended because it rose. Default: ().
+        stuck: unexplained share after each round, if the rounds were ended because it increased. Default: ().
     """
 
     scene: SphereScene
@@ -109,7 +109,7 @@ class SphereFit:
 
     @property
     def unexplained_pictures(self) -> tuple[int, ...]:
-        """Indices of the images that the fit does not explain at all, beside others that it does."""
+        """Indices of the images that the fit does not explain, although it explains others."""
         chi2 = self.solution.chi2
         return tuple(np.flatnonzero((chi2 > _HOPELESS) & (chi2 > _HOPELESS * np.median(chi2))).tolist())
 
@@ -121,24 +121,24 @@ class SphereFit:
     def strengths_covariance(self, covariance: np.ndarray | None = None) -> np.ndarray:
         """Compute the covariance of the strengths, of shape (pictures x channels,) twice.
 
-        The angle of each is uncertain, too: its contribution is the slope of F times the error of the angle, with all
+        The uncertainty of the angle of each strength is included: the slope of F times the error of the angle, with all
         correlations.
 
         Args:
-            covariance: of all parameters. Default: the fit's own.
+            covariance: covariance of all parameters. Default: the fit's own.
         """
         rows = self.strengths_rows()
         return rows @ (self.solution.covariance if covariance is None else covariance) @ rows.T
 
     def strengths_rows(self) -> np.ndarray:
-        """Compute the derivatives of the strengths at the stated angles by all parameters, (strengths, size)."""
+        """Compute the derivatives of the strengths at fixed angles, (strengths, size)."""
         layout, solution = self.layout, self.solution
         rows = np.zeros((layout.pictures * layout.channels, layout.size))
         for k in range(layout.pictures):
             for c in range(layout.channels):
                 row = rows[k * layout.channels + c]
                 row[layout.strengths(k).start + c] = 1.0
-                # F at the stated angle = F at the fitted one less slope times the error of the angle
+                # F at the fixed angle = F at the fitted angle less slope times the error of the angle
                 row -= self.strengths[k, c] * solution.problem.slope[k, c] * solution.theta_d_slope[k]
         return rows
 
@@ -167,19 +167,19 @@ def fit_sphere(
         pictures: merged pictures, one per lamp position.
         scene: prior knowledge of the scene.
         family: family of the lobe. Default: "ggx".
-        masking: the lobe's G. Default: "smith".
-        diffuse: whether there is a Lambertian part. Default: True.
-        bend: allowed departure of ln D from its family (no unit). Default: 0, not at all.
+        masking: masking G of the lobe. Default: "smith".
+        diffuse: True to include a Lambertian part. Default: True.
+        bend: prior standard deviation of the departure of ln D from its family (no unit). Default: 0, no departure.
         lamps: directions to the lamps from the highlights, (pictures, 3), as the start of the search. Default: those of
             the scene.
-        start: a fit of these images, or of some of them, with any lobe, as the start.  Default: None.
+        start: fit of these images, or of some of them, with any lobe, as the start. Default: None.
         widths: lattice of widths (first parameter of the lobe) for a search without a start.
-        rounds: most rounds of refinement. Default: 4.
-        progress: is called with a line about each round. Default: None.
+        rounds: largest number of rounds of refinement. Default: 4.
+        progress: function that is called with a line about each round. Default: None.
         lay: function that sets up the problem of another sample than a sphere. Default: None, a sphere.
-        stretched: whether the lobe has two roughnesses, "ggx" only. Default: False.
-        shaped: whether the diffuse part may depart from Lambert's law, on a sphere. Default: False.
-        rivals: families that replace `family` if their lattice explains more. Default: ().
+        stretched: True for a lobe with two roughnesses, "ggx" only. Default: False.
+        shaped: True if the diffuse part of a sphere may depart from Lambert's law. Default: False.
+        rivals: families that replace `family` if their lattice gives a smaller residual. Default: ().
     """
     if len(pictures) < 2:
         raise ArgumentError(f"a joint fit needs at least 2 pictures, got {len(pictures)}")
@@ -261,10 +261,10 @@ def fit_sphere(
 
 
 def counted_alike(fit: SphereFit) -> SphereFit:
-    """Refine a fit with correlated pixels counted as one.
+    """Refine a fit with fully correlated pixels treated as one.
 
-    A search must not start with these weights: far from the optimum all residuals are correlated, and the search would
-    not converge.
+    A search must not start with these weights, because far from the optimum all residuals are correlated and the search
+    would not converge.
     """
     problem, p = fit.solution.problem, fit.solution.p
     left = unexplained_by(problem, p)
@@ -288,7 +288,7 @@ def _searched(
     widths: np.ndarray,
     lay: LayProblem,
 ) -> tuple[float, np.ndarray]:
-    """Search a lattice for the lobe that explains few images best, with strengths solved for; return its cost and the lobe."""
+    """Search a lattice for the best lobe of few images, with strengths solved for; return cost and lobe."""
     few = np.unique(np.linspace(0, len(pictures) - 1, min(_FEW, len(pictures))).round().astype(int))
     some = [pictures[k] for k in few]
     part = part_of(scene, few.tolist())
@@ -398,7 +398,7 @@ def sphere_problem(
 
 
 def _lamps_again(fit: SphereFit, pictures: Sequence[MergedPicture]) -> np.ndarray:
-    """Return the fitted lamps; for an image that is not explained at all, the lamp that its brightest pixel mirrors."""
+    """Return the fitted lamps; for an unexplained image, the lamp that its brightest pixel mirrors."""
     lamps = fit.lamps
     _, radius, camera, lamp = fit.solution.p[fit.layout.scene]
     for k in fit.unexplained_pictures:

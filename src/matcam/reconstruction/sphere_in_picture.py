@@ -26,10 +26,10 @@ def normal_at(p_x: jax.Array, p_y: jax.Array, depth: jax.Array, camera_nearness:
     z = (m^2 w + depth) / (1 + m^2 w^2).
 
     Args:
-        p_x: place on the outline's disc, to the right, no unit.
-        p_y: place on the outline's disc, upwards.
+        p_x: position on the disc of the outline, to the right, no unit.
+        p_y: position on the disc of the outline, upwards, no unit.
         depth: sqrt(1 - p_x^2 - p_y^2), a separate argument because it loses digits at the outline.
-        camera_nearness: w, one over the camera's distance in radii, [0, 1).
+        camera_nearness: w, inverse of the camera's distance, 1/radii, [0, 1).
     """
     w = camera_nearness
     slope2 = (p_x**2 + p_y**2) / (1 - w**2)
@@ -41,14 +41,15 @@ def normal_at(p_x: jax.Array, p_y: jax.Array, depth: jax.Array, camera_nearness:
 def light_and_view(
     normal: Vector, lamp: Vector, camera_nearness: jax.Array, lamp_nearness: jax.Array
 ) -> tuple[Vector, Vector, jax.Array]:
-    """Compute the directions of light and view at points of the sphere, and (lamp distance / its distance from
-    there)^2.
+    """Compute the directions of light and view at points of the sphere, and the relative irradiance.
+
+    The relative irradiance is the squared ratio of the lamp's distances from the centre and from the point.
 
     Args:
-        normal: the points, which are their own normals.
+        normal: points on the sphere, which equal their normals.
         lamp: direction from the centre to the lamp, of length 1.
-        camera_nearness: one over the camera's distance, in radii.
-        lamp_nearness: one over the lamp's distance, in radii.
+        camera_nearness: inverse of the camera's distance, 1/radii.
+        lamp_nearness: inverse of the lamp's distance, 1/radii.
     """
     light, closeness = _towards(lamp, normal, lamp_nearness)
     zero = jnp.zeros(())
@@ -79,7 +80,7 @@ def radiance(
 
     It is `Microfacet.reflected` over cos_o, with Smith's Lambda from a small table where it is an integral.
 
-    table: that table, if it is available. Default: None.
+    table: table of Lambda, if it is available. Default: None.
     """
     seen = (at.cos_o > _LEAST) & (at.cos_i > _LEAST)
     cos_i, cos_o = jnp.where(seen, at.cos_i, 1.0), jnp.where(seen, at.cos_o, 1.0)
@@ -100,7 +101,7 @@ def radiance(
 
 
 def _towards(source: Vector, point: Vector, nearness: jax.Array) -> tuple[Vector, jax.Array]:
-    """Compute the direction from points to a source, and (its distance from the centre / from there)^2."""
+    """Compute the direction from points to a source, and (its distance from the centre / from the point)^2."""
     x, y, z = (s - nearness * p for s, p in zip(source, point, strict=True))
     square = x**2 + y**2 + z**2
     length = jnp.sqrt(square)

@@ -1,4 +1,4 @@
-"""Prior knowledge of a capture, the prior of the fit that follows from it, and the problem that is solved."""
+"""Prior knowledge of a capture, the corresponding prior of the fit, and the problem of the fit."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _UNSTATED_DISTORTION = 5e-4
 
 
 _LARGEST_CHANGE = 1.0
-"""Largest change of ln of the radius of the sample: larger errors are mistakes of the unit, for which the start is useless."""
+"""Largest change of ln of the radius of the sample. Larger errors indicate a wrong unit of the radius."""
 _DEPARTURE = 0.5
 """Standard deviation of the coefficients of a non-Lambertian diffuse part, no unit."""
 
@@ -43,26 +43,26 @@ class SphereScene:
 
     Attributes:
         camera: the camera; the width of its lens is scaled in the fit.
-        lens_std: relative standard deviation of the lens's width; 0: exact.
-        centres: column and row of the outline's centre in each picture, px, (pictures, 2).
-        radius: of the outline, px.
-        outline_covariance: of column, row and radius that all pictures share, px^2, (3, 3).
-        shift_std: standard deviation of each picture's own centre, px.
-        camera_nearness: one over the camera's distance, in radii.
-        lamp_nearness: one over the lamp's distance, in radii.
+        lens_std: relative standard deviation of the lens width; 0: exact.
+        centres: column and row of the outline's centre in each image, px, (pictures, 2).
+        radius: radius of the outline, px.
+        outline_covariance: covariance of column, row and radius that all pictures share, px^2, (3, 3).
+        shift_std: standard deviation of the centre in each image, px.
+        camera_nearness: inverse of the camera's distance, 1/radii.
+        lamp_nearness: inverse of the lamp's distance, 1/radii.
         lamps: directions from the sphere's centre to the lamp, x right, y up, z to the camera, (pictures, 3).
-        lamp_std: standard deviation of each along each tangent, rad, () or (pictures,).
-        lamp_radius: the lamp's angular radius, seen from the sphere's centre, rad.
-        gain_std: standard deviation of ln of each picture's gain, () or (pictures,).
+        lamp_std: standard deviation of each direction along each tangent, rad, () or (pictures,).
+        lamp_radius: angular radius of the source disc, seen from the sphere's centre, rad.
+        gain_std: standard deviation of ln of the gain of each image, () or (pictures,).
         gain: light of each image relative to their mean, from a reference, (pictures,). Default: None, 1 each.
-        gain_correlation: of the errors of ln gain between images, (pictures, pictures): the position of a reference is
-            a common error. Default: None, independent errors.
-        rig: rig of an earlier reconstruction, which replaces the stated lens, distances, lamps and distortion. Default:
-            None.
-        unstated_field: spread of an unstated distortion, which is not fitted, but widens the errors. Default: None, no
-            distortion beyond the profile.
-        sample_radius: stated radius of the sample with its standard deviation, mm. Both nearnesses are this radius over
-            a distance in mm, and share its error. Default: None, unknown.
+        gain_correlation: correlation of the errors of ln gain between images, (pictures, pictures): the position of a
+            reference is a common error. Default: None, independent errors.
+        rig: rig of an earlier reconstruction, which replaces the specified lens, distances, lamps and distortion.
+            Default: None.
+        unstated_field: spread of an unstated distortion, which is not fitted, but increases the errors. Default: None,
+            no distortion beyond the profile.
+        sample_radius: specified radius of the sample with its standard deviation, mm. Both nearnesses are this radius
+            over a distance in mm, and share its error. Default: None, unknown.
     """
 
     camera: Camera
@@ -85,12 +85,12 @@ class SphereScene:
 
     @property
     def field(self) -> LensField | None:
-        """Distortion and blur over the field: of the profile, otherwise the unstated one."""
+        """Distortion and blur over the field: that of the profile, otherwise the unstated distortion."""
         return self.camera.field or self.unstated_field
 
 
 def part_of(scene: SphereScene, pictures: Sequence[int]) -> SphereScene:
-    """Select the knowledge of some of the images, by index."""
+    """Select the prior knowledge of some of the images, by index."""
     count, keep = len(scene.lamps), list(pictures)
     return replace(
         scene,
@@ -105,14 +105,14 @@ def part_of(scene: SphereScene, pictures: Sequence[int]) -> SphereScene:
 
 
 def unstated_distortion(ball: MirrorBall) -> LensField:
-    """Return the spread of distortion that is assumed about a sphere if none is stated."""
+    """Return the assumed spread of distortion about a sphere if none is specified."""
     return LensField((ball.column, ball.row), ball.radius, Coefficient(0.0, _UNSTATED_DISTORTION))
 
 
 def prior_of(
     layout: JointLayout, scene: SphereScene, frames: Sequence[LampFrame], bend: float, own: int
 ) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
-    """Build rows, values and sources of the prior: combinations of the parameters that are a value +- 1."""
+    """Build rows, values and sources of the prior: linear combinations of parameters with mean and unit variance."""
     rows: list[np.ndarray] = []
     values: list[float] = []
     sources: list[str] = []
@@ -142,7 +142,7 @@ def prior_of(
         if known.std > 0 and not in_rig[1 + at]:
             row = np.zeros(layout.size)
             row[layout.lobe + SCENE.index(name)] = 1 / known.std
-            # a larger sample has smaller distances in its own radii
+            # a larger sample has smaller distances in radii of the sample
             row[layout.sample_radius] = -known.value / known.std if scene.sample_radius else 0.0
             add(f"{name} distance", row, known.value / known.std)
     if scene.sample_radius is not None and any(row[layout.sample_radius] for row in rows):
@@ -178,7 +178,7 @@ def prior_of(
     gain_stds = np.maximum(np.broadcast_to(np.asarray(scene.gain_std, dtype=float), k), 1e-5)
     gains = np.zeros(k) if scene.gain is None else np.log(scene.gain)
     for i, frame in enumerate(frames):
-        # coordinates of the stated direction in this frame, whose base is the last fitted direction
+        # coordinates of the specified direction in this frame, whose base is the last fitted direction
         stated = scene.lamps[i] / np.linalg.norm(scene.lamps[i])
         along = float(stated @ frame.base)
         for axis, tangent in enumerate((frame.first, frame.second)):
@@ -220,15 +220,15 @@ def joint_problem(
 
     Args:
         layout: order of the parameters.
-        kind: what the lobe's parameters mean.
+        kind: family, masking and splines of the lobe.
         scene: prior knowledge of the scene.
         model: model of the pixels.
-        pixels: of each picture.
-        frames: base direction of each picture's lamp.
-        slope: d ln F / d theta_d of each picture and channel, 1/rad.
-        diffuse: whether there is a Lambertian part.
-        bend: allowed departure of ln D from its family.
-        changes: effect of a change of the lens's field on each image. Default: none, the field is not fitted.
+        pixels: pixels of each picture.
+        frames: base direction of the lamp of each image.
+        slope: d ln F / d theta_d of each image and channel, 1/rad.
+        diffuse: True to include a Lambertian part.
+        bend: prior standard deviation of the departure of ln D from its family.
+        changes: effect of a change of the lens field on each image. Default: none, the field is not fitted.
         unstated: effect of an unstated distortion on each image. Default: none.
     """
     low, high = _bounds(layout, kind, scene)

@@ -21,13 +21,13 @@ _SHAPE = (45, 24, 30, 12)
 def anisotropic_table(fit: SphereFit, curves: Sequence[ReflectanceCurve], units: Sequence[Known]) -> xr.Dataset:
     """Tabulate a joint fit of a lobe with two roughnesses.
 
-    phi_h counts from the material's x axis. A turn by 180 degrees about the normal changes nothing, nor does exchanging light
-    and view (phi_d + 180 degrees): half of either azimuth is tabulated.
+    phi_h is measured from the x axis of the material. The BRDF is invariant under a turn by 180 degrees about the
+    normal, and under exchange of light and view (phi_d + 180 degrees), so half of each azimuth is tabulated.
 
     Args:
         fit: lobe, strengths and diffuse parts.
-        curves: F of each channel, in the fit's own unit.
-        units: of each channel, value per radiance under unit irradiance: divisor of strengths that gives F, with
+        curves: F of each channel, in the unit of the fit.
+        units: unit of each channel, value per radiance under unit irradiance: divisor of strengths that gives F, with
             relative standard deviation; NaN: F is relative.
 
     Returns:

@@ -1,4 +1,4 @@
-"""Input of the joint fit from a capture of a cylinder: merged images, outline, strips, lamps of the table."""
+"""Input of the joint fit from a capture of a cylinder: merged images, outline, strips, lamp directions."""
 
 from __future__ import annotations
 
@@ -35,18 +35,18 @@ from matcam.reconstruction.stated.stated_rig import (
 _ROW_STD = 0.05
 """Standard deviation of the row that the camera faces, as a share of the height of a frame."""
 _SHIFT = 0.3
-"""Motion of the axis between images, px."""
+"""Standard deviation of the motion of the axis between images, px."""
 _STATED_STD = 0.05
-"""Standard deviation of a radius or an axis that is stated without one, px."""
+"""Default standard deviation of a specified radius or axis, px."""
 
 
 class CapturedCylinder(NamedTuple):
     """Data of a capture of a cylinder before the joint fit.
 
     Attributes:
-        scene: merged pictures, what is known of the rig, directions to the lamps, radiometry, remarks.
-        strips: where strips of material are.
-        outline: the cylinder's outline.
+        scene: merged pictures, prior knowledge of the rig, directions to the lamps, radiometry, remarks.
+        strips: strips of material.
+        outline: outline of the cylinder.
     """
 
     scene: CapturedScene
@@ -57,13 +57,13 @@ class CapturedCylinder(NamedTuple):
 def captured_cylinder(
     capture: Capture, progress: Progress | None = None, *, workers: int = 1, kept: KeptWork | None = None
 ) -> CapturedCylinder:
-    """Merge a capture's frames, and find the cylinder's outline.
+    """Merge the frames of a capture, and find the outline of the cylinder.
 
     Args:
-        capture: of a cylinder, as from `read_capture`.
-        progress: called with the name of a step, and the numbers of finished and of all parts. Default: None.
-        workers: lamp positions that are read at a time. Default: 1.
-        kept: stored results from which an interrupted run resumes. Default: None, none.
+        capture: capture of a cylinder, as from `read_capture`.
+        progress: function of the name of a step, and the numbers of finished and of all parts. Default: None.
+        workers: number of lamp positions that are read at a time. Default: 1.
+        kept: stored results from which an interrupted run resumes. Default: None, no results.
 
     Raises:
         ArgumentError: the capture does not give the directions of the lamps.
@@ -125,11 +125,11 @@ def captured_cylinder(
     return CapturedCylinder(found, strips, outline)
 
 
-LIST_NEEDS = "angle_deg and azimuth_deg of frames.csv must state where the lamp is"
+LIST_NEEDS = "angle_deg and azimuth_deg of frames.csv must give the direction of the lamp"
 
 
 def _strips(capture: Capture, height: int, first: int) -> tuple[Strip, ...]:
-    """Return the stated strips, or one strip of all rows that are read."""
+    """Return the specified strips, or one strip of all rows that are read."""
     sample = capture.settings["sample"]
     rows, turns = sample["strip_rows_px"], sample["strip_turn_deg"]
     if rows is None:
@@ -139,12 +139,12 @@ def _strips(capture: Capture, height: int, first: int) -> tuple[Strip, ...]:
 
 
 def _outline(capture: Capture, sigma: float, remarks: list[Remark]) -> StraightOutline:
-    """Measure the outline in front of a bright field; without such frames, use the stated one.
+    """Measure the outline in front of a bright field; without such frames, use the specified outline.
 
     Args:
-        capture: of a cylinder.
-        sigma: standard deviation of the lens's blur, px.
-        remarks: get what a reader should know.
+        capture: capture of a cylinder.
+        sigma: standard deviation of the blur of the lens, px.
+        remarks: list to which remarks are appended.
     """
     radius, axis = capture.stated("outline_radius_px"), capture.stated("axis_column_px")
     if capture.of("outline"):
@@ -153,10 +153,10 @@ def _outline(capture: Capture, sigma: float, remarks: list[Remark]) -> StraightO
         except FitError as error:
             if radius is None or axis is None:
                 raise
-            remarks.append(Remark("outline-left-out", f"{error}; the stated outline was taken"))
+            remarks.append(Remark("outline-left-out", f"{error}; the specified outline was used"))
     if radius is None or axis is None:
         raise ArgumentError(
-            f"{capture.folder}: give a frame of the cylinder in front of a bright field, in outline/, or state "
+            f"{capture.folder}: give a frame of the cylinder in front of a bright field, in outline/, or set "
             "sample.outline_radius_px and sample.axis_column_px"
         )
     std = (max(axis.std, 1e-3), max(radius.std, 1e-3)) if axis.std or radius.std else (_STATED_STD,) * 2

@@ -1,4 +1,4 @@
-"""Joint fit of images of the strips of a cylinder: likelihood, prior and solver of the sphere, with profiles as pixels."""
+"""Joint fit of images of the strips of a cylinder, with likelihood, prior and solver as for a sphere."""
 
 from __future__ import annotations
 
@@ -44,16 +44,16 @@ def fit_cylinder(
 
     Args:
         pictures: merged pictures, one per lamp position.
-        scene: what is known beforehand; its radius is half the width of the outline.
+        scene: prior knowledge of the rig; its radius is half the width of the outline.
         family: family of the lobe. Default: "ggx".
-        strips: where strips of material are, and how they are turned.
-        stretched: whether the lobe has two roughnesses, "ggx" only. Default: False.
+        strips: strips of material, with their turns.
+        stretched: True for a lobe with two roughnesses, "ggx" only. Default: False.
         **more: further arguments of `fit_sphere`.
     """
     if stretched and family != "ggx":
         raise ArgumentError(f"family must be ggx for a lobe of two roughnesses, got {family}")
     if stretched and more.get("bend"):
-        raise ArgumentError("a lobe of two roughnesses cannot be bent: bend must be 0")
+        raise ArgumentError("a lobe of two roughnesses cannot be spline-modified: bend must be 0")
     profiles = {picture.name: strip_profiles(picture, strips) for picture in pictures}
     lay = partial(_cylinder_problem, strips=strips, profiles=profiles)
     return fit_sphere(pictures, scene, family, stretched=stretched, lay=lay, **more)

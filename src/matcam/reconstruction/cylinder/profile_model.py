@@ -1,7 +1,7 @@
-"""Record of a lobe in the columns of the strips of a cylinder, with derivatives by every parameter.
+"""Record of a lobe in the columns of the strips of a cylinder, with derivatives with respect to every parameter.
 
-The cylinder's axis is the picture's y axis. Its section is that of the sphere of radius 1, so that its normals are the
-sphere's along the equator. In a near rig the directions to camera and lamp differ slightly for strips above or below.
+The axis of the cylinder is the y axis of the image. Its section is a circle of radius 1, so its normals are those of a
+sphere along the equator. In a near rig the directions to camera and lamp differ slightly between strips.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ class ProfileModel(eqx.Module):
     """Model of the profiles of one scene, with four compiled programs.
 
     Attributes:
-        kind: the lobe's family, masking and splines.
-        channels: number of colours; all have the same record of a unit strength.
-        blur: the camera's kernel, its lens a sum of Gaussians.
-        places: places on the lamp's disc as turns of the lamp, rad, (points, 2).
-        weights: of these places, (points,); their sum is 1.
+        kind: family, masking and splines of the lobe.
+        channels: number of colours; all have the same record at unit strength.
+        blur: kernel of the camera, with a lens that is a sum of Gaussians.
+        places: positions on the source disc as turns of the lamp, rad, (points, 2).
+        weights: weights of these positions, (points,); their sum is 1.
         turns: angle of each strip's material, rad, (strips,).
-        rows: rows of each strip over which its mean is taken, px, (strips, rule).
-        row_weights: their weights, (rule,); their sum is 1.
+        rows: rows of each strip at which the model is evaluated, px, (strips, rule).
+        row_weights: weights of these rows, (rule,); their sum is 1.
     """
 
     kind: LobeKind = eqx.field(static=True)
@@ -152,7 +152,7 @@ class ProfileModel(eqx.Module):
         return (x, jnp.zeros(()), z), (x, height, z), camera, lamp, (a, b)
 
     def _theta_d(self, p: jax.Array, frame: LampFrame, out: jax.Array, row: jax.Array) -> jax.Array:
-        """Compute theta_d where the line of sight through the centre of a column meets the cylinder, or is closest to it."""
+        """Compute theta_d where the line of sight through the centre of a column meets or approaches the cylinder."""
         out = jnp.clip(out, -0.9999, 0.9999)
         _, point, camera, lamp, (a, b) = self._surface(p, out, jnp.sqrt(1 - out**2), row)
         light, view, _ = light_and_view(point, tuple(turned_lamp(frame, a, b)), camera, lamp)

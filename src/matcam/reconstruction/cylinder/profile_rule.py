@@ -1,4 +1,4 @@
-"""Columns and nodes of a profile across a cylinder: a window of columns about the highlight of each strip, and others.
+"""Columns and nodes of a profile across a cylinder: a window about the highlight of each strip, and other columns.
 
 Positions on the outline are p = (column - axis) / radius = sin u. All functions are smooth in u up to the limb.
 """
@@ -15,7 +15,7 @@ from matcam.reconstruction.observed_pixels import ObservedPixels
 from matcam.reconstruction.picture_rule import WINDOW, graded_nodes
 
 _MOST = 2048
-"""Largest number of fitted columns beside the windows, of all strips and colours."""
+"""Largest number of fitted columns outside the windows, of all strips and colours."""
 _LIMB = 3.0  # px from the outline within which the rule of a single column does not resolve the border
 _OUTSIDE = 1.5  # px beyond the outline up to which a window is read: the background is not modelled
 _LIT = 0.1  # smallest cosine to the lamp: near the terminator the rule of a column is inaccurate
@@ -29,7 +29,7 @@ class ProfileWindow(NamedTuple):
 
     Attributes:
         u: nodes, rad, (strips, nodes).
-        weight: their weights in p = sin u, (strips, nodes).
+        weight: weights of the nodes in p = sin u, (strips, nodes).
         column: columns that are read, px, (strips, WINDOW).
     """
 
@@ -42,11 +42,11 @@ class CylinderPlace(NamedTuple):
     """Position of a cylinder in an image, and its lamp.
 
     Attributes:
-        axis: column of its axis, px.
-        row: in the plane of lamp and camera, px.
-        radius: half the width of its outline, px.
-        camera: one over the camera's distance, in radii.
-        lamp: one over the lamp's distance, in radii.
+        axis: column of the axis of the cylinder, px.
+        row: row in the plane of lamp and camera, px.
+        radius: half the width of the outline, px.
+        camera: inverse of the camera's distance, 1/radii.
+        lamp: inverse of the lamp's distance, 1/radii.
         towards: direction to the lamp, (3,).
     """
 
@@ -97,15 +97,15 @@ def chosen_columns(
     """Choose the columns of the profiles of an image that are fitted, each as a pixel.
 
     Args:
-        profiles: of all strips and colours.
-        strips: in the same order.
+        profiles: profiles of all strips and colours.
+        strips: strips in the order of the profiles.
         place: position of the cylinder.
         alphas: roughness along the material's x axis and across it.
         plateau: half the lamp's angular radius, rad. Default: 0.
         keep: earlier choice, whose columns are kept if the highlight has not moved. Default: None.
 
     Returns:
-        The columns: those of the windows by colour, strip and place, then the others; `row` is the index of the strip.
+        Columns of the windows by colour, strip and position, then the other columns; `row` is the index of the strip.
     """
     windows = [
         _window(strip, place, alphas, plateau, None if keep is None else keep.window.column[s])

@@ -1,7 +1,7 @@
 """Strips of material around a cylinder, one above the other, and their profiles.
 
-The light hardly changes along the cylinder. The rows of a strip are therefore averaged, separately for each colour, to
-a profile across the cylinder.
+The light is nearly constant along the cylinder. The rows of a strip are therefore averaged, separately for each colour,
+to a profile across the cylinder.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ class Strip(NamedTuple):
     Attributes:
         first: first row, px.
         last: last row, px.
-        turn: angle of the material's x axis from the direction round the cylinder (to the right), towards up, rad.
+        turn: angle of the material's x axis from the direction around the cylinder (to the right), towards up, rad.
     """
 
     first: int
@@ -42,11 +42,11 @@ class StripProfiles(NamedTuple):
     """Profiles of one picture, arrays of shape (channels, strips, columns).
 
     Attributes:
-        column: px in the frame, (columns,).
-        values: mean over the strip's rows; a lower bound if a pixel is clipped. 0 where not used.
-        std: standard deviation of its noise; 1 where not used.
-        clipped: where any of the pixels is clipped.
-        used: where the strip has a pixel of the colour.
+        column: positions in the frame, px, (columns,).
+        values: mean over the rows of the strip; a lower bound if a pixel is clipped. 0 where not used.
+        std: standard deviation of the noise of the values; 1 where not used.
+        clipped: True where any of the pixels is clipped.
+        used: True where the strip has a pixel of the colour.
     """
 
     column: np.ndarray
@@ -61,7 +61,7 @@ def strip_profiles(picture: MergedPicture, strips: Sequence[Strip]) -> StripProf
 
     Args:
         picture: values and their noise.
-        strips: where the strips are.
+        strips: strips of the cylinder.
 
     Returns:
         The profiles.
@@ -76,8 +76,8 @@ def strip_profiles(picture: MergedPicture, strips: Sequence[Strip]) -> StripProf
         first, last = (row - picture.origin[0] for row in strip.read)
         if first < 0 or last >= picture.values.shape[0] or last - first + 1 < _FEWEST:
             raise FitError(
-                f"strip {s + 1} of rows {strip.first} to {strip.last}: at least {_FEWEST + 2 * MARGIN} rows inside of what is "
-                "read of the frames are needed"
+                f"strip {s + 1} of rows {strip.first} to {strip.last}: needs at least {_FEWEST + 2 * MARGIN} rows inside "
+                "the region of the frames"
             )
         rows = slice(first, last + 1)
         light, noise = picture.values[rows].astype(float), picture.std[rows].astype(float)

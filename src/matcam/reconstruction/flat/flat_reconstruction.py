@@ -34,7 +34,7 @@ from matcam.reconstruction.stated.stated_rig import captured_lens, without_field
 MAPS = ("diffuse", "specular")
 _FEWEST = 3
 _THETA_D = np.radians(10.0)
-"""Range of theta_d above which the change of F over the stack is remarked."""
+"""Range of theta_d above which a remark reports that F may vary over the stack."""
 _LOOSE = 0.05  # standard deviation of ln alpha above which it is remarked
 _MISFIT = 1.3
 
@@ -46,16 +46,16 @@ class FlatReconstruction(Summarised):
     Attributes:
         maps: Dataset over y and x (px of the sample seen head-on): `diffuse`, `specular` and their `_std`, relative;
             over frequency_y and frequency_x (cycles/px): `diffuse_error`, the variance of each frequency,
-            `diffuse_resolved`, the share of its prior variance that the images remove, and the same of `specular`.
-        parameters: `alpha`, mean of both maps: value and standard deviation.
-        cutoffs: map -> frequency along the rows and across them up to which it is resolved, cycles/px.
+            `diffuse_resolved`, the share of its prior variance that the images remove, and the same for `specular`.
+        parameters: value and standard deviation of `alpha` and of the mean of both maps.
+        cutoffs: map -> frequencies along the rows and across them up to which the map is resolved, cycles/px.
         mm_per_px: size of a texel, mm; None: unknown.
-        family: of the lobe.
-        names: of the pictures that were used.
-        gains: light of each of them, and its standard deviation, (pictures, 2).
+        family: family of the lobe.
+        names: names of the images that were used.
+        gains: light of each image, and its standard deviation, (pictures, 2).
         misfit: mean squared residual of the coarse frequencies, in standard deviations of the noise.
         left_out: lamp positions that could not be used.
-        remarks: what a reader should know.
+        remarks: remarks on the result.
         budgets: uncertainty budgets of `parameters`.
 
     Example:
@@ -100,7 +100,7 @@ class FlatReconstruction(Summarised):
 
     @property
     def complete(self) -> bool:
-        """Check whether every frame of the capture could be used."""
+        """True if every frame of the capture could be used."""
         return not self.left_out and not any(remark.code in INCOMPLETE for remark in self.remarks)
 
     @property
@@ -109,7 +109,7 @@ class FlatReconstruction(Summarised):
         alpha, std = self.parameters["alpha"]
         resolved = "; ".join(f"{name} up to {self._resolution(name)}" for name in MAPS)
         return (
-            f"{len(self.names)} pictures show a {self.family} lobe of roughness {alpha:.4g} +- {std:.1g} and two maps. "
+            f"{len(self.names)} pictures give a {self.family} lobe of roughness {alpha:.4g} +- {std:.1g} and two maps. "
             f"Resolved: {resolved}. Finer texture is lost; the errors of the maps include it."
         )
 
@@ -177,16 +177,16 @@ def reconstruct_flat(
     """Reconstruct diffuse albedo and specular strength of every texel of a flat sample.
 
     Args:
-        capture: of a flat sample, as from `read_capture`.
-        ndf: family of the lobe, one with a roughness alone. Default: "auto", "ggx".
-        masking: the lobe's G. Default: "smith".
-        progress: called with the name of a step, and the numbers of finished and of all parts. Default: None.
-        workers: pictures that are read at a time. Default: 1.
-        kept: stored results from which an interrupted run resumes. Default: None, none.
+        capture: capture of a flat sample, as from `read_capture`.
+        ndf: family of the lobe, with roughness as its only parameter. Default: "auto", "ggx".
+        masking: masking G of the lobe. Default: "smith".
+        progress: function of the name of a step, and the numbers of finished and of all parts. Default: None.
+        workers: number of images that are read at a time. Default: 1.
+        kept: stored results from which an interrupted run resumes. Default: None, no results.
 
     Raises:
         ArgumentError: the family has a power, or a tilt is missing.
-        FitError: fewer than three pictures can be used, or they are of a mosaic.
+        FitError: fewer than three images can be used, or they have a colour mosaic.
     """
     family = "ggx" if ndf == AUTO else ndf
     if family not in ONE_WIDTH:
@@ -196,7 +196,7 @@ def reconstruct_flat(
     camera = without_field(camera, "flat sample", remarks)
     tilts = _tilts(capture)
     reader = MosaicReader(capture)
-    for frame in capture.of("frames"):  # the first readable frame shows whether the frames are mosaics
+    for frame in capture.of("frames"):  # the first readable frame decides whether the frames are mosaics
         with suppress(FileFormatError):
             reader.read(frame, capture.region)
             break
@@ -217,7 +217,7 @@ def reconstruct_flat(
         else:
             output, std = radiometry.lamp_output[one.name], float(capture.settings["lamp"]["gain_std"])
             if output.value > 0 and radiometry.reference_between < std:
-                # by the reference: each gain is then 1 within the error of the reference
+                # relative to the reference: each gain is then 1 within the error of the reference
                 one = replace(one, values=one.values / output.value, std=one.std / output.value)
                 std = output.std / output.value
             pictures.append(FlatPicture(one, tilts[one.name], towards, std))
@@ -249,12 +249,12 @@ def reconstructed_flat(
     Args:
         pictures: merged pictures with tilt and lamp.
         camera: lens and pixel.
-        family: of the lobe, with a roughness alone. Default: "ggx".
-        masking: the lobe's G. Default: "smith".
-        lens_std: relative standard deviation of the lens's width. Default: 0, exact.
+        family: family of the lobe, with roughness as its only parameter. Default: "ggx".
+        masking: masking G of the lobe. Default: "smith".
+        lens_std: relative standard deviation of the lens width. Default: 0, exact.
         mm_per_px: size of a texel and its standard deviation, mm. Default: None, unknown.
         left_out: names of pictures that could not be used. Default: ().
-        remarks: of the steps before. Default: ().
+        remarks: remarks of the steps before. Default: ().
     """
     shares = LobeShares(
         family, masking, np.array([one.tilt for one in pictures]), np.array([one.towards for one in pictures])
@@ -262,7 +262,7 @@ def reconstructed_flat(
     dark = [one.picture.name for one, lit in zip(pictures, shares.lit, strict=True) if not lit]
     if dark:
         raise FitError(
-            f"{', '.join(dark)}: lamp or camera is behind the sample at the stated angles: correct frames.csv"
+            f"{', '.join(dark)}: lamp or camera is behind the sample at the given angles: correct frames.csv"
         )
     stack = flat_stack(pictures, camera)
     fitted = fit_roughness(stack, shares, np.array([one.gain_std for one in pictures]))
@@ -290,8 +290,8 @@ def reconstructed_flat(
 
 
 def _budgets(fitted: FlatRoughness, mean: MeanMaps, alpha: float, unit: float) -> tuple[UncertaintyBudget, ...]:
-    """Build the budgets of the roughness and of the mean of both maps. unit: value that both maps are relative to."""
-    stated = [Statement("gains of the pictures, as stated", fitted.stated)]
+    """Build the budgets of the roughness and of the mean of both maps. unit: value to which both maps are relative."""
+    stated = [Statement("gains of the pictures, as specified", fitted.stated)]
     readings = Readings("pictures: texture of coarse frequencies", "A", fitted.freedom)
     by_alpha = np.zeros(len(fitted.covariance))
     by_alpha[0] = alpha
@@ -311,7 +311,7 @@ def _remarks(fitted: FlatRoughness, shares: LobeShares) -> list[Remark]:
     if spread > _LOOSE:
         found.append(
             Remark(
-                "roughness-loose", f"the stack determines the roughness to {spread:.0%} only: vary the half angle more"
+                "roughness-loose", f"the images determine the roughness only to {spread:.0%}: vary the half angle more"
             )
         )
     if np.ptp(shares.theta_d) > _THETA_D:
@@ -319,7 +319,7 @@ def _remarks(fitted: FlatRoughness, shares: LobeShares) -> list[Remark]:
         found.append(
             Remark(
                 "theta-d-varies",
-                f"theta_d runs from {low:.0f}° to {high:.0f}°; the lobe's F is assumed to be equal in all",
+                f"theta_d varies from {low:.0f}° to {high:.0f}°; F of the lobe is assumed to be constant",
             )
         )
     if fitted.misfit > _MISFIT:
@@ -357,9 +357,9 @@ def _maps(
         variables[f"{name}_resolved"] = frequencies, np.fft.fftshift(posterior.resolved[i])
         names |= {
             name: f"{name} part, relative",
-            f"{name}_std": f"standard deviation of {name} about its mean, with the texture that is lost",
+            f"{name}_std": f"standard deviation of {name} about its mean, including lost texture",
             f"{name}_error": f"variance of {name} at each frequency; their mean is the variance of a texel",
-            f"{name}_resolved": "share of the prior variance that the pictures take away",
+            f"{name}_resolved": "share of the prior variance that the pictures remove",
         }
     along, across = (np.fft.fftshift(one.ravel()) for one in stack.frequency)
     attrs: dict[str, Any] = {
@@ -383,7 +383,7 @@ def _maps(
 
 
 def _tilts(capture: Capture) -> dict[str, float]:
-    """Return the stated tilt of each lamp position, rad."""
+    """Return the specified tilt of each lamp position, rad."""
     stated = capture.settings["sample"]["tilt_deg"] or [0.0]
     names = list(capture.lamps)
     if len(stated) not in (1, len(names)):

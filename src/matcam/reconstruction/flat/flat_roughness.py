@@ -26,14 +26,14 @@ _EXACT = 1e-4
 
 
 class FlatRoughness(NamedTuple):
-    """Parameters that all texels share.
+    """Parameters that are common to all texels.
 
     Attributes:
-        log_alpha: ln of the lobe's roughness.
-        gains: ln of each picture's light, (pictures,).
-        covariance: of log_alpha and gains, (1 + pictures, 1 + pictures).
-        weights: light of each picture's diffuse and specular part for a map of 1, gains included, (pictures, 2).
-        weights_slope: derivatives of `weights` by log_alpha and gains, (pictures, 2, 1 + pictures).
+        log_alpha: ln of the roughness of the lobe.
+        gains: ln of the light of each image, (pictures,).
+        covariance: covariance of log_alpha and gains, (1 + pictures, 1 + pictures).
+        weights: light of the diffuse and specular part of each image for a map of 1, gains included, (pictures, 2).
+        weights_slope: derivatives of `weights` with respect to log_alpha and gains, (pictures, 2, 1 + pictures).
         misfit: mean squared residual, in standard deviations of the noise.
         stated: prior information on the gains, as `covariance`.
         freedom: degrees of freedom, no unit.
@@ -53,9 +53,9 @@ class LobeShares:
     """Radiance of a lobe of F = 1 and of a white Lambertian surface in each image.
 
     Args:
-        family: of the lobe, with a roughness alone.
-        masking: the lobe's G.
-        tilts: of the sample, its normal towards +x, rad, (pictures,).
+        family: family of the lobe, with roughness as its only parameter.
+        masking: masking G of the lobe.
+        tilts: tilts of the sample, its normal towards +x, rad, (pictures,).
         towards: directions to the lamps, (pictures, 3).
     """
 
@@ -74,18 +74,18 @@ class LobeShares:
         self._log_lobe = CubicSpline(np.log(_WIDTHS), np.log(np.maximum(np.array(lobes), 1e-300)))
 
     def lobe(self, log_alpha: float) -> tuple[np.ndarray, np.ndarray]:
-        """Compute the radiance of the lobe in each image and its derivative by log_alpha, (pictures,) each."""
+        """Compute the radiance of the lobe in each image and its derivative with respect to log_alpha, (pictures,)."""
         value = np.exp(self._log_lobe(log_alpha))
         return value, value * self._log_lobe(log_alpha, 1)
 
 
 def fit_roughness(stack: FlatStack, shares: LobeShares, gain_std: np.ndarray) -> FlatRoughness:
-    """Fit roughness and picture gains.
+    """Fit the roughness and the gains of the images.
 
     Args:
-        stack: pictures on the texels.
-        shares: of diffuse and specular part in each picture.
-        gain_std: standard deviation of ln of each picture's light, (pictures,).
+        stack: images on the texels.
+        shares: shares of diffuse and specular part in each image.
+        gain_std: standard deviation of ln of the light of each image, (pictures,).
     """
     coarse = (stack.radius < _COARSE) & (stack.radius > 0)
     root = np.sqrt(stack.noise[:, coarse])
@@ -124,9 +124,9 @@ class MeanMaps(NamedTuple):
     """Means of both maps.
 
     Attributes:
-        value: (2,).
-        by_noise: (2, 2), covariance with roughness and gains exact.
-        by_shared: (2, 1 + pictures), derivatives by roughness and gains.
+        value: means, (2,).
+        by_noise: covariance for exact roughness and gains, (2, 2).
+        by_shared: derivatives with respect to roughness and gains, (2, 1 + pictures).
     """
 
     value: np.ndarray
@@ -141,7 +141,7 @@ def mean_maps(stack: FlatStack, fitted: FlatRoughness) -> MeanMaps:
     inverse = np.linalg.pinv(ways.T @ ways)
     reading = inverse @ ways.T / std
     means = reading @ stack.mean
-    # effect of a change of the shares on the means that fit the images
+    # effect of a change of the shares on the fitted means
     by_shared = -np.einsum("ik,kjp,j->ip", reading, fitted.weights_slope, means)
     return MeanMaps(means, inverse, by_shared)
 

@@ -1,8 +1,8 @@
-"""Pictures of a flat sample on one grid of texels, and their Fourier transforms.
+"""Images of a flat sample on one grid of texels, and their Fourier transforms.
 
-The grid is that of the sample seen head-on, one texel a pixel. A tilt about the picture's vertical axis makes the
-picture narrower by its cosine: every image is interpolated onto the grid by a windowed sinc, which preserves the
-content of the pixels.
+The grid is that of the sample seen head-on, with one texel per pixel. A tilt about the vertical axis of the image makes
+the image narrower by the cosine of the tilt. Every image is interpolated onto the grid by a windowed sinc, which
+preserves the content of the pixels.
 """
 
 from __future__ import annotations
@@ -35,9 +35,9 @@ class FlatPicture(NamedTuple):
 
     Attributes:
         picture: merged picture, grey.
-        tilt: of the sample about the picture's vertical axis, its normal towards +x, rad.
+        tilt: tilt of the sample about the picture's vertical axis, its normal towards +x, rad.
         towards: direction to the lamp, x right, y up, z to the camera, (3,).
-        gain_std: standard deviation of ln of the picture's light.
+        gain_std: standard deviation of ln of the light of the image.
     """
 
     picture: MergedPicture
@@ -50,15 +50,15 @@ class FlatStack(NamedTuple):
     """Transforms of images over the grid of texels.
 
     Attributes:
-        mean: of each picture, (pictures,).
-        mean_std: its noise, (pictures,).
-        spectrum: transform of each picture less its mean, per root of the area, (pictures, rows, columns).
-        transfer: of the camera at each texel frequency; 0 beyond the sensor's band, same shape.
-        lens_slope: derivative of ln transfer by ln of the lens's width, same shape.
+        mean: mean of each picture, (pictures,).
+        mean_std: standard deviation of the mean, (pictures,).
+        spectrum: transform of each image less its mean, per root of the area, (pictures, rows, columns).
+        transfer: transfer function of the camera at each texel frequency; 0 beyond the sensor's band, same shape.
+        lens_slope: derivative of ln transfer with respect to ln of the lens width, same shape.
         noise: power of the noise in `spectrum`, same shape.
-        frequency: (cycles/px along the rows, and across them), broadcasting to (rows, columns).
-        tilts: rad, (pictures,).
-        camera: whose transfer it is.
+        frequency: frequencies along the rows and across them, cycles/px, broadcasting to (rows, columns).
+        tilts: tilts of the sample, rad, (pictures,).
+        camera: camera of the transfer function.
         taper: weight of each texel, (rows, columns).
     """
 
@@ -79,12 +79,12 @@ class FlatStack(NamedTuple):
         return np.hypot(*self.frequency)
 
     def sensor_transfer(self, k: int, along: np.ndarray, across: np.ndarray) -> np.ndarray:
-        """Compute the signed transfer of the camera at texel frequencies in image k."""
+        """Compute the signed transfer function of the camera at texel frequencies in image k."""
         return _transfer(self.camera, along / np.cos(self.tilts[k]), across)
 
 
 def usable(picture: MergedPicture) -> bool:
-    """Check whether an image has few clipped pixels, which have no value to transform."""
+    """Check whether an image has few clipped pixels, because they have no value to transform."""
     return bool(picture.clipped.mean() <= _CLIPPED)
 
 
@@ -92,11 +92,11 @@ def flat_stack(pictures: Sequence[FlatPicture], camera: Camera) -> FlatStack:
     """Resample the images of a flat sample onto its texels.
 
     Args:
-        pictures: of one shape.
+        pictures: pictures of one shape.
         camera: lens and pixel.
 
     Returns:
-        Their transforms with noise.
+        Transforms of the images, with noise.
 
     Raises:
         FitError: the pictures are too small for borders of 24 texels.
@@ -134,7 +134,7 @@ def _transfer(camera: Camera, along: np.ndarray, across: np.ndarray) -> np.ndarr
 
 
 def _lens_slope(camera: Camera, frequency: np.ndarray) -> np.ndarray:
-    """Compute d ln MTF / d ln width of the lens: scaling the width scales the frequencies."""
+    """Compute d ln MTF / d ln width of the lens. Scaling the width scales the frequencies."""
     here, beyond = (np.asarray(camera.optics.mtf(frequency * factor)) for factor in (1 - _STEP, 1 + _STEP))
     passed = (here > _PASSED) & (beyond > _PASSED)
     return np.where(passed, np.log(np.where(passed, beyond, 1.0) / np.where(passed, here, 1.0)) / (2 * _STEP), 0.0)
@@ -146,7 +146,7 @@ def _taper(count: int) -> np.ndarray:
 
 
 def _interpolation(count: int, cosine: float) -> np.ndarray:
-    """Return the interpolation matrix from pixels of a row to texels."""
+    """Build the interpolation matrix from pixels of a row to texels."""
     if cosine == 1:
         return np.eye(count)
     place = np.arange(count) - (count - 1) / 2

@@ -1,8 +1,8 @@
 """Diffuse albedo and specular strength of a flat sample, frequency by frequency of its texture.
 
-At each frequency the pictures are linear in both: spectrum_k = transfer_k (white_k diffuse + lobe_k specular) + noise.
-With the power of each as prior the posterior is the Wiener estimate. Frequencies that the camera does not pass keep the
-variance of the prior.
+At each frequency the images are linear in both: spectrum_k = transfer_k (white_k diffuse + lobe_k specular) + noise.
+With the power of each map as prior, the posterior is the Wiener estimate. Frequencies that the camera does not transmit
+have the variance of the prior.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ class PowerLaw(NamedTuple):
     """Power of a texture: level times (frequency / 0.1)^slope, per texel frequency.
 
     Attributes:
-        level: at 0.1 cycles/px.
-        slope: no unit.
+        level: level at 0.1 cycles/px.
+        slope: exponent of the frequency, no unit.
     """
 
     level: float
@@ -44,9 +44,9 @@ class TexturePosterior(NamedTuple):
     Attributes:
         estimate: posterior mean, (2, rows, columns).
         variance: posterior variance, same shape.
-        by_lens: variance that the lens's uncertainty adds, same shape.
+        by_lens: additional variance due to the uncertainty of the lens, same shape.
         prior: prior variance, same shape.
-        laws: the prior of each.
+        laws: prior power law of each map.
     """
 
     estimate: np.ndarray
@@ -64,7 +64,7 @@ class TexturePosterior(NamedTuple):
         """Find the frequencies along the rows and across them up to which a map is resolved, cycles/px.
 
         Args:
-            frequency: of the grid, along and across.
+            frequency: frequency of the grid, along and across.
             which: 0, diffuse; 1, specular.
         """
         resolved = self.resolved[which]
@@ -76,9 +76,9 @@ def texture_posterior(stack: FlatStack, weights: np.ndarray, lens_std: float = 0
     """Compute the posterior of both maps, with their power estimated from frequencies above the noise.
 
     Args:
-        stack: pictures on the texels.
-        weights: light of each picture's diffuse and specular part for a map of 1, (pictures, 2).
-        lens_std: relative standard deviation of the lens's width. Default: 0, exact.
+        stack: images on the texels.
+        weights: light of the diffuse and specular part of each image for a map of 1, (pictures, 2).
+        lens_std: relative standard deviation of the lens width. Default: 0, exact.
     """
     scale = np.abs(weights).max(axis=0)
     ways = weights / scale
@@ -89,7 +89,7 @@ def texture_posterior(stack: FlatStack, weights: np.ndarray, lens_std: float = 0
     laws = tuple(_power_law(estimate[i], free[i, i].real, radius) for i in range(2))
     prior = np.stack([law.at(radius) for law in laws])
     prior[:, 0, 0] = prior[:, 0, 1]
-    # frequencies beyond the band of the sensor alias; they are unknown and count as noise
+    # frequencies beyond the band of the sensor alias; they are unknown and are treated as noise
     noise = stack.noise + _folded(stack, ways, laws)
     information, projected = _normal(stack, ways, noise)
     covariance = _inverse(information, 1 / np.maximum(prior, _NOTHING * prior.max()))
@@ -111,7 +111,7 @@ def _normal(stack: FlatStack, ways: np.ndarray, noise: np.ndarray) -> tuple[np.n
 
 
 def _inverse(information: np.ndarray, prior: np.ndarray) -> np.ndarray:
-    """Invert 2 x 2 matrices with the information of the prior on their diagonal; huge where both vanish."""
+    """Invert 2 x 2 matrices with the information of the prior on their diagonal; very large where both vanish."""
     a, b = information[0, 0] + prior[0], information[1, 1] + prior[1]
     c = information[0, 1]
     floor = 1e-12 * max(float(a.max()), float(b.max()), 1e-300)

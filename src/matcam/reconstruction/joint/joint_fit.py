@@ -1,7 +1,7 @@
 """Joint fit of all images of a sample: lobe, reflectance, lens, lamps and distances in one likelihood (docs/model.md 10).
 
-A clipped pixel is a lower bound. Residuals beyond the noise enter as a share of the model, so that errors of any kind
-widen the uncertainty. Images are processed in parallel, and summed in order.
+A clipped pixel is a lower bound. Residuals beyond the noise are modelled as a share of the light, so that errors of any
+kind widen the uncertainty. Images are processed in parallel, and summed in order.
 """
 
 from __future__ import annotations
@@ -34,16 +34,16 @@ _MOST_AT_ONCE = 8  # images at a time; the derivatives of one take up to 12 MB
 
 
 class JointSolution(NamedTuple):
-    """Best fit.
+    """Solution of a joint fit.
 
     Attributes:
         problem: problem that was solved.
-        p: parameters.
-        covariance: of the parameters, including unexplained residuals and unstated distortion.
-        fitted: the same without unstated distortion, for weights.
+        p: fitted parameters.
+        covariance: covariance of the parameters, including unexplained residuals and unstated distortion.
+        fitted: covariance of the parameters without unstated distortion, for weights.
         cost: minus twice the logarithm of likelihood and prior, up to a constant.
         left: unexplained light.
-        theta_d: angle of each picture's strengths, rad, (pictures,).
+        theta_d: angle to which the strengths of each image apply, rad, (pictures,).
         theta_d_slope: derivatives of these angles, (pictures, parameters).
         chi2: mean squared residual of each picture, in standard deviations of photon and read noise, (pictures,).
         left_out: number of pixels beyond 6 standard deviations in each image, (pictures,).
@@ -106,7 +106,7 @@ class Likelihood:
     def residual(
         self, pixels: ObservedPixels, value: np.ndarray, level: np.ndarray | None = None
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Compute standardised residuals, their derivatives by the model, and their robust weights, (pixels,).
+        """Compute standardised residuals, their derivatives with respect to the model, and robust weights, (pixels,).
 
         The residual of a clipped pixel is the root of minus twice the logarithm of the probability of clipping.
 
@@ -146,8 +146,8 @@ class Likelihood:
 def solve(problem: JointProblem, start: np.ndarray, left: UnexplainedLight, enough: float) -> np.ndarray:
     """Minimise the cost at a given share of unexplained noise.
 
-    Levenberg-Marquardt steps use the noise of the model at their start. They are combined while that lowers the cost,
-    because with the residuals of real images each step alone would be too short.
+    Levenberg-Marquardt steps use the noise of the model at their start. Successive steps are combined as long as this
+    reduces the cost, because single steps are too short for the residuals of real images.
 
     Args:
         problem: problem to fit.
@@ -186,7 +186,7 @@ def solve(problem: JointProblem, start: np.ndarray, left: UnexplainedLight, enou
             break
         at = _assembled(problem, judge, p)
         costs.append(at.cost)
-        # the noise depends on the model, so near the end the new noise may cancel the gain of a step
+        # the noise depends on the model, so near the end the new noise may cancel the improvement of a step
         if gained < _SLIGHT * enough and len(costs) > _LOOK_BACK and at.cost > costs[-1 - _LOOK_BACK] - enough:
             break
     if not np.all(np.isfinite(p)):
@@ -199,7 +199,7 @@ def solve(problem: JointProblem, start: np.ndarray, left: UnexplainedLight, enou
 def _damped_step(
     problem: JointProblem, at: _Assembled, scale: np.ndarray, free: np.ndarray, damping: float, p: np.ndarray
 ) -> np.ndarray:
-    """Compute a step of the free parameters within all bounds, which holds those that would leave them (Bertsekas 1982)."""
+    """Compute a step of the free parameters that keeps parameters at their bounds fixed (Bertsekas 1982)."""
     held = ((p <= problem.low) & (at.gradient > 0)) | ((p >= problem.high) & (at.gradient < 0))
     free = free[~held[free]]
     inner = np.ix_(free, free)
@@ -244,8 +244,9 @@ def summed_up(problem: JointProblem, p: np.ndarray, left: UnexplainedLight) -> J
 
 
 def _of_the_unstated(problem: JointProblem, normal: np.ndarray, covariance: np.ndarray) -> np.ndarray:
-    """Compute the contribution of an unstated distortion to the covariance of a fit without it ("consider" covariance,
-    Schmidt 1966).
+    """Compute the contribution of an unstated distortion to the covariance of a fit without it.
+
+    This is the "consider" covariance of Schmidt (1966).
     """
     at, field = problem.layout.field.start, problem.unstated[0].field
     moved = -covariance @ normal[:, at]

@@ -4,7 +4,7 @@ The model of pixel i of channel c in picture k is
 
     exp(g_k) [F_kc (1 + slope (theta_i - theta_k)) lobe_i + diffuse_c lambert_i]
 
-with a strength F_kc that is free in every picture, and the gain g_k with its prior.
+with a strength F_kc that is free in every image, and a gain g_k with a prior.
 """
 
 from __future__ import annotations
@@ -21,8 +21,7 @@ from matcam.reconstruction.rig.field_change import FIELD, STEP, FieldChange
 
 
 class JointLayout(NamedTuple):
-    """Order of the vector of all parameters: lobe, scene, diffuse, field, then for each image its own, its gain and its
-    strengths.
+    """Order of all parameters: lobe, scene, diffuse, field, then own parameters, gain and strengths of each image.
 
     Attributes:
         lobe: number of the lobe's parameters.
@@ -63,12 +62,12 @@ class JointLayout(NamedTuple):
 
     @property
     def field(self) -> slice:
-        """Indices of the differences of the lens's field from its profile."""
+        """Indices of the differences of the lens field from its profile."""
         return slice(self.diffuse.stop, self.diffuse.stop + len(FIELD))
 
     @property
     def sample_radius(self) -> int:
-        """Index of ln of the radius of the sample in mm over the stated one, to which distances in mm are relative."""
+        """Index of ln of the radius of the sample over the specified radius, to which distances in mm are relative."""
         return self.field.stop
 
     @property
@@ -119,15 +118,15 @@ class JointProblem:
         layout: order of the parameters.
         pixels: chosen pixels of each picture.
         frames: base direction of each picture's lamp.
-        prior_rows: combinations of the parameters, (rows, size), that are
-        prior_values: these values +- 1, (rows,).
+        prior_rows: linear combinations of the parameters with a prior of standard deviation 1, (rows, size).
+        prior_values: prior means of these combinations, (rows,).
         prior_sources: source of each row: "lens", "outline", "lamp", "gain", ...
         low: smallest value of each parameter.
         high: largest value of each parameter.
         slope: d ln F / d theta_d of each picture and channel, 1/rad, (pictures, channels).
         fixed: parameters that are constant, (size,).
-        changes: effect of a change of the lens's field on each image; empty if the field is exact.
-        unstated: effect of an unstated distortion on each image; it is not fitted, but enters the covariance.
+        changes: effect of a change of the lens field on each image; empty if the field is exact.
+        unstated: effect of an unstated distortion on each image. It is not fitted, but included in the covariance.
     """
 
     model: PixelModel
@@ -234,9 +233,9 @@ class PictureFit(NamedTuple):
     """Model of the chosen pixels of one image.
 
     Attributes:
-        value: (pixels,).
-        jacobian: its derivatives, (pixels, parameters); None: not requested.
-        theta_d: angle of its strengths, rad.
+        value: model of the pixels, (pixels,).
+        jacobian: derivatives of the model, (pixels, parameters); None: not requested.
+        theta_d: angle to which the strengths apply, rad.
         theta_d_slope: derivatives of that angle, (parameters,).
     """
 

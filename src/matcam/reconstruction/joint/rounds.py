@@ -7,9 +7,9 @@ import time
 from collections.abc import Callable
 
 _STUCK = 0.1
-"""Unexplained share of the light up to which a rise does not end the rounds: new windows contain other pixels."""
+"""Unexplained share up to which an increase does not end the rounds, because new windows contain other pixels."""
 _RISE = 1.05
-"""Rise of the share, relative to its minimum, above which a round has not improved the fit."""
+"""Increase of the share, relative to its minimum, above which a round has not improved the fit."""
 
 _NOTHING, _FALL = 0.5, 0.95
 """Unexplained share above which a round must lower it, and the required ratio to the minimum; otherwise the model is
@@ -22,8 +22,8 @@ class Rounds:
 
     Args:
         most: largest number of rounds.
-        say: is called with a line about each round.
-        pictures: number of pictures that are fitted.
+        say: function that is called with a line about each round.
+        pictures: number of fitted images.
     """
 
     def __init__(self, most: int, say: Callable[[str], None], pictures: int):
@@ -46,7 +46,7 @@ class Rounds:
 
     @property
     def stuck(self) -> bool:
-        """Check whether the last round did not improve the fit, and leaves much unexplained."""
+        """Check whether the last round did not improve the fit and the unexplained share is large."""
         *before, share = self.shares
         least = min(before, default=math.inf)
         return share > max(_STUCK, _RISE * least) or share > max(_NOTHING, _FALL * least)

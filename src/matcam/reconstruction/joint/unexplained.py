@@ -1,7 +1,7 @@
 """Residuals of images beyond the noise: their share of the light, and their correlation between neighbouring pixels.
 
-A wrong lobe, dirt or a second reflection leave residuals of one sign over many pixels. If such pixels counted as
-independent, they would bias well determined quantities and give too small errors.
+A wrong lobe, dirt or a second reflection cause residuals of one sign over many pixels. If such pixels were treated as
+independent, they would bias well determined quantities, and errors would be too small.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ class UnexplainedLight(NamedTuple):
     """Unexplained share of the light and its correlation.
 
     Attributes:
-        share: share of the model that, added to photon and read noise, explains the residuals of bright pixels, no unit.
-        alike: number of pixels that share an unexplained residual. Default: 1, each has its own.
+        share: noise as a share of the model that, with photon and read noise, explains the residuals of bright pixels.
+        alike: number of pixels with fully correlated unexplained residuals. Default: 1, uncorrelated.
     """
 
     share: float
@@ -46,7 +46,8 @@ class UnexplainedLight(NamedTuple):
 def unexplained_share(problem: JointProblem, p: np.ndarray) -> float:
     """Compute the unexplained share of the light at some parameters.
 
-    It follows from squared residuals truncated at `_CUT` standard deviations, so that dust on few pixels has no effect.
+    It is estimated from squared residuals truncated at `_CUT` standard deviations, so that dust on few pixels has no
+    effect.
 
     Args:
         problem: problem of the fit.
@@ -56,7 +57,7 @@ def unexplained_share(problem: JointProblem, p: np.ndarray) -> float:
 
 
 def unexplained_by(problem: JointProblem, p: np.ndarray) -> UnexplainedLight:
-    """Compute that share, and the correlation between neighbouring pixels. Arguments as of `unexplained_share`."""
+    """Compute the unexplained share and the correlation between neighbouring pixels; see `unexplained_share`."""
     bright = _bright_pixels(problem, p)
     share = _share(bright)
     if share == 0:
@@ -95,7 +96,7 @@ class _Bright(NamedTuple):
 def _expected_noise(value: np.ndarray, std: np.ndarray) -> np.ndarray:
     """Estimate the noise of pixels as a smooth function of their values.
 
-    The noise estimate of a single pixel follows its value, which would select dim pixels below the model.
+    The noise estimate of a single pixel increases with its value, so it would favour pixels below the model.
     """
     order = np.argsort(value)
     gain = uniform_filter1d(std[order] ** 2 / value[order], _ALIKE_IN_VALUE, mode="nearest")
@@ -127,9 +128,7 @@ def _share(pictures: list[_Bright]) -> float:
 
 
 def _alike(pictures: list[_Bright], share: float) -> float:
-    """Compute the number of pixels that share a residual: the sum of its correlations up to their first zero (Bartlett
-    1935).
-    """
+    """Compute the number of correlated pixels: the sum of correlations up to their first zero (Bartlett 1935)."""
     together = np.zeros(1)
     total, count, unexplained = 0.0, 0, 0.0
     for one in pictures:

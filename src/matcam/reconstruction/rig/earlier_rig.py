@@ -23,11 +23,11 @@ class KnownRig(NamedTuple):
     """Prior knowledge of the rig of some images.
 
     Attributes:
-        values: ln of the lens's width over its profile's, nearness of camera and of lamp, changes of k1 and of the blur's
-            growth, (5,).
+        values: ln of the lens width over that of the profile, nearness of camera and of lamp, changes of k1 and of the
+            growth of the blur, (5,).
         lamps: index of the lamp of each image among the directions; -1: unknown, (pictures,).
         directions: unit vectors, (lamps, 3).
-        covariance: of values, and of two turns of each lamp, rad.
+        covariance: covariance of values, and of two turns of each lamp, rad.
     """
 
     values: np.ndarray
@@ -37,7 +37,7 @@ class KnownRig(NamedTuple):
 
     @property
     def knows(self) -> np.ndarray:
-        """Which of the values are known, (5,)."""
+        """Mask of the known values, (5,)."""
         return np.diag(self.covariance)[: len(SCENE_NAMES)] > _LEAST
 
     @property
@@ -49,13 +49,14 @@ class KnownRig(NamedTuple):
     def prior(
         self, size: int, places: Sequence[int], own: Sequence[int], frames: Sequence[LampFrame]
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Build rows and values of the prior: combinations of the parameters that are a value +- 1.
+        """Build rows and values of the prior: linear combinations of the parameters and their means, with unit
+        variance.
 
         Args:
             size: number of all parameters.
-            places: indices of the five values among them.
-            own: index of the first of the two turns of each picture's lamp.
-            frames: of the pictures' lamps.
+            places: indices of the five values among the parameters.
+            own: index of the first of the two turns of the lamp of each image.
+            frames: frames of the pictures' lamps.
         """
         chosen, rows, values = [], [], []
         for index in np.flatnonzero(self.knows).tolist():
@@ -93,17 +94,17 @@ def known_rig(
 
     Args:
         rig: as from `read_rig`.
-        names: of the lamp positions.
+        names: names of the lamp positions.
         frame: width and height of the frames, px; None: unknown.
-        sample_radius: of the sphere, mm; None: unknown.
-        sigma: of the lens by the profile, px; None: not Gaussian. The earlier lens is then ignored.
+        sample_radius: radius of the sphere, mm; None: unknown.
+        sigma: standard deviation of the lens by the profile, px; None: not Gaussian. The earlier lens is then ignored.
 
     Raises:
         ArgumentError: the frames are of another size, or no lamp position has a name of the rig.
     """
     if rig.frame is not None and frame is not None and rig.frame != frame:
         raise ArgumentError(
-            f"{rig.file}: is of frames of {rig.frame[0]} x {rig.frame[1]} px, these have {frame[0]} x {frame[1]} px: "
+            f"{rig.file}: has frames of {rig.frame[0]} x {rig.frame[1]} px, these have {frame[0]} x {frame[1]} px: "
             "give a reconstruction of the same camera"
         )
     unknown = [name for name in names if name not in rig.lamps]
@@ -124,7 +125,7 @@ def known_rig(
         remarks.append(
             Remark(
                 "rig-radius-not-stated",
-                f"{rig.file}: the radii of both spheres are not stated: they are assumed to be equal",
+                f"{rig.file}: the radii of both spheres are not specified: they are assumed to be equal",
             )
         )
     covariance = rig.covariance.copy()
@@ -150,11 +151,11 @@ def rig_covariance(
     """Compute the covariance of the parameters of a rig in the order of its document.
 
     Args:
-        covariance: of all parameters of a joint fit.
+        covariance: covariance of all parameters of a joint fit.
         scene: indices of lens, radius and nearnesses.
-        field: indices of the changes of the lens's field.
-        own: index of the first of the two turns of each picture's lamp.
-        frames: of these turns.
+        field: indices of the changes of the lens field.
+        own: index of the first of the two turns of the lamp of each image.
+        frames: frames of these turns.
         lamps: fitted directions, (pictures, 3), the origin of the turns in the document.
     """
     size = len(SCENE_NAMES) + 2 * len(lamps)

@@ -1,8 +1,7 @@
 """Effect of a change of distortion, or of blur over the field, on one image.
 
-About a highlight the lens is an affine map, which depends on k1: nodes keep their positions on the sphere, and their
-images move. Scattered pixels get other undistorted positions. The effect on the outline itself is part of the prior of
-the outline.
+About a highlight the lens is an affine map, which depends on k1: nodes are fixed on the sphere, and their images move.
+The undistorted positions of scattered pixels change. The effect on the outline is part of the prior of the outline.
 """
 
 from __future__ import annotations
@@ -16,7 +15,7 @@ from matcam.camera.lens_field import Coefficient, LensField
 from matcam.reconstruction.picture_rule import Window, through_lens
 
 FIELD = ("distortion", "blur growth")
-"""Differences of k1 and of the blur's growth from the profile, no unit."""
+"""Names of the two changes: difference of k1 and of the growth of the blur from the profile, no unit."""
 STEP = 1e-4
 """Step of k1 for numerical derivatives."""
 
@@ -25,8 +24,8 @@ class FieldChange(NamedTuple):
     """Change of k1 and of the growth of the blur, (2,), in the pixels of one image.
 
     Attributes:
-        field: of the lens, without changes.
-        highlight: its column and row, px, without distortion.
+        field: field of the lens, without changes.
+        highlight: column and row of the highlight, px, without distortion.
         seen: columns and rows of the scattered pixels in the image, px, (2, pixels).
     """
 
@@ -43,12 +42,12 @@ class FieldChange(NamedTuple):
         return changed_field(self.field, change).true_place(*self.seen)
 
     def places_slopes(self, change: np.ndarray) -> np.ndarray:
-        """Compute the derivatives of `places` by k1, (2, pixels)."""
+        """Compute the derivatives of `places` with respect to k1, (2, pixels)."""
         ahead, here = (np.array(self.places(np.array([change[0] + by, change[1]]))) for by in (STEP, 0.0))
         return (ahead - here) / STEP
 
     def widening(self, change: np.ndarray) -> float:
-        """Compute the derivative of ln of the width of the lens at the highlight by the growth."""
+        """Compute the derivative of ln of the lens width at the highlight with respect to the growth."""
         return self.field.beyond(*self.highlight) / changed_field(self.field, change).blur_scale(*self.highlight)
 
 
@@ -69,7 +68,7 @@ def found_field(field: LensField, change: np.ndarray, std: np.ndarray) -> LensFi
 
 
 def outline_slopes(field: LensField, centre: tuple[float, float], radius: float) -> tuple[float, float, float]:
-    """Compute the derivatives of column, row and radius of an outline in a distorted image by k1, px."""
+    """Compute the derivatives of column, row and radius of a distorted outline with respect to k1, px."""
     turn = 2 * np.pi * np.arange(48) / 48
     out = np.stack([np.cos(turn), np.sin(turn)])
     away = np.array(centre)[:, None] + radius * out - np.array(field.centre)[:, None]

@@ -1,8 +1,7 @@
 """JSON document of `matcam reconstruct`: its schema, and reading of a rig from it.
 
 docs/reconstruct.md describes its fields; `json_schema()` is the published schema (docs/reconstruction-v1.schema.json).
-The parts that belong to the rig and not to the sample - lens, distances, lamps - are read as an `EarlierRig` with one
-covariance.
+The parameters of the rig (lens, distances, lamps) are read as an `EarlierRig` with one covariance.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ from matcam.core.readers.texts import checked_version, first_problem, read_json
 
 FORMAT, VERSION = "matcam reconstruction", 1
 SCENE_NAMES = ("lens", "camera nearness", "lamp nearness", "distortion", "blur growth")
-"""The rig's parameters before those of the lamps, in the order of the covariance."""
+"""Parameters of the rig that precede those of the lamps, in the order of the covariance."""
 _WHAT = "a reconstruction"
 
 # models have no docstrings, because pydantic would include them in the published schema
@@ -118,15 +117,16 @@ class EarlierRig(NamedTuple):
     """Rig of an earlier reconstruction.
 
     Attributes:
-        file: its file.
-        frame: width and height of its frames, px; None: unknown.
-        sample_radius: of its sphere, mm; None: unknown. It is the unit of distances.
-        sigma: of the fitted lens, px; None: the lens is not Gaussian.
-        nearness: one over the distances of camera and lamp, in radii.
-        field: field of the lens; None: it is uniform.
+        file: file of the reconstruction.
+        frame: width and height of the frames, px; None: unknown.
+        sample_radius: radius of the sphere, mm, which is the unit of distances; None: unknown.
+        sigma: standard deviation of the fitted lens, px; None: the lens is not Gaussian.
+        nearness: inverse of the distances of camera and lamp, 1/radii.
+        field: field of the lens; None: uniform.
         lamps: names of the lamp positions.
         directions: unit vectors to the lamps, (lamps, 3).
-        covariance: of ln of the lens's width, both nearnesses, k1, the blur's growth, and two turns of each lamp, rad.
+        covariance: covariance of ln of the lens's width, both nearnesses, k1, the blur's growth, and two turns of each
+            lamp, rad.
     """
 
     file: str
@@ -154,10 +154,10 @@ def read_rig(path: str | Path) -> EarlierRig:
     """Read the rig of an earlier reconstruction.
 
     Args:
-        path: the JSON file that `matcam reconstruct` wrote.
+        path: JSON file written by `matcam reconstruct`.
 
     Raises:
-        FileFormatError: this is not a reconstruction, or its rig is inconsistent.
+        FileFormatError: the file is not a reconstruction, or its rig is inconsistent.
     """
     geometry = _checked(read_json(path, _WHAT), path).geometry
     names = tuple(lamp.name for lamp in geometry.lamps)
@@ -167,11 +167,9 @@ def read_rig(path: str | Path) -> EarlierRig:
     except ValueError:
         covariance = np.zeros(0)
     if covariance.shape != (size, size) or len(geometry.covariance.names) != size:
-        raise FileFormatError(f"{path}: field geometry.covariance: must be of {size} parameters, 5 and 2 for each lamp")
+        raise FileFormatError(f"{path}: field geometry.covariance: must have {size} parameters, 5 and 2 per lamp")
     if not np.allclose(covariance, covariance.T, rtol=1e-6, atol=1e-12) or np.diag(covariance).min() < 0:
-        raise FileFormatError(
-            f"{path}: field geometry.covariance: is no covariance: it must be symmetric, variances >= 0"
-        )
+        raise FileFormatError(f"{path}: field geometry.covariance: must be symmetric with variances >= 0")
     directions = np.array([lamp.direction for lamp in geometry.lamps], dtype=float).reshape(-1, 3)
     if not np.allclose(np.linalg.norm(directions, axis=1), 1, atol=1e-3):
         raise FileFormatError(f"{path}: field geometry.lamps: directions must be of length 1")

@@ -1,1 +1,1 @@
-"""Stated values of a capture as the prior of a fit: camera, lamps and their light, outline."""
+"""Specified values of a capture as the prior of a fit: camera, lamps and their light, outline."""

@@ -69,11 +69,11 @@ class CapturedScene(NamedTuple):
         radiometry: meaning of the codes.
         outline: the sphere's outline; None: another sample.
         left_out: names of the lamp positions that cannot be used.
-        remarks: what a reader should know.
-        units: of each channel, value of the pictures per radiance under unit irradiance, with relative standard
+        remarks: remarks on the capture.
+        units: unit of each channel, value of the images per radiance under unit irradiance, with relative standard
             deviation; None: no reference of known reflectance.
         frame: width and height of the frames, px; None: unknown. Default: None.
-        sample_radius: of the sphere, mm. Default: None, unknown.
+        sample_radius: radius of the sphere, mm. Default: None, unknown.
     """
 
     pictures: list[MergedPicture]
@@ -96,22 +96,22 @@ def captured_scene(
     workers: int = 1,
     kept: KeptWork | None = None,
 ) -> CapturedScene:
-    """Merge a capture's frames, and find outline, highlights and lamps.
+    """Merge the frames of a capture, and find outline, highlights and lamps.
 
     Args:
         capture: as from `read_capture`.
-        progress: called with the name of a step, and the numbers of finished and of all parts. Default: None.
-        earlier: the rig of an earlier reconstruction. Default: None.
-        workers: lamp positions that are read at a time. Default: 1.
-        kept: stored results from which an interrupted run resumes. Default: None, none.
+        progress: function of the name of a step, and the numbers of finished and of all parts. Default: None.
+        earlier: rig of an earlier reconstruction. Default: None.
+        workers: number of lamp positions that are read at a time. Default: 1.
+        kept: stored results from which an interrupted run resumes. Default: None, no results.
 
     Raises:
         ArgumentError: the capture is not of a sphere, or `earlier` is of another rig.
-        FitError: there is no sphere, or fewer than three pictures show a highlight.
+        FitError: no sphere was found, or fewer than three images contain a highlight.
     """
     kind = capture.settings["sample"]["kind"]
     if kind != "sphere":
-        raise ArgumentError(f"{capture.folder}: sample.kind is {kind!r}: the outline of a 'sphere' is looked for here")
+        raise ArgumentError(f"{capture.folder}: sample.kind must be 'sphere' to find an outline, got {kind!r}")
     remarks: list[Remark] = list(capture.problems)
     camera, spread = captured_lens(capture, remarks)
     frame, rig = frame_size(capture), None
@@ -147,7 +147,7 @@ def captured_scene(
             outline = find_outline(stacked(pictures), sighting=sighting)
         except FitError as error:
             tried = [one.text for one in remarks if one.code == "outline-left-out"]
-            advice = "give a frame of the sphere before a bright field, in outline/, or state outline.mask or outline.centre_px"
+            advice = "give a frame of the sphere before a bright field, in outline/, or set outline.mask or outline.centre_px"
             raise FitError(f"{'; '.join([*tried, str(error)])}; {advice}") from error
         outline, shifts = find_shifts(pictures, outline, shift_std=_SHIFT, same_radius=False)
         centres = np.array([[outline.column + s.column, outline.row + s.row] for s in shifts])

@@ -1,4 +1,4 @@
-"""Light of each lamp position: from a table, a reference in the image, or the stated stability of the lamp."""
+"""Light of each lamp position: from a table, a reference in the image, or the specified stability of the lamp."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _SEEN = float(np.radians(0.5))
 
 
 def under_one_light(pictures: Sequence[MergedPicture], capture: Capture) -> list[MergedPicture]:
-    """Divide the images by the light of their lamps if a table gives it; their mean over lamps and colours is kept."""
+    """Divide the images by the light of their lamps from a table, if given, relative to its mean."""
     if capture.settings["lamp"]["intensity"] != "table":
         return list(pictures)
     stated = {one.name: np.array(capture.lamps[one.name].intensity) for one in pictures}
@@ -32,7 +32,7 @@ def under_one_light(pictures: Sequence[MergedPicture], capture: Capture) -> list
         if len(light) not in (1, len(one.channels)):
             raise FitError(
                 f"{capture.folder}: lamp {one.name} has {len(light)} intensities and its pictures {len(one.channels)} "
-                "colours: give one, or one of each"
+                "colours: give one intensity, or one per colour"
             )
         share = np.broadcast_to(light, len(one.channels))[one.channel]
         found.append(replace(one, values=one.values / share, std=one.std / share))
@@ -48,8 +48,9 @@ def gains_of(
     nearness: Known,
     remarks: list[Remark],
 ) -> PatchLight:
-    """Determine the light of each image and the unit of values from the reference; without one, use the stated
-    stability of the lamp.
+    """Determine the light of each image and the unit of values from the reference.
+
+    Without a reference, the specified stability of the lamp is used.
     """
     count, drift = len(names), max(float(capture.settings["lamp"]["gain_std"]), 1e-5)
     stated = PatchLight(np.ones(count), drift**2 * np.eye(count), None, np.zeros(count, bool))
@@ -70,7 +71,7 @@ def gains_of(
             text = "the diffuse reference is dark, clipped or lit at grazing in every picture: F is relative"
             remarks.append(Remark("no-reference", text))
         elif found.units is None:
-            text = "reference.reflectance is not stated: F is relative"
+            text = "reference.reflectance is not given: F is relative"
             remarks.append(Remark("no-reflectance", text))
         return found or stated
     output = [radiometry.lamp_output.get(name) for name in names]
@@ -78,7 +79,7 @@ def gains_of(
     if not known.any():
         return stated
     if radiometry.reference_between >= drift:
-        text = f"the light changes by {radiometry.reference_between:.1%} between a picture of the reference and the sample's: "
+        text = f"the light changes by {radiometry.reference_between:.1%} between pictures of reference and sample: "
         remarks.append(Remark("reference-unsteady", f"{text}the value of lamp.gain_std was kept"))
         return stated
     gain = np.array([one.value if good and one is not None else 1.0 for one, good in zip(output, known, strict=True)])

@@ -1,4 +1,4 @@
-"""Outline of a capture, from outline frames, from a mask, or as stated; and the part of the frames about it."""
+"""Outline of a capture, from outline frames, from a mask, or as specified; and the region of the frames about it."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from matcam.files.capture import Capture, Region
 from matcam.files.capture_frames import CaptureFrame
 
 _MARGIN = 0.12
-"""Margin about the outline of the part of a frame that is read, as a share of the radius."""
+"""Margin about the outline in the region of a frame that is read, as a share of the radius."""
 _LEAST_NOISE = 1e-4
-"""Smallest relative standard deviation of a pixel over the bright field: rounding of a field of 3000 codes."""
+"""Smallest relative standard deviation of a pixel over the bright field, from the rounding of a field of 3000 codes."""
 
 
 def about_disc(capture: Capture) -> Region | None:
-    """Return the part of the frames about the dark disc of the first readable outline frame; None: no such frame."""
+    """Find the region about the dark disc of the first readable outline frame; None: no such frame."""
     reader = MosaicReader(capture)
     for frame in capture.of("outline"):
         try:
@@ -42,9 +42,9 @@ def about_disc(capture: Capture) -> Region | None:
 def found_outline(
     capture: Capture, sighting: Sighting, sigma: float, frame: tuple[int, int] | None, remarks: list[Remark]
 ) -> tuple[Outline | None, Region | None]:
-    """Determine the outline of a capture, and the part of the frames about it; None: only the lit limb shows it.
+    """Determine the outline of a capture, and the region of the frames about it; None: only the lit limb is visible.
 
-    The order of preference is a stated circle, a mask, outline frames. Unusable ones get a remark.
+    The order of preference is a specified circle, a mask, outline frames. A remark reports unusable inputs.
 
     Args:
         capture: as from `read_capture`.
@@ -70,7 +70,7 @@ def found_outline(
         try:
             outline = source()
         except MatcamError as error:
-            remarks.append(Remark("outline-left-out", f"{error}; the outline was taken from elsewhere"))
+            remarks.append(Remark("outline-left-out", f"{error}; the outline was found without these frames"))
             continue
         return outline, capture.region or (None if frame is None else about_outline(outline, frame[::-1]))
     return None, capture.region
@@ -84,8 +84,8 @@ def backlit_outline(
     Args:
         capture: as from `read_capture`.
         sighting: geometry of the camera.
-        sigma: standard deviation of the lens's blur, px; used if the field is clipped, because its edge then looks sharper.
-        region: part of the frames that is read; None: the whole frame.
+        sigma: standard deviation of the blur of the lens, px; used if the field is clipped, which sharpens its edge.
+        region: region of the frames that is read; None: the whole frame.
         remarks: get what a reader should know.
     """
     reader = MosaicReader(capture)
@@ -93,7 +93,7 @@ def backlit_outline(
     # photon noise in codes, from the smoothest neighbourhoods: differences of pixels of one colour
     step = 1 if reader.cfa is None else 2
     difference = mean[step:] - mean[:-step]
-    # at least that: a field of one code has no pixel above its percentile
+    # at least the percentile itself: a field of one code has no pixel above its percentile
     bright = mean >= np.percentile(mean, 60)
     pairs = bright[step:] & bright[:-step]
     noise = 1.4826 * float(np.median(np.abs(difference[pairs]))) / np.sqrt(2) if pairs.any() else 0.0
@@ -126,7 +126,7 @@ def mean_outline_frame(
 ) -> tuple[np.ndarray, bool]:
     """Average the frames in front of a bright field, less dark, and check whether the field is clipped.
 
-    Unusable frames get a remark.
+    A remark reports unusable frames.
     """
     total: np.ndarray | None = None
     count, clipped = 0, False
@@ -139,7 +139,7 @@ def mean_outline_frame(
             continue
         if total is not None and total.shape != light.shape:
             remarks.append(
-                Remark("bad-frame", f"{capture.folder / frame.file}: is not of the other outline frames' size")
+                Remark("bad-frame", f"{capture.folder / frame.file}: differs in size from the other outline frames")
             )
             continue
         total = light if total is None else total + light
@@ -151,7 +151,7 @@ def mean_outline_frame(
 
 
 def _dark(reader: MosaicReader, capture: Capture, frame: CaptureFrame, region: Region | None) -> np.ndarray | float:
-    """Return the mean dark code of the exposure of a frame, or of any exposure; 0 without dark frames."""
+    """Compute the mean dark code of the exposure of a frame, or of any exposure; 0 without dark frames."""
     frames = capture.of("dark", exposure=frame.exposure) or capture.of("dark")
     stack = []
     for one in frames[:8]:
@@ -165,7 +165,7 @@ def _dark(reader: MosaicReader, capture: Capture, frame: CaptureFrame, region: R
 
 
 def about_outline(outline: Outline, shape: tuple[int, ...]) -> Region:
-    """Return the part of a frame about an outline, with even first column and row to preserve the mosaic."""
+    """Compute the region about an outline, with even first column and row to preserve the mosaic."""
     return _box(outline.column, outline.row, outline.radius * (1 + _MARGIN) + 4, shape)
 
 

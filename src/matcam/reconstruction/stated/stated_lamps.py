@@ -1,4 +1,4 @@
-"""Stated directions to the lamps, compared with the highlights."""
+"""Specified directions to the lamps, compared with the highlights."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from matcam.files.capture import Capture
 from matcam.reconstruction.stated.stated_rig import FEWEST
 
 _FAR_OFF = float(np.radians(10.0))
-"""Angle between highlights and a lamp table above which the table is no start for a joint fit, rad."""
+"""Angle between highlights and a lamp table above which the table is not used as a start, rad."""
 _ALONE = 3.0
 """Ratio to the typical angle between highlights and table above which a poorly known highlight is rejected."""
 _UNKNOWN = float(np.radians(20.0))
-"""Standard deviation of the direction of a lamp without a stated one, rad."""
+"""Default standard deviation of the direction of a lamp, rad."""
 
 
 def stated_lamps(
     capture: Capture, names: Sequence[str], lamps: np.ndarray, remarks: list[Remark]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the stated directions, or those of the highlights, with their standard deviations, rad."""
+    """Choose the specified directions, or those of the highlights, with their standard deviations, rad."""
     stated, stds = lamps.copy(), np.full(len(names), _UNKNOWN)
     for k, name in enumerate(names):
         direction = capture.lamps[name].direction
@@ -35,7 +35,7 @@ def stated_lamps(
         remarks.append(
             Remark(
                 "lamp-table",
-                f"highlights and stated lamp directions differ by {np.sqrt(np.mean(apart**2)):.2g}° rms before the fit",
+                f"highlights and given lamp directions differ by {np.sqrt(np.mean(apart**2)):.2g}° rms before the fit",
             )
         )
     if known.sum() >= FEWEST:
@@ -45,17 +45,16 @@ def stated_lamps(
 
 
 def first_lamps(lamps: np.ndarray, covariances: np.ndarray, stated: np.ndarray, stds: np.ndarray) -> np.ndarray:
-    """Choose the directions that a fit starts from: of the highlights, or of the table for a single contradicting
-    highlight.
+    """Choose the directions from which a fit starts: highlights, or the table for a single contradicting highlight.
 
-    Near the limb a highlight narrower than a pixel hardly determines its lamp. A fit with its window beside the
-    highlight does not find it.
+    Near the limb a highlight narrower than a pixel hardly determines its lamp. A fit whose window does not contain the
+    highlight does not converge to it.
 
     Args:
-        lamps: directions by the highlights, (pictures, 3).
-        covariances: of these, rad^2, (pictures, 3, 3).
-        stated: directions, (pictures, 3).
-        stds: of these along each tangent, rad, (pictures,).
+        lamps: directions from the highlights, (pictures, 3).
+        covariances: covariances of `lamps`, rad^2, (pictures, 3, 3).
+        stated: specified directions, (pictures, 3).
+        stds: standard deviations of `stated` along each tangent, rad, (pictures,).
     """
     own = np.sqrt(np.trace(covariances, axis1=1, axis2=2) / 2)
     apart = lamp_angles_apart(lamps, stated)
@@ -65,7 +64,7 @@ def first_lamps(lamps: np.ndarray, covariances: np.ndarray, stated: np.ndarray, 
 
 
 def _table_mistake(lamps: np.ndarray, stated: np.ndarray, stds: np.ndarray, known: np.ndarray) -> Remark | None:
-    """Name the mistake in a lamp table, and change `stated` and `stds` so that the fit does not depend on it."""
+    """Identify the mistake in a lamp table, and change `stated` and `stds` so that the fit does not depend on it."""
     verdict = explain_lamp_table(lamps[known], stated[known])
     if verdict.mistake == "none":
         return None

@@ -1,4 +1,4 @@
-"""Stated camera and distances of a capture, or a guess with a remark."""
+"""Specified camera and distances of a capture, or a guess with a remark."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from matcam.reconstruction.sphere_scene import Known, lens_std
 FEWEST = 3
 """Number of lamp positions that a reconstruction requires."""
 _GUESSED_NEARNESS = Known(0.02, 0.02)
-"""Inverse of an unstated distance, in radii."""
+"""Prior mean and standard deviation of the inverse of an unknown distance, 1/radii."""
 _EXACT = 1e-5
-"""Relative standard deviation of a length that is stated without one: better than any measurement, but it can be found
-wrong.
+"""Default relative standard deviation of a specified length. It is smaller than that of any measurement, but not 0, so
+that a wrong length can be detected.
 """
 
 
 def captured_lens(capture: Capture, remarks: list[Remark]) -> tuple[Camera, float]:
     """Return the camera of a capture and the relative standard deviation of its lens.
 
-    Without a profile, or with an unreadable one or one of another camera, they are a guess, with a remark.
+    Without a profile, or if it is unreadable or of another camera, both are a guess, with a remark.
     """
     value, std = GUESSED_LENS
     try:
@@ -55,13 +55,13 @@ def without_field(camera: Camera, sample: str, remarks: list[Remark]) -> Camera:
     """Return the camera with a uniform lens, for a sample that does not support a field, with a remark."""
     if camera.field is None:
         return camera
-    text = f"the profile's distortion and blur over the field are not allowed for on a {sample}: keep it in the middle"
+    text = f"distortion and blur over the field of the profile are ignored for a {sample}: keep it in the middle"
     remarks.append(Remark("field-not-used", text))
     return camera.with_field(None)
 
 
 def known_radius(capture: Capture) -> Known | None:
-    """Return the stated radius of the sample, mm; None: unknown."""
+    """Return the specified radius of the sample, mm; None: unknown."""
     radius = capture.radius_mm
     return None if radius is None else Known(radius.value, max(radius.std, _EXACT * radius.value))
 
@@ -73,14 +73,14 @@ def with_radius(nearness: Known, radius: Known | None) -> Known:
 
 
 def known_nearness(capture: Capture, of: str, remarks: list[Remark]) -> Known:
-    """Return the inverse of a stated distance, in stated radii, or a guess with a remark.
+    """Return the inverse of a specified distance, 1/radii, or a guess with a remark.
 
-    The standard deviation is that of the distance alone, because the error of the radius is common to both distances.
+    The standard deviation is that of the distance only, because the error of the radius is common to both distances.
     """
     stated, radius = capture.settings["distances"][f"{of}_mm"], capture.radius_mm
     if stated is None or radius is None:
         remarks.append(
-            Remark(f"{of}-distance-not-stated", f"the {of}'s distance is not stated: 25 radii or more are assumed")
+            Remark(f"{of}-distance-not-stated", f"the {of} distance is not given: 25 radii or more are assumed")
         )
         return _GUESSED_NEARNESS
     distance, std = stated
