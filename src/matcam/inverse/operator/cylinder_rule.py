@@ -42,8 +42,8 @@ class LinePixels(NamedTuple):
 
     Attributes:
         x: px from the axis.
-        lamp_angle: between lamp and optical axis, rad.
-        azimuth: of the lamp about it, rad.
+        lamp_angle: angle between lamp and optical axis, rad.
+        azimuth: azimuth of the lamp about it, rad.
         factor: factor of the record.
     """
 
@@ -58,7 +58,7 @@ class CylinderRule(NamedTuple):
 
     Attributes:
         theta: angle between normal and half vector, rad.
-        weight: of each node.
+        weight: weight of each node.
         circles: sums over nodes at about one turn from the position of the smallest angle.
         moment: weights of the difference of theta_d from the cell's, rad; None: not requested.
     """
@@ -75,7 +75,7 @@ class _Samples(NamedTuple):
     Attributes:
         light: their lamps.
         row: px.
-        share: of the record.
+        share: shares of the record.
         shift: differences of the closest normals at the two ends of a chord from that at its middle, rad, two arrays.
     """
 
@@ -144,7 +144,7 @@ def cylinder_rule(
         cylinder: the cylinder.
         blur: under a lamp without a disc.
         variance: px^2, (pixels,), that the blur's spread adds.
-        terms: of the blur.
+        terms: terms of the blur.
         pixels: a multiple of the block, see `padded`.
         nearness: inverse of the lamp's distance, 1/radii; None: distant.
         reach: half width of the window of a pixel, (pixels,), px.
@@ -152,7 +152,7 @@ def cylinder_rule(
         onto: least and largest theta_h between which the nodes lie, (pixels,), rad.
         arm: one of `line_rule.ARMS`.
         discs: whether the lamp has a disc.
-        theta_d: of the cells, (pixels,), rad, origin of the moments; None: no moments.
+        theta_d: theta_d of the cells, (pixels,), rad, origin of the moments; None: no moments.
     """
 
     def block(arguments):  # type: ignore[no-untyped-def]
