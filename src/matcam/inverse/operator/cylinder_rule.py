@@ -41,7 +41,7 @@ class LinePixels(NamedTuple):
     """Pixels on a cylinder at height 0, arrays of one shape, each with its own lamp.
 
     Attributes:
-        x: px from the axis.
+        x: distance from the axis, px.
         lamp_angle: angle between lamp and optical axis, rad.
         azimuth: azimuth of the lamp about it, rad.
         factor: factor of the record.
@@ -73,8 +73,8 @@ class _Samples(NamedTuple):
     """Lines with their own lamps, arrays (pixels, samples).
 
     Attributes:
-        light: their lamps.
-        row: px.
+        light: lamps of the lines.
+        row: row of each line, px.
         share: shares of the record.
         shift: differences of the closest normals at the two ends of a chord from that at its middle, rad, two arrays.
     """
@@ -148,10 +148,10 @@ def cylinder_rule(
         pixels: a multiple of the block, see `padded`.
         nearness: inverse of the lamp's distance, 1/radii; None: distant.
         reach: half width of the window of a pixel, (pixels,), px.
-        disc: angular radius of the lamp's disc, rad.
-        onto: least and largest theta_h between which the nodes lie, (pixels,), rad.
+        disc: angular radius of the source disc, rad.
+        onto: smallest and largest theta_h between which the nodes lie, (pixels,), rad.
         arm: one of `line_rule.ARMS`.
-        discs: whether the lamp has a disc.
+        discs: True if the lamp has a disc.
         theta_d: theta_d of the cells, (pixels,), rad, origin of the moments; None: no moments.
     """
 
