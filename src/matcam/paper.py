@@ -1,7 +1,7 @@
 """Equations and figures of the paper: Holzschuch & Pacanowski, "The Effects of Digital Cameras Optics and Electronics
 for Material Acquisition", Workshop on Material Appearance Modeling 2017 (hal-01576742).
 
-Its equation (11), and the data of its Figures 3, 4 and 5 (`figures.paper` draws them; Figure 6 is `fresnel`).
+This module has equation (11) and the data of Figures 3, 4 and 5 (drawn by `figures.paper`; Figure 6 is `fresnel`).
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ FIGURE_5_RATIOS = (0.01, 0.1, 0.5, 1.0, 2.0, 5.0, 10.0, 100.0)
 _FIGURE_3_ANGLES = (0.0, 45.0, 60.0, 75.0)
 _POINTS_PER_PX = 31  # odd, so that the peak itself is a sample
 _NAMES = {
-    "signal": "signal over the true peak, as it arrives on the sensor",
+    "signal": "signal over the true peak, on the sensor without optics",
     "after_optics": "signal over the true peak, after the optics",
-    "recorded": "signal over the true peak, as pixels record it",
+    "recorded": "signal over the true peak, as recorded by pixels",
     "loss": "recorded over true peak, relative to theta = 0",
     "loss_printed": "recorded over true peak by equation (11) as printed, relative to theta = 0",
     "cosine": "cosine of theta",
@@ -43,14 +43,14 @@ def peak_eq11(
     erf((sigma_p / radius) / (sqrt2 sigma_m)) with sigma_m = sqrt(sigma^2 + (sigma_mtf / (radius cos theta))^2), equation (10).
     Arguments broadcast.
 
-    Use it to reproduce Figure 5 only, and `peak_response` for everything else. The equation uses a lobe of unit area
-    and omits that the angular width of a pixel is sigma_p / (radius cos theta) (docs/model.md 4).
+    Use it only to reproduce Figure 5, and `peak_response` otherwise. The equation uses a lobe of unit area and neglects
+    that the angular width of a pixel is sigma_p / (radius cos theta) (docs/model.md 4).
 
     Args:
         sigma: width of the lobe, rad, positive.
         sigma_mtf: standard deviation of the optics, px, positive.
         sigma_p: half width of a pixel, px, positive.
-        radius: of the sphere's picture, px, positive.
+        radius: radius of the sphere in the image, px, positive.
         theta: angle between normal and view at the highlight, rad, [0, pi/2).
 
     Returns:

@@ -28,9 +28,9 @@ CellValue = Literal["centre", "edge", "mean", "nearest", "bilinear", "unknown"]
 UNKNOWN: CellValue = "unknown"
 """Unknown meaning of a cell: it is determined from a table that is read; in a simulated table each cell has its own pixel."""
 CELL_VALUES: tuple[CellValue, ...] = tuple(value for value in get_args(CellValue) if value != UNKNOWN)
-"""Meaning of a cell of a table: the pixel at its centre, the one at its edge, the mean of the pixels inside, the
-nearest pixel of a real picture, or the bilinear interpolation between its pixels. At a sharp peak these differ by up to
-45 % (docs/model.md 3).
+"""Meaning of a cell of a table: pixel at its centre, pixel at its edge, mean of the pixels inside, nearest pixel of a
+real image, or bilinear interpolation between the pixels of a real image. At a sharp peak these differ by up to 45 %
+(docs/model.md 3).
 """
 ON_REAL_PIXELS: tuple[CellValue, ...] = ("nearest", "bilinear")
 """Meanings that require a real grid of pixels, whose phase is specified or estimated from the table."""
@@ -46,14 +46,14 @@ class Rig(Module):
     The rig photographs a sample of the material.
 
     Args:
-        camera: the camera, with its uncertainty if it is known.
+        camera: camera, with its uncertainty if it is known.
         sample: shape of the sample: `Sphere`, `Cylinder` or `Flat`.
-        lamp: the lamp: `DistantLamp` or `NearLamp`. Default: None, a distant point.
-        lamp_radius: short for a distant lamp with this angular radius, rad, [0, pi/8]. Default: None, that of `lamp`.
-        jitter: standard deviation of the pictures' registration, px, [0, 10]. Default: 0. Increase it if several
+        lamp: lamp: `DistantLamp` or `NearLamp`. Default: None, a distant point.
+        lamp_radius: angular radius of a distant lamp, instead of `lamp`, rad, [0, pi/8]. Default: None, that of `lamp`.
+        jitter: standard deviation of the registration of the images, px, [0, 10]. Default: 0. Increase it if several
             exposures are merged or the rig vibrates.
-        aperture: diameter of the lens's entrance pupil over its distance from the sample, no unit, [0, 1]. Default: 0, a
-            pinhole's depth of field.
+        aperture: diameter of the entrance pupil over its distance from the sample, no unit, [0, 1]. Default: 0, no
+            defocus.
         focus: angle from the optical axis of the normals that are in focus, rad, [0, pi/2]. Default: 0, the point of the
             sample closest to the camera.
         crop: (height, width) of the part of the sensor that is used, px, about the optical axis. None: the area of the sample.
@@ -65,8 +65,8 @@ class Rig(Module):
             plus this (x, y) from the sphere's centre, px, each in [-0.5, 0.5]; or 90 such pairs, one for the picture of
             each slice of theta_d. Default: None: a fit estimates it from the table, and averages a "mean" without
             evidence of pixels over all phases.
-        lamp_azimuth: of the lamp about the optical axis in pictures and those behind a table, from +x towards +y, rad,
-            in [-2 pi, 2 pi]; the pixels do not turn. Default: None, attrs["lamp_azimuth"] of the table, or 0.
+        lamp_azimuth: azimuth of the lamp about the optical axis in images and in the images of a table, from +x towards
+            +y, rad, in [-2 pi, 2 pi]; the pixels do not turn. Default: None, attrs["lamp_azimuth"] of the table, or 0.
 
     Raises:
         ArgumentError: a part is of the wrong kind, or a parameter is out of range.
@@ -112,7 +112,7 @@ class Rig(Module):
         if not isinstance(sample, Sample):
             raise ArgumentError(f"sample must be a Sphere, Cylinder or Flat, got {type(sample).__name__}")
         if lamp is not None and lamp_radius is not None:
-            raise ArgumentError("lamp_radius is short for DistantLamp(radius): give it or a lamp, not both")
+            raise ArgumentError("lamp_radius means DistantLamp(radius): give lamp_radius or a lamp, not both")
         if lamp is None:
             lamp = DistantLamp(0.0 if lamp_radius is None else lamp_radius)
         if not isinstance(lamp, Lamp):
@@ -153,9 +153,9 @@ class Rig(Module):
         return checked_azimuths((self.lamp_azimuth or 0.0) if azimuth is None else azimuth)
 
     def px_per_rad(self, theta_d: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Return the picture's shift per turn of the normal, px/rad.
+        """Return the shift of the image per rotation of the normal, px/rad.
 
-        The turn is relative to the half vector, which a near camera or lamp turns, too.
+        The rotation is relative to the half vector, which also rotates for a near camera or lamp.
 
         Args:
             theta_d: half the angle between lamp and camera, seen from the highlight, rad.
@@ -166,7 +166,7 @@ class Rig(Module):
         return self.sample.px_per_rad(theta_d, self.lamp.nearness)
 
     def lamp_spread(self, theta_d: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Return the spread of the half vector over the lamp's disc, rad.
+        """Return the spread of the half vector over the source disc, rad.
 
         The disc of a near lamp is larger from the highlight than from the centre of the sample.
 
@@ -174,7 +174,8 @@ class Rig(Module):
             theta_d: difference angle, rad, any shape.
 
         Returns:
-            Standard deviations of the normal's angle in the plane of camera and lamp, and across it (docs/model.md 3).
+            Standard deviations of the angle of the normal in the plane of camera and lamp, and across it (docs/model.md
+            3).
         """
         quarter = self.lamp_radius / 4 * closeness(self.lamp.nearness, xp.cos(theta_d))
         return quarter, quarter / xp.cos(theta_d)
@@ -236,7 +237,7 @@ def picture_shape(name: str, shape: tuple[int, int]) -> tuple[int, int]:
     """Check a picture's (height, width).
 
     Args:
-        name: of the argument, for the message.
+        name: name of the argument, for the message.
         shape: two whole numbers in [1, 65535], px.
 
     Raises:
@@ -258,15 +259,15 @@ def picture_shape(name: str, shape: tuple[int, int]) -> tuple[int, int]:
 
 
 def merl() -> Rig:
-    """Return the rig of the MERL database, as the paper reconstructs it.
+    """Return the rig of the MERL database as assumed in the paper.
 
-    It has a QImaging Retiga 1300 and a sphere over half the height of the image: a limb of radius 256 px. Pixels have
-    100 % fill, and the blur of the optics is sigma_mtf = half a pixel. That blur is an assumption of the paper, and its
-    standard deviation is as large as itself, so that a fit estimates it from the data, down to no blur. The lookup of
-    cells in pixels is unpublished, and is estimated from each table.
+    It has a QImaging Retiga 1300 and a sphere over half the height of the image, with a limb of radius 256 px. Pixels
+    have 100 % fill, and the blur of the optics is sigma_mtf = half a pixel. This blur is an assumption of the paper.
+    Its standard deviation is 100 %, so that a fit estimates it from the data, down to no blur. The lookup of cells in
+    pixels is unpublished, and is estimated from each table.
 
     Returns:
-        The rig; replace its parts to describe another.
+        The rig. Replace its parts to describe another rig.
 
     Source:
         Holzschuch & Pacanowski (2017), section 4; docs/model.md 5.

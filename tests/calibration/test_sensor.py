@@ -154,7 +154,7 @@ def test_what_is_written(found, tmp_path):
 
 
 def test_wrong_series_are_refused_by_name(tmp_path):
-    with pytest.raises(FileFormatError, match="contains no exposures: it needs pictures in dark/ and flat/"):
+    with pytest.raises(FileFormatError, match="contains no exposures: it needs images in dark/ and flat/"):
         characterise_sensor(tmp_path)
     frame = np.full((8, 8), 100, np.uint16)
     tifffile.imwrite(tmp_path / "flat_1.tif", frame)

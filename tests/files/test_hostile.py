@@ -73,7 +73,7 @@ class TestHDF5:
             (
                 "layout = h5py.VirtualLayout((4,), '<f8'); layout[:] = h5py.VirtualSource('VICTIM', 'x', (4,)); "
                 "file.create_virtual_dataset('stolen', layout)",
-                "put together from other files",
+                "assembled from other files",
             ),
             ("file['loop'] = h5py.SoftLink('/loop')", "symbolic link"),
             ("group = file.create_group('g'); group['again'] = group", "is a group"),
@@ -260,7 +260,7 @@ class TestTexts:
 
     def test_lines_without_values(self, tmp_path):
         (tmp_path / "a.csv").write_text(self.HEAD + "\n" * 6_000_000)
-        refused(read_samples, tmp_path / "a.csv", "there is no line after")
+        refused(read_samples, tmp_path / "a.csv", "has no line after")
 
     @pytest.mark.parametrize(
         "content",

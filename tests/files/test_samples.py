@@ -59,7 +59,7 @@ def test_what_is_wrong_is_said_with_its_line(tmp_path):
     cases = [
         ("", "line 1"),
         ("a,b\n1,2\n", "column 'a' is neither"),
-        (HEAD, "there is no line after"),
+        (HEAD, "has no line after"),
         (HEAD.replace("theta_d_rad,", ""), "line 1 must name"),
         (HEAD.replace("phi_d_rad", "theta_h_deg") + "1,1,1,1,1,1", "line 1 must name"),
         ("theta_h_rad,theta_d_rad,phi_d_rad\n1,1,1\n", "no channel"),
@@ -85,7 +85,7 @@ def test_what_is_wrong_is_said_with_its_line(tmp_path):
 
 def test_scattered_samples_are_no_table(tmp_path):
     (tmp_path / "a.csv").write_text(HEAD + "0.1,0.2,0.3,1,2,3\n")
-    with pytest.raises(ArgumentError, match=r"sample 1 .* is not on the MERL grid"):
+    with pytest.raises(ArgumentError, match=r"sample 1 .* must lie on the MERL grid"):
         table_of(read_samples(tmp_path / "a.csv"))
     (tmp_path / "b.csv").write_text(HEAD + "0,0,0,1,2,3\n0,0,3.141592653589793,1,2,3\n")
     with pytest.raises(ArgumentError, match="several samples"):

@@ -54,7 +54,7 @@ def test_noisy_data_are_told_within_their_errors():
     assert found.determined
     assert abs(found.params["alpha"] - 0.003) < 4 * found.std["alpha"]
     assert 0.8 < found.misfit < 1.25
-    assert texts(found.remarks) == ["the camera is taken as exact"]
+    assert texts(found.remarks) == ["the camera is assumed to be exact"]
     assert set(found.params) == {"alpha", "n[G]", "k[G]"}
     assert found.correlation("n[G]", "n[G]") == pytest.approx(1)
     assert np.nanstd(found.residual["residual"]) == pytest.approx(1, abs=0.15)

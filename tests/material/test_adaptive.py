@@ -108,5 +108,5 @@ def test_other_things_are_refused():
     for wrong in (GaussianOptics(0.5), xr.Dataset()):
         with pytest.raises(ArgumentError, match="fields must be a Dataset"):
             Adaptive(wrong)
-    with pytest.raises(ArgumentError, match="field phi_i must span a whole turn"):
+    with pytest.raises(ArgumentError, match="field phi_i must span a full"):
         Adaptive(random_fields(np.linspace(-np.pi, -0.6 * np.pi, 4)))

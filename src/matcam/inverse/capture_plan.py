@@ -1,7 +1,7 @@
 """Lamp angles, exposures, radius and tolerances that a wanted accuracy of F requires (docs/model.md 10).
 
 `limits` gives the accuracy that pixels and lens allow. The tolerances of geometry and light follow from the slope of F:
-an error of an angle evaluates F at another angle, and a relative error of an image's light is one of F.
+an error of an angle gives F at another angle, and a relative error of the light of an image is a relative error of F.
 """
 
 from __future__ import annotations
@@ -37,19 +37,19 @@ _RADII = (0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0)
 
 
 class CaptureNeeds(NamedTuple):
-    """Requirements of a wanted accuracy of F.
+    """Requirements for a wanted accuracy of F.
 
     Attributes:
-        theta_d: of the lamp positions, rad, (n,).
-        lamp_angle: between lamp and optical axis, seen from the sample's centre, rad, (n,).
-        radius: smallest tried radius of the limb at which the pixels allow the accuracy, px; infinite if none of them does.
+        theta_d: theta_d of the lamp positions, rad, (n,).
+        lamp_angle: angle between lamp and optical axis, seen from the sample's centre, rad, (n,).
+        radius: smallest tried radius of the limb at which the pixels allow the accuracy, px; infinite if there is none.
         fresnel_std: bound of F at the last angle for each radius tried, (radius px, relative standard deviation).
         exposures: number of exposures, in steps of a factor of 4.
-        dynamic_range: brightest pixel over the dimmest that matters.
+        dynamic_range: ratio of the brightest to the dimmest useful pixel.
         lamp_std: tolerance of the direction of each lamp, rad.
         outline_std: tolerance of centre and radius of the sphere, px.
         gain_std: relative tolerance of the light of an image.
-        slope: change of F with the angle at the last one, relative, 1/rad.
+        slope: relative change of F with the angle at the last angle, 1/rad.
     """
 
     theta_d: np.ndarray
@@ -92,25 +92,25 @@ def plan_capture(
 ) -> CaptureNeeds:
     """Plan a capture for a wanted accuracy of F.
 
-    The accuracy is shared by four independent errors: the angle, the picture's light, the outline, and the pixels; each may
-    take half of it.
+    Four independent errors contribute: the angle, the light of the image, the outline, and the pixels. Each may be half
+    of the wanted standard deviation.
 
     Args:
-        rig: camera with a Gaussian lens, a `Sphere` and a lamp, distant or near; the distances count in radii, which stay as
-            the sphere is tried larger or smaller in the picture.
+        rig: camera with a Gaussian lens, a `Sphere` and a lamp, distant or near. Distances in radii are constant when
+            other sizes of the sphere in the image are tried.
         roughness: alpha of a GGX lobe, no unit.
         accuracy: wanted standard deviation of F at `last` over F at small angles, relative. Default: 0.01.
         last: largest theta_d at which F is wanted, rad, [0.2, 1.5]. Default: 75 degrees.
         n: refractive index of the material. Default: 1.5, whose F is steep.
-        k: its extinction. Default: 0.
-        noise: of a pixel. Default: None, 1 % of the value and 1e-4 of the peak.
-        workspace: keeps what depends on a rig alone. Default: None, that of the process.
+        k: extinction coefficient of the material. Default: 0.
+        noise: noise of a pixel. Default: None, 1 % of the value and 1e-4 of the peak.
+        workspace: store of results that depend only on the rig. Default: None, that of the process.
 
     Returns:
         Lamp positions, radius, exposures and tolerances.
 
     Raises:
-        ArgumentError: an argument is out of range, or the rig cannot be followed (`limits`).
+        ArgumentError: an argument is out of range, or `limits` does not support the rig.
 
     Source:
         docs/model.md 8 and 10.
@@ -166,7 +166,7 @@ def plan_capture(
 
 
 def _enlarged(rig: Rig, radius: float) -> Rig:
-    """Replace the radius of the sphere in the image, px; distances in radii stay."""
+    """Replace the radius of the sphere in the image, px; distances in radii are constant."""
     assert isinstance(rig.sample, Sphere)
     distance = np.inf if rig.sample.distant else rig.sample.distance
     return eqx.tree_at(lambda r: r.sample, rig, Sphere(radius, distance))

@@ -10,7 +10,7 @@ from matcam.core.remark import from_attribute
 from matcam.core.results.summary import Quantity, Summary
 
 _ANGLES = (5, 15, 30, 45, 60, 75)
-"""Degrees of theta_d at which values are listed: from near normal incidence to where F of a metal dips."""
+"""Values of theta_d for listed values, degrees, from near normal incidence to the minimum of F of a metal."""
 
 
 def fresnel_summary(data: xr.Dataset) -> Summary:
@@ -24,7 +24,7 @@ def fresnel_summary(data: xr.Dataset) -> Summary:
         f"{name} {np.degrees(angle):.0f}°" for name, angle in zip(channels, data["supported_angle"].values, strict=True)
     )
     verdict = (
-        "Rig and data contradict each other: F is that without a camera."
+        "Rig and data contradict each other: F is not corrected for the camera."
         if data.attrs.get("withheld")
         else f"F is known to 5 % up to {ends}."
     )
@@ -51,7 +51,7 @@ def corrected_summary(data: xr.Dataset) -> Summary:
     known = np.isfinite(data["brdf_std"].values)
     share = float(data["supported"].values[known].mean()) if known.any() else 0.0
     verdict = (
-        "Rig and data contradict each other, so the table stays as it is. No entry is supported."
+        "Rig and data contradict each other, so the table is unchanged. No entry is supported."
         if data.attrs.get("withheld")
         else f"The correction leaves less than 5 % open in {share:.0%} of the entries that can be judged."
     )

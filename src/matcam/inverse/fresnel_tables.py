@@ -28,7 +28,7 @@ _NAMES = {
 
 
 def check_fresnel_result(result: xr.Dataset) -> None:
-    """Check that a result is a Dataset as from `fresnel`; ArgumentError names what it lacks."""
+    """Check that a result is a Dataset as from `fresnel`; the ArgumentError names missing variables."""
     checks.instance("result", result, xr.Dataset)
     dims = {"theta_d": ("theta_d",), "raw": _DIMS, "corrected": _DIMS, "supported_angle": _DIMS[1:]}
     lacking = [name for name, wanted in dims.items() if name not in result.variables or result[name].dims != wanted]
@@ -56,8 +56,8 @@ def tabulated_fresnel(
           the normalisation to the supported angle; NaN where no angle is supported.
 
     Raises:
-        ArgumentError: the metal is unknown, the number of wavelengths is not that of the channels, or `result` lacks a
-            variable.
+        ArgumentError: the metal is unknown, the number of wavelengths differs from that of channels, or `result` lacks
+            a variable.
 
     Source:
         `metals` lists the tables.

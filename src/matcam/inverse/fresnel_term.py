@@ -43,17 +43,17 @@ from matcam.numerics.fit_budget import parts_budget
 from matcam.rigs import Rig
 
 SUPPORTED_STD = 0.05
-"""Relative standard deviation beyond which an angle is no longer supported by the data."""
+"""Relative standard deviation beyond which F at an angle is not supported by the data."""
 
 NORMALISE = (np.radians(10.0), np.radians(45.0))
-"""theta_d over whose mean F is normalised. Below 10 degrees lamp and camera occlude each other on real rigs; F of
-metals is flat up to 45 degrees.
+"""Default range of theta_d over which F is normalised, rad. Below 10 degrees lamp and camera occlude each other on real
+rigs; F of metals is flat up to 45 degrees.
 """
 
 _NEGLIGIBLE = 1e-3
 """Probability of no camera below which the fit without camera is not repeated in all slices."""
 _SHARP_LENS = 0.05
-"""Width of a lens below which a small width is used instead, px."""
+"""Smallest width of a lens that is used for exact peaks, px."""
 _PARTS = 5
 """Number of parts in which the angles of exact peaks are computed."""
 _QUIET = np.radians(np.arange(6, 60, 3))  # theta_d where lobes of real tables are complete
@@ -64,7 +64,7 @@ _NAMES = {
     "corrected": "F corrected for the camera",
     "corrected_std": "standard deviation of corrected",
     "corrected_std_noise": "part of pixel noise in corrected_std",
-    "corrected_std_camera": "part of the camera's uncertainty in corrected_std",
+    "corrected_std_camera": "part of the uncertainty of the camera in corrected_std",
     "absolute": "F corrected, not normalised",
     "absolute_std": "standard deviation of absolute",
     "response": "recorded / true peak",
@@ -92,20 +92,20 @@ def fresnel(
 
     F is free in every slice; one lobe and a Lambertian part are common to all. The uncertainty of the camera is a
     prior, and the shape of its lens is fitted, too. F is averaged over the same explanations as in `correct`, and
-    withheld where `correct` withholds. If `corrected` and `corrected_peak` disagree by more than their errors, the lobe
-    has another shape, or does not widen as this camera would widen it.
+    withheld where `correct` withholds. If `corrected` and `corrected_peak` differ by more than their errors, the lobe
+    has another shape, or its blur differs from that of this camera.
 
     Args:
         brdf: table as from `read_merl`, 1/sr.
-        rig: the rig that recorded it: a sphere; camera and lamp are distant or near.
+        rig: rig that recorded the table: a sphere; camera and lamp are distant or near.
         ndf: family of the lobe. Default: "auto", a list of explanations that is averaged by their evidence: "ggx" and "epd",
             and where these leave more than noise Student's t, two lobes, and a lobe with a smooth correction.
-        masking: the G that (13) divides by: "smith", "smith-separable", "van-ginneken" or None. Default: "smith".
+        masking: masking G in (13): "smith", "smith-separable", "van-ginneken" or None. Default: "smith".
         noise: noise of a pixel. Default: None, estimated from the residuals.
         normalise: range of theta_d, rad, over which the mean of the corrected F is 1. Default: 10 to 45 degrees.
         slice_step: spacing of the slices of theta_d that are used (no unit). Default: 1, all of them; more is quicker.
-        force_correction: whether to correct a table whose data contradict the rig. Default: False, F is that without a camera.
-        workspace: keeps what depends on the rig alone for the next call. Default: None, that of the process.
+        force_correction: True to correct a table whose data contradict the rig. Default: False, F is not corrected.
+        workspace: store of results that depend only on the rig. Default: None, that of the process.
 
     Returns:
         Dataset over (theta_d, channel), without unit but for angles:
@@ -114,10 +114,11 @@ def fresnel(
         - `corrected_peak`: the paper's estimate, raw over the loss at the peak, relative to theta_d = 0.
         - `corrected`, `corrected_std`: F from the lobe fitted through the camera. The error has a part from pixel noise
             and the gain of each image (`corrected_std_noise`), and one from the camera (`corrected_std_camera`).
-        - `absolute`, `absolute_std`: the same, not normalised; NaN where the lobe is too narrow for its strength to be known.
+        - `absolute`, `absolute_std`: `corrected` without normalisation; NaN if the lobe is too narrow to know its
+        strength.
         - `response`: recorded / true peak. `masking`: G in the mirror direction.
         - `supported_angle`: last theta_d, rad, up to which corrected_std is below 5 % of corrected.
-        - `width`, `width_std`: width of the lobe, as its NDF defines it; of a spline-modified lobe its half width, rad.
+        - `width`, `width_std`: width of the lobe, as defined by its NDF; half width of a spline-modified lobe, rad.
         - `hwhm`, `hwhm_std`: half width of a lobe of any shape at half its maximum, rad.
         - `budget_std`: part of each source in corrected_std, over (source, theta_d, channel); the sum of the squares is that of
           corrected_std. Along `source` are the type, value, standard uncertainty and degrees of freedom (`fresnel_budget`).
@@ -128,8 +129,8 @@ def fresnel(
         camera. The attribute `remarks` has a line for each remark, "code: text" (`matcam.core.remark.from_attribute`).
 
     Raises:
-        ArgumentError: an argument is wrong, or the rig is not one that a fit can follow.
-        FitError: the table has no highlight, or no values to normalise by.
+        ArgumentError: an argument is wrong, or a fit does not support the rig.
+        FitError: the table has no highlight, or no values for normalisation.
 
     Source:
         The paper's equation (13) and Figure 6; docs/model.md sections 5 and 8.
@@ -250,12 +251,12 @@ def fresnel(
 def fresnel_budget(result: xr.Dataset, theta_d: float, channel: str | None = None) -> UncertaintyBudget:
     """Compute the uncertainty budget of the corrected F at an angle (GUM).
 
-    Its combined uncertainty is `corrected_std`. Sources are the readings, the gains of the pictures, the stated camera, and the
-    other explanations of the table.
+    Its combined uncertainty is `corrected_std`. Sources are the readings, the gains of the images, the specified
+    camera, and the other explanations of the table.
 
     Args:
         result: Dataset as from `fresnel`.
-        theta_d: difference angle, rad; the nearest slice of the result is taken.
+        theta_d: difference angle, rad; the nearest slice of the result is used.
         channel: name of the channel. Default: None, the middle one.
 
     Raises:
@@ -287,16 +288,16 @@ def fresnel_budget(result: xr.Dataset, theta_d: float, channel: str | None = Non
 
 
 def _fitted_rig(rig: Rig, found: MaterialFit) -> Rig:
-    """Return the rig with its lens as fitted. A lens of almost no width gets a small one, which no pixel resolves."""
+    """Return the rig with its fitted lens. A width of nearly 0 is replaced by a small one, which no pixel resolves."""
     if LENS not in found.params:
         return rig
     return rig_with(rig, {LENS: max(found.params[LENS], _SHARP_LENS)})
 
 
 def _peak_responses(rig: Rig, lobe: NDF, theta_d: np.ndarray, masking: Masking, log_slope: np.ndarray) -> np.ndarray:
-    """Compute recorded over true peak, (n,). log_slope: of ln F, 1/rad, (n,), which near rigs record.
+    """Compute recorded over true peak, (n,). log_slope: slope of ln F, 1/rad, (n,), which matters in near rigs.
 
-    Where the azimuth of the lamp turns the pixels, the operator of the fit gives the response.
+    If the azimuth of the lamp turns the pixels, the response is computed by the operator of the fit.
     """
     view = sample_view(rig)
     if not view.azimuth:
@@ -327,13 +328,13 @@ def _mirror_masking(ndf: NDF, theta_d: jax.Array, masking: Masking) -> tuple[jax
 
 
 def _check_highlight(brdf: xr.DataArray, normalise: tuple[float, float]) -> None:
-    """Raise FitError for a table that does not fall to half of its peak, or is missing where F is normalised."""
+    """Raise FitError for a table that does not fall to half of its peak, or has no values where F is normalised."""
     quiet = brdf.values[merl_grid(sampling_of(brdf)).index(theta_d=_QUIET)]
     there = np.isfinite(quiet)
     rings = np.where(there, quiet, 0).sum(axis=2) / np.maximum(there.sum(axis=2), 1)
     bright = there[0].any(axis=1) & (rings[0] > 0)
     if bright.sum() < 3:
-        raise FitError("no highlight: the table's peak (theta_h = 0) is missing or not positive at most theta_d")
+        raise FitError("no highlight: the peak of the table (theta_h = 0) is missing or not positive at most theta_d")
     seen = there.any(axis=2)[:, bright]
     fall = np.where(seen, rings[:, bright] / rings[0][bright], np.nan)
     typical = [np.nanmedian(row) for row in fall if np.isfinite(row).any()]
@@ -346,7 +347,7 @@ def _check_highlight(brdf: xr.DataArray, normalise: tuple[float, float]) -> None
 
 
 def _supported_angle(term: NormalisedFresnel, theta_d: np.ndarray) -> np.ndarray:
-    """Return the last theta_d up to which the standard deviation is below 5 %, counted outwards from the normalisation."""
+    """Find the last theta_d up to which the standard deviation is below 5 %, outwards from the normalisation."""
     relative = np.hypot(term.std_noise, term.std_camera) / term.normalised
     fine = relative < SUPPORTED_STD  # False where NaN
     result = np.zeros(len(fine))

@@ -20,7 +20,8 @@ NO_CAMERA = "no camera, rather than this one"
 class NormalisedFresnel:
     """Strengths of a fit with their errors, over their mean. Arrays of shape (channels, slices).
 
-    `parts` are the sources of the normalised term's variance; their sum is that of `std_noise` and `std_camera`.
+    `parts` are the sources of the variance of the normalised term. Their sum is the variance of `std_noise` and
+    `std_camera`.
     """
 
     def __init__(self, found: MaterialFit, normalise: tuple[float, float]):
@@ -118,7 +119,7 @@ def averaged(
 
 
 def budget_variables(term: NormalisedFresnel) -> dict[str, tuple[Any, ...]]:
-    """Return the sources of a term as variables of a Dataset over (source, theta_d, channel)."""
+    """Convert the sources of a term to variables of a Dataset over (source, theta_d, channel)."""
     parts = term.parts
     std = np.sqrt(np.stack([np.maximum(part.variance, 0.0) for part in parts]))
     own = [np.nan if part.uncertainty is None else part.uncertainty for part in parts]
@@ -133,7 +134,7 @@ def budget_variables(term: NormalisedFresnel) -> dict[str, tuple[Any, ...]]:
         "budget_value": (
             "source",
             [part.value for part in parts],
-            {"long_name": "value, in the unit that the source states"},
+            {"long_name": "value, in the unit named by the source"},
         ),
         "budget_uncertainty": (
             "source",
@@ -167,5 +168,5 @@ def nothing_to_normalise_by(normalise: tuple[float, float]) -> FitError:
     """Build the error for a table without a highlight in the range of theta_d, rad, over which F is normalised."""
     low, high = np.degrees(normalise)
     return FitError(
-        f"no theta_d between {low:g} and {high:g} degrees shows a highlight in every channel: cannot normalise"
+        f"no theta_d between {low:g} and {high:g} degrees has a highlight in every channel: cannot normalise"
     )

@@ -1,4 +1,4 @@
-"""Peaks of a table over theta_d as a visual estimate of the Fresnel term, beside that of a metal. No fit, no camera."""
+"""Peaks of a table over theta_d as an estimate of the Fresnel term without fit and camera, and that of a metal."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ NORMALISED_OVER = (np.radians(10.0), np.radians(45.0))
 def recorded_peak(brdf: xr.DataArray, theta_d: np.ndarray) -> np.ndarray:
     """Average the cells nearest to the highlight in the slices at theta_d, (channels, slices).
 
-    NaN where they are missing or not positive.
+    The result is NaN where these cells are missing or not positive.
     """
     ring = brdf.values[merl_grid(sampling_of(brdf)).index(theta_h=0.0, theta_d=theta_d)]
     count = np.isfinite(ring).sum(axis=1)
@@ -33,7 +33,7 @@ def peak_curve(table: xr.DataArray) -> xr.DataArray:
         table: BRDF on the MERL grid, 1/sr.
 
     Returns:
-        Over (theta_d, channel), no unit; NaN where the peak is missing or not positive.
+        Curve over (theta_d, channel), no unit; NaN where the peak is missing or not positive.
     """
     theta_d = table["theta_d"].values
     values = (recorded_peak(table, theta_d) * np.cos(theta_d) ** 2).T
@@ -49,7 +49,7 @@ def metal_curve(name: str, theta_d: np.ndarray) -> np.ndarray:
     """Compute the Fresnel term of a metal from tabulated n and k, normalised as `peak_curve` is, (theta_d, 3).
 
     Args:
-        name: of the metal, such as "Cr".
+        name: name of the metal, such as "Cr".
         theta_d: rad, (n,).
     """
     n, k, _ = metal(name, CHANNEL_WAVELENGTHS)

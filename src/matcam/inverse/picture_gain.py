@@ -24,12 +24,12 @@ def picture_gain(theta_d: np.ndarray, curves: np.ndarray, covariances: np.ndarra
     """Estimate the relative standard deviation of the gain of an image; 0 if noise explains the roughness.
 
     Args:
-        theta_d: of the slices (n,), rad, equally spaced.
+        theta_d: theta_d of the slices (n,), rad, equally spaced.
         curves: F of the channels (channels, n), on any scale; NaN where it is unknown.
-        covariances: of the noise of ln F (channels, n, n).
+        covariances: covariances of the noise of ln F (channels, n, n).
     """
     quiet = int((theta_d < _STEEP).sum())
-    # one gain per image for all channels, which do not count as several
+    # all channels of an image have one gain, so they are not independent
     found = [
         _likelihood(curve[:quiet], covariance[:quiet, :quiet])
         for curve, covariance in zip(curves, covariances, strict=True)
@@ -50,7 +50,7 @@ def picture_gain(theta_d: np.ndarray, curves: np.ndarray, covariances: np.ndarra
 def strengths_gain(
     theta_d: np.ndarray, strengths: np.ndarray, noise_covariance: np.ndarray, rig_covariance: np.ndarray
 ) -> float:
-    """Estimate the same from the strengths of a fit, (channels, slices), with covariances (channels, slices, slices)."""
+    """Estimate the gain from the strengths of a fit, (channels, slices), with covariances (channels, slices, slices)."""
     divisor = np.where(np.isfinite(strengths), strengths, np.inf)
     covariance = (noise_covariance + rig_covariance) / divisor[:, :, None] / divisor[:, None, :]
     return picture_gain(theta_d, strengths, covariance)
@@ -60,13 +60,14 @@ def gain_remarks(gain: float) -> tuple[Remark, ...]:
     """List the remark on a gain, if there is one."""
     if not gain:
         return ()
-    text = f"F scatters from picture to picture by {gain:.1%}: a gain of each picture, which its standard deviation includes"
+    text = f"F scatters between pictures by {gain:.1%}: the standard deviation of F includes this gain of each picture"
     return (Remark("picture-gain", text),)
 
 
 def _likelihood(curve: np.ndarray, covariance: np.ndarray) -> tuple[float, np.ndarray] | None:
-    """Compute the mean variance of the noise, and ln likelihood without a gain and with each of `_GRID`; None for too
-    few slices.
+    """Compute the mean variance of the noise, and ln likelihood without a gain and with each gain of `_GRID`.
+
+    None for too few slices.
     """
     good = np.isfinite(curve) & (curve > 0) & np.isfinite(np.diagonal(covariance))
     size = len(_FOURTH)

@@ -37,15 +37,15 @@ BLURS: dict[str, tuple[str, float]] = {
     "jitter (px)": ("jitter", 0.15),
     "defocus (aperture / distance)": ("aperture", 0.004),
 }
-"""Other blurs of a highlight: field of `Rig`, and the size at which the signature is computed."""
+"""Other blurs of a highlight, by name: field of `Rig`, and the size for which the effect is computed."""
 _NAMES = {
     "width_std": "bound of ln roughness, lens exact",
-    "width_std_stated": "bound of ln roughness, lens as its profile states",
+    "width_std_stated": "bound of ln roughness, lens as specified by its profile",
     "width_std_free": "bound of ln roughness, lens free",
     "lens_std_free": "bound of ln sigma_mtf, lens free",
     "fresnel_std": "bound of F, relative",
     "alike": "correlation of the change by a blur with that by a wider lens",
-    "smallest": "size of a blur that is seen at 3 standard deviations [unit in the name of the blur]",
+    "smallest": "size of a blur that is detected at 3 standard deviations [unit in the name of the blur]",
     "width_bias": "change of ln roughness by an ignored blur",
     "width_std_changed": "bound of ln roughness after a change of the rig",
     "size": "size of the blur [unit in the name of the blur]",
@@ -64,25 +64,26 @@ def limits(
 ) -> xr.Dataset:
     """Bound the roughness and the angle that a rig can recover.
 
-    The Cramer-Rao bounds also show which blurs mimic the lens, and which changes of the rig help. F is free in every
-    slice, and constant within one. Masking is Smith's, because there are no data to choose another.
+    The Cramer-Rao bounds include the blurs that mimic the lens and the effect of changes of the rig. F is free in every
+    slice, and constant within a slice. Masking is Smith's, because there are no data to choose another model.
 
     Args:
         rig: the rig: a camera with a Gaussian lens, a sphere, and a lamp; distant or near.
-        ndf: family of the lobe, one with a single width. Default: "ggx". "auto" is not available without data.
-        roughness: roughnesses to judge, no unit (n,). Default: ten from 0.0003 to 0.2.
+        ndf: family of the lobe, with roughness as its only parameter. Default: "ggx". "auto" is not available.
+        roughness: roughnesses, no unit (n,). Default: ten from 0.0003 to 0.2.
         noise: noise of a pixel and of the picture gain. Default: None, 1 % of the value, 1e-4 of the peak and 1 % of gain.
-        slice_step: spacing of the slices of theta_d (no unit). Default: 10, unlike `fit`, which suffices to compare rigs.
-            Bounds shrink with more slices.
-        workspace: keeps what depends on the rig alone for the next call. Default: None, that of the process.
+        slice_step: spacing of the slices of theta_d (no unit). Default: 10, unlike `fit`, because few slices suffice to
+            compare rigs. Bounds decrease with more slices.
+        workspace: store of results that depend only on the rig. Default: None, that of the process.
 
     Returns:
         Dataset over roughness, theta_d (rad), blur and change:
 
         - `width_std`: bound of ln roughness, camera exact. `width_std_stated`: with the uncertainty of the lens as in
             its profile, NaN if it has none. `width_std_free`: with the lens free.
-        - `lens_std_free`: bound of ln sigma_mtf then.
-        - `fresnel_std`: bound of F at each theta_d, relative; lens as stated, else exact; without the picture gain.
+        - `lens_std_free`: bound of ln sigma_mtf with the lens free.
+        - `fresnel_std`: relative bound of F at each theta_d, without the picture gain. The lens is as specified by its
+           profile, otherwise exact.
         - `alike`, (roughness, blur): correlation of the effect of a blur with that of a wider lens, after roughness and
             F are fitted. 1 is indistinguishable.
         - `smallest`, (roughness, blur): size at which the blur is detected at 3 standard deviations, lens free.
@@ -90,7 +91,7 @@ def limits(
         - `width_std_changed`, (roughness, change, lens): `width_std` and `width_std_free` after a change of the rig.
 
     Raises:
-        ArgumentError: the rig is not one that a fit can follow, its lens is not Gaussian, or a roughness is out of range.
+        ArgumentError: a fit does not support the rig, its lens is not Gaussian, or a roughness is out of range.
 
     Source:
         docs/model.md section 8.
@@ -106,7 +107,7 @@ def limits(
     checks.whole_number("slice_step", slice_step, 1, 30)
     checks.choice("ndf", ndf, tuple(ONE_WIDTH))
     if LENS not in rig.camera.parameters():
-        raise ArgumentError("limits need a camera whose lens is a Gaussian: it has no 'optics.sigma_px'")
+        raise ArgumentError("limits need a camera with a Gaussian lens: this camera has no 'optics.sigma_px'")
     values = np.asarray(checks.within("roughness", np.asarray(roughness, dtype=object), 1e-5, ONE_WIDTH[ndf].largest))
     if values.ndim != 1 or not values.size:
         raise ArgumentError(f"roughness must be a list of at least one number, got shape {values.shape}")
@@ -155,7 +156,7 @@ def limits(
 
 
 def changed_rigs(rig: Rig) -> dict[str, Rig]:
-    """Return the changes of a rig that a user can make, each by itself."""
+    """Return feasible changes of a rig, each of one parameter, by name."""
     radius, sigma = float(rig.sample.radius), float(rig.camera.parameters()[LENS])  # type: ignore[attr-defined]
 
     def with_(radius: float, sigma: float) -> Rig:
@@ -176,9 +177,9 @@ class _View(NamedTuple):
     Attributes:
         rig: the rig.
         ndf: family of the lobe.
-        noise: of a pixel and of the picture gain.
+        noise: noise of a pixel and of the picture gain.
         slice_step: spacing of the slices of theta_d.
-        workspace: keeps what depends on the rig alone.
+        workspace: store of results that depend only on the rig.
     """
 
     rig: Rig
@@ -214,7 +215,7 @@ class _Information:
         self.columns = self.free(slopes)
 
     def free(self, column: np.ndarray) -> np.ndarray:
-        """Project a change of the record, in standard deviations, to be orthogonal to free strengths."""
+        """Project a change of the record, in standard deviations, orthogonally to free strengths."""
         u = column * self.root
         return u - self.direction * (u * self.direction).sum(-1, keepdims=True)
 
@@ -226,18 +227,18 @@ class _Information:
         return scaled_inverse(information)
 
     def std(self, prior: float) -> np.ndarray:
-        """Bound (ln roughness, ln sigma_mtf). prior: standard deviation of the latter, 0 exact, infinite free."""
+        """Compute bounds of (ln roughness, ln sigma_mtf). prior: standard deviation of ln sigma_mtf, infinite if free."""
         return np.sqrt(np.diag(self._matrix(prior)))
 
     def fresnel_std(self, prior: float) -> np.ndarray:
-        """Bound F of every slice, relative: from its own pixels' noise, and from roughness and lens through the lobe."""
+        """Compute relative bounds of F of every slice, from the noise of its pixels and from roughness and lens."""
         by_lobe = ((self.slopes * self.root) * self.direction).sum(-1) / np.where(self.length > 0, self.length, np.inf)
         shared = np.einsum("ps,pq,qs->s", by_lobe, self._matrix(prior), by_lobe)
         return np.sqrt(np.where(self.length > 0, 1 / np.maximum(self.length, 1e-300) ** 2 + shared, np.inf))
 
 
 def _exact_and_free(information: _Information) -> tuple[float, float]:
-    """Bound ln roughness with the lens exact and with the lens free."""
+    """Compute bounds of ln roughness with the lens exact and with the lens free."""
     return information.std(0.0)[0], information.std(np.inf)[0]
 
 

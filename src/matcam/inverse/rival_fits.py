@@ -1,8 +1,8 @@
-"""Two explanations of a table: its camera, or free shadowing.
+"""Comparison of two explanations of a table: its camera, or free shadowing.
 
-Both are explanations that `correct` weighs (`inverse/correction/explanation.py`), with F free in every slice: the most
+Both are explanations as in `correct` (`inverse/correction/explanation.py`), with F free in every slice: the most
 probable lobe through the camera, and a lobe of any smooth shape for each channel without a camera and with free masking
-(Bagher, Snyder & Nowrouzezahrai 2016). Both use the same cells, and their evidence decides.
+(Bagher, Snyder & Nowrouzezahrai 2016). Both use the same cells and are compared by their evidence.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from matcam.inverse.operator.pixel_phase import located_rig
 from matcam.rigs import Rig
 
 _CLEAR = 0.95
-"""Probability of an explanation from which it is called the better one."""
+"""Probability from which an explanation is reported as better."""
 
 
 class Rival(NamedTuple):
@@ -33,7 +33,7 @@ class Rival(NamedTuple):
 
     Attributes:
         fit: the fit.
-        log_evidence: logarithm of its marginal likelihood (no unit), see `inverse/correction/evidence.py`.
+        log_evidence: logarithm of the marginal likelihood (no unit), see `inverse/correction/evidence.py`.
     """
 
     fit: MaterialFit
@@ -43,7 +43,7 @@ class Rival(NamedTuple):
         """Return the comparison as numbers.
 
         Returns:
-            The evidence, and how well the fit explains the data.
+            Evidence, and misfit of the fit.
         """
         return {
             "log_evidence": self.log_evidence,
@@ -54,11 +54,11 @@ class Rival(NamedTuple):
 
 
 class Rivals(NamedTuple):
-    """Both explanations of a table, as `rivals` found them.
+    """Both explanations of a table, as from `rivals`.
 
     Attributes:
-        camera: the fit through the camera.
-        shadowing: the fit without a camera, with free masking.
+        camera: fit through the camera.
+        shadowing: fit without a camera, with free masking.
 
     Example:
         >>> found = matcam.rivals(table, matcam.rigs.merl())  # doctest: +SKIP
@@ -74,14 +74,14 @@ class Rivals(NamedTuple):
     def probability(self) -> float:
         """Return the probability of the camera (no unit).
 
-        Both explanations are equally probable before the data.
+        Both explanations have equal prior probability.
         """
         difference = self.camera.log_evidence - self.shadowing.log_evidence
         return float(1 / (1 + np.exp(np.clip(-difference, -500, 500))))
 
     @property
     def verdict(self) -> str:
-        """State which explanation is better, and the noise that each requires."""
+        """Describe the better explanation, and the noise that each requires."""
         noise = (
             f"a pixel's noise would be {self.camera.fit.noise.relative:.2%} with the camera, "
             f"{self.shadowing.fit.noise.relative:.2%} with free shadowing"
@@ -109,23 +109,23 @@ class Rivals(NamedTuple):
 def rivals(
     brdf: xr.DataArray, rig: Rig, ndf: str = AUTO, *, slice_step: int = SEARCH_STEP, workspace: Workspace | None = None
 ) -> Rivals:
-    """Explain a table by its camera, and by free shadowing instead.
+    """Compare the explanation of a table by its camera with free shadowing.
 
-    Masking is not an argument, because the two explanations differ in it: Smith's or free.
+    Masking is not an argument: it is Smith's with the camera, and free without.
 
     Args:
         brdf: table as from `read_merl`, 1/sr.
-        rig: the rig that recorded it, with a sphere or a cylinder; camera and lamp are distant or near.
-        ndf: family of the lobe. Default: "auto", the explanations that `correct` considers.
+        rig: rig that recorded the table, with a sphere or a cylinder; camera and lamp are distant or near.
+        ndf: family of the lobe. Default: "auto", the explanations of `correct`.
         slice_step: spacing of the slices of theta_d that are used (no unit). Default: 6, unlike `fit`, because few slices
             suffice.
-        workspace: keeps what depends on the rig alone for the next call. Default: None, that of the process.
+        workspace: store of results that depend only on the rig. Default: None, that of the process.
 
     Returns:
         Both fits, with the evidence of each.
 
     Raises:
-        ArgumentError: an argument is wrong, or the rig is not one that a fit can follow.
+        ArgumentError: an argument is wrong, or a fit does not support the rig.
         FitError: the table has no values to fit.
 
     Source:

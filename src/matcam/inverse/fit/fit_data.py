@@ -1,9 +1,10 @@
 """Values that a material is fitted to, and the likelihood of their noise (docs/model.md 8).
 
-Noise belongs to pixels, and each slice of theta_d, which is one picture, has an exposure of its own. Let V be a cell's
-variance, by the model, and g the standard deviation of the picture gain common to a slice m. The covariance of the slice's
-cells is V + g^2 m m'. Its inverse root is known in closed form: divide by sqrt V, then shorten the part along a = m / sqrt V
-by 1 / sqrt(1 + g^2 |a|^2). An unknown strength of each slice is the limit of an infinite g: that part is dropped.
+Noise is a property of pixels, and each slice of theta_d is one image with its own exposure. Let V be the variance of a
+cell according to the model, and g the standard deviation of the picture gain common to a slice m. The covariance of the
+cells of the slice is V + g^2 m m'. Its inverse root has a closed form: divide by sqrt V, then multiply the component
+along a = m / sqrt V by 1 / sqrt(1 + g^2 |a|^2). An unknown strength of each slice is the limit of an infinite g, in
+which this component vanishes.
 """
 
 from __future__ import annotations
@@ -22,17 +23,17 @@ INITIAL_NOISE = PixelNoise(0.02, 2e-3, 0.01)
 """Assumed noise before the first estimate."""
 
 _FEWEST = 0.2
-"""Smallest share of the chosen cells that a fit needs."""
+"""Smallest share of the chosen cells with a value that a fit requires."""
 _FEWEST_SLICES = 3
 _PEAKS = (1e-9, 1e12)
-"""Limits of a channel's brightest value, 1/sr. Black velvet and the narrowest lobe of a mirror lie far inside."""
+"""Limits of the brightest value of a channel, 1/sr. Black velvet and the narrowest lobe of a mirror lie far inside."""
 
 # Larger residuals are misfit; as a share of the peak they do not make the faint surroundings of the peak dominate the
 # fit. The least floor is the error of a rule, 1e-6 of the peak, which about ten neighbouring cells share
 _NOISE_BOUNDS = ((np.log(1e-4), np.log(0.2)), (np.log(3e-6), np.log(0.5)))
 _LEAST_LEFT = 0.02
 _HUBER = 3.0
-"""Standardised residual beyond which a cell counts less (Huber 1964); a Gaussian one reaches it in 0.3 % of the cases."""
+"""Standardised residual beyond which the weight of a cell decreases (Huber 1964). Normal residuals exceed it in 0.3 %."""
 
 
 class FitData(NamedTuple):
@@ -94,7 +95,7 @@ def _table_data(brdf: xr.DataArray, cells: ChosenCells, index: int) -> FitData:
         share, seen = there.sum() / cells.valid.sum(), int(there.any(-1).sum())
         if share < _FEWEST or seen < _FEWEST_SLICES:
             raise FitError(
-                f"channel {label}: {share:.0%} of the values that a fit needs are there, in {seen} of {cells.slices.size} "
+                f"channel {label}: {share:.0%} of the values that a fit needs exist, in {seen} of {cells.slices.size} "
                 f"slices of theta_d; at least {_FEWEST:.0%} in {_FEWEST_SLICES} slices are needed"
             )
     return FitData(

@@ -1,8 +1,7 @@
 """Free parameters of a fit: names, bounds and coordinates.
 
-The coordinates of a fit give a step the same meaning everywhere: the logarithms of a lobe's parameters, of n, of k and
-of eta - 1. `Layout` says where each lobe, each parameter of the rig and each Fresnel term lies in the one vector of all
-of them.
+The coordinates of a fit are logarithms of the parameters of a lobe, of n, of k and of eta - 1, so that a step has the
+same meaning everywhere. `Layout` defines the order of all lobes, parameters of the rig and Fresnel terms in one vector.
 """
 
 from __future__ import annotations
@@ -27,15 +26,15 @@ FresnelModel = str
 """Name of a Fresnel term, one of `FRESNEL_MODELS`."""
 
 NARROWEST_PX = 0.02
-"""Width of a lobe on the sensor, px, below which any camera records a point."""
+"""Width of a lobe on the sensor, px, below which every camera records it as a point."""
 
 STUDENT, TWO_LOBES = StudentLobe.family, TwoLobes.family
-"""Lobes that `correct` tries where no family explains the data; they are not options of the user."""
+"""Lobes that `correct` tries if no family explains the data. They are not available as options."""
 _UNNAMED: dict[str, type[StudentLobe | TwoLobes]] = {STUDENT: StudentLobe, TWO_LOBES: TwoLobes}
 _EXCESS_BOUNDS = (-0.6, 3.7)
-"""Of ln(g - 1) of Student's t: from tails just short of hiding all facets (g = 3/2) to Beckmann's."""
+"""Bounds of ln(g - 1) of Student's t, from the limit of finite masking (g = 3/2) to Beckmann's tails."""
 _SHARE_BOUNDS = (-6.0, 6.0)
-"""Of ln(share / (1 - share)): no image shows a share of 0.25 %."""
+"""Bounds of ln(share / (1 - share)). A share of 0.25 % is not detectable in an image."""
 
 _POWER_BOUNDS = {"epd": (0.25, 4.0), "sgd": (0.02, 2.0)}
 _SPLINE_BOUNDS = (-25.0, 25.0)
@@ -61,10 +60,10 @@ class LobeKind(NamedTuple):
 
     Attributes:
         family: key of `FAMILIES`, STUDENT or TWO_LOBES.
-        masking: the lobe's G.
+        masking: masking G of the lobe.
         bends: number of parameters of the spline modification; 0 or KNOTS.
-        shadows: number of parameters of its masking where that is free; 0 or SHADOWS.
-        stretched: whether a "ggx" lobe has one roughness along the surface's first tangent and one across.
+        shadows: number of parameters of a free masking; 0 or SHADOWS.
+        stretched: True if a "ggx" lobe has one roughness along the first tangent of the surface and one across.
     """
 
     family: str
@@ -75,19 +74,19 @@ class LobeKind(NamedTuple):
 
     @property
     def family_names(self) -> tuple[str, ...]:
-        """Name the family's own parameters as its constructor does; those of a stretched lobe by the tangents x and y."""
+        """Names of the parameters of the family, as in its constructor; for a stretched lobe, by the tangents x and y."""
         if self.family in _UNNAMED:
             return tuple(field.name for field in dataclasses.fields(_UNNAMED[self.family]))
         return ("alpha_x", "alpha_y") if self.stretched else _fields_of(self.family)
 
     @property
     def of_family(self) -> bool:
-        """Check whether the lobe belongs to a family, whose parameters describe it."""
+        """True if the parameters of a family describe the lobe."""
         return not (self.bends or self.shadows or self.family in _UNNAMED)
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Name all coordinates: the family's, those of the spline, those of a free masking. Users see `lobe_readings`."""
+        """Names of all coordinates: family, spline, free masking. Reported parameters are those of `lobe_readings`."""
         bends = (f"bend{k}" for k in range(self.bends))
         return (*self.family_names, *bends, *(f"shadow{k}" for k in range(self.shadows)))
 
@@ -141,11 +140,11 @@ class Layout(NamedTuple):
     """Order of the vector of a fit: lobes, then the rig, then Fresnel term and diffuse part of each unit.
 
     Attributes:
-        kind: what the parameters of each lobe mean.
+        kind: meaning of the parameters of each lobe.
         fresnel: model of F.
-        diffuse: whether each unit has a Lambertian part.
+        diffuse: True if each unit has a Lambertian part.
         lobe_of: index of the lobe of each unit (a channel of a table).
-        axes: number of the rig's parameters that are free.
+        axes: number of fitted parameters of the rig.
     """
 
     kind: LobeKind
@@ -211,7 +210,7 @@ def reflectance_at(model: FresnelModel, coordinates: jax.Array) -> Reflectance:
 
 
 def readable_value(name: str, coordinate: float) -> tuple[float, float]:
-    """Return the parameter as users see it, and its derivative by the coordinate."""
+    """Convert a coordinate to the reported parameter, and compute its derivative with respect to the coordinate."""
     if name in ("f0", "diffuse"):
         return coordinate, 1.0
     value = float(np.exp(coordinate))
@@ -219,7 +218,7 @@ def readable_value(name: str, coordinate: float) -> tuple[float, float]:
 
 
 def fresnel_start(model: FresnelModel, theta: np.ndarray, f: np.ndarray, weight: np.ndarray) -> np.ndarray:
-    """Return coordinates near a curve F(theta): the best of a lattice. f, weight: (slices,)."""
+    """Find coordinates close to a curve F(theta): the best of a lattice. f, weight: (slices,)."""
     points = FRESNEL_LATTICE[model]
     curves = [np.asarray(reflectance_at(model, jnp.asarray(p)).at(jnp.asarray(theta))) for p in points]
     misfit = [(weight * (f - curve) ** 2).sum() for curve in curves]

@@ -1,12 +1,13 @@
-"""The least-squares problem of a fit: its model and residuals with their derivatives (docs/model.md 8).
+"""Least-squares problem of a fit: model and residuals with their derivatives (docs/model.md 8).
 
 The model of a cell of unit u (a channel of a table) in slice s is  F_u(theta_d) A(cell; lobe, rig) + diffuse_u / pi.  A
 strength F that is free in every slice is solved for exactly (variable projection, Golub & Pereyra 1973; derivatives by Kaufman
 1975).
 
-Of a near rig A is the record of D G at F = 1 plus the slope of ln F times the record's moment (`lobe_operator.py`). The
-slope is the Fresnel model's own, or that of a smooth curve through free strengths (`strength_slopes.py`). The latter is
-fixed in derivatives, as its dependence on the parameters is of second order.
+For a near rig A is the record of D G at F = 1 plus the slope of ln F times the moment of the record
+(`lobe_operator.py`). The slope is that of the Fresnel model, or of a smooth curve through free strengths
+(`strength_slopes.py`). The latter is constant in derivatives, because its dependence on the parameters is of second
+order.
 """
 
 from __future__ import annotations
@@ -35,11 +36,11 @@ class Prior(NamedTuple):
     """Prior knowledge of the parameters of a fit.
 
     Attributes:
-        axes: the rig's parameters that are fitted.
+        axes: fitted parameters of the rig.
         root: (rows, axes), root of the information matrix of their coordinates; 0 for unknown parameters.
-        bend: standard deviation of the second differences of a spline's coefficients.
-        finest: slope below which the camera resolves no structure, where the spline is ten times stiffer.
-        learned: as `bend`, estimated from the data where the spline is not stiff; None: as `bend`.
+        bend: standard deviation of the second differences of the coefficients of a spline.
+        finest: slope below which the camera resolves no structure, so that the spline is ten times stiffer.
+        learned: value of `bend` estimated from the data where the spline is not stiff; None: `bend`.
     """
 
     axes: tuple[Axis, ...] = ()
@@ -49,7 +50,7 @@ class Prior(NamedTuple):
     learned: float | None = None
 
     def rows(self, layout: Layout) -> np.ndarray:
-        """Return (rows, parameters): combinations of the parameters that are 0 +- 1."""
+        """Build (rows, parameters): linear combinations of the parameters with prior mean 0 and unit variance."""
         rig = np.zeros((len(self.root), layout.size))
         rig[:, layout.rig] = self.root
         rows = [rig]
@@ -89,11 +90,11 @@ class FitModel(NamedTuple):
 
     Attributes:
         value: (u, s, n), 1/sr.
-        derivative: (p, u, s, n), strengths fixed.
+        derivative: (p, u, s, n), at constant strengths.
         lobe: (u, s, n), A of each unit.
         strength: (u, s), F.
-        strength_std: (u, s), of free strengths with exact other parameters; 0 otherwise.
-        log_slope: (u, s), slope of ln F, 1/rad, which gives A an F for each node; 0 for a distant rig.
+        strength_std: (u, s), standard deviation of free strengths with all other parameters exact; 0 otherwise.
+        log_slope: (u, s), slope of ln F, 1/rad, by which F varies over the nodes of A; 0 for a distant rig.
     """
 
     value: np.ndarray
@@ -108,7 +109,7 @@ class FitModel(NamedTuple):
 def _reflectance(
     model: FresnelModel, coordinates: jax.Array, theta: jax.Array, rise: bool
 ) -> tuple[jax.Array, jax.Array]:
-    """Return F and its derivatives for each row of coordinates. rise: of the slope of F with theta instead."""
+    """Compute F and its derivatives for each row of coordinates. rise: compute the slope of F with theta instead."""
 
     def curve(c: jax.Array) -> jax.Array:
         at = reflectance_at(model, c).at
@@ -123,7 +124,7 @@ class FitProblem:
     Attributes:
         data: values of the chosen cells.
         cells: the chosen cells.
-        operator: record of a lobe by the rig in them.
+        operator: operator from a lobe to its record in the chosen cells.
         layout: order of the parameters.
         prior: prior of the parameters.
         radius: radius of the sphere, px.
@@ -169,7 +170,7 @@ class FitProblem:
         return np.array([p[layout.unit(u)][-1] if layout.diffuse else 0.0 for u in range(layout.units)])
 
     def model(self, p: np.ndarray, weight: np.ndarray) -> FitModel:
-        """Evaluate the model at parameters. weight: (u, s, n), 1 / V, with which free strengths are solved."""
+        """Evaluate the model at parameters. weight: (u, s, n), 1 / V, for the solution of free strengths."""
         layout = self.layout
         orders = [self._records_and_slopes(index, p) for index in range(layout.lobes)]
         records = [np.stack([orders[index][n].record for index in layout.lobe_of]) for n in range(len(orders[0]))]
@@ -189,18 +190,17 @@ class FitProblem:
     def start_model(self, record: np.ndarray, weight: np.ndarray) -> FitModel:
         """Evaluate the model with free strengths and without derivatives, for the start of a search.
 
-        F is that of the cell, in a near rig too, because lobes of the lattice differ by more.
+        F is constant in a cell, also in a near rig, because the lobes of the lattice differ by more.
 
-        record: of the lobe that all units have, (s, n).
+        record: record of the common lobe of all units, (s, n).
         """
         p = np.zeros(self.layout.size)
         return self._strengths(p, weight, [np.broadcast_to(record, (self.layout.units, *record.shape))])[0]
 
     def _strengths(self, p: np.ndarray, weight: np.ndarray, records: list[np.ndarray]) -> tuple[FitModel, np.ndarray]:
-        """Evaluate the model without derivatives, and its derivatives by the Fresnel term of each unit, (u, parameters,
-        s, n).
+        """Evaluate the model, and its derivatives with respect to Fresnel terms, (u, parameters, s, n).
 
-        records: of each unit's lobe at F = 1, (u, s, n), and in a near rig their moments.
+        records: records of each unit's lobe at F = 1, (u, s, n), and in a near rig their moments.
         """
         layout, (units, slices, cells) = self.layout, records[0].shape
         body = self.diffuse(p)[:, None, None] / np.pi
@@ -229,7 +229,7 @@ class FitProblem:
         return FitModel(value, np.zeros((0, *value.shape)), lobe, strength, std, log_slope), by_fresnel
 
     def _free_strengths(self, weight: np.ndarray, lobe: np.ndarray, body: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Solve for the most probable strength of every unit and slice, with its standard deviation if all else is exact."""
+        """Solve for the strength of every unit and slice, with its standard deviation for exact other parameters."""
         data = self.data
         wa = np.where(data.used, weight, 0.0) * lobe
         power = (wa * lobe).sum(-1)
@@ -244,13 +244,13 @@ class FitProblem:
     def read(self, model: FitModel, of: Callable[[LobeOperator], np.ndarray]) -> np.ndarray:
         """Evaluate a linear function of the operator with the slope of F of each unit, (u, ..., s, n).
 
-        of: returns it for an operator, (..., s, n). model: whose F is meant.
+        of: function of an operator that returns values (..., s, n). model: model with F.
         """
         parts = [of(operator) for operator in self.operator.orders]
         return np.stack([_combined(parts, slope) for slope in model.log_slope])
 
     def _records_and_slopes(self, index: int, p: np.ndarray) -> list[RecordAndSlopes]:
-        """Compute the record of a lobe, and in a near rig its moment; both are kept for the next call.
+        """Compute the record of a lobe, and in a near rig its moment; both are cached.
 
         The weights change more often than the lobe.
         """
@@ -261,7 +261,7 @@ class FitProblem:
         return self._last[index][1]
 
     def gain(self, noise: PixelNoise) -> float:
-        """Return the standard deviation of the gain of a slice: infinite where strengths are free."""
+        """Return the standard deviation of the gain of a slice: infinite for free strengths."""
         return np.inf if self.layout.fresnel == "free" else noise.picture_gain
 
     def whitening(self, model: FitModel, weight: np.ndarray, gain: float) -> Whitening:

@@ -21,14 +21,14 @@ from matcam.material.reflectance import Conductor, Dielectric, Reflectance, Samp
 DETERMINED = 0.05
 """Relative standard deviation of a roughness below which it is determined."""
 LINEAR = 0.15
-"""Relative standard deviation of a power up to which the linearised errors hold. Beyond it width and power are
-correlated along a curve, and the standard deviation of the width is too small.
+"""Relative standard deviation of a power up to which the linearised errors are valid. Beyond it the correlation of
+width and power is not linear, and the standard deviation of the width is too small.
 """
 
 _BOUND = 0.05
-"""ln of a width over the narrowest that is tried, below which the fit is at its bound."""
+"""ln of a width over the narrowest allowed width, below which the fit is at its bound."""
 _UNSEEN = 2.0
-"""Standard deviations of its square below which a width is compatible with 0."""
+"""Number of standard deviations of its square below which a width is compatible with 0."""
 
 
 class FitCoordinates(NamedTuple):
@@ -37,9 +37,9 @@ class FitCoordinates(NamedTuple):
     Attributes:
         kind: meaning of the coordinates of the lobe.
         lobe: (lobe coordinates,), logarithms of the parameters of the family, then spline coefficients.
-        axes: the rig's parameters that were fitted.
-        rig: (axes,), coordinates along them; 0 is the rig's own value.
-        covariance: of (lobe, rig).
+        axes: fitted parameters of the rig.
+        rig: (axes,), coordinates along the axes; 0 is the value of the rig.
+        covariance: covariance of (lobe, rig).
     """
 
     kind: LobeKind
@@ -54,9 +54,9 @@ class Strengths(NamedTuple):
 
     Attributes:
         value: (u, s), F.
-        noise_covariance: (u, s, s), of pixel noise, the rig exact.
-        rig_covariance: (u, s, s), of the rig's uncertain parameters.
-        slopes: (u, s, p), derivatives of F by the fit's coordinates.
+        noise_covariance: (u, s, s), covariance due to pixel noise, for an exact rig.
+        rig_covariance: (u, s, s), covariance due to the uncertain parameters of the rig.
+        slopes: (u, s, p), derivatives of F with respect to the coordinates of the fit.
     """
 
     value: np.ndarray
@@ -70,10 +70,10 @@ class LinearisedFit(NamedTuple):
 
     Attributes:
         solution: data, operator, model and derivatives at the solution.
-        coordinates: of the first lobe and the rig.
+        coordinates: coordinates of the first lobe and the rig.
         residual: (u, s, n), data - model; 0 where unused.
-        by_coordinates: (lobe and rig, u, s, n), derivatives of the model by them.
-        by_units: (the others, u, s, n), derivatives by the units' parameters.
+        by_coordinates: (lobe and rig, u, s, n), derivatives of the model with respect to the coordinates.
+        by_units: (unit parameters, u, s, n), derivatives with respect to the parameters of the units.
         rig_information: (axes, axes), prior information on the rig.
     """
 
@@ -108,7 +108,7 @@ def linearised_fit(solution: Solution) -> LinearisedFit:
 
 
 def strengths_with_covariance(solution: Solution) -> Strengths:
-    """Return F of every slice and the two parts of its covariance."""
+    """Compute F of every slice and the two parts of its covariance."""
     own, slope = _strength_errors(solution)
     rig = solution.problem.layout.rig
     # part from the uncertainty of the rig, and covariance for an exact rig
@@ -124,7 +124,7 @@ def strengths_with_covariance(solution: Solution) -> Strengths:
 
 
 def strength_curves(solution: Solution) -> tuple[np.ndarray, np.ndarray]:
-    """Return F of every unit and slice and its standard deviation, which includes the gain of the image where F is free."""
+    """Compute F of every unit and slice and its standard deviation, which includes the picture gain if F is free."""
     problem, layout = solution.problem, solution.problem.layout
     strength = solution.model.strength.copy()
     if layout.fresnel != "free":
@@ -141,7 +141,7 @@ def strength_curves(solution: Solution) -> tuple[np.ndarray, np.ndarray]:
 
 
 def fresnel_slope(solution: Solution, unit: int, theta: np.ndarray | float) -> tuple[np.ndarray, slice]:
-    """Return the derivatives of F of a unit at angles by its coordinates, and the indices of the coordinates."""
+    """Compute the derivatives of F of a unit at angles with respect to its coordinates, and their indices."""
     layout = solution.problem.layout
     first = layout.unit(unit).start
     inner = slice(first, first + layout.fresnel_size)
@@ -155,9 +155,9 @@ def fresnel_slope(solution: Solution, unit: int, theta: np.ndarray | float) -> t
 def _strength_errors(solution: Solution) -> tuple[np.ndarray, np.ndarray]:
     """Compute the parts of the errors of free strengths; 0 where nothing was recorded.
 
-    First their standard deviations with all else exact, (units, slices). Then minus their derivatives by the parameters
-    of the fit, (parameters, units, slices). The covariance of a unit's strengths is diag(own^2) + slope' covariance
-    slope.
+    The first part is their standard deviation for exact other parameters, (units, slices). The second is minus their
+    derivatives with respect to the parameters of the fit, (parameters, units, slices). The covariance of the strengths
+    of a unit is diag(own^2) + slope' covariance slope.
     """
     data, model = solution.problem.data, solution.model
     weighted = np.where(data.used, solution.weight, 0.0) * model.lobe
@@ -171,8 +171,8 @@ class LobeVerdict(NamedTuple):
     """Verdict on the lobes of a fit.
 
     Attributes:
-        determined: whether every roughness is known to 5 %; of a lobe without a family, the half width.
-        resolved: whether the lobe is wider than the narrowest that the camera distinguishes from a point.
+        determined: True if every roughness, or the half width of a lobe without a family, is known to 5 %.
+        resolved: True if the lobe is wider than the narrowest lobe that the camera distinguishes from a point.
     """
 
     determined: bool
@@ -203,10 +203,10 @@ def fit_remarks(
     if camera is None:
         remarks.append(Remark("no-rig", "no rig: fitted as if the camera were perfect"))
     elif not prior.axes:
-        remarks.append(Remark("camera-exact", "the camera is taken as exact"))
+        remarks.append(Remark("camera-exact", "the camera is assumed to be exact"))
     elif solution.problem.prior.root.any() and known_lens(camera).assumed:
         text = (
-            f"the profile states no uncertainty: the lens's width is assumed to be known to {ASSUMED:.0%}; state its "
+            f"the profile has no uncertainty: the lens width is assumed to be known to {ASSUMED:.0%}; give its "
             "standard deviation, or 0 for an exact lens"
         )
         remarks.append(Remark("lens-assumed", text))
@@ -240,14 +240,14 @@ def fit_remarks(
 
 
 class NamedParameters(NamedTuple):
-    """Parameters of a fit as users see them.
+    """Reported parameters of a fit.
 
     Attributes:
         names: "alpha", "n[G]", "optics.sigma_px", ...; of a spline-modified lobe, those of `lobe_readings` instead of
             coefficients.
-        values: in the parameters' own units.
-        covariance: of the values.
-        slopes: (names, coordinates), derivatives of the values.
+        values: values in the units of the parameters.
+        covariance: covariance of the values.
+        slopes: derivatives of the values with respect to the coordinates, (names, coordinates).
     """
 
     names: list[str]
@@ -318,7 +318,7 @@ def _material(solution: Solution, units: list[int], strength: np.ndarray) -> Mic
 
 
 def fitted_camera(solution: Solution, camera: Camera) -> Camera:
-    """Build the camera as fitted, with its new uncertainty."""
+    """Build the fitted camera, with its uncertainty after the fit."""
     problem: FitProblem = solution.problem
     axes, place = problem.prior.axes, problem.layout.rig
     lens = [n for n, axis in enumerate(axes) if axis.name not in (*WIDTHS, *CHANGES)]

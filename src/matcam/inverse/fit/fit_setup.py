@@ -1,8 +1,7 @@
 """Setup of a fit: data, rig, model, prior and noise (docs/model.md 8).
 
-`FitSetup` is the only place where cells, operator, data, problem and search are put together.
-`setup.with_(...).solve(start=found)` continues from another fit: in more slices, with a parameter of the rig free, or
-with a spline-modified lobe.
+`FitSetup` combines cells, operator, data, problem and search. `setup.with_(...).solve(start=found)` continues from
+another fit, for example in more slices, with a free parameter of the rig, or with a spline-modified lobe.
 """
 
 from __future__ import annotations
@@ -62,7 +61,7 @@ CameraParameters = Literal["fixed", "prior", "free"]
 CAMERA_PARAMETERS: tuple[CameraParameters, ...] = ("fixed", "prior", "free")
 
 AUTO = "auto"
-"""Family of the lobe where the user specifies none: the most probable of the candidates."""
+"""Default family of the lobe: the most probable of the candidates."""
 CANDIDATES = ("ggx", "epd")
 SEARCH_STEP = 6
 """Spacing of the slices of theta_d in which a lobe is searched before it is fitted to more."""
@@ -76,44 +75,57 @@ _LOOK_ROUNDS = 2
 class FitSetup:
     """Everything that determines a fit.
 
-    Attributes:
-        tables: tables of one rig, 1/sr, a material each.
-        rig: the rig that recorded them; None: as if the camera were perfect.
-        ndf: family of the lobe. Default: "ggx".
-        fresnel: model of F. Default: "conductor".
-        diffuse: whether to add a Lambertian part. Default: False.
-        per_channel: whether each channel has its own lobe. Default: False.
-        masking: the lobe's G. Default: "smith".
-        camera_parameters: how the rig's parameters are treated: "fixed", "prior" or "free". Default: None, "prior",
-            unless the camera is exact. If it gives no uncertainty, a tenth of the width of the lens is assumed.
-        free: names of the rig's parameters that "free" fits. Default: the width of a Gaussian lens.
-        also: names of parameters of the rig that are fitted without a prior, beside those with one. Default: ().
-        nearby: whether a lamp in `also` is fitted only near the value of the rig. Default: False.
-        refitted: names of parameters that a later fit has in `also`, nearby; their rules are computed with those of this
-            fit. Default: ().
-        lens_shape: whether the shape of the kernel of the lens is fitted, too (`rig_axes.shape_axes`). Default: False.
-        bend: allowed departure of ln D from its family (no unit). Default: 0, not at all.
-        stiff_below: slope (no unit) below which the spline is ten times stiffer; below a pixel it always is. Default: 0.
-        learned_bend: as `bend`, estimated from the data for slopes where the spline is not stiff. Default: None, as `bend`.
-        free_masking: whether G is any smooth function of the angle. Default: False.
-        noise: noise of a pixel. Default: None, estimated from the residuals.
-        slice_step: spacing of the slices of theta_d (no unit). Default: 1.
-        view: sphere that defines the pixels without a rig: its radius, px, and the distances of camera and lamp.
-            Default: 256 px, distant.
-        pixels: real pixels in which cells are looked up without a rig. Default: None, each cell has its own.
-        workspace: keeps what depends on the rig alone. Default: None, that of the process.
+        Attributes:
+            tables: tables of one rig, 1/sr, a material each.
+            rig: the rig that recorded them; None: as if the camera were perfect.
+            ndf: family of the lobe. Default: "ggx".
+            fresnel: model of F. Default: "conductor".
+    <<<<<<< HEAD
+            diffuse: whether to add a Lambertian part. Default: False.
+            per_channel: whether each channel has its own lobe. Default: False.
+            masking: the lobe's G. Default: "smith".
+            camera_parameters: how the rig's parameters are treated: "fixed", "prior" or "free". Default: None, "prior",
+                unless the camera is exact. If it gives no uncertainty, a tenth of the width of the lens is assumed.
+            free: names of the rig's parameters that "free" fits. Default: the width of a Gaussian lens.
+            also: names of parameters of the rig that are fitted without a prior, beside those with one. Default: ().
+            nearby: whether a lamp in `also` is fitted only near the value of the rig. Default: False.
+            refitted: names of parameters that a later fit has in `also`, nearby; their rules are computed with those of this
+    =======
+            diffuse: True to add a Lambertian part. Default: False.
+            per_channel: True for one lobe per channel. Default: False.
+            masking: masking G of the lobe. Default: "smith".
+            camera_parameters: treatment of the parameters of the rig: "fixed", "prior" or "free". Default: None, "prior",
+                unless the camera is exact. If it has no uncertainty, a tenth of the width of the lens is assumed.
+            free: names of the parameters of the rig that "free" fits. Default: the width of a Gaussian lens.
+            also: names of further parameters of the rig that are fitted without a prior. Default: ().
+            nearby: True to fit a lamp in `also` only near the value of the rig. Default: False.
+            doubted: names of parameters that a later fit has in `also`, nearby; their rules are computed with those of this
+    >>>>>>> work-p2
+                fit. Default: ().
+            lens_shape: True to fit the shape of the kernel of the lens (`rig_axes.shape_axes`). Default: False.
+            bend: prior standard deviation of the departure of ln D from its family (no unit). Default: 0, no departure.
+            stiff_below: slope (no unit) below which the spline is ten times stiffer; below a pixel it always is. Default: 0.
+            learned_bend: value of `bend` estimated from the data for slopes where the spline is not stiff. Default: None,
+                `bend`.
+            free_masking: True if G is any smooth function of the angle. Default: False.
+            noise: noise of a pixel. Default: None, estimated from the residuals.
+            slice_step: spacing of the slices of theta_d (no unit). Default: 1.
+            view: sphere that defines the pixels without a rig: its radius, px, and the distances of camera and lamp.
+                Default: 256 px, distant.
+            pixels: real pixels in which cells are looked up without a rig. Default: None, each cell has its own pixels.
+            workspace: store of results that depend only on the rig. Default: None, that of the process.
 
-    Raises:
-        ArgumentError: a field is out of its range, or the tables do not belong together.
+        Raises:
+            ArgumentError: a field is out of its range, or the tables do not belong together.
 
-    Example:
-        >>> setup = matcam.inverse.FitSetup((table,), matcam.rigs.merl(), slice_step=6)  # doctest: +SKIP
-        >>> found = setup.solve()  # doctest: +SKIP
-        >>> bent = setup.with_(bend=1.0).solve(start=found)  # doctest: +SKIP
-        >>> matcam.inverse.FitSetup((), None)
-        Traceback (most recent call last):
-        ...
-        matcam.core.errors.ArgumentError: brdf must be a table or a list of at least one, got none
+        Example:
+            >>> setup = matcam.inverse.FitSetup((table,), matcam.rigs.merl(), slice_step=6)  # doctest: +SKIP
+            >>> found = setup.solve()  # doctest: +SKIP
+            >>> bent = setup.with_(bend=1.0).solve(start=found)  # doctest: +SKIP
+            >>> matcam.inverse.FitSetup((), None)
+            Traceback (most recent call last):
+            ...
+            matcam.core.errors.ArgumentError: brdf must be a table or a list of at least one, got none
     """
 
     tables: tuple[xr.DataArray, ...]
@@ -179,7 +191,7 @@ class FitSetup:
         """Find the best fit.
 
         Args:
-            start: a fit of these tables by another setup, from which the search continues. Default: None, a new search.
+            start: fit of these tables by another setup, from which the search continues. Default: None, a new search.
                 A start with the same parameters, as from a fit of fewer slices, requires only a few linear steps.
             weights: robust weights: "data", from the variance of each value, or "start", those of the start. Default:
                 "data". "start" is for a start in the same cells.
@@ -188,7 +200,7 @@ class FitSetup:
             The material, its parameters with their errors, and remarks on the fit.
 
         Raises:
-            ArgumentError: the rig is not one that a fit can follow, or lacks a parameter that is free.
+            ArgumentError: a fit does not support the rig, or the rig lacks a free parameter.
             FitError: there are no values to fit.
         """
         search = self._search
@@ -204,7 +216,7 @@ class FitSetup:
         return self._result(go_on(self._vector(start), weight, before.noise))
 
     def tempered(self, found: MaterialFit, kappa: float) -> MaterialFit:
-        """Widen the errors of a fit for misfit that neighbouring cells share.
+        """Increase the errors of a fit for misfit correlated between cells.
 
         Args:
             found: a fit by this setup.
@@ -220,7 +232,7 @@ class FitSetup:
         return Search(self.problem, self.noise, self.workspace or default_workspace())
 
     def _in_few_slices(self) -> Solution | None:
-        """Fit few of the slices, where a search is cheap; None if there are no more."""
+        """Fit few of the slices, in which a search is fast; None if there are no more slices."""
         if self.slice_step >= _LOOK_STEP:
             return None
         few = self.with_(slice_step=_LOOK_STEP)
@@ -277,7 +289,7 @@ class FitSetup:
 
     @property
     def _whole(self) -> WholeRule:
-        """Return the slices and axes that the rule is computed for: those of a search, and of later fits in its slices."""
+        """Return the slices and axes of the rule: those of a search, and of later fits in its slices."""
         slice_step, axes = SEARCH_STEP if self.slice_step == _LOOK_STEP else self.slice_step, self.prior.axes
         refitted = self.axes_with_refits if slice_step >= SEARCH_STEP else axes
         return WholeRule(slice_step, refitted if set(axes) <= set(refitted) else axes)
@@ -307,7 +319,7 @@ class FitSetup:
         checks.choice("camera_parameters", camera_parameters, CAMERA_PARAMETERS)
         if camera_parameters == "prior" and known.exact:
             raise ArgumentError(
-                "camera_parameters='prior' needs a camera that states an uncertainty (Camera(..., uncertainty=...))"
+                "camera_parameters='prior' needs a camera with an uncertainty (Camera(..., uncertainty=...))"
             )
         axes: tuple[Axis, ...] = ()
         root = np.zeros((0, 0))
@@ -329,7 +341,7 @@ class FitSetup:
 
 
 def _stated_prior(rig: Rig, uncertainty: Uncertainty) -> tuple[tuple[Axis, ...], np.ndarray]:
-    """Return the uncertainty of a camera as axes of its parameters, and the root of the information on their coordinates."""
+    """Convert the uncertainty of a camera to axes of its parameters, and the root of their information."""
     parameters = rig.camera.parameters()
     value = np.array([float(parameters[name]) for name in uncertainty.names])
     covariance = np.asarray(uncertainty.covariance)
@@ -366,37 +378,37 @@ def fit(
 
     All slices of theta_d are fitted jointly. The data are chosen cells, one per pixel, so that their errors are
     independent except for the gain of the image. The covariance is the inverse of their Fisher information, which
-    includes the prior of the camera. Outliers beyond 3 standard deviations count less (Huber).
+    includes the prior of the camera. Outliers beyond 3 standard deviations have smaller weights (Huber).
 
     Args:
-        brdf: table as from `read_merl`, 1/sr, or several tables of one rig (one camera, a material each).
-        rig: the rig that recorded them: a sphere; camera and lamp are distant or near. None fits as if the camera were
-            perfect.
-        ndf: family of the lobe: "ggx", "epd", "sgd", "beckmann" or "gaussian". Default: "ggx". It is not "auto", as in
-            `fresnel` and `correct`, because the family decides which parameters the result has.
+        brdf: table as from `read_merl`, 1/sr, or several tables of one rig, one per material.
+        rig: rig that recorded the tables: a sphere; camera and lamp are distant or near. None: a perfect camera.
+        ndf: family of the lobe: "ggx", "epd", "sgd", "beckmann" or "gaussian". Default: "ggx". Unlike in `fresnel` and
+            `correct` it is not "auto", because the family determines the parameters of the result.
         fresnel: model of F: "conductor" (n and k), "schlick" or "dielectric" per channel, or "free" in every slice. Default:
             "conductor".
-        diffuse: whether to add a Lambertian part. Default: False, as metals have none.
-        per_channel: whether each channel has its own lobe. Default: False, one lobe for all.
-        masking: the lobe's G: "smith", "smith-separable", "van-ginneken" or None. Default: "smith".
-        camera_parameters: how the rig's parameters are treated. "fixed": as the rig says. "prior": the camera's
-            uncertain parameters are fitted, with its covariance as their prior; if the camera gives none, the width of
-            the lens is assumed to be known to 10 %. "free": the parameters named in `free` are fitted without a prior.
+        diffuse: True to add a Lambertian part. Default: False, because metals have none.
+        per_channel: True for one lobe per channel. Default: False, one lobe for all.
+        masking: masking G of the lobe: "smith", "smith-separable", "van-ginneken" or None. Default: "smith".
+        camera_parameters: treatment of the parameters of the rig. "fixed": the values of the rig. "prior": the
+            uncertain parameters of the camera are fitted, with its covariance as their prior; without a covariance, the
+            width of the lens is assumed to be known to 10 %. "free": the parameters named in `free` are fitted without
+            a prior.
             Default: None, "prior", or "fixed" if the camera is exact (a standard deviation of 0).
-        free: names of the rig's parameters that "free" fits. A width ("optics.sigma_px", "jitter", "aperture", a
+        free: names of the parameters of the rig that "free" fits. A width ("optics.sigma_px", "jitter", "aperture", a
             sphere's "lamp_radius") may be as small as 0. Default: the width of a Gaussian lens.
         bend: allowed smooth departure of D from its family (no unit): the standard deviation of the second differences
             of ln D between knots that are half a power of e apart. Default: 0, not at all; 1 hardly constrains the lobe
             to a family.
         noise: noise of a pixel and of the picture gain. Default: None, estimated from the residuals, which include misfit.
         slice_step: spacing of the slices of theta_d that are used (no unit). Default: 1, all of them; more is quicker.
-        workspace: keeps what depends on the rig alone for the next call. Default: None, that of the process.
+        workspace: store of results that depend only on the rig. Default: None, that of the process.
 
     Returns:
         The material, its parameters with their errors, and remarks on the fit.
 
     Raises:
-        ArgumentError: an argument is wrong, or the rig is not one that a fit can follow.
+        ArgumentError: an argument is wrong, or a fit does not support the rig.
         FitError: there are no values to fit.
 
     Source:

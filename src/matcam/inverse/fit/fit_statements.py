@@ -11,10 +11,10 @@ from matcam.inverse.fit.search import Solution
 from matcam.inverse.operator.rig_axes import Axis
 from matcam.numerics.fit_budget import Readings, StatedParameter, Statement, stated_parameters
 
-RIG = "camera and rig, as stated"
-"""Source of the stated parameters of the rig, where they are correlated."""
+RIG = "camera and rig, as specified"
+"""Name of the source of the specified parameters of the rig if they are correlated."""
 SMOOTH_LOBE = "smoothness of the lobe"
-"""Source of the prior on the correction of a lobe."""
+"""Name of the source of the prior on the spline modification of a lobe."""
 _LEAST = 1e-3
 """Information on a coordinate below which there is no prior: a standard deviation of 30, in logarithms of widths."""
 
@@ -23,8 +23,8 @@ def rig_statements(axes: Sequence[Axis], information: np.ndarray, first: int, si
     """Collect the prior knowledge of the parameters of a rig.
 
     Args:
-        axes: the parameters that are fitted.
-        information: (axes, axes), of their coordinates, as stated.
+        axes: fitted parameters.
+        information: specified information matrix of their coordinates, (axes, axes).
         first: index of the first axis among the coordinates of the fit.
         size: number of these coordinates.
     """

@@ -1,4 +1,4 @@
-"""Parameters of a fitted lobe as users see them: those of its family, or those of any lobe.
+"""Reported parameters of a fitted lobe: parameters of its family, or parameters that apply to any lobe.
 
 A spline-modified lobe has no family parameters, and its coefficients have no direct meaning. It has a half width, a
 tail exponent, and a share of facets far from the peak, which is visible as haze.
@@ -33,13 +33,13 @@ _GRAZING = np.radians(75.0)
 
 
 class LobeReadings(NamedTuple):
-    """Parameters of a lobe as users see them.
+    """Reported parameters of a lobe.
 
     Attributes:
         names: for a lobe of a family, its own parameters; otherwise "hwhm_rad", and "tail_exponent" and "haze_share" if
             the lobe is narrow enough, and "masking_75" where masking is free.
-        values: in the parameters' own units.
-        slopes: (names, lobe coordinates), their derivatives.
+        values: values in the units of the parameters.
+        slopes: derivatives with respect to the coordinates of the lobe, (names, lobe coordinates).
     """
 
     names: tuple[str, ...]
@@ -48,7 +48,7 @@ class LobeReadings(NamedTuple):
 
 
 def lobe_readings(kind: LobeKind, q: np.ndarray) -> LobeReadings:
-    """Compute the parameters of a lobe at coordinates as users see them."""
+    """Compute the reported parameters of a lobe at coordinates."""
     if kind.of_family:
         pairs = np.array([readable_value(name, one) for name, one in zip(kind.names, q, strict=True)])
         return LobeReadings(kind.names, pairs[:, 0], np.diag(pairs[:, 1]))
@@ -79,7 +79,8 @@ def half_maximum_angle(kind: LobeKind, q: np.ndarray, covariance: np.ndarray) ->
 def half_maximum(kind: LobeKind, q: np.ndarray) -> tuple[float, np.ndarray]:
     """Compute the half width at half maximum of D, rad, and its derivatives by the coordinates of the lobe.
 
-    The angle is found by bisection, its derivatives are implicit ones. Both are NaN if D does not fall to half.
+    The angle is found by bisection, and its derivatives by implicit differentiation. Both are NaN if D does not fall to
+    half.
     """
     beyond, low, by_angle, by_lobe = (np.asarray(a) for a in _half_maximum(kind, placed(q)))
     if beyond > 0:

@@ -1,4 +1,4 @@
-"""A lobe's record and its derivatives."""
+"""Record of a lobe and its derivatives."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class RecordAndSlopes(NamedTuple):
 
     Attributes:
         record: (slices, cells), 1/sr at F = 1.
-        slopes: (parameters, slices, cells), by the lobe's coordinates and then by the rig's.
+        slopes: (parameters, slices, cells), derivatives with respect to the coordinates of the lobe, then of the rig.
     """
 
     record: np.ndarray

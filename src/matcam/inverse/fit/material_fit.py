@@ -43,22 +43,22 @@ from matcam.numerics.fit_budget import posterior_budget
 
 @dataclass(frozen=True, repr=False)
 class MaterialFit(Summarised):
-    """Material as fitted, with its errors.
+    """Fitted material with its errors.
 
     Attributes:
-        family: family of the lobe ("ggx", "epd", "sgd", "beckmann", "gaussian", or "student-t" and "two-lobes" as `correct`
-            may find them).
+        family: family of the lobe ("ggx", "epd", "sgd", "beckmann", "gaussian"; in `correct` also "student-t" and
+            "two-lobes").
         params: value of each parameter by name ("alpha", "n[G]", "optics.sigma_px", ...), in the parameter's own unit.
             A spline-modified lobe, Student's t and two lobes have "hwhm_rad", "tail_exponent" and "haze_share" instead
             of the parameters of a family.
         std: standard deviation of each parameter, by the same names and in the same units.
         covariance: covariance of all parameters (parameters, parameters), in the order of `params`.
-        hwhm: half width at half maximum of D, rad. It stays well determined where a width and a power are correlated.
+        hwhm: half width at half maximum of D, rad. It is well determined even if a width and a power are correlated.
         hwhm_std: standard deviation of `hwhm`, rad.
-        determined: whether the standard deviation of every roughness is under 5 %.
-        resolved: whether the lobe is wider than the narrowest that this camera distinguishes from a point.
+        determined: True if the standard deviation of every roughness is below 5 %.
+        resolved: True if the lobe is wider than the narrowest lobe that this camera distinguishes from a point.
         materials: one `Microfacet` per table.
-        camera: the camera as fitted, with its new uncertainty; None without a rig.
+        camera: fitted camera, with its uncertainty after the fit; None without a rig.
         curves: Dataset over (theta_d, channel) with `fresnel` and `fresnel_std`, no unit.
         residual: Dataset over (channel, theta_d, cell) in standard deviations of the noise, with theta_h and phi_d, rad.
         noise: noise of a pixel, given or estimated.
@@ -66,7 +66,7 @@ class MaterialFit(Summarised):
         log_likelihood: logarithm of the likelihood, for comparing families on the same data.
         freedom: degrees of freedom.
         remarks: remarks on the fit.
-        noise_given: whether `noise` was given; otherwise it is estimated from the residuals.
+        noise_given: True if `noise` was given; otherwise it is estimated from the residuals.
         _solution: the solved problem; for this package only.
 
     Example:
@@ -135,14 +135,14 @@ class MaterialFit(Summarised):
 
     @property
     def lobe_name(self) -> str:
-        """Name the family of the lobe, and whether it is spline-modified."""
+        """Name of the family of the lobe, marked if it is spline-modified."""
         return f"bent {self.family}" if self.is_bent else self.family
 
     @property
     def coordinates(self) -> FitCoordinates:
         """Return the first lobe and the rig as fit coordinates.
 
-        The fit is linear in these coordinates, and their covariance comes with them.
+        The fit is linear in these coordinates. The result includes their covariance.
         """
         return fit_coordinates(self._solution)
 
@@ -151,7 +151,7 @@ class MaterialFit(Summarised):
 
         Args:
             first: name of a parameter, as in `params`.
-            second: name of another one.
+            second: name of another parameter.
 
         Returns:
             The correlation, from -1 to 1.
@@ -172,8 +172,8 @@ class MaterialFit(Summarised):
     def uncertainty_budget(self, name: str) -> UncertaintyBudget:
         """Return the uncertainty budget of a parameter (GUM).
 
-        Its combined uncertainty is the standard deviation of the parameter. Sources are the readings and the stated values of
-        the camera and the rig.
+        Its combined uncertainty is the standard deviation of the parameter. Sources are the readings and the specified
+        values of the camera and the rig.
 
         Args:
             name: name of the parameter, as in `params`, or "hwhm_rad".
@@ -243,18 +243,19 @@ class MaterialFit(Summarised):
         F must be free in every slice of the fit. The strengths are those of the lobe before normalisation.
 
         Returns:
-            F of each channel and slice, and its covariance in two parts: of pixel noise, and of the rig's parameters.
+            F of each channel and slice, and its covariance in two parts, from pixel noise and from parameters of the
+            rig.
         """
         return strengths_with_covariance(self._solution)
 
     def log_slope(self, theta_d: np.ndarray) -> np.ndarray:
-        """Return the slope of ln F, which near rigs record.
+        """Return the slope of ln F, which affects records in near rigs.
 
         Args:
             theta_d: difference angles, rad (n,).
 
         Returns:
-            The mean of all channels, 1/rad (n,), interpolated between the fit's slices; 0 where the rig is distant.
+            Mean of all channels, 1/rad (n,), interpolated between the slices of the fit; 0 for a distant rig.
         """
         return np.interp(theta_d, self.theta_d, self._solution.model.log_slope.mean(axis=0))
 
@@ -317,7 +318,7 @@ class MaterialFit(Summarised):
         """Return the result without arrays, as numbers and texts.
 
         Returns:
-            A dictionary that `matcam fit --json` prints. Angles are in rad, and their names say so.
+            A dictionary that `matcam fit --json` prints. Angles are in rad, as indicated by their names.
 
         Example:
             >>> found.to_dict()["misfit"]  # doctest: +SKIP

@@ -29,10 +29,10 @@ _POWERS = {"epd": np.log([0.5, 1.0, 1.8]), "sgd": np.log([0.3, 0.8, 1.5])}
 _EXCESSES = np.log([0.7, 2.0, 6.0])
 _WIDER, _SHARES, _TAILS = np.log([3.0, 12.0, 45.0]), (-0.8, 0.8), ((0.1, 0.1), (0.9, 0.1), (0.1, 0.9))
 _FOLLOWED, _NO_RIVAL = 2, 1.5
-"""Number of starts that are refined, and misfit over the best above which a start is dropped."""
+"""Number of starts that are refined, and ratio to the best misfit above which a start is dropped."""
 _ROUNDS = 6
 _STEPS = 12, 3
-"""Most steps of least squares, with the first weights and with later ones, which change the fit less and less."""
+"""Largest numbers of least-squares steps, with the first weights and with later ones, which change the fit less."""
 _LONGEST, _STEADY = 0.8, 0.3
 """Limits for extrapolation of a round: share of the last step that remains, and change of its direction."""
 _SETTLED = 0.02
@@ -66,10 +66,10 @@ class Solution(NamedTuple):
 
     Attributes:
         problem: problem that was solved.
-        p: (parameters,), in the fit's coordinates.
-        model: the model there.
-        covariance: (parameters, parameters), of the coordinates.
-        noise: of a pixel, given or estimated.
+        p: coordinates of the fit, (parameters,).
+        model: model at these coordinates.
+        covariance: covariance of the coordinates, (parameters, parameters).
+        noise: noise of a pixel, given or estimated.
         misfit: weighted sum of squares over the degrees of freedom.
         freedom: degrees of freedom.
         weight: (u, s, n), robust weights 1 / V.
@@ -85,7 +85,7 @@ class Solution(NamedTuple):
     weight: np.ndarray
 
     def tempered(self, kappa: float) -> Solution:
-        """Return the same parameters, their covariance by a likelihood to the power of kappa (`correction/evidence.py`)."""
+        """Return the solution with the covariance of the likelihood to the power of kappa (`correction/evidence.py`)."""
         white = self.problem.whitening(self.model, self.weight, self.noise.picture_gain)
         flat = white(self.model.derivative).reshape(self.p.size, -1)
         rows = self.problem.prior.rows(self.problem.layout)
@@ -107,7 +107,7 @@ class Search:
     def best(self, rounds: int = _ROUNDS) -> Solution:
         """Try a lattice of starts, and refine the best ones.
 
-        rounds: most rounds of weights; fewer suffice for the start of another fit.
+        rounds: largest number of rounds of weights; fewer suffice for the start of another fit.
         """
         data = self.problem.data
         noise = self.given_noise or INITIAL_NOISE
@@ -141,7 +141,7 @@ class Search:
         return 1 / cell_variance(data, np.abs(data.values), noise) if weight is None else weight
 
     def _weighed(self, p: np.ndarray, weight: np.ndarray, noise: PixelNoise) -> tuple[FitModel, np.ndarray, PixelNoise]:
-        """Evaluate the model at parameters, and the weights and the noise that follow from it. weight: for free strengths."""
+        """Evaluate the model at parameters, and the resulting weights and noise. weight: for free strengths."""
         model = self.problem.model(p, weight)
         if self.given_noise is None:
             noise = estimate_noise(self.problem.data, self.problem.residual(model), model.value, p.size, noise)
@@ -198,7 +198,7 @@ class Search:
 
         Convergence is linear, so after two rounds with the same ratio the next one starts from the extrapolated limit.
 
-        steps: most steps of least squares, in the first round and in others.
+        steps: largest number of least-squares steps, in the first round and in others.
         """
         problem, data = self.problem, self.problem.data
         last = np.zeros_like(p)

@@ -1,4 +1,4 @@
-"""Record of a lobe with its derivatives, by a chain rule that uses each node a few times instead of once per parameter.
+"""Record of a lobe with its derivatives, by a chain rule that evaluates each node a few times for all parameters.
 
 The record is R = sum_n a_n D_n, where a_n is a node's weight w_n times its masking G_n. Its derivative by a parameter q is
 
@@ -45,15 +45,15 @@ def slopes_by_slice(operator: LobeOperator, kind: LobeKind, q: jax.Array) -> tup
 
 
 class _Lobe(NamedTuple):
-    """Quantities of a lobe that all slices share.
+    """Quantities of a lobe that are common to all slices.
 
     Attributes:
-        kind: meaning of its coordinates.
-        q: (lobe coordinates,).
-        by_norm: derivative of ln norm of a spline-modified lobe by q; None for other lobes.
+        kind: meaning of the coordinates of the lobe.
+        q: coordinates of the lobe, (lobe coordinates,).
+        by_norm: derivative of ln norm of a spline-modified lobe with respect to q; None for other lobes.
         masked_by: argument of Lambda: its table, or the coordinates.
-        masked_slopes: its derivatives by q, (lobe coordinates, values).
-        tabulated: whether the argument is the table.
+        masked_slopes: derivatives of this argument with respect to q, (lobe coordinates, values).
+        tabulated: True if the argument is the table.
     """
 
     kind: LobeKind
@@ -65,7 +65,7 @@ class _Lobe(NamedTuple):
 
     @classmethod
     def of(cls, kind: LobeKind, q: jax.Array) -> _Lobe:
-        """Compute the quantities of a lobe that all slices share."""
+        """Compute the quantities of a lobe that are common to all slices."""
         by_norm = _by_norm(kind, q) if kind.bends else None
         table, slopes = table_slopes(kind, q)
         if table is None or slopes is None:
@@ -117,7 +117,7 @@ def _by_norm(kind: LobeKind, q: jax.Array) -> jax.Array:
 def _lifted(
     kind: LobeKind, q: jax.Array, slope2: jax.Array, light_of: Callable[[NDF], jax.Array]
 ) -> tuple[jax.Array, list[jax.Array]]:
-    """Compute light in proportion to D, and its derivatives by the parameters of the family, without those of the norm.
+    """Compute light in proportion to D, and its derivatives with respect to the family, without those of the norm.
 
     light_of: the light of a lobe without modification, at the squared slopes.
     """

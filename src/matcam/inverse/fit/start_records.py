@@ -1,4 +1,4 @@
-"""Records of the lobes that a search starts from. They depend on the rig alone, so they are computed once."""
+"""Records of the lobes from which a search starts. They depend only on the rig, so they are computed once."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class StartRecords:
 
     Attributes:
         operator: operator of the rig at its specified parameters.
-        workspace: keeps the records for the next material, and for the next process.
+        workspace: store of the records for further materials and processes.
     """
 
     operator: LobeOperator
@@ -42,7 +42,7 @@ class StartRecords:
 
     @cached_property
     def _name(self) -> str:
-        """Name the operator by a hash of its numbers, from which the records follow."""
+        """Compute a name of the operator from a hash of its values, which determine the records."""
         numbers = hashlib.sha256()
         for leaf in jax.tree.leaves(self.operator):
             numbers.update(np.ascontiguousarray(leaf).tobytes())

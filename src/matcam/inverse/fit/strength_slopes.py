@@ -1,10 +1,10 @@
-"""Slope of F over theta_d where its strength is free in every slice.
+"""Slope of F over theta_d for strengths that are free in every slice.
 
-A near rig's record needs the slope of ln F (`lobe_operator.py`), and free strengths have none of their own. Differences
-of neighbours would amplify their noise. A mixture of Fresnel curves with shares above 0 (Lawson & Hanson 1974) follows
-metals, dielectrics and Schlick's polynomial, and cannot have slopes that no surface has. Up to 86 degrees its slope is
-known to 0.05 per rad, and to 0.2 from strengths of 1 % noise. In the nearest rigs that is 1e-4 and 3e-4 of a record at
-most.
+The record of a near rig requires the slope of ln F (`lobe_operator.py`), which free strengths do not define.
+Differences of neighbours would amplify their noise. A mixture of Fresnel curves with positive shares (Lawson & Hanson
+1974) approximates metals, dielectrics and Schlick's polynomial, and has only physical slopes. Up to 86 degrees its
+slope is accurate to 0.05 per rad, and to 0.2 for strengths with 1 % noise. In the nearest rigs the resulting error is
+at most 1e-4 and 3e-4 of a record.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _ALIKE = 0.01
 
 
 class StrengthSlopes:
-    """Slopes of free strengths. theta_d: of the slices, rad."""
+    """Slopes of free strengths. theta_d: difference angles of the slices, rad."""
 
     def __init__(self, theta_d: np.ndarray):
         self._curves, self._rises = (np.asarray(a) for a in _lattice(placed(theta_d)))
@@ -29,7 +29,8 @@ class StrengthSlopes:
     def log_slopes(self, strength: np.ndarray, std: np.ndarray) -> np.ndarray:
         """Compute the slope of ln F at the slices, 1/rad, (units, slices); 0 where no strength is positive.
 
-        strength, std: of every unit and slice; std is infinite where nothing was recorded.
+        strength, std: strength of every unit and slice, and its standard deviation; infinite where nothing was
+        recorded.
         """
         return np.stack([self._of_unit(*unit) for unit in zip(strength, std, strict=True)])
 

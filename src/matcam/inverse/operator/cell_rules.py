@@ -41,12 +41,12 @@ class _Blurs(NamedTuple):
     """Blurs of a rig, of points of its axes and of changes of its lens, with the effects of lamp and focus in the pixels.
 
     Attributes:
-        blurs: the rig's own first, if it is among them.
-        spreads: for each, the variances along x and y, (pixels,), px^2.
-        reaches: for each, the half sides of the kernel's window, (2, pixels), px along the axes of the pixel.
-        discs: for each, the source disc, if it is not part of the spreads.
-        lamps: for each, the radius of the source disc, rad.
-        columns: for each, its index among all blurs whose rules are computed.
+        blurs: list of blurs, first that of the rig, if it is included.
+        spreads: variances of each blur along x and y, (pixels,), px^2.
+        reaches: half sides of the window of each kernel, (2, pixels), px along the axes of the pixel.
+        discs: source disc of each blur, if it is not part of the spreads.
+        lamps: radius of the source disc of each blur, rad.
+        columns: index of each blur among all blurs whose rules are computed.
     """
 
     blurs: list[Blur]
@@ -73,7 +73,7 @@ class _Blurs(NamedTuple):
 class _Found(NamedTuple):
     """Nodes of pixels with weights for each blur, and masking samples, arrays by name.
 
-    moments: as the weights, of a near rig; empty of a distant one.
+    moments: moments in the shape of the weights for a near rig; empty for a distant rig.
     """
 
     theta: np.ndarray
@@ -350,13 +350,13 @@ def _sphere_rules(
 
 
 def _summed(rules: list[SphereRule]) -> tuple[np.ndarray, ...]:
-    """Return the sums of the rules' weights, and in a near rig of their moments."""
+    """Sum the weights of rules, and in a near rig their moments."""
     arrays = zip(*((one.weight, one.moment) for one in rules), strict=True)
     return tuple(np.sum(one, axis=0) for one in arrays if one[0] is not None)
 
 
 def _standing_for(widths: list[_Blurs]) -> _Blurs:
-    """Return the Gaussian that weighs the azimuths of masking in place of a blur.
+    """Build the Gaussian that replaces a blur as the weight of the azimuths of masking.
 
     The blur itself has negative shares, so means over it may lie outside the range. The widths agree where the transfer
     function of the terms is one half.

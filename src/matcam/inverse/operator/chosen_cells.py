@@ -42,7 +42,7 @@ class RealPixels(NamedTuple):
 
     Attributes:
         theta: (s, n, w), angle of each pixel's centre from the half vector, rad.
-        psi: (s, n, w), its azimuth about it, rad.
+        psi: (s, n, w), azimuth of the centre about the half vector, rad.
         weight: (s, n, w), share of each pixel in its cell.
         noise_share: (s, n), variance of a cell over that of a pixel.
     """
@@ -65,10 +65,10 @@ class ChosenCells(NamedTuple):
         phi_d: (s, n), rad.
         valid: (s, n), False where a slice has fewer cells.
         x: (s, n, 2), the pixels' centres, px from the optical axis, the lamp towards +x.
-        y: (s, n, 2), the same across.
+        y: (s, n, 2), centres of the pixels across this direction, px.
         cos_i: (s, n, 2), cosine of the light at each position.
         cos_o: (s, n, 2), cosine of the view.
-        one_pixel: (s, n), whether both directions fall into the same pixel.
+        one_pixel: (s, n), True if both directions lie in the same pixel.
         real: real pixels in which cells are looked up; x, y and the cosines are then those of the pixels, and their
             last axis is over all pixels of a cell. None: each direction is a pixel at the position of the cell.
     """
@@ -185,7 +185,7 @@ class _SliceCells(NamedTuple):
         i: indices of theta_h.
         k: indices of phi_d.
         valid: False for padding.
-        behind: the real pixels behind each; None: no real pixels.
+        behind: real pixels behind each cell; None: no real pixels.
     """
 
     i: np.ndarray
@@ -197,7 +197,7 @@ class _SliceCells(NamedTuple):
 def _slice_cells(view: SampleView, sampling: Sampling, slice_: int, pixels: PixelGrid | None) -> _SliceCells:
     """Choose the cells of one slice, rings from the highlight outwards.
 
-    A cell is refused if one of its pixels belongs to another cell.
+    A cell is rejected if one of its pixels belongs to another cell.
     """
     theta_h, theta_d, phi_d = merl_grid(sampling)
     td, radius = theta_d[slice_], view.radius

@@ -41,9 +41,9 @@ class LinePixels(NamedTuple):
     """Pixels on a cylinder at height 0, arrays of one shape, each with its own lamp.
 
     Attributes:
-        x: px from the axis.
-        lamp_angle: between lamp and optical axis, rad.
-        azimuth: of the lamp about it, rad.
+        x: distance from the axis, px.
+        lamp_angle: angle between lamp and optical axis, rad.
+        azimuth: azimuth of the lamp about it, rad.
         factor: factor of the record.
     """
 
@@ -58,7 +58,7 @@ class CylinderRule(NamedTuple):
 
     Attributes:
         theta: angle between normal and half vector, rad.
-        weight: of each node.
+        weight: weight of each node.
         circles: sums over nodes at about one turn from the position of the smallest angle.
         moment: weights of the difference of theta_d from the cell's, rad; None: not requested.
     """
@@ -73,9 +73,9 @@ class _Samples(NamedTuple):
     """Lines with their own lamps, arrays (pixels, samples).
 
     Attributes:
-        light: their lamps.
-        row: px.
-        share: of the record.
+        light: lamps of the lines.
+        row: row of each line, px.
+        share: shares of the record.
         shift: differences of the closest normals at the two ends of a chord from that at its middle, rad, two arrays.
     """
 
@@ -144,15 +144,15 @@ def cylinder_rule(
         cylinder: the cylinder.
         blur: under a lamp without a disc.
         variance: px^2, (pixels,), that the blur's spread adds.
-        terms: of the blur.
+        terms: terms of the blur.
         pixels: a multiple of the block, see `padded`.
         nearness: inverse of the lamp's distance, 1/radii; None: distant.
         reach: half width of the window of a pixel, (pixels,), px.
-        disc: angular radius of the lamp's disc, rad.
-        onto: least and largest theta_h between which the nodes lie, (pixels,), rad.
+        disc: angular radius of the source disc, rad.
+        onto: smallest and largest theta_h between which the nodes lie, (pixels,), rad.
         arm: one of `line_rule.ARMS`.
-        discs: whether the lamp has a disc.
-        theta_d: of the cells, (pixels,), rad, origin of the moments; None: no moments.
+        discs: True if the lamp has a disc.
+        theta_d: theta_d of the cells, (pixels,), rad, origin of the moments; None: no moments.
     """
 
     def block(arguments):  # type: ignore[no-untyped-def]

@@ -118,8 +118,8 @@ def lamp_kernel(
     Args:
         view: geometry of sphere, camera and lamp.
         blur: the blur under a point.
-        terms: of the blur.
-        disc: of the pixel of each group.
+        terms: terms of the blur.
+        disc: disc of the pixel of each group.
         normal: normals for the centre of the lamp, (groups, nodes) each.
         at: position of the pixel along the plane of camera and lamp and across it, (groups, 1) each, px.
         variances: px^2, (groups, 1), that are added along x and y besides.

@@ -47,7 +47,7 @@ class LineRule(NamedTuple):
 
     Attributes:
         theta: angle between normal and half vector, rad.
-        weight: of each node.
+        weight: weight of each node.
         cos_psi: cosine of the azimuth of the normal about the half vector.
     """
 
@@ -70,10 +70,10 @@ def line_rule(
     """Compute the rule of one arm for some terms of a blur; differentiable in its parameters.
 
     Args:
-        radius: of the cylinder in the picture, px.
+        radius: radius of the cylinder in the picture, px.
         blur: the blur.
         variance: px^2, (pixels,), that the blur's spread adds.
-        terms: of the blur.
+        terms: terms of the blur.
         pixels: places as on a sphere under a lamp towards +x; a multiple of the block, see `padded`.
         reach: half width of the window of a pixel, (pixels,), px.
         onto: the same of the range of all nodes.

@@ -86,8 +86,8 @@ def pixels_behind(
 
     Args:
         pixels: lookup of cells in pixels.
-        radius: of the sphere, px.
-        theta_d: of the slice, rad.
+        radius: radius of the sphere, px.
+        theta_d: theta_d of the slice, rad.
         j: index of the slice.
         i: (cells,), indices of theta_h.
         k: (cells,), indices of phi_d.

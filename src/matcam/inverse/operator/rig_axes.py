@@ -179,7 +179,8 @@ class KnownLens(NamedTuple):
     """Prior knowledge of a camera's lens.
 
     Attributes:
-        uncertainty: of the camera's parameters; None: it has none, or the lens has no parameter for its width.
+        uncertainty: uncertainty of the camera's parameters; None: it has none, or the lens has no parameter for its
+            width.
         words: the same, in words.
         assumed: whether no uncertainty was specified, so that a tenth of the width is assumed.
         exact: whether the lens is specified as exact, or has no width.

@@ -27,11 +27,11 @@ class SampleView(NamedTuple):
     """Geometry of a curved sample, a camera and a lamp, as numbers, so that views can be compared.
 
     Attributes:
-        radius: of the limb in the picture, px.
+        radius: radius of the limb in the picture, px.
         camera: inverse of the camera's distance, 1/radii; 0: distant.
         lamp: inverse of the lamp's distance, 1/radii; 0: distant.
-        azimuth: of the plane of camera and lamp relative to the rows of pixels, rad; in [0, pi/2) for an isotropic
-            lens, which is invariant under a quarter turn, otherwise in [0, 2 pi).
+        azimuth: azimuth of the plane of camera and lamp relative to the rows of pixels, rad; in [0, pi/2) for an
+            isotropic lens, which is invariant under a quarter turn, otherwise in [0, 2 pi).
         line: whether the sample is a cylinder instead, which shows the normals of one line. Each cell then has its own
             lamp (`forward/cylinder_cells.py`); its position is that on the sphere, whose distance from the axis is the
             column.

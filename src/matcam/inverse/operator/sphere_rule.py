@@ -164,7 +164,7 @@ def sphere_rule(
         kernel: the kernel.
         circles: angles from the highlight's normal between which the circles lie.
         onto: theta_h between which the nodes lie.
-        theta_d: of the cells, (pixels,), rad.
+        theta_d: theta_d of the cells, (pixels,), rad.
     """
     angle, step = circles.nodes()
     arcs = circle_arcs(view, pixels, angle, kernel.reach)
