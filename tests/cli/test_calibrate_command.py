@@ -121,7 +121,7 @@ def test_bad_input_is_one_line_and_code_2(calibrate, chart, tmp_path):
         ("chart.tif", "--tone", "wavy.dat"): "wavy.dat: tone curve is not monotone: it falls from code 1 to 2",
         ("mosaic.tif",): "a mosaic of colours that is read as grey: give --cfa if",
         ("mosaic.tif", "--cfa", "RGBG"): "Invalid value for '--cfa'",
-        ("empty",): "empty: no pictures in this folder",
+        ("empty",): "empty: no images in this folder",
         ("none.tif",): "none.tif: no such file",
         ("chart.tif", "--tone", "film"): "--tone must be auto, linear, srgb, gamma:NUMBER or a file",
         ("chart.tif", "--tone", "gamma:x"): "a number must follow gamma:",

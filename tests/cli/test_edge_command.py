@@ -128,7 +128,7 @@ def test_a_file_that_names_no_regions(edge, photograph, tmp_path, text, words):
 
 
 BAD = [
-    (("chart.tif", *ROI, "--channel", "all", "-o", "a.png"), "-o belongs to one region of one picture"),
+    (("chart.tif", *ROI, "--channel", "all", "-o", "a.png"), "-o belongs to one region of one image"),
     (("chart.tif", *ROI, "--rois", "rois.csv"), "--roi and --rois both give regions"),
     (("chart.tif", *ROI, "--at", 3), "--at must lie in [0, 1.25] cycles/px"),
     (("chart.tif", *ROI, "--method", "mtf"), "'mtf' is not one of"),

@@ -185,7 +185,7 @@ def plan(
     found = needs.to_dict()
     wide = f"{needs.radius:.0f} px or more" if math.isfinite(needs.radius) else "larger than all tried values"
     show.table(
-        ["what", "needed"],
+        ["quantity", "needed"],
         [
             ["radius of the limb", wide],
             ["lamp positions", f"{len(needs.theta_d)}"],
