@@ -142,7 +142,7 @@ METAL = Microfacet(GGX(0.1), 0.9)
         (lambda: Camera(ColourOptics(LENS, LENS, LENS)).psf(0.0, 0.0), "use Camera(optics.red, pixel)"),
         (lambda: Camera(SeidelOptics(*PARTS, unit=9.0)).mtf(0.1), "use Camera(optics.at(x, y), pixel)"),
         (lambda: HaloOptics(LENS, 0.1, 9.0).mtf(0.1), "the same blur in all directions"),
-        (lambda: gaussian_sum(LENS), "`picture` takes it"),
+        (lambda: gaussian_sum(LENS), "`picture` and tables of a sphere support it"),
         (lambda: matcam.measure(METAL, Rig(Camera(LENS), matcam.Cylinder(60.0))), "the same blur in all directions"),
         (
             lambda: matcam.measure(METAL, Rig(Camera(SeidelOptics(*PARTS, unit=9.0)), Sphere(60.0))),

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.ndimage import uniform_filter
 
 MOST = 30_000
-"""Largest number of pixels per lamp position."""
+"""Largest number of pixels per lamp position, which bounds the memory for all positions."""
 _FAR = 4
 """Distance, px, at which the noise of sharpened or demosaiced frames is uncorrelated: a Gaussian of 1 px leaves 2 %."""
 _SURROUNDINGS = 9

@@ -29,7 +29,7 @@ from matcam.files.capture import Capture
 from matcam.files.capture_frames import LampGuess
 
 _WHOLE = 4
-"""Number of lamp positions whose exposures are all read."""
+"""Number of lamp positions whose exposures are all read: few, so that a check takes seconds."""
 _FIRST, _LAST, _GAP = 10.0, 70.0, 12.0
 """Limits of theta_d, degrees: a capture should begin below the first, end above the second, and have no gap larger than
 the third.

@@ -127,7 +127,7 @@ def usable(sample: BracketSample, exposures: np.ndarray, clip: ClipLevel, noise:
     for k in range(1, len(relative)):
         total, weight = total + sample.light[k - 1] * fits[k - 1], weight + relative[k - 1] * fits[k - 1]
         predicted = np.maximum(total / np.maximum(weight, 1e-300), 0) + 2 * noise / relative[k - 1]
-        # the neighbours determine what the noise of a shorter exposure hides
+        # the neighbours are used if the light is below the noise of a shorter exposure
         fits[k] = fits[k - 1] & (relative[k] * predicted < _SAFE * height) & (sample.around[k] < _SAFE * height)
     return below & (fits if clip.pixels else True)
 

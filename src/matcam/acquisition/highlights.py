@@ -254,7 +254,7 @@ def lamp_angles_apart(lamps: np.ndarray, others: np.ndarray) -> np.ndarray:
 def find_highlights(
     pictures: Sequence[MergedPicture], ball: MirrorBall, *, blur: float = 0.6
 ) -> tuple[list[Highlight | None], tuple[Remark, ...]]:
-    """Find the highlight of every image; images without one give None and a remark.
+    """Find the highlight of every image; an image without a highlight gives None and a remark.
 
     Args:
         pictures: images, one for each lamp.

@@ -26,7 +26,10 @@ from matcam.files.capture import Capture, Region
 _SAFE = 0.93
 """Largest predicted share of the clip level of a usable pixel."""
 _DIM = 10.0
-"""Signal in the longest exposure, in read noises, below which the variance of a pixel comes from its neighbours."""
+"""Signal in the longest exposure, in read noises, below which the variance of a pixel comes from its neighbours.
+
+A weight by its own noise would bias the pixel.
+"""
 _ALIKE = 4.0
 """Largest difference of a pixel from the neighbours that determine its variance, in standard deviations."""
 _BRIGHT = 30.0

@@ -27,7 +27,7 @@ class MirrorBall(NamedTuple):
         row: row of the image of its centre, px.
         column: column of the image of its centre, px.
         radius: radius of its limb if its centre were on the optical axis, px.
-        distance: distance of the camera from its centre, radii; infinite: orthographic. Default: infinite.
+        distance: distance of the camera from its centre, radii; infinite for an orthographic camera. Default: infinite.
         axis: (row, column) of the intersection of the optical axis with the frame, px. Default: the centre.
 
     Example:

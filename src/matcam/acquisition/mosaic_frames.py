@@ -96,7 +96,7 @@ class MosaicReader:
                 )
                 if new != old
             ]
-            raise FileFormatError(f"{path}: is of another kind than the frames before: {', '.join(what)}")
+            raise FileFormatError(f"{path}: is of another kind than the first frame: {', '.join(what)}")
         processed = []
         if colour:
             processed.append(

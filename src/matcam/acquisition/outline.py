@@ -49,7 +49,7 @@ class Sighting(NamedTuple):
     """Geometry of the camera relative to the sphere.
 
     Attributes:
-        distance: distance of the camera from the sphere's centre, radii; infinite: orthographic.
+        distance: distance of the camera from the sphere's centre, radii; infinite for an orthographic camera.
         axis: (row, column) of the intersection of the optical axis with the frame, px; None if it passes through the
             sphere.
     """

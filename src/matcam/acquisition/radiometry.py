@@ -44,7 +44,7 @@ Progress = Callable[[str, int, int], None]
 """Function that receives the name of a step, the number of finished parts, and the number of all parts."""
 
 _ROUNDING = 1 / 12
-"""Variance of a rounded code, DN^2."""
+"""Variance of the rounding error of a code, DN^2: that of a uniform distribution of width 1."""
 
 
 @dataclass(frozen=True)
@@ -62,8 +62,8 @@ class Radiometry:
             without a reference. Merged values are not divided by it: it is the prior of a picture's gain.
         reference_light: merged value of the reference in each lamp position, by channel, with standard deviation; NaN
             where it is clipped.
-        reference_between: standard deviation of the change of the lamp's light between an image of the reference and one
-            of the sample, relative; 0 where one frame shows both.
+        reference_between: standard deviation of the change of the lamp's light between an image of the reference and
+            one of the sample, relative; 0 where one frame shows both.
         linearity: departure from a straight line: share of the largest code, relative departure, its standard
             deviation, (n, 3).
         tone_exponent: power of the nominal exposure time with which codes grow, with standard deviation; 1 for linear
@@ -126,7 +126,7 @@ class Radiometry:
 
 
 def capture_camera(capture: Capture) -> Camera | None:
-    """Load the camera profile of a capture; None without one.
+    """Load the camera profile of a capture; None if it has none.
 
     FileFormatError if the profile is wrong, or the mosaic of its sensor is not that of the capture.
     """

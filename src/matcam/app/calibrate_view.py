@@ -107,7 +107,7 @@ class CalibrateView:
             self._dropped(path)
 
     def close(self) -> None:
-        """Stop computing and remove what was uploaded."""
+        """Stop computing and remove the uploaded files."""
         self._work.close()
         self._upload.close()
 

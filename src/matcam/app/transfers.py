@@ -41,7 +41,7 @@ class Downloads:
         return f'<a href="/save/{key}" download="{escape(name, quote=True)}">{escape(words or name)}</a>'
 
     def get(self, key: str) -> tuple[str, bytes] | None:
-        """Return name and content of a file; None without one."""
+        """Return name and content of a file; None if it is not offered."""
         return self._files.get(key)
 
     def close(self) -> None:

@@ -80,9 +80,9 @@ class RunFolder:
     def outputs(self, paths: Iterable[str | Path]) -> tuple[dict[Path, Path], list[Outcome]]:
         """Find the tables that `paths` name, and the file that each becomes in this folder.
 
-        A folder means its *.binary, in order of their names; duplicates count once. Returns {input: output}, and
-        rejected inputs: two of one name, or with the name of a file of the run. ArgumentError without any table;
-        OutputError if this folder contains an input.
+        A folder stands for its *.binary files, in order of their names; duplicates count once. Returns {input: output},
+        and the rejected inputs: those that share a name, or have the name of a file of the run. ArgumentError without
+        any table; OutputError if this folder contains an input.
         """
         given = [Path(path) for path in paths]
         found: dict[Path, Path] = {}

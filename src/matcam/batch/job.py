@@ -104,7 +104,7 @@ class Outcome(NamedTuple):
         source: the job's input.
         seconds: duration, s.
         reason: reason of a failure, in one line; None: success. Default: None.
-        trace: traceback of a fault of matcam; None without one. Default: None.
+        trace: traceback of a fault of matcam; None: there is none. Default: None.
 
     Example:
         >>> import pathlib

@@ -132,7 +132,7 @@ def from_document(document: Any, where: str | Path) -> dict[str, Any]:
 
 
 def field_document(field: LensField) -> dict[str, Any]:
-    """Return the field of a lens as it is in a profile."""
+    """Convert the field of a lens to the JSON of a profile."""
     return {
         "centre_px": list(field.centre),
         "unit_px": field.unit,

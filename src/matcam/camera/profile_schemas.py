@@ -175,7 +175,7 @@ class _Profile5(_Strict):
 
 
 VERSION = 5
-"""Version that is written."""
+"""Version of the profiles that are written: the newest one."""
 VERSIONS: dict[int, type[BaseModel]] = {1: _Profile1, 2: _Profile2, 3: _Profile3, 4: _Profile4, 5: _Profile5}
 
 

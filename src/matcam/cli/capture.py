@@ -187,7 +187,7 @@ def plan(
     if needs.radius == needs.fresnel_std[0][0]:
         wide = f"{needs.radius:.0f} px suffices, the smallest tried"
     show.table(
-        ["what", "needed"],
+        ["quantity", "needed"],
         [
             ["radius of the limb", wide],
             ["lamp positions", f"{len(needs.theta_d)}"],

@@ -157,7 +157,9 @@ def _rival(file: Path, rig: Any, ndf: str, sampling: Any, slice_step: int) -> di
 def print_fit(summary: dict[str, Any], name: str) -> None:
     """Print `to_dict()` of a fit as a table, with its remarks."""
     rows = [[key, f"{value:.6g}", f"{summary['std'][key]:.2g}"] for key, value in summary["params"].items()]
-    show.table(["parameter", "value", "std"], rows, f"{name}: {'bent ' if summary['bent'] else ''}{summary['ndf']}")
+    show.table(
+        ["parameter", "value", "std"], rows, f"{name}: {'spline-modified ' if summary['bent'] else ''}{summary['ndf']}"
+    )
     show.say(f"half width at half maximum: {summary['hwhm_rad']:.6g} ± {summary['hwhm_std_rad']:.2g} rad")
     noise = summary["noise"]
     show.say(

@@ -15,7 +15,7 @@ from matcam.files.formats import MEASUREMENTS, identify, suffixes_for
 
 
 def after(name: str, values: dict[str, Any]) -> str | None:
-    """Return the next useful command, or None without one that would run.
+    """Return the next useful command, or None if no command would run.
 
     Args:
         name: the command's words, such as "data merl".

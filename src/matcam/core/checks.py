@@ -109,7 +109,7 @@ def outside_jit(value: ArrayLike, what: str) -> float:
 
     Args:
         value: the number.
-        what: the numbers in words, plural, for the message.
+        what: name of the numbers, plural, for the message.
 
     Raises:
         ArgumentError: it is traced, because the call is inside jax.jit or vmap.

@@ -229,7 +229,7 @@ def in_order(table: xr.DataArray, what: str) -> xr.DataArray:
     """Order the channels of values R, G, B, if these are their labels.
 
     Three channels have these labels in any order, or no labels and this order. ArgumentError for three other labels,
-    whose wavelengths are unknown, and for duplicate labels. what: the values in words, for the message.
+    whose wavelengths are unknown, and for duplicate labels. what: name of the values, for the message.
     """
     if "channel" not in table.coords:
         return table

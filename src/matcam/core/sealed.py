@@ -119,7 +119,7 @@ class _Folder(NamedTuple):
 
 @contextlib.contextmanager
 def _opened(path: Path) -> Iterator[_Folder]:
-    """Open a folder that no other user may change; OSError without one."""
+    """Open a folder that no other user may change; OSError if another user may."""
     if not _BY_FOLDER:
         yield _Folder(None, path)
         return

@@ -66,7 +66,7 @@ def solid_angles(rig: Rig) -> dict[str, float | None]:
 
 
 def metadata(rig: Rig, **about: str) -> dict[str, Any]:
-    """Describe how a table was measured, as a JSON document.
+    """Describe the measurement of a table as a JSON document.
 
     It is metadata for a table in any format: geometry with the solid angle of the receiver, instrument, quantity.
 

@@ -1,4 +1,4 @@
-"""Checks of a capture of a flat sample: it has neither an outline nor a highlight of its own."""
+"""Checks of a capture of a flat sample, which has neither an outline nor a highlight."""
 
 from __future__ import annotations
 

@@ -28,7 +28,7 @@ px.
 _DISC_STD = 0.4
 """Standard deviation of centre and radius of the disc by moments, px: measured on simulated frames, rounded up."""
 _STATED_STD = 0.5
-"""Standard deviation of an axis or radius of a cylinder that is specified without one, px."""
+"""Standard deviation of an axis or radius of a cylinder that is specified without a standard deviation, px."""
 
 
 class QuickOutline(NamedTuple):
@@ -92,7 +92,7 @@ def quick_outline(capture: Capture, black: float, sigma: float) -> tuple[QuickOu
 def _measured(
     capture: Capture, reader: MosaicReader, frame: CaptureFrame, black: float, sigma: float
 ) -> tuple[QuickOutline | None, list[Remark]]:
-    """Measure the outline in one frame, None without one, and collect remarks on the frame."""
+    """Measure the outline in one frame (None if there is no outline), and collect remarks on the frame."""
     path = capture.folder / frame.file
     try:
         codes = reader.read(frame, capture.region)

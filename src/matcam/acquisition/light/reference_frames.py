@@ -24,11 +24,16 @@ from matcam.files.capture import Capture, Region, Stated
 from matcam.files.capture_frames import CaptureFrame
 
 _UNEVEN = 1.5
-"""Ratio of two quarters of the region above which the region is not inside the reference."""
+"""Ratio of the light of two quarters of the region above which the region extends beyond the reference.
+
+A near lamp causes smaller ratios.
+"""
 _FEWEST = 3
-"""Smallest number of degrees of freedom for an estimate of scatter."""
+"""Smallest number of degrees of freedom for an estimate of scatter: with fewer, Student's distribution has no finite
+variance.
+"""
 _STEADY = 0.001
-"""Smallest relative change of light in the weight of a step."""
+"""Smallest relative change of light in the weight of a step, which keeps the weight finite."""
 
 
 class SeenReference(NamedTuple):
@@ -37,8 +42,8 @@ class SeenReference(NamedTuple):
     Attributes:
         lamp: name of the lamp position.
         exposures: index of each frame's exposure among all, (k,); repeated where frames are.
-        light: mean over the reference in each frame and channel without dark, (k, channels), DN; NaN: absent, or
-            clipped.
+        light: mean over the reference in each frame and channel, less the dark signal, (k, channels), DN; NaN if it is
+            absent or clipped.
         pixels: number of pixels of each channel in that mean, (channels,).
     """
 

@@ -20,10 +20,12 @@ from matcam.acquisition.mirror_ball import MirrorBall
 from matcam.files.capture import Region, Stated
 
 GRAZING = 0.2
-"""Cosine of the light on the patch below which it is not used."""
+"""Cosine of incidence on the patch below which it is not used: it does not determine the light of a lamp at grazing
+incidence.
+"""
 _STEP = 1e-5
 _UNKNOWN_DEPTH = Stated(0.0, 0.5)
-"""Distance of the patch in front of the centre of the sphere, radii, if the capture does not give it."""
+"""Distance of the patch in front of the centre of the sphere, radii, if the capture does not specify it."""
 
 
 class ReferencePatch(NamedTuple):
@@ -31,7 +33,7 @@ class ReferencePatch(NamedTuple):
 
     Attributes:
         region: first column, first row, width, height in the whole frame, px.
-        reflectance: no unit; None: unknown.
+        reflectance: reflectance of the patch, no unit; None if unknown.
         depth: distance in front of the centre of the sphere, towards the camera, radii. Default: 0 +- 0.5.
         tilt_std: standard deviation of its normal from the camera's axis, along each of two axes, rad. Default: 1
             degree.
@@ -114,7 +116,8 @@ def patch_light(
         lamp_std: standard deviation of each lamp's direction along each of two tangents, rad, (pictures,).
         gain_std: specified relative scatter of the light of an image.
         exposure_std: relative standard deviation that exposure ratios add to the unit. Default: 0.
-        between: standard deviation of the change of light between an image of the patch and one of the sphere, relative.
+        between: standard deviation of the change of light between an image of the patch and one of the sphere,
+            relative.
             Default: 0, one frame shows both.
 
     Returns:

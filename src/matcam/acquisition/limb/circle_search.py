@@ -10,7 +10,7 @@ import numpy as np
 from scipy import ndimage
 
 _LARGEST = 320
-"""Longest side of the searched image, px; larger images are binned."""
+"""Longest side of the searched image, px; larger images are binned to bound the time."""
 _EDGES = 2500
 _PAIRS = 40000
 _TRIED = 600

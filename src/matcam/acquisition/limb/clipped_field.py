@@ -13,7 +13,7 @@ _EVEN = 0.05
 there.
 """
 _PIXEL = 0.29
-"""px; standard deviation of a pixel: 1 / sqrt(12)."""
+"""Standard deviation of the response of a full pixel, px: 1 / sqrt(12)."""
 
 
 def field_is_clipped(codes: np.ndarray, saturation: float) -> bool:

@@ -12,7 +12,7 @@ from matcam.core.errors import FitError
 from matcam.files.photographs import open_photograph
 
 _STATED_STD = 0.5
-"""Standard deviation of a circle that is specified without one, px: such a circle is usually read from a screen."""
+"""Standard deviation of a circle without a specified one, px: such a circle is usually read from a screen."""
 _FEWEST = 100
 """Smallest number of pixels of a sphere in a mask."""
 _ROUND = 0.02

@@ -34,7 +34,7 @@ class LimbSectors(NamedTuple):
 
     Attributes:
         azimuth: azimuth of the middle of each sector, from +column towards +row, rad (n,).
-        offset: distance of the edge outside the assumed curve, px (n,). NaN: no edge.
+        offset: distance of the edge outside the assumed curve, px (n,); NaN without an edge.
         std: standard deviation of `offset` by noise, px (n,).
         misfit: chi squared over degrees of freedom (n,).
         contrast: light 2 px inside the limb over its standard deviation (n,).
@@ -169,7 +169,7 @@ def sector_edges(pixels: BandPixels, powers: BlurredPowers, count: int) -> LimbS
         count: number of sectors.
 
     Returns:
-        One edge for each sector; NaN without one.
+        One edge for each sector; NaN for a sector without an edge.
     """
     width = 2 * np.pi / count
     middle = (np.arange(count) + 0.5) * width

@@ -90,7 +90,7 @@ class ExploreView:
         self._slow.ask(self._listed, self._offer)
 
     def close(self) -> None:
-        """Stop computing and remove what was uploaded."""
+        """Stop computing and remove the uploaded files."""
         for work in (self._fast, self._slow, self._shots):
             work.close()
         self._upload.close()
@@ -124,7 +124,7 @@ class ExploreView:
         return column(
             self._upload.layout, *self._chosen, self._which, self._channel,
             *(control.layout for control in self._controls.values()), self._metal.layout,
-            Div(text="save what is shown:", margin=(4, 8, 0, 8)), row(*exports), self._saved, width=WIDTH,
+            Div(text="save the shown data:", margin=(4, 8, 0, 8)), row(*exports), self._saved, width=WIDTH,
         )  # fmt: skip
 
     def _plots(self) -> Any:

@@ -191,6 +191,6 @@ def _rows(store: Path) -> list[Openable]:
 
 
 def parameters(table: OpenedTable) -> str:
-    """Return the fit of a material as JSON; "" without one."""
+    """Return the fit of a material as JSON; "" if there is no fit."""
     fit = table.record.get("fit")
     return json.dumps(fit, indent=2) if isinstance(fit, dict) else ""

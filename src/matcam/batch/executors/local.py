@@ -144,7 +144,7 @@ class _Worker:
         self.pipe.close()
 
     def death(self) -> str:
-        """Describe how the process ended."""
+        """Describe the end of the process: signal or exit code."""
         code = self.process.exitcode
         if self._why_killed:
             return self._why_killed

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from matcam.core.jax import AnyArray, jax
 
 ORDER = 16
-"""Number of nodes per panel."""
+"""Number of nodes per panel: for at most one period per panel the error is below 1e-12 of the peak of the kernel."""
 
 _DEFAULT_REACH = 64.0  # px; assumed extent of traced positions
 _POINTS_AT_ONCE = 64
@@ -292,7 +292,7 @@ def checked_isotropic(optics: Optics, what: str) -> Optics:
 
     Args:
         optics: the lens.
-        what: feature that requires it, for the message.
+        what: feature that requires an isotropic lens, for the message.
 
     Raises:
         ArgumentError: its blur depends on direction, colour or position.

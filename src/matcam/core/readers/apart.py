@@ -104,15 +104,15 @@ def read_apart(
 ) -> Any:
     """Call `decoder` ("package.module:function") on a file in a separate process.
 
-    what: what the file should be, such as "a picture"; "": it may be a folder.
+    what: expected content, such as "a picture"; "": it may be a folder.
     libraries: modules that the decoder imports.
     small: size of a file, bytes, up to which the decoder is called in this process, for decoders whose cost is bounded
         by the size.
     size: bytes for the limits. Default: None, the size of the file; required if `path` is a folder.
 
     The answer may consist of None, truth values, numbers, text, lists, dicts with text keys, and NumPy arrays.
-    FileFormatError, naming the file, where it is missing, exceeds a limit, or its decoder crashes or raises anything
-    but an error of the family, which is raised as it is.
+    FileFormatError names the file if it is missing, if it exceeds a limit, or if its decoder crashes or raises a
+    foreign error. Errors of the package are passed on unchanged.
     """
     limits = _limits.get()
     module, name = decoder.split(":")
@@ -175,7 +175,7 @@ _FROM_OUTSIDE = None, getattr(signal, "SIGKILL", -1), signal.SIGTERM
 
 def _reason(ended_by: int | None, seconds: float, wall: float, memory: int) -> str:
     if ended_by in _FROM_OUTSIDE:
-        return "not read: the process that reads it was ended from outside, twice: is there too little memory?"
+        return "not read: the process that reads it was ended from outside, twice: free memory and try again"
     if ended_by == _OUT_OF_TIME[0]:
         return f"reading takes more than {seconds:.3g} s of processor time: damaged, or made to be slow"
     if ended_by == _OUT_OF_TIME[1]:

@@ -81,7 +81,7 @@ def listed_file(folder: Path, name: str, what: str) -> Path:
     Args:
         folder: folder of the document.
         name: relative to the folder, parts divided by "/".
-        what: the folder in words, such as "the capture's folder".
+        what: name of the folder, such as "the capture's folder".
 
     Raises:
         FileFormatError: the name is not plain text, or leads out of the folder, by itself or by a link.

@@ -93,7 +93,7 @@ def serve_standard_streams() -> None:
 
 
 def serve_by_forking(number: int) -> None:
-    """Fork a child for every request, and report how each child ended, until no more requests come."""
+    """Fork a child for every request, and report the end of each child, until there are no more requests."""
     signal.signal(signal.SIGCHLD, lambda *_: None)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     woken, waking = socket.socketpair()

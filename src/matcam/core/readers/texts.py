@@ -77,7 +77,7 @@ def read_lines(path: str | Path, what: str) -> list[str]:
 
 
 def decode_json(path: Path, *, title: str) -> np.ndarray:
-    """Read the bytes of a JSON document, and parse them once to find what is wrong with it."""
+    """Read the bytes of a JSON document, and parse them once to detect errors."""
 
     def refuse(constant: str) -> None:
         raise ValueError(f"{constant} is not a number")

@@ -1,6 +1,6 @@
 """Labelled results: variables with unit and name, and the accessor `matcam` of their Datasets.
 
-`result.matcam.summary()` and `result.matcam.plot()` are for Datasets what the methods of the same names are for other
+For Datasets, `result.matcam.summary()` and `result.matcam.plot()` replace the methods `summary` and `plot` of other
 results. Importing this module registers the accessor with xarray.
 """
 

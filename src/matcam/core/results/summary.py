@@ -94,7 +94,7 @@ class Summary(NamedTuple):
 
     Attributes:
         title: noun phrase that names the result.
-        verdict: what was found, in complete sentences. Default: "".
+        verdict: findings in complete sentences. Default: "".
         sections: quantities by the title of their section. Default: none.
         remarks: limitations and warnings. Default: none.
     """
@@ -189,8 +189,8 @@ class Summarised:
 
         Args:
             ax: Matplotlib Axes to draw on. None: those of a new figure.
-            **options: what is drawn, by the kind of result: `channel`, the index of a channel; `theta_d`, rad, of a
-                correction; `metal`, a name as in `matcam.material.metals`, of a Fresnel term.
+            **options: options of the figure, by the kind of result: `channel`, the index of a channel; `theta_d`, rad,
+                of a correction; `metal`, a name as in `matcam.material.metals`, of a Fresnel term.
 
         Returns:
             The Axes.

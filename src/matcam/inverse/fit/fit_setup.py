@@ -75,57 +75,45 @@ _LOOK_ROUNDS = 2
 class FitSetup:
     """Everything that determines a fit.
 
-        Attributes:
-            tables: tables of one rig, 1/sr, a material each.
-            rig: the rig that recorded them; None: as if the camera were perfect.
-            ndf: family of the lobe. Default: "ggx".
-            fresnel: model of F. Default: "conductor".
-    <<<<<<< HEAD
-            diffuse: whether to add a Lambertian part. Default: False.
-            per_channel: whether each channel has its own lobe. Default: False.
-            masking: the lobe's G. Default: "smith".
-            camera_parameters: how the rig's parameters are treated: "fixed", "prior" or "free". Default: None, "prior",
-                unless the camera is exact. If it gives no uncertainty, a tenth of the width of the lens is assumed.
-            free: names of the rig's parameters that "free" fits. Default: the width of a Gaussian lens.
-            also: names of parameters of the rig that are fitted without a prior, beside those with one. Default: ().
-            nearby: whether a lamp in `also` is fitted only near the value of the rig. Default: False.
-            refitted: names of parameters that a later fit has in `also`, nearby; their rules are computed with those of this
-    =======
-            diffuse: True to add a Lambertian part. Default: False.
-            per_channel: True for one lobe per channel. Default: False.
-            masking: masking G of the lobe. Default: "smith".
-            camera_parameters: treatment of the parameters of the rig: "fixed", "prior" or "free". Default: None, "prior",
-                unless the camera is exact. If it has no uncertainty, a tenth of the width of the lens is assumed.
-            free: names of the parameters of the rig that "free" fits. Default: the width of a Gaussian lens.
-            also: names of further parameters of the rig that are fitted without a prior. Default: ().
-            nearby: True to fit a lamp in `also` only near the value of the rig. Default: False.
-            doubted: names of parameters that a later fit has in `also`, nearby; their rules are computed with those of this
-    >>>>>>> work-p2
-                fit. Default: ().
-            lens_shape: True to fit the shape of the kernel of the lens (`rig_axes.shape_axes`). Default: False.
-            bend: prior standard deviation of the departure of ln D from its family (no unit). Default: 0, no departure.
-            stiff_below: slope (no unit) below which the spline is ten times stiffer; below a pixel it always is. Default: 0.
-            learned_bend: value of `bend` estimated from the data for slopes where the spline is not stiff. Default: None,
-                `bend`.
-            free_masking: True if G is any smooth function of the angle. Default: False.
-            noise: noise of a pixel. Default: None, estimated from the residuals.
-            slice_step: spacing of the slices of theta_d (no unit). Default: 1.
-            view: sphere that defines the pixels without a rig: its radius, px, and the distances of camera and lamp.
-                Default: 256 px, distant.
-            pixels: real pixels in which cells are looked up without a rig. Default: None, each cell has its own pixels.
-            workspace: store of results that depend only on the rig. Default: None, that of the process.
+    Attributes:
+        tables: tables of one rig, 1/sr, a material each.
+        rig: the rig that recorded them; None: as if the camera were perfect.
+        ndf: family of the lobe. Default: "ggx".
+        fresnel: model of F. Default: "conductor".
+        diffuse: True to add a Lambertian part. Default: False.
+        per_channel: True for one lobe per channel. Default: False.
+        masking: masking G of the lobe. Default: "smith".
+        camera_parameters: treatment of the parameters of the rig: "fixed", "prior" or "free". Default: None, "prior",
+            unless the camera is exact. If it has no uncertainty, a tenth of the width of the lens is assumed.
+        free: names of the parameters of the rig that "free" fits. Default: the width of a Gaussian lens.
+        also: names of further parameters of the rig that are fitted without a prior. Default: ().
+        nearby: True to fit a lamp in `also` only near the value of the rig. Default: False.
+        refitted: names of parameters that a later fit has in `also`, nearby; their rules are computed with those of this
+            fit. Default: ().
+        lens_shape: True to fit the shape of the kernel of the lens (`rig_axes.shape_axes`). Default: False.
+        bend: prior standard deviation of the departure of ln D from its family (no unit). Default: 0, no departure.
+        stiff_below: slope (no unit) below which the spline is ten times stiffer; below a pixel it always is. Default: 0.
+        learned_bend: value of `bend` estimated from the data for slopes where the spline is not stiff. Default: None,
+            `bend`.
+        free_masking: True if G is any smooth function of the angle. Default: False.
+        noise: noise of a pixel. Default: None, estimated from the residuals.
+        slice_step: spacing of the slices of theta_d (no unit). Default: 1.
+        view: sphere that defines the pixels without a rig: its radius, px, and the distances of camera and lamp.
+            Default: 256 px, distant.
+        pixels: real pixels in which cells are looked up without a rig. Default: None, each cell has its own pixels.
+        workspace: store of results that depend only on the rig. Default: None, that of the process.
 
-        Raises:
-            ArgumentError: a field is out of its range, or the tables do not belong together.
+    Raises:
+        ArgumentError: a field is out of its range, or the tables do not belong together.
 
-        Example:
-            >>> setup = matcam.inverse.FitSetup((table,), matcam.rigs.merl(), slice_step=6)  # doctest: +SKIP
-            >>> found = setup.solve()  # doctest: +SKIP
-            >>> bent = setup.with_(bend=1.0).solve(start=found)  # doctest: +SKIP
-            >>> matcam.inverse.FitSetup((), None)
-            Traceback (most recent call last):
-            ...
-            matcam.core.errors.ArgumentError: brdf must be a table or a list of at least one, got none
+    Example:
+        >>> setup = matcam.inverse.FitSetup((table,), matcam.rigs.merl(), slice_step=6)  # doctest: +SKIP
+        >>> found = setup.solve()  # doctest: +SKIP
+        >>> bent = setup.with_(bend=1.0).solve(start=found)  # doctest: +SKIP
+        >>> matcam.inverse.FitSetup((), None)
+        Traceback (most recent call last):
+        ...
+        matcam.core.errors.ArgumentError: brdf must be a table or a list of at least one, got none
     """
 
     tables: tuple[xr.DataArray, ...]
