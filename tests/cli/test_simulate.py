@@ -85,11 +85,7 @@ def test_a_flat_samples_table_is_the_materials_own(simulate, tmp_path):
         (("-o", "a.exr", "--size", 0, 5), "--size must be (height, width)"),
         (("-o", "a.binary", "--sample", "cylinder", "--azimuth", 20), "the azimuth must be left out"),
         (("-o", "a.binary", "--preview", "a.png"), "--preview shows an image"),
-<<<<<<< HEAD
         (("-o", "a.exr", "--sample", "flat"), "a flat sample has only one normal"),
-=======
-        (("-o", "a.exr", "--sample", "flat"), "a flat sample shows one normal"),
->>>>>>> work-p1
         (("-o", "a.binary", "--crop", 0, 5), "--crop must be (height, width)"),
         (("absent.binary", "-o", "a.exr"), "absent.binary"),
     ],
