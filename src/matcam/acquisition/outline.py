@@ -25,8 +25,7 @@ from matcam.core.remark import Remark
 LimbLight = Literal["lit", "backlit"]
 EXPONENTS: dict[str, tuple[float, ...]] = {"lit": (0, 0.5, 1), "coated": (0, 0.5, 1), "backlit": (0, 1)}
 """Powers of the distance inside the limb in the model of its light: the cosine of the viewing angle is proportional to
-the root. "coated": times the transmittance of a clear coat, as on glossy plastic; a lit sphere is fitted with both
-models."""
+the root. "coated": times the transmittance of a clear coat, as on glossy plastic; a lit sphere is fitted by both."""
 
 _SIGMAS = (0.05, 0.2, 0.5, 0.9, 1.6, 2.5)  # px, of an unmeasured lens
 _PIXELS_IN_SECTOR = 80
@@ -36,9 +35,7 @@ _MISFIT = 6.0  # factor of the typical chi squared: dust, a stand
 _OUTLIER = 4.0  # standard deviations
 _RAGGED = 0.4  # px, rms distance of the edges from the outline: no limb
 _TEMPER = 15.0
-"""Difference in chi squared between two models of the light that corresponds to a likelihood ratio of e; 2 for exact
-models.
-"""
+"""Difference in chi squared between two models of the light, 2 for exact models, for a likelihood ratio of e."""
 _SIMPLER = 30.0
 """Decrease of chi squared with a coat below which a sphere counts as uncoated."""
 _FIT = ("chi2", "freedom")
@@ -50,8 +47,7 @@ class Sighting(NamedTuple):
 
     Attributes:
         distance: distance of the camera from the sphere's centre, radii; infinite for an orthographic camera.
-        axis: (row, column) of the intersection of the optical axis with the frame, px; None if it passes through the
-            sphere.
+        axis: (row, column) of the intersection of the optical axis with the frame, px; None if it meets the sphere.
     """
 
     distance: float = np.inf
@@ -88,10 +84,8 @@ class Outline:
     Attributes:
         row: row of the image of the sphere's centre, px; rows increase downwards, pixel centres are integers.
         column: column of that image, px.
-        radius: radius of the limb if the centre of the sphere were on the optical axis, px: focal length /
-            sqrt(distance^2 - 1).
-        covariance: covariance of (row, column, radius), px^2 (3, 3), with noise, scatter of the edges, lens and light
-            near the limb.
+        radius: radius of the limb if the centre of the sphere were on the optical axis, px.
+        covariance: covariance of (row, column, radius), px^2 (3, 3), from noise, edges, lens and light.
         sigma: standard deviation of the lens's blur, px.
         sigma_std: standard deviation of `sigma`, px.
         sighting: geometry of the camera relative to the sphere.
@@ -185,8 +179,7 @@ def find_outline(
         backlight_reach: angular extent of the bright field beyond the limb, seen from the sphere, and its standard
             deviation, rad, which the sphere mirrors. Default: unknown, a field of 3 degrees counts as error.
         start: initial row, column and radius, px. Default: found by a search.
-        exponents: powers of the distance inside the limb in the model of its light, from 0. Default: those of
-            `EXPONENTS`.
+        exponents: powers of the distance inside the limb in the model of its light, from 0. Default: `EXPONENTS`.
 
     Returns:
         The outline, in px of the frame.
@@ -322,9 +315,7 @@ class OutlineFit:
     def settle(
         self, place: np.ndarray, sigma: float, exponents: Sequence[float], turns: int = 6, wider: float = 0.0
     ) -> tuple[np.ndarray, LimbSectors, np.ndarray, np.ndarray, float]:
-        """Iterate to convergence; return position, edges, used edges, covariance by noise and scatter, and rms
-        distance.
-        """
+        """Iterate to convergence; return position, edges, used edges, both covariances and rms distance."""
         for _ in range(turns):
             edges = self.edges(place, sigma, exponents, wider)
             step, used, covariance, scatter = self.solve(place, edges, wider)
