@@ -26,7 +26,7 @@ from matcam.core.errors import ArgumentError
         (lambda: MeasuredOptics([0.1, 0.2, 0.3, 0.4], [1, 0.9, 0.8, 0]), "start at 0"),
         (lambda: MeasuredOptics([0, 0.2, 0.2, 0.4], [1, 0.9, 0.8, 0]), "increase strictly"),
         (lambda: MeasuredOptics([0, 0.1, 0.2, 0.4], [0.9, 0.9, 0.8, 0]), "divide the curve by its first sample"),
-        (lambda: MeasuredOptics([0, 0.1, 0.2, 0.4], [1, 1.3, 0.8, 0]), "sharpened"),
+        (lambda: MeasuredOptics([0, 0.1, 0.2, 0.4], [1, 1.3, 0.8, 0]), "without sharpening"),
     ],
 )
 def test_constructors_refuse_nonsense_in_one_line(build, words):

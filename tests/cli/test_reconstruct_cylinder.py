@@ -85,5 +85,5 @@ def test_a_cylinder_needs_an_outline(matcam, tmp_path):
     del drawn.settings["sample"]["axis_column_px"]
     drawn.write(tmp_path / "strips")
     done = matcam("reconstruct", tmp_path / "strips", code=2)
-    assert "specify sample.outline_radius_px and sample.axis_column_px" in done.stderr
+    assert "set sample.outline_radius_px and sample.axis_column_px" in done.stderr
     assert done.stderr.count("\n") == 1

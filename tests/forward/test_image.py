@@ -272,7 +272,7 @@ def test_gradients_to_the_rig(k, azimuth):
 
 def test_the_lamp_s_angle_has_a_derivative_under_a_point_alone():
     rig = Rig(Camera(GaussianOptics(0.5)), Sphere(12.0), lamp=DistantLamp(0.02))
-    with pytest.raises(ArgumentError, match="without a disc"):
+    with pytest.raises(ArgumentError, match="a Sphere and a point lamp"):
         jax.grad(lambda angle: jnp.sum(picture_values(Microfacet(GGX(0.1), 1.0), rig, angle)))(1.0)
 
 

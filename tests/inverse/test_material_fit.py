@@ -161,7 +161,7 @@ def test_bad_arguments_are_refused():
         ({"ndf": "phong"}, "ndf must be one of"),
         ({"fresnel": "metal"}, "fresnel must be one of"),
         ({"camera_parameters": "guess"}, "camera_parameters must be one of"),
-        ({"camera_parameters": "prior"}, "states an uncertainty"),
+        ({"camera_parameters": "prior"}, "needs a camera with an uncertainty"),
         ({"camera_parameters": "free", "free": ["optics.f_number"]}, "which this camera lacks"),
         ({"slice_step": 0}, "slice_step must be"),
         ({"noise": PixelNoise(-1, 0)}, "noise.relative"),

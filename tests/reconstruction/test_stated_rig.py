@@ -13,7 +13,11 @@ from tests.oracle.capture import Sensor, draw
 
 @pytest.mark.parametrize(
     ("profile", "cfa", "words"),
-    [(None, "RGGB", "no such file"), ("{}", "RGGB", "not a camera profile"), ("", "BGGR", "of another camera")],
+    [
+        (None, "RGGB", "no such file"),
+        ("{}", "RGGB", "not a camera profile"),
+        ("", "BGGR", "is of a camera with the mosaic"),
+    ],
 )
 def test_a_profile_that_cannot_be_used_is_left_out_and_named(tmp_path, profile, cfa, words):
     """The lens is fitted from a guess, and the gain, which one exposure does not determine, from the frames."""
