@@ -195,7 +195,7 @@ class Sensor(Module):
 
         Args:
             radiance: radiance of the pixels, any unit, shape (H, W) or (H, W, channels). With a cfa it must be (H, W,
-                3), R, G, B, of which each pixel records one. Channels without a cfa are exposures of one sensor behind
+                3), R, G, B; each pixel records one of them. Channels without a cfa are exposures of one sensor behind
                 filters, so they share its patterns. NaN is kept.
             exposure: electrons per unit of radiance, positive.
             time: duration, s, for the dark current. Default: 0.

@@ -16,16 +16,13 @@ from matcam.core import checks
 from matcam.core.grid import checked_table
 from matcam.core.workspace import Workspace, default_workspace
 from matcam.inverse.correction.evidence import Weighing
-from matcam.inverse.correction.explanation import Member, explain, first_setup, with_free_masking
+from matcam.inverse.correction.explanation import PROBABLE, Member, explain, first_setup, with_free_masking
 from matcam.inverse.fit.fit_parameters import FAMILIES
 from matcam.inverse.fit.fit_setup import AUTO, SEARCH_STEP
 from matcam.inverse.fit.material_fit import MaterialFit
 from matcam.inverse.operator.lobe_operator import check_rig
 from matcam.inverse.operator.pixel_phase import located_rig
 from matcam.rigs import Rig
-
-_CLEAR = 0.95
-"""Probability from which an explanation is reported as better."""
 
 
 class Rival(NamedTuple):
@@ -86,9 +83,9 @@ class Rivals(NamedTuple):
             f"a pixel's noise would be {self.camera.fit.noise.relative:.2%} with the camera, "
             f"{self.shadowing.fit.noise.relative:.2%} with free shadowing"
         )
-        if _CLEAR > self.probability > 1 - _CLEAR:
+        if PROBABLE > self.probability > 1 - PROBABLE:
             return f"camera and free shadowing explain the data equally well: {noise}"
-        better = "the camera" if self.probability > _CLEAR else "free shadowing"
+        better = "the camera" if self.probability > PROBABLE else "free shadowing"
         apart = abs(self.camera.log_evidence - self.shadowing.log_evidence)
         return f"{better} explains the data better (the logarithm of the evidence is larger by {apart:.0f}): {noise}"
 

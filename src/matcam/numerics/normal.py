@@ -43,7 +43,7 @@ class RobustFit(NamedTuple):
 
 
 def robust_std(values: FloatArray) -> float:
-    """Estimate the standard deviation of values about 0, most of which are normal; outliers have no effect."""
+    """Estimate the standard deviation of normally distributed values of mean 0; outliers have no effect."""
     return _ROBUST * float(np.median(np.abs(values)))
 
 
@@ -62,7 +62,7 @@ def robust_fit(
         values: values, (n,).
         std: standard deviations of the values, (n,). Default: 1.0.
         least: smallest scatter, in units of `std`. Default: 1e-12.
-        resolved: smallest singular value of the design, relative to the largest: what has less is set to 0. Default: 1e-12.
+        resolved: smallest singular value of the design, relative to the largest. Smaller ones count as 0. Default: 1e-12.
     """
     design, values = design / np.broadcast_to(std, len(values))[:, None], values / std
     kept = np.ones(len(values), bool)

@@ -102,7 +102,7 @@ their argument.
 def jacobian(function: Callable[[Any], Any], at: Any) -> Any:
     """Compute the derivatives of a function by the elements of a vector, on an additional last axis.
 
-    The function returns an array, or a tuple of arrays, each of which gets its derivatives.
+    The function returns an array or a tuple of arrays. The derivatives of each array are computed.
 
     For arrays of NumPy they are finite differences.
     """

@@ -1,4 +1,4 @@
-"""Processes that read files: a fork server and its children, each of which reads one file with limits."""
+"""Processes that read files: a fork server starts a child for each file. The child has limits of time and memory."""
 
 from __future__ import annotations
 

@@ -52,8 +52,8 @@ _HOPELESS = 15.0
 """Difference of log evidence in the ranking slices above which a member is left out: a probability of 3e-7, which more
 slices would lower further.
 """
-_PROBABLE = 0.95
-"""Probability of no camera above which the data show no blur."""
+PROBABLE = 0.95
+"""Probability above which an explanation holds: of no camera, above which the data show no blur."""
 _UNLIKELY = 0.05
 """Probability of no camera below which a guessed lens is used."""
 _NEGLIGIBLE = 1e-3
@@ -110,7 +110,7 @@ class Explanation(NamedTuple):
     @property
     def no_blur(self) -> bool:
         """Check whether the data show no blur by this camera."""
-        return self.no_camera > _PROBABLE
+        return self.no_camera > PROBABLE
 
     @property
     def contradicts(self) -> bool:
