@@ -6,7 +6,7 @@ import pytest
 from matcam import GGX, BoxPixel, Camera, GaussianOptics, Microfacet, Rig, Schlick, Sphere, picture
 from matcam.calibration.edge.rows import program_size
 from matcam.core.jax import jax
-from matcam.forward.integral.plan import few_lengths, pad_indices
+from matcam.numerics.blocks import few_lengths, pad_indices
 
 
 def test_few_lengths():

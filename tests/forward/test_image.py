@@ -25,8 +25,8 @@ from matcam.core.errors import ArgumentError
 from matcam.core.jax import jax, jnp
 from matcam.forward import picture_values
 from matcam.forward.integral.blur import imaging_of
-from matcam.forward.integral.plan import RecordPlaces, integration_plan
-from matcam.forward.integral.recording import record as taken_by
+from matcam.forward.sampler.plan import RecordPlaces, record_plan
+from matcam.forward.sampler.record import record as taken_by
 from matcam.material.material import Material
 from tests.oracle.focus_disc import kernel as out_of_focus
 from tests.oracle.sphere_record import Setup, Surface, record
@@ -230,8 +230,8 @@ def test_gradients(k):
     weights = np.random.default_rng(1).normal(size=SHAPE)
     rows, columns = (a.ravel() - 30.0 for a in np.mgrid[:61, :61])
     _, rig = shiny(NUMBERS)
-    places = RecordPlaces(columns, -rows, np.full(rows.size, LAMP), np.zeros(rows.size, dtype=np.int32))
-    plan = integration_plan(imaging_of(rig), np.array([LAMP]), places)
+    places = RecordPlaces(columns, -rows, np.full(rows.size, LAMP))
+    plan = record_plan(imaging_of(rig), places, NUMBERS[0])
 
     def under_plan(numbers):
         material, rig = shiny(numbers)

@@ -23,8 +23,8 @@ from matcam import (
 from matcam.core.errors import ArgumentError
 from matcam.core.grid import cosines, merl_grid
 from matcam.forward.integral.blur import imaging_of
-from matcam.forward.integral.plan import RecordPlaces, integration_plan
-from matcam.forward.integral.recording import record
+from matcam.forward.sampler.plan import RecordPlaces, record_plan
+from matcam.forward.sampler.record import record
 from matcam.lamp.lamps import lamp_points
 from tests.golden import rows
 from tests.oracle import lamp_record
@@ -126,14 +126,11 @@ def test_a_lamp_very_far_away_is_a_distant_one():
     i, j, k = (np.tile([row[name] for row in golden], 2) for name in ("i_theta_h", "i_theta_d", "i_phi_d"))
     turn = np.repeat([0, np.pi], len(golden))
     angles = GRID.theta_h[i], GRID.theta_d[j], GRID.phi_d[k] + turn
-    slices, picture = np.unique(j, return_inverse=True)
-    lamps = np.asarray(rig.sample.lamp_angle(GRID.theta_d[slices], near))
-    places = RecordPlaces(*(np.asarray(a) for a in rig.sample.place(*angles, near)), picture.astype(np.int32))
+    places = RecordPlaces(*(np.asarray(a) for a in rig.sample.place(*angles, near)))
     truth, alphas = (np.array([row[name] for row in golden]) for name in ("recorded", "alpha"))
-    for turned in (None, np.full(slices.size, 2 * np.pi)):
-        at = places if turned is None else places._replace(azimuth=turned[picture])
-        plan = integration_plan(imaging, lamps, at, turned)
+    for azimuth in (None, np.full(j.size, 2 * np.pi)):
         for alpha in np.unique(alphas):
+            plan = record_plan(imaging, places._replace(azimuth=azimuth), alpha)
             values = np.asarray(record(Microfacet(GGX(alpha), 1.0), imaging, plan))[:, 0]
             found = np.mean((values / np.asarray(cosines(*angles)[0])).reshape(2, -1), axis=0)
             own = alphas == alpha

@@ -8,7 +8,7 @@ from matcam.camera import PixelNoise
 from matcam.core.errors import ArgumentError
 from matcam.core.grid import GRID_SHAPE, below_horizon, brdf_table, merl_grid
 from matcam.forward import with_pixel_noise
-from matcam.forward.cells_in_pictures import table_cells
+from matcam.forward.cells_in_pictures import CellChoice
 from matcam.forward.measurement import PICTURE_STRIDE, cell_pixels, true_table
 from tests.oracle import merl_lobe
 
@@ -35,7 +35,7 @@ def test_pixels_agree_with_the_oracles_map(pixels):
 
 def test_pixel_counts_add_up_to_the_lit_picture():
     """Both ways together, the cells cover the part of the disc that lamp and camera both see."""
-    counts = table_cells(Sphere(256.0), "centre", None).pixels
+    counts = CellChoice("centre").cells(Sphere(256.0)).pixels
     visible = ~below_horizon("centre")
     whole = 0
     for j, theta_d in enumerate(merl_grid("centre").theta_d):

@@ -6,10 +6,10 @@ import pytest
 from matcam import GGX, BoxPixel, Camera, DiffractionOptics, Microfacet, Rig, Sphere
 from matcam.core.jax import jax, jnp
 from matcam.forward.integral.blur import imaging_of
-from matcam.forward.integral.plan import RecordPlaces, integration_plan
-from matcam.forward.integral.recording import record
 from matcam.forward.integral.rest_at_limb import limb_rule
 from matcam.forward.integral.scene import Scene
+from matcam.forward.sampler.plan import RecordPlaces, record_plan
+from matcam.forward.sampler.record import record
 
 LIMB, LENS = 120.0, DiffractionOptics(8.0, 550e-9, 5e-6)
 PLACES = ((0.3, 0.2), (-1.0, 1.0), (2.6, -0.4), (4.0, 2.0), (5.5, -2.6), (7.6, 1.4))
@@ -57,20 +57,20 @@ def test_few_nodes_hold_the_rings(imaging, roughness, lamp):
 
 def test_places_at_the_limb_take_it(imaging):
     x = np.array([LIMB - 3.0, LIMB - 3.0, 60.0])
-    places = RecordPlaces(x, np.zeros(3), np.full(3, 1.7), np.zeros(3, np.int32))
-    part = integration_plan(imaging, np.array([1.7]), places).parts[-1]
+    places = RecordPlaces(x, np.zeros(3), np.full(3, 1.7))
+    part = record_plan(imaging, places, 0.1).parts[-1]
     assert set(part.limb) == {0, 1}
-    assert set(part.inside) == {2}
+    assert set(part.smooth) == {2}
     thin = places._replace(lamp_angle=np.full(3, np.radians(176.0)))
-    part = integration_plan(imaging, np.radians([176.0]), thin).parts[-1]
+    part = record_plan(imaging, thin, 0.1).parts[-1]
     assert not part.limb.size  # a crescent is no smooth light: a window follows it
-    assert part.windows or part.near.size
+    assert set(part.arcs.place) == {0, 1}
 
 
 def test_a_rule_follows_the_parameters(imaging):
     x = np.array([LIMB - 3.0])
-    places = RecordPlaces(x, np.array([5.0]), np.array([1.7]), np.zeros(1, np.int32))
-    plan = integration_plan(imaging, np.array([1.7]), places)
+    places = RecordPlaces(x, np.array([5.0]), np.array([1.7]))
+    plan = record_plan(imaging, places, 0.1)
 
     def seen(roughness):
         return record(Microfacet(GGX(roughness), 1.0), imaging, plan._replace(parts=plan.parts[-1:]))[0, 0]
@@ -82,5 +82,5 @@ def test_a_rule_follows_the_parameters(imaging):
 def test_a_small_sphere_has_none(imaging):
     assert limb_rule(imaging.blur.rest, 20.0) is None
     small = imaging_of(Rig(Camera(LENS, BoxPixel()), Sphere(20.0)))
-    places = RecordPlaces(np.array([17.0]), np.zeros(1), np.array([1.0]), np.zeros(1, np.int32))
-    assert integration_plan(small, np.array([1.0]), places).parts[-1].limb_rule is None
+    places = RecordPlaces(np.array([17.0]), np.zeros(1), np.array([1.0]))
+    assert record_plan(small, places, 0.1).parts[-1].limb_rule is None

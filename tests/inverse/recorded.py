@@ -10,8 +10,8 @@ from matcam import BoxPixel, Camera, GaussianOptics, Microfacet, Rig, Sphere
 from matcam.camera import PixelNoise, Uncertainty
 from matcam.core.grid import merl_grid
 from matcam.forward.integral.blur import imaging_of
-from matcam.forward.integral.plan import RecordPlaces, integration_plan
-from matcam.forward.integral.recording import record
+from matcam.forward.sampler.plan import RecordPlaces, record_plan
+from matcam.forward.sampler.record import record
 from matcam.inverse.operator.chosen_cells import chosen_cells
 from matcam.inverse.operator.sample_view import SampleView
 from tests.oracle import sphere_cells as oracle
@@ -66,15 +66,16 @@ def measured(ndf, rig, cells):
     """Values of chosen cells, F = 1, Smith, by the operator that `measure` applies; (slices, cells)."""
     slices, numbers = np.nonzero(cells.valid)
     lamps, ways, turn = 2 * np.asarray(cells.theta_d), cells.x.shape[-1], rig.lamp_azimuth
-    picture = np.repeat(slices, ways).astype(np.int32)
+    picture = np.repeat(slices, ways)
     x, y = (np.asarray(at)[slices, numbers].ravel() for at in (cells.x, cells.y))
-    of_places = of_slices = None
+    azimuth = None
     if turn is not None:
         x, y = x * np.cos(turn) - y * np.sin(turn), y * np.cos(turn) + x * np.sin(turn)
-        of_places, of_slices = np.full(x.size, turn), np.full(lamps.size, turn)
+        azimuth = np.full(x.size, turn)
     imaging = imaging_of(rig)
-    plan = integration_plan(imaging, lamps, RecordPlaces(x, y, lamps[picture], picture, of_places), of_slices)
-    recorded = np.asarray(record(Microfacet(ndf, 1.0), imaging, plan))
+    material = Microfacet(ndf, 1.0)
+    plan = record_plan(imaging, RecordPlaces(x, y, lamps[picture], azimuth), float(material.finest))
+    recorded = np.asarray(record(material, imaging, plan))
     values = np.full(cells.valid.shape, np.nan)
     cos_i = np.asarray(cells.cos_i)[slices, numbers]
     values[slices, numbers] = np.mean(recorded[:, 0].reshape(-1, ways) / cos_i, axis=-1)

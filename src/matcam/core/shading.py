@@ -43,12 +43,12 @@ def shading(normal: Vector, tangent: Vector, light: Vector, view: Vector) -> Sha
     Slopes keep their digits near the mirror direction, unlike the angle of a half vector from its cosine.
     """
     total = _combined(light, view, 1)
-    length = xp.sqrt(_dot(total, total))
-    half = total[0] / length, total[1] / length, total[2] / length
     difference = _combined(light, view, -1)
-    cos_h = _dot(half, normal)
     second = _cross(normal, tangent)
-    along, across = _dot(half, tangent), _dot(half, second)
+    along, across, up = _dot(total, tangent), _dot(total, second), _dot(total, normal)
+    slopes = xp.divide(along, up), xp.divide(across, up)
+    length = xp.sqrt(_dot(total, total))
+    along, across, cos_h = along / length, across / length, up / length
     # azimuth of the light about the half vector, in the frame of the surface after the shortest rotation to the half
     # vector: it is well determined where the half vector is the normal, unlike the azimuth of the half vector
     carried = (along * _dot(light, tangent) + across * _dot(light, second)) / (1 + cos_h) + _dot(light, normal)
@@ -57,8 +57,8 @@ def shading(normal: Vector, tangent: Vector, light: Vector, view: Vector) -> Sha
     return Shading(
         cos_i=_dot(light, normal),
         cos_o=_dot(view, normal),
-        slope_along=xp.divide(along, cos_h),
-        slope_across=xp.divide(across, cos_h),
+        slope_along=slopes[0],
+        slope_across=slopes[1],
         theta_d=xp.arcsin(xp.minimum(xp.sqrt(_dot(difference, difference)) / 2, 1.0)),
         phi_d=xp.pi - xp.mod(xp.pi - phi_d, 2 * xp.pi),
     )

@@ -6,11 +6,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from matcam.core.arrays import xp
 from matcam.core.errors import ArgumentError
 from matcam.core.grid import GRID_SHAPE, Sampling, cosines, merl_grid, theta_h_edges
-from matcam.core.jax import jax, jnp
-from matcam.forward.integral.plan import RecordPlaces
+from matcam.core.jax import AnyArray, is_concrete, jax, jnp
+from matcam.forward.sampler.cell_rings import Rings, rings_of
 from matcam.forward.pixel_grid import phase_of_slices, slice_pixels, turned
+from matcam.forward.sampler.plan import RecordPlaces
 from matcam.lamp.lamps import closeness
 from matcam.rigs import ON_REAL_PIXELS, CellValue, PixelPhase
 from matcam.sample.shape import Curved
@@ -36,19 +38,20 @@ class CellChoice(NamedTuple):
         cell_value: meaning of a cell's value.
         crop: (height, width) of the sensor, px; None: unlimited.
         azimuth: azimuth of the lamp in all pictures, rad.
-        elongation: elongation of the material's lobe, no unit.
         pixel_phase: phase of the real pixels that are looked up, px; None: every cell has its own pixels.
         even: True if images through the lens are symmetric above and below.
         shift: shift of the images, (right, up), px.
+        finest: standard deviation of the narrowest Gaussian of the lens, px, with which cells around a highlight are
+            interpolated between fewer positions; None: every cell is recorded.
     """
 
     cell_value: CellValue
     crop: tuple[int, int] | None = None
     azimuth: float = 0.0
-    elongation: float = 1.0
     pixel_phase: PixelPhase | None = None
     even: bool = True
     shift: tuple[float, float] = (0.0, 0.0)
+    finest: float | None = None
 
     def cells(self, sample: Curved, lamp_nearness: jax.Array | None = None) -> TableCells | RealCells:
         """Return the cells of a table of this sample."""
@@ -59,7 +62,7 @@ class CellChoice(NamedTuple):
 
     def _unshifted(self, sample: Curved, lamp_nearness: jax.Array | None) -> TableCells | RealCells:
         if self.pixel_phase is None and self.cell_value not in ON_REAL_PIXELS:
-            return table_cells(sample, self.cell_value, self.crop, self.azimuth, lamp_nearness, self.even)
+            return _table_cells(sample, self, lamp_nearness)
         if not sample.distant or lamp_nearness is not None:
             raise ArgumentError(
                 "a real pixel grid needs a distant camera and lamp: with near ones each cell has its own picture"
@@ -80,8 +83,9 @@ class TableCells(NamedTuple):
     even, phi_d covers the full turn.
 
     Attributes:
-        places: positions of the visible points.
-        flat_index: indices of the visible points in the flattened arrays.
+        places: positions of the visible points, and of those from which rings are interpolated.
+        flat_index: indices of the visible points, except those on rings, in the flattened arrays.
+        rings: cells that are interpolated.
         irradiance: cosine of the light at each cell, times the irradiance of a near lamp relative to the centre.
         weight: share of each point in the value of its cell; 0 for invisible points.
         pixels: pixels behind the cells, (theta_h, theta_d, phi_d).
@@ -90,26 +94,18 @@ class TableCells(NamedTuple):
 
     places: RecordPlaces
     flat_index: np.ndarray
+    rings: tuple[Rings, ...]
     irradiance: np.ndarray
     weight: np.ndarray
     pixels: np.ndarray
     mirrored: bool
 
 
-def table_cells(
-    sample: Curved,
-    cell_value: CellValue,
-    crop: tuple[int, int] | None,
-    azimuth: float = 0.0,
-    lamp_nearness: jax.Array | None = None,
-    even: bool = True,
-) -> TableCells:
-    """Find the cells of a table in the images of a sphere.
-
-    The sensor covers `crop`, (height, width), px; None: unlimited.
-    """
+def _table_cells(sample: Curved, choice: CellChoice, lamp_nearness: jax.Array | None) -> TableCells:
+    """Find the cells of a table in the images of a sphere."""
     n_h, n_d, n_p = GRID_SHAPE
-    mirrored = azimuth == 0 and even
+    cell_value, azimuth = choice.cell_value, choice.azimuth
+    mirrored = azimuth == 0 and choice.even
     points = np.array(_POINTS[cell_value])
     share = (np.arange(n_h)[:, None] + points) / n_h
     theta_h = (share**2 * np.pi / 2)[None, :, None, :, None]
@@ -119,19 +115,29 @@ def table_cells(
     phi_d = ((columns[:, None] + points) / n_p * np.pi)[None, None, :, None, :]
     theta_h, theta_d, phi_d = np.broadcast_arrays(theta_h, theta_d, phi_d)
     cos_i, cos_o = (np.asarray(c) for c in cosines(theta_h, theta_d, phi_d))
-    place = jax.jit(lambda sample, *angles: sample.place(*angles))(sample, theta_h, theta_d, phi_d, lamp_nearness)
-    x, y, lamp_angle = (np.asarray(a) for a in place)
-    if azimuth:
-        x, y = x * np.cos(azimuth) - y * np.sin(azimuth), x * np.sin(azimuth) + y * np.cos(azimuth)
     seen = (cos_i > 0) & (cos_o > 0)
-    if crop is not None:
-        height, width = crop
+    place = jax.jit(lambda sample, *angles: sample.place(*angles))
+
+    def placed(*angles: np.ndarray) -> tuple[np.ndarray, ...]:
+        x, y, lamp_angle = (np.asarray(a) for a in place(sample, *angles, lamp_nearness))
+        return *turned(x, y, azimuth), lamp_angle
+
+    x, y, lamp_angle = placed(theta_h, theta_d, phi_d)
+    if choice.crop is not None:
+        height, width = choice.crop
         seen &= (np.abs(x) <= width / 2) & (np.abs(y) <= height / 2)
-    index = np.flatnonzero(seen)
-    picture = np.broadcast_to(np.arange(n_d, dtype=np.int32)[:, None, None, None, None], seen.shape)
-    places = RecordPlaces(*(a.ravel()[index] for a in (x, y, lamp_angle, picture)))
-    if azimuth:
-        places = places._replace(azimuth=np.full(index.size, azimuth))
+    # the position of a normal that a distant camera does not see is nevertheless one of the sensor
+    whole = np.ones(seen.shape, dtype=bool) if sample.distant and lamp_nearness is None else seen
+    rings, samples = rings_of(theta_h, theta_d, phi_d, whole, _per_radian(sample, choice.finest), mirrored)
+    on_ring = np.zeros(seen.size, dtype=bool)
+    for ring in rings:
+        on_ring[ring.cells] = True
+    index = np.flatnonzero(seen & ~on_ring.reshape(seen.shape))
+    picture = np.broadcast_to(np.arange(n_d)[:, None, None, None, None], seen.shape)
+    direct = [a.ravel()[index] for a in (x, y, lamp_angle, picture)]
+    slices = np.searchsorted(merl_grid(cell_sampling(cell_value)).theta_d, samples[1] - 1e-9)
+    x, y, lamp_angle, picture = (np.concatenate(both) for both in zip(direct, (*placed(*samples), slices), strict=True))
+    places = RecordPlaces(x, y, lamp_angle, np.full(x.size, azimuth) if azimuth else None, picture)
 
     # pixels per point: distant camera, r^2 cos_o sin theta_h dtheta_h dphi_d (docs/model.md 8)
     edges = theta_h_edges()
@@ -141,7 +147,12 @@ def table_cells(
     # equal shares of sqrt(theta_h) contain unequal numbers of pixels
     weight = content * share[None, :, None, :, None] * np.sin(theta_h) if cell_value == "mean" else seen * 1.0
     irradiance = cos_i * np.asarray(closeness(lamp_nearness, jnp.asarray(cos_i))) ** 2
-    return TableCells(places, index, irradiance, weight, pixels, mirrored)
+    return TableCells(places, index, rings, irradiance, weight, pixels, mirrored)
+
+
+def _per_radian(sample: Curved, finest: float | None) -> float:
+    """Compute the largest shift of the image per rotation of the normal, in standard deviations of the lens; 0: unknown."""
+    return 0.0 if finest is None else float(sample.stretch / (1 - sample.nearness)) / finest
 
 
 class RealCells(NamedTuple):
@@ -182,30 +193,42 @@ def _real_cells(radius: float, chosen: CellChoice, phase: PixelPhase) -> RealCel
         before += x.size
     x, y, picture, cos_i, cell, pixel, share = (np.concatenate(c) for c in zip(*columns, strict=True))
     turns = np.full(x.size, chosen.azimuth) if chosen.azimuth else None
-    places = RecordPlaces(x, y, 2 * theta_d[picture], picture, turns)
+    places = RecordPlaces(x, y, 2 * theta_d[picture], turns, picture)
     pixels = counts.reshape(n_d, n_h, n_p).transpose(1, 0, 2)
     return RealCells(places, cos_i, cell, pixel, share, pixels)
 
 
-def cell_means(radiance: jax.Array, cells: TableCells | RealCells) -> jax.Array:
+def cell_means(radiance: jax.Array, cells: TableCells | RealCells) -> AnyArray:
     """Average the BRDF over the positions of each cell, both directions.
 
     The mean is NaN where no position is visible.
     """
-    channels = radiance.shape[-1]
+    # JAX would compile a program for every shape
+    known: AnyArray = np.asarray(radiance) if is_concrete(radiance) else radiance
+    channels = known.shape[-1]
     if isinstance(cells, RealCells):
         n_h, n_d, n_p = GRID_SHAPE
-        parts = (radiance / cells.irradiance[:, None])[cells.pixel] * cells.share[:, None]
-        summed = jnp.zeros((n_d * n_h * n_p, channels)).at[cells.cell].add(parts)
+        parts = (known / cells.irradiance[:, None])[cells.pixel] * cells.share[:, None]
+        summed = _summed(n_d * n_h * n_p, cells.cell, parts)
         summed = summed.reshape(n_d, n_h, n_p, channels).transpose(1, 0, 2, 3)
-        return jnp.where((cells.pixels > 0)[..., None], summed, jnp.nan)
-    spread = jnp.zeros((cells.irradiance.size, channels)).at[cells.flat_index].set(radiance)
-    spread = spread.reshape(*cells.irradiance.shape, channels)
+        return xp.where((cells.pixels > 0)[..., None], summed, np.nan)
+    direct = cells.flat_index.size
+    index = np.concatenate([cells.flat_index, *(ring.cells for ring in cells.rings)])
+    values = [known[:direct], *(ring.interpolated(known[direct:]) for ring in cells.rings)]
+    joined = np.concatenate(values) if isinstance(known, np.ndarray) else jnp.concatenate(values)
+    spread = _summed(cells.irradiance.size, index, joined).reshape(*cells.irradiance.shape, channels)
     weighted = spread * (cells.weight / np.where(cells.weight > 0, cells.irradiance, 1.0))[..., None]
-    total = jnp.sum(weighted + _other_way(weighted, cells.mirrored), axis=(3, 4))
+    total = (weighted + _other_way(weighted, cells.mirrored)).sum(axis=(3, 4))
     weight = np.sum(cells.weight + _other_way(cells.weight, cells.mirrored), axis=(3, 4))[..., None]
-    mean = jnp.where(weight > 0, total / np.where(weight > 0, weight, 1.0), jnp.nan)
+    mean = xp.where(weight > 0, total / np.where(weight > 0, weight, 1.0), np.nan)
     return mean[:, :, : GRID_SHAPE[2]].transpose(1, 0, 2, 3)
+
+
+def _summed(size: int, index: np.ndarray, values: AnyArray) -> AnyArray:
+    """Add values, (positions, channels), to the entries of an array of zeros."""
+    if not isinstance(values, np.ndarray):
+        return jnp.zeros((size, values.shape[1])).at[index].add(values)
+    return np.stack([np.bincount(index, column, size) for column in values.T], axis=-1)
 
 
 def _other_way(one_way, mirrored):  # type: ignore[no-untyped-def]

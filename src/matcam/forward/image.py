@@ -26,11 +26,11 @@ from matcam.forward.integral.blur_groups import groups_of
 from matcam.forward.integral.cylinder_discs import places_under
 from matcam.forward.integral.cylinder_record import light_at, smooth_places
 from matcam.forward.integral.discs import nearer
-from matcam.forward.integral.plan import few_lengths, pad_indices
 from matcam.forward.integral.scene import Scene, Turn, highlight_x
 from matcam.forward.view import View, exact_record, record_pixels, view_of
 from matcam.lamp.lamps import LampPoint
 from matcam.material.material import Material
+from matcam.numerics.blocks import few_lengths, pad_indices
 from matcam.rigs import Rig
 from matcam.sample.curved import Cylinder, Sphere
 
@@ -177,8 +177,7 @@ def _record_within(error: float, material: Material, view: View) -> jax.Array:
 
     It must not be differentiated, because the material decides which pixels are exact.
     """
-    turned = _turned(view)
-    scales = [group.scale for group in groups_of(view.imaging.blur, view.imaging.sample, turned)]
+    scales = [group.scale for group in groups_of(view.imaging.blur, view.imaging.sample)]
     around = int(np.ceil(max(scale.reach for scale in scales)))
     beyond = np.arange(1, around + 1)
     wide = np.meshgrid(
@@ -238,7 +237,7 @@ def _on_sphere(
     turn = Turn(jnp.cos(point.azimuth), jnp.sin(point.azimuth))
     scene = Scene(material, sample, jnp.asarray(point.angle), imaging.lamp_nearness, turn if turned else None)
     peak = scene.on_sensor(highlight_x(sample, scene.lamp_angle, scene.lamp_nearness), jnp.zeros(()))
-    side = max(group.scale.near for group in groups_of(imaging.blur, sample, turned))
+    side = max(group.scale.near for group in groups_of(imaging.blur, sample))
     near = [np.abs(at - float(middle)) < side for at, middle in zip(pixels, peak, strict=True)]
     light = np.asarray(_at_centres(scene, *wide))
     return light, _most_at_limb(scene, float(sample.radius), light, wide), near[0] & near[1]

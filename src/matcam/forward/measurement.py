@@ -31,18 +31,18 @@ from matcam.core.grid import (
     merl_grid,
     sampling_of,
 )
-from matcam.core.jax import is_concrete, jax, jnp
+from matcam.core.jax import AnyArray, is_concrete, jax, jnp
 from matcam.core.workspace import Workspace, default_workspace
 from matcam.forward.cells_in_pictures import CellChoice, RealCells, TableCells, cell_means, cell_sampling
 from matcam.forward.cylinder_cells import check_cylinder, cylinder_table
 from matcam.forward.frequencies.band_limited import EXACT
 from matcam.forward.frequencies.table_records import record_by_frequencies, served_by_frequencies
 from matcam.forward.integral.blur import Imaging, imaging_of, kernel_error
-from matcam.forward.integral.discs import disc_fineness, nearer
-from matcam.forward.integral.plan import IntegrationPlan, RecordPlaces, integration_plan
-from matcam.forward.integral.recording import record
 from matcam.forward.pixel_grid import phase_of_slices, slice_pixels, turned
-from matcam.lamp.lamps import disc_of, lamp_points
+from matcam.forward.sampler.plan import RecordPlan, graded_for, record_plan
+from matcam.forward.sampler.record import record
+from matcam.forward.sampler.under_lamp import record_under_lamp
+from matcam.lamp.lamps import disc_of
 from matcam.material.material import Material
 from matcam.material.microfacet import Microfacet
 from matcam.material.ndf.gaussian_lobe import GaussianNDF
@@ -169,7 +169,7 @@ def table_values(
         return cylinder_table(material, rig, workspace)
     seen = [_values_through(material, one, _azimuth(rig, azimuth), shift, workspace) for one, shift in _colours(rig)]
     if len(seen) == 1:
-        return seen[0]
+        return jnp.asarray(seen[0][0]), seen[0][1]
     channels = [values[..., min(c, values.shape[-1] - 1)] for c, (values, _) in enumerate(seen)]
     return jnp.stack(channels, axis=-1), seen[0][1]
 
@@ -186,25 +186,29 @@ def _colours(rig: Rig) -> list[tuple[Rig, tuple[float, float]]]:
 
 def _values_through(
     material: Material, rig: Rig, azimuth: float, shift: tuple[float, float], workspace: Workspace
-) -> tuple[jax.Array, np.ndarray]:
+) -> tuple[AnyArray, np.ndarray]:
     """Compute values and pixel counts of a table through one lens. shift: shift of its images, (right, up), px."""
     if served_by_frequencies(rig, material):
         return _by_frequencies(material, rig, azimuth, shift)
     imaging = imaging_of(rig)
     even = imaging.blur.even and shift[1] == 0
-    chosen = CellChoice(rig.cell_value, rig.crop, azimuth, material.elongation, rig.pixel_phase, even, shift)
-    if disc_of(rig.lamp) == 0:
-        cells, plan = _table_plan(imaging, chosen, workspace)
-        return cell_means(record(material, imaging, plan), cells), cells.pixels
-    return _under_disc(material, rig, imaging, chosen)
+    stds = jax.lax.stop_gradient(imaging.blur.stds)
+    finest = float(np.min(np.asarray(stds))) if is_concrete(stds) else None
+    chosen = CellChoice(rig.cell_value, rig.crop, azimuth, rig.pixel_phase, even, shift, finest)
+    if disc_of(rig.lamp) > 0:
+        cells = chosen.cells(imaging.sample, imaging.lamp_nearness)
+        return cell_means(record_under_lamp(material, rig, imaging, cells.places), cells), cells.pixels
+    lobe = graded_for(checks.outside_jit(material.finest, "the material's parameters"), imaging), material.elongation
+    cells, plan = _table_plan(imaging, chosen, lobe, workspace)
+    return cell_means(record(material, imaging, plan), cells), cells.pixels
 
 
 def _by_frequencies(
     material: Material, rig: Rig, azimuth: float, shift: tuple[float, float]
-) -> tuple[jax.Array, np.ndarray]:
+) -> tuple[AnyArray, np.ndarray]:
     """Compute a table and its pixel counts from the frequencies of the image of each slice."""
     even = rig.camera.optics.isotropic and shift[1] == 0
-    chosen = CellChoice(rig.cell_value, rig.crop, azimuth, material.elongation, rig.pixel_phase, even, shift)
+    chosen = CellChoice(rig.cell_value, rig.crop, azimuth, rig.pixel_phase, even, shift)
     assert isinstance(rig.sample, Sphere)
     cells = chosen.cells(rig.sample)
     angles = 2 * merl_grid(cell_sampling(chosen.cell_value)).theta_d
@@ -241,11 +245,11 @@ class TablePlan(NamedTuple):
     """Cells of a table, and the plan of their record."""
 
     cells: TableCells | RealCells
-    plan: IntegrationPlan
+    plan: RecordPlan
 
 
-def _table_plan(imaging: Imaging, chosen: CellChoice, workspace: Workspace) -> TablePlan:
-    """Plan the table of a rig. Values must be concrete: ArgumentError inside jax.jit."""
+def _table_plan(imaging: Imaging, chosen: CellChoice, lobe: tuple[float, float], workspace: Workspace) -> TablePlan:
+    """Plan the table of a rig. Values must be concrete: ArgumentError inside jax.jit. lobe: see `record_plan`."""
     imaging = jax.lax.stop_gradient(imaging)
     leaves, tree = jax.tree.flatten(imaging)
     if not all(is_concrete(leaf) for leaf in leaves):
@@ -253,46 +257,10 @@ def _table_plan(imaging: Imaging, chosen: CellChoice, workspace: Workspace) -> T
 
     def plan() -> TablePlan:
         cells = chosen.cells(imaging.sample, imaging.lamp_nearness)
-        lamps = _slice_lamps(imaging, chosen)
-        turned = np.full(lamps.size, chosen.azimuth) if chosen.azimuth else None
-        return TablePlan(cells, integration_plan(imaging, lamps, cells.places, turned, chosen.elongation))
+        return TablePlan(cells, record_plan(imaging, cells.places, *lobe))
 
-    key = tree, tuple(np.asarray(leaf).tobytes() for leaf in leaves), chosen
+    key = tree, tuple(np.asarray(leaf).tobytes() for leaf in leaves), chosen, lobe
     return workspace.remember("table plan", key, plan, most=1)
-
-
-def _slice_lamps(imaging: Imaging, chosen: CellChoice) -> np.ndarray:
-    """Compute the angle between lamp and optical axis of the image of each slice, rad."""
-    theta_d = jnp.asarray(merl_grid(cell_sampling(chosen.cell_value)).theta_d)
-    return np.asarray(imaging.sample.lamp_angle(theta_d, imaging.lamp_nearness))
-
-
-def _under_disc(material: Material, rig: Rig, imaging: Imaging, chosen: CellChoice) -> tuple[jax.Array, np.ndarray]:
-    """Compute values and pixel counts of a table under a source disc: the mean over its points.
-
-    Slices whose highlights require a similar number of points are recorded together, one point of the disc at a time.
-    """
-    cells = chosen.cells(imaging.sample, imaging.lamp_nearness)
-    lamps, places = _slice_lamps(imaging, chosen), cells.places
-    fineness = np.exp2(np.ceil(2 * np.log2(np.maximum(disc_fineness(rig, imaging, lamps, material), 0.25))) / 2)
-    total = jnp.zeros((places.x.size, 1))
-    for level in np.unique(fineness):
-        slices = np.flatnonzero(fineness == level)
-        number = np.full(lamps.size, -1, dtype=np.int32)
-        number[slices] = np.arange(slices.size)
-        index = np.flatnonzero(number[places.picture] >= 0)
-        x, y, angle, picture = (a[index] for a in places[:4])
-        centre = number[picture]
-        of_slices = lamp_points(rig.lamp, lamps[slices], chosen.azimuth, float(level))
-        recorded: jax.Array | float = 0.0
-        for at, point in zip(of_slices, lamp_points(rig.lamp, angle, chosen.azimuth, float(level)), strict=True):
-            one = RecordPlaces(x, y, point.angle, centre, point.azimuth)
-            near = nearer(imaging, point.distance)
-            plan = integration_plan(near, at.angle, one, at.azimuth, chosen.elongation)
-            recorded += point.weight * record(material, near, plan)
-        recorded = jnp.asarray(recorded)
-        total = jnp.broadcast_to(total, (total.shape[0], recorded.shape[1])).at[index].set(recorded)
-    return cell_means(total, cells), cells.pixels
 
 
 def _flat_values(material: Material, rig: Rig) -> jax.Array:

@@ -28,9 +28,9 @@ from matcam.forward.integral.blur import Imaging, imaging_of
 from matcam.forward.integral.blur_groups import groups_of
 from matcam.forward.integral.cylinder_discs import cylinder_fineness, record_under_points
 from matcam.forward.integral.discs import disc_fineness, nearer
-from matcam.forward.integral.plan import RecordPlaces, integration_plan
-from matcam.forward.integral.recording import record
 from matcam.forward.integral.scene import Scene, Turn
+from matcam.forward.sampler.plan import RecordPlaces, record_plan
+from matcam.forward.sampler.record import record
 from matcam.lamp.lamps import LampPoint, checked_lamp_angle, lamp_points
 from matcam.material.material import Material
 from matcam.rigs import Rig, picture_shape
@@ -226,21 +226,16 @@ def record_pixels(material: Material, view: View, x: np.ndarray, y: np.ndarray) 
     sample, blur, nearness = view.imaging
     if isinstance(sample, Cylinder):
         return record_under_points(material, sample, blur, (x, y), view.points, nearness, one_picture=True)
+    finest = checks.outside_jit(material.finest, "the material's parameters")
     total: jax.Array | float = 0.0
     for points in _rings(view.points, max(1, _PLACES // max(x.size, 1))):
         angles, azimuths = (np.array([float(getattr(p, name)) for p in points]) for name in ("angle", "azimuth"))
-        which = np.repeat(np.arange(len(points), dtype=np.int32), x.size)
-        turned = azimuths if np.any(azimuths) else None
-        places = RecordPlaces(
-            np.tile(x, len(points)),
-            np.tile(y, len(points)),
-            angles[which],
-            which,
-            None if turned is None else turned[which],
-        )
+        which = np.repeat(np.arange(len(points)), x.size)
+        azimuth = azimuths[which] if np.any(azimuths) else None
+        places = RecordPlaces(np.tile(x, len(points)), np.tile(y, len(points)), angles[which], azimuth)
         imaging = nearer(view.imaging, points[0].distance)
-        plan = integration_plan(imaging, angles, places, turned, material.elongation)
-        values = record(material, imaging, plan if view.turning is None else plan.turned(view.turning))
+        plan = record_plan(imaging, places, finest, material.elongation)
+        values = record(material, imaging, plan, 0.0 if view.turning is None else view.turning)
         weights = np.array([point.weight for point in points])
         total += jnp.tensordot(weights, values.reshape(len(points), x.size, -1), axes=1)
     return jnp.asarray(total)

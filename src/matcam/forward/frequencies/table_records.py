@@ -24,8 +24,8 @@ from matcam.forward.frequencies.band_limited import APART, optics_band
 from matcam.forward.frequencies.light_grid import Laying, LightGrid, margin_of, per_px_for, serves
 from matcam.forward.frequencies.mirrored import MirroredTransfer
 from matcam.forward.frequencies.reading import Reading
-from matcam.forward.integral.plan import RecordPlaces
 from matcam.forward.integral.scene import Scene, Turn
+from matcam.forward.sampler.plan import RecordPlaces
 from matcam.material.material import Material
 from matcam.rigs import Rig
 from matcam.sample.curved import Sphere
@@ -87,6 +87,7 @@ def record_by_frequencies(
     sample = rig.sample
     assert isinstance(sample, Sphere)
     turn = Turn(placed(np.cos(azimuth)), placed(np.sin(azimuth))) if azimuth else None
+    assert places.picture is not None
     counts = np.bincount(places.picture, minlength=lamps.size)
     ends = np.cumsum(counts)
     records = [jnp.zeros((0, 1))] * lamps.size

@@ -25,10 +25,9 @@ from matcam.core.programs import kept_program
 from matcam.core.shading import Vector, shading
 from matcam.forward.integral.blur import Blur, BlurTerms, Line, Spread
 from matcam.forward.integral.blur_groups import groups_of
-from matcam.forward.integral.plan import pad_indices
-from matcam.forward.integral.recording import in_batches
 from matcam.material.material import Material
 from matcam.numerics.approximation import graded_nodes
+from matcam.numerics.blocks import in_batches, pad_indices
 from matcam.sample.curved import Cylinder
 from matcam.sample.shape import Element, highlight_between
 

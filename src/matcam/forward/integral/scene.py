@@ -35,6 +35,8 @@ class Scene(eqx.Module):
         lamp_angle: angle between lamp and optical axis, towards +x, rad; it broadcasts with the requested elements.
         lamp_nearness: inverse of the lamp's distance, 1/radii; None: a distant lamp.
         turn: the lamp's azimuth, of lamp_angle's shape; None: 0.
+        towards_lamp: sine and cosine of lamp_angle, of its shape; None: they are computed. XLA computes them again for every
+            node, which takes as long as the light.
     """
 
     material: Material
@@ -42,6 +44,7 @@ class Scene(eqx.Module):
     lamp_angle: jax.Array
     lamp_nearness: jax.Array | None = None
     turn: Turn | None = None
+    towards_lamp: tuple[jax.Array, jax.Array] | None = None
 
     def beside_nodes(self, axes: int) -> Scene:
         """Return the scene of one lamp per pixel for arrays with `axes` further axes of nodes."""
@@ -72,7 +75,8 @@ class Scene(eqx.Module):
 
     def _light(self, element: Element) -> tuple[Vector, jax.Array | None]:
         """Compute the direction to the lamp, and the irradiance there over that at the centre; None: 1 everywhere."""
-        light = jnp.sin(self.lamp_angle), jnp.zeros(()), jnp.cos(self.lamp_angle)
+        sine, cosine = self.towards_lamp or (jnp.sin(self.lamp_angle), jnp.cos(self.lamp_angle))
+        light = sine, jnp.zeros(()), cosine
         if self.lamp_nearness is None:
             return light, None
         w, normal = self.lamp_nearness, element.normal

@@ -1,0 +1,324 @@
+"""Circles of normals along which the record of a window is integrated (docs/forward.md, Quadrature).
+
+The light of a lobe depends mainly on the angle from the normal of the highlight, so circles about this normal, which are denser
+towards it, resolve a highlight of any width. Far from the highlight the shape of the window matters more: towards the limb
+it is a narrow strip on the sphere. There, the axis of the circles is perpendicular to the strip and to the optical axis, so
+that they run along the strip and cross limb and terminator at large angles.
+
+Along the angle theta from the axis, nodes are those of Gauss and Legendre in
+
+    t(theta) = 3 asinh(theta / scale) + theta / pitch.
+
+Where a circle touches limb or terminator, the length of its arc has a singularity of the square root. There, another
+substitution removes it.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+
+from matcam.core.jax import jax, jnp
+from matcam.core.programs import kept_program
+from matcam.forward.sampler.arcs import Clips, Frame, Pieces, divided, gaps
+from matcam.forward.sampler.windows import SphereView, Windows
+from matcam.numerics.blocks import in_blocks, in_calls
+
+_GRADED = 3.0
+"""Number of nodes per unit of ln(theta) towards the highlight."""
+_ACROSS = 14.0
+"""Number of nodes across a window whose kernel has the fineness 1."""
+_MORE, _MORE_AT_TOUCH = 6, 4
+"""Additional nodes of every span, and of a span near a touching circle."""
+COARSEST = 0.2
+"""Largest scale of the grading towards the highlight, px at the centre of the sphere."""
+_UNGRADED = 1e3
+"""Scale that yields even nodes, rad."""
+_FAR = 1 / 8
+"""Distance from the highlight, in lengths of the window on the sphere, beyond which the light is smooth along the window."""
+_STRIP = 2.0
+"""Ratio of length to width of a window on the sphere above which it is a strip."""
+_FORESHORTENED = 1.5
+"""Ratio of the largest angle from the highlight to the largest one across the strip above which they have their own nodes."""
+_NEAR_TOUCH = 0.5
+"""Distance of a touching circle from a span, in lengths of the span, below which it affects the nodes."""
+_SLACK, _SLACK_AT_END = 0.02, 0.25
+"""Shares by which the range of angles on the border of a window is widened; at an end of the light it is then narrowed."""
+_PROBES = (1 - np.cos(np.pi * np.arange(25) / 24)) / 2
+"""Positions in a range of angles at which circles with arcs are searched, denser towards the ends."""
+_NEWTON = 5
+"""Number of Newton steps for theta from t: the relative error is then 1e-13."""
+CHUNK = 1024
+"""Number of windows of one call."""
+
+
+class Circles(NamedTuple):
+    """Circles of some windows, arrays of shape (circles,).
+
+    Attributes:
+        window: index of the window.
+        angle: angle from the axis, rad.
+        weight: weight of the integral over normals, rad, with the radius of the circle.
+    """
+
+    window: np.ndarray
+    angle: np.ndarray
+    weight: np.ndarray
+
+
+class CircleLayout(NamedTuple):
+    """Circles and arcs of some windows.
+
+    Attributes:
+        frame: frame of the circles of each window, arrays of shape (windows,).
+        highlight: distance of the highlight from windows with circles about another axis, rad; infinite for the others.
+        circles: the circles.
+        arcs: their arcs.
+    """
+
+    frame: Frame
+    highlight: np.ndarray
+    circles: Circles
+    arcs: Pieces
+
+
+class _Spans(NamedTuple):
+    """Ranges of the angle with smooth integrands, arrays of shape (spans,).
+
+    Attributes:
+        window: index of the window.
+        low: smallest angle, rad.
+        high: largest angle, rad.
+        scale: scale of the grading, rad.
+        pitch: distance of the nodes far from the highlight, rad.
+        before: angle of a touching circle at or below `low`, rad; NaN: none nearby.
+        after: angle of a touching circle at or above `high`, rad; NaN: none nearby.
+    """
+
+    window: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+    scale: np.ndarray
+    pitch: np.ndarray
+    before: np.ndarray
+    after: np.ndarray
+
+
+def lay_circles(view: SphereView, windows: Windows, finest: float, fineness: float) -> CircleLayout:
+    """Lay circles over at most `CHUNK` windows, and find their arcs.
+
+    Args:
+        view: the sphere and the distances of camera and lamp.
+        windows: the windows.
+        finest: narrowest scale of the lobe, rad.
+        fineness: factor of the number of nodes across a window, see `BlurScale`.
+    """
+    border = windows.border(view)
+    ends = _ends_inside(view, windows, border)
+    about, across = _about_highlight(windows), _across_radius(windows)
+    peak = about.axis
+    inside = windows.contains(view, peak)
+    from_peak = _angle(about, border)
+    nearest, farthest = np.where(inside, 0.0, from_peak.min(-1)), from_peak.max(-1)
+    polar = _angle(across, border)
+    first, last = polar.min(-1), polar.max(-1)
+    along = np.arctan2(_dot(across.second, border), border[2])
+    length, width = np.ptp(along, axis=-1), last - first
+    strip = ((length > _STRIP * width) | ends) & (nearest > _FAR * np.maximum(length, width))
+    frame = Frame(*(np.where(strip, b, a) for a, b in zip(about, across, strict=True)))
+    low, high = np.where(strip, first, nearest), np.where(strip, last, farthest)
+    slack = np.where(ends, _SLACK_AT_END, _SLACK) * (high - low)
+    low, high = np.where(low > 0, np.maximum(low - slack, 0.0), 0.0), np.minimum(high + slack, np.pi)
+    clips = Clips.of(windows.half_spaces(view), frame)
+    low, high = _with_arcs(clips, low, high, ends)
+
+    # circles about the highlight touch the sides of a strip up to this angle, and cross it beyond
+    peak_polar = np.arccos(np.clip(_dot(across.axis, peak), -1, 1))
+    side = np.maximum(np.abs(last - peak_polar), np.abs(first - peak_polar))
+    both = ~strip & (low < side) & (high > _FORESHORTENED * side)
+    nodes = _ACROSS * fineness
+    alike = np.where(~strip & (low < side), np.clip((high - low) / width, 1, 2), 1.0)
+    pitches = np.where(both, width, (high - low) / alike) / nodes, (high - side) / nodes
+    scale = np.where(strip, _UNGRADED, min(COARSEST / view.radius, finest))
+    touching = np.where(ends[:, None], _touching(view, windows, frame), np.nan)
+    spans = _spans(np.where(both, side, np.nan), touching, (low, high), scale, pitches)
+    circles = _nodes(spans)
+    arcs = divided(*_gaps_of(clips, circles.window, circles.angle))
+    return CircleLayout(frame, np.where(strip, nearest, np.inf), circles, arcs)
+
+
+def _ends_inside(view: SphereView, windows: Windows, border: np.ndarray) -> np.ndarray:
+    """Check whether limb or terminator may be in windows. border: normals along their borders."""
+    lit = np.sin(windows.lamp)[:, None] * border[0] + np.cos(windows.lamp)[:, None] * border[2]
+    return np.any((border[2] < view.camera + _AT_END) | (lit < view.lamp + _AT_END), axis=1)
+
+
+def _about_highlight(windows: Windows) -> Frame:
+    sine, cosine, zero = np.sin(windows.peak), np.cos(windows.peak), np.zeros(windows.peak.size)
+    return Frame(np.stack([sine, zero, cosine]), np.stack([cosine, zero, -sine]), np.stack([zero, zero + 1, zero]))
+
+
+def _across_radius(windows: Windows) -> Frame:
+    """Return the frame whose circles run along the radius of the image through the centre of the window."""
+    x, y = windows.to_lamp(windows.x, windows.y)
+    azimuth, zero = np.arctan2(y, x), np.zeros(x.size)
+    cosine, sine = np.cos(azimuth), np.sin(azimuth)
+    return Frame(np.stack([-sine, cosine, zero]), np.stack([zero, zero, zero + 1]), np.stack([cosine, sine, zero]))
+
+
+def _dot(vector: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """Compute scalar products of a vector of each window, (3, windows), with one or several, (3, windows, ...)."""
+    return np.sum(vector.reshape(*vector.shape, *[1] * (others.ndim - 2)) * others, axis=0)
+
+
+def _angle(frame: Frame, normals: np.ndarray) -> np.ndarray:
+    """Compute the angles of normals, (3, windows, points), from the axis, rad, without loss of digits."""
+    return np.arctan2(np.hypot(_dot(frame.first, normals), _dot(frame.second, normals)), _dot(frame.axis, normals))
+
+
+def _with_arcs(clips: Clips, low: np.ndarray, high: np.ndarray, ends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Narrow ranges of angles at ends of the light to the circles that have arcs; empty ranges where none has."""
+    index = np.flatnonzero(ends)
+    if not index.size:
+        return low, high
+    angle = low[index, None] + (high - low)[index, None] * _PROBES
+    _, length = _gaps_of(clips, np.repeat(index, _PROBES.size), angle.ravel())
+    seen = np.any(length > 0, axis=-1).reshape(angle.shape)
+    first = np.maximum(seen.argmax(1) - 1, 0)
+    last = np.minimum(_PROBES.size - seen[:, ::-1].argmax(1), _PROBES.size - 1)
+    some, each = seen.any(1), np.arange(index.size)
+    low, high = low.copy(), high.copy()
+    low[index] = angle[each, first]
+    high[index] = np.where(some, angle[each, last], low[index])
+    return low, high
+
+
+def _touching(view: SphereView, windows: Windows, frame: Frame) -> np.ndarray:
+    """Compute the angles of circles that touch the limb or the terminator, (windows, 4), rad."""
+    zero = np.zeros(windows.lamp.size)
+    away_from_camera = np.stack([zero, zero, zero - 1])
+    away_from_lamp = np.stack([-np.sin(windows.lamp), zero, -np.cos(windows.lamp)])
+    found = []
+    for normal, nearness in ((away_from_camera, view.camera), (away_from_lamp, view.lamp)):
+        between, radius = np.arccos(np.clip(_dot(frame.axis, normal), -1, 1)), np.arccos(-nearness)
+        total = between + radius
+        found += [np.abs(between - radius), np.minimum(total, 2 * np.pi - total)]
+    return np.stack(found, -1)
+
+
+def _spans(
+    side: np.ndarray,
+    touching: np.ndarray,
+    ends: tuple[np.ndarray, np.ndarray],
+    scale: np.ndarray,
+    pitches: tuple[np.ndarray, np.ndarray],
+) -> _Spans:
+    """Divide ranges of angles at touching circles, and at the angle `side`, where the pitch changes; NaN: it does not."""
+    low, high = ends
+    cuts = np.concatenate([touching, side[:, None]], axis=1)
+    cuts = np.where((cuts > low[:, None] + _EQUAL) & (cuts < high[:, None] - _EQUAL), cuts, np.nan)
+    edges = np.sort(np.concatenate([low[:, None], high[:, None], cuts], axis=1), axis=1)  # NaN are last
+    window, number = np.nonzero(edges[:, 1:] > edges[:, :-1])
+    low, high = edges[window, number], edges[window, number + 1]
+    near = _NEAR_TOUCH * (high - low)
+    at = touching[window]
+    before = np.where((at <= low[:, None] + _EQUAL) & (at > (low - near)[:, None]), at, -np.inf).max(1)
+    after = np.where((at >= high[:, None] - _EQUAL) & (at < (high + near)[:, None]), at, np.inf).min(1)
+    before, after = np.minimum(before, low), np.maximum(after, high)
+    pitch = np.where(low >= side[window] - _EQUAL, pitches[1][window], pitches[0][window])
+    before, after = (np.where(np.isfinite(a), a, np.nan) for a in (before, after))
+    return _Spans(window, low, high, scale[window], pitch, before, after)
+
+
+_AT_END = 1e-3
+"""Cosine of light or view below which a normal on the border of a window is at an end of the light."""
+_EQUAL = 1e-9
+"""Difference of angles, rad, below which they are equal."""
+
+
+@lru_cache
+def _gauss(count: int) -> tuple[np.ndarray, np.ndarray]:
+    return np.polynomial.legendre.leggauss(count)
+
+
+def _nodes(spans: _Spans) -> Circles:
+    """Compute the nodes of spans and their weights."""
+    count = _t(spans.high, spans.scale, spans.pitch) - _t(spans.low, spans.scale, spans.pitch) + _MORE
+    count += _MORE_AT_TOUCH * (np.isfinite(spans.before).astype(int) + np.isfinite(spans.after))
+    count = 4 * np.ceil(count / 4).astype(int)  # few numbers of nodes
+    span, at, share = [], [], []
+    for number in np.unique(count):
+        index = np.flatnonzero(count == number)
+        node, weight = _gauss(int(number))
+        span.append(np.repeat(index, number))
+        at.append(np.tile(node, index.size))
+        share.append(np.tile(weight, index.size))
+    if not span:
+        return Circles(np.zeros(0, dtype=int), np.zeros(0), np.zeros(0))
+    index, node, weight = np.concatenate(span), np.concatenate(at), np.concatenate(share)
+    ends = [_t(a, spans.scale, spans.pitch) for a in (spans.low, spans.high, spans.before, spans.after)]
+    angle, rate = in_calls(_angles, (*(a[index] for a in (*spans[1:5], *ends)), node))
+    return Circles(spans.window[index], angle, rate * weight * np.sin(angle))
+
+
+def _t(angle, scale, pitch):  # type: ignore[no-untyped-def]
+    xp = np if isinstance(angle, np.ndarray) else jnp
+    return _GRADED * xp.arcsinh(angle / scale) + angle / pitch
+
+
+@kept_program
+def _angles(used: jax.Array, spans: tuple[jax.Array, ...]) -> tuple[jax.Array, jax.Array]:
+    """Compute the angles of nodes in [-1, 1], and the derivative, rad."""
+
+    def block(arguments):  # type: ignore[no-untyped-def]
+        low, high, scale, pitch, first, last, before, after, node = arguments
+        share = (node + 1) / 2
+        at_low, at_high = ~jnp.isnan(before), ~jnp.isnan(after)
+        start, end = jnp.where(at_low, before, first), jnp.where(at_high, after, last)
+        # with a touching circle at one end, t - t0 is a square; with one at both, t is a cosine
+        below, above = (jnp.sqrt(jnp.maximum(a - start, 0.0)) for a in (first, last))
+        root = below + (above - below) * share
+        left, right = (jnp.sqrt(jnp.maximum(end - a, 0.0)) for a in (first, last))
+        rest = left + (right - left) * share
+        middle, radius = (start + end) / 2, (end - start) / 2
+        turn = [jnp.arccos(jnp.clip((middle - a) / radius, -1, 1)) for a in (first, last)]
+        at = turn[0] + (turn[1] - turn[0]) * share
+        t = jnp.where(at_low, start + root**2, first + (last - first) * share)
+        rate = jnp.where(at_low, root * (above - below), (last - first) / 2)
+        t = jnp.where(at_high, end - rest**2, t)
+        rate = jnp.where(at_high, rest * (left - right), rate)
+        t = jnp.where(at_low & at_high, middle - radius * jnp.cos(at), t)
+        rate = jnp.where(at_low & at_high, radius * jnp.sin(at) * (turn[1] - turn[0]) / 2, rate)
+
+        def slope(angle: jax.Array) -> jax.Array:
+            return _GRADED / jnp.hypot(angle, scale) + 1 / pitch
+
+        def newton(_: int, angle: jax.Array) -> jax.Array:  # t is concave, so that the steps converge from below
+            return jnp.clip(angle + (t - _t(angle, scale, pitch)) / slope(angle), low, high)
+
+        guess = jnp.clip(jnp.minimum(scale * jnp.sinh(jnp.minimum(t / _GRADED, 300.0)), pitch * t), low, high)
+        angle = jax.lax.fori_loop(0, _NEWTON, newton, guess)
+        return angle, rate / slope(angle)
+
+    return in_blocks(block, used, spans)
+
+
+@kept_program
+def _gap_blocks(used: jax.Array, rows: tuple[jax.Array, ...], clips: Clips) -> tuple[jax.Array, jax.Array]:
+    def block(arguments):  # type: ignore[no-untyped-def]
+        window, circle = arguments
+        return gaps(*(a[window] for a in clips), circle)
+
+    return in_blocks(block, used, rows)
+
+
+def _gaps_of(clips: Clips, window: np.ndarray, circle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Compute start and length of the parts of circles inside their windows, (circles, half-spaces), rad."""
+    if not circle.size:
+        return (np.zeros((0, clips.axial.shape[1])),) * 2
+    more = CHUNK - clips.axial.shape[0]
+    padded = Clips(*(np.pad(a, ((0, more), (0, 0)), mode="edge") for a in clips))
+    start, length = in_calls(_gap_blocks, (window, circle), padded)
+    return start, length

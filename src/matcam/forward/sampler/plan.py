@@ -1,0 +1,293 @@
+"""Plan of a record: positions of the light, from the geometry alone, that each pixel of a sphere's image integrates.
+
+Numbers and positions of nodes depend on the parameters of the camera, but a record must not be discontinuous in them. A plan is
+therefore frozen: under one plan a record is a smooth function of material and camera.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from matcam.core.jax import jax, jnp
+from matcam.core.programs import kept_program
+from matcam.core.threads import available_cores, in_order
+from matcam.forward.integral.blur import Imaging
+from matcam.forward.integral.blur_groups import BlurGroup, groups_of
+from matcam.forward.integral.rest_at_limb import LimbRule, limb_rule
+from matcam.forward.integral.scene import Turn
+from matcam.forward.sampler.circles import CHUNK, COARSEST, CircleLayout, lay_circles
+from matcam.forward.sampler.windows import SphereView, Windows
+from matcam.numerics.blocks import in_blocks, in_calls
+
+MOST_NODES = 256
+"""Largest number of Gauss-Legendre nodes on an arc."""
+_ON_ARC, _ON_FULL_ARC = 6.0, 12.0
+"""Nodes on a short arc, and additional ones on an arc across a window whose kernel has the fineness 1."""
+_BESIDE, _PER_DISTANCE, _MOST_DISTANCES = 7.0, 2.5, 8.0
+"""Nodes on an arc that is short relative to its distance from the highlight, additional ones per distance, and the largest
+number of distances.
+"""
+_LONGEST = 1.3
+"""Largest length of an arc, in sides of its window, that adds nodes."""
+_AROUND = np.pi / 8 * np.arange(16)
+"""Azimuths of positions around a pixel at which light must be visible for a smooth surrounding."""
+_GRAZING = 1e-3
+"""Smallest cosine of the view by which the size of a window on the sphere is estimated."""
+_NO_CRESCENT = 0.6
+"""Share of the support radius of a residual within which all surface must be lit for smooth light up to the limb."""
+
+
+class RecordPlaces(NamedTuple):
+    """Pixel centres in images of a sphere, arrays of shape (places,).
+
+    Attributes:
+        x: column from the optical axis, px.
+        y: row from the optical axis, upwards, px.
+        lamp_angle: angle between lamp and optical axis, rad.
+        azimuth: azimuth of the lamp of each position, rad; None: every lamp is towards +x.
+        picture: index of the image; None: irrelevant.
+    """
+
+    x: np.ndarray
+    y: np.ndarray
+    lamp_angle: np.ndarray
+    azimuth: np.ndarray | None = None
+    picture: np.ndarray | None = None
+
+    def at(self, index: np.ndarray) -> RecordPlaces:
+        """Return the positions at indices."""
+        return self._replace(**{name: np.asarray(a)[index] for name, a in self._asdict().items() if a is not None})
+
+    @property
+    def turn(self) -> Turn | None:
+        """Return cosine and sine of the azimuth; None if it is None."""
+        return None if self.azimuth is None else Turn(np.cos(self.azimuth), np.sin(self.azimuth))
+
+
+class ArcRows(NamedTuple):
+    """Arcs in ascending order of their numbers of nodes, arrays over (arcs,).
+
+    Attributes:
+        nodes: number of nodes.
+        place: index of the pixel.
+        window: index of the pixel among those with arcs.
+        angle: angle of the circle from its axis, rad.
+        weight: weight of the circle, see `Circles`, times half the length of the arc.
+        middle: azimuth of the middle of the arc, rad.
+        half: half length, rad.
+    """
+
+    nodes: np.ndarray
+    place: np.ndarray
+    window: np.ndarray
+    angle: np.ndarray
+    weight: np.ndarray
+    middle: np.ndarray
+    half: np.ndarray
+
+    def at(self, index: np.ndarray | slice) -> ArcRows:
+        """Return the arcs at indices."""
+        return ArcRows(*(a[index] for a in self))
+
+
+class PlanPart(NamedTuple):
+    """Plan for the terms of a blur that share a scale.
+
+    Attributes:
+        terms: indices of the terms.
+        smooth: indices of pixels in smooth light.
+        limb: indices of pixels with the limb in the support of the residual of a lens.
+        limb_rule: weights of their nodes; None: no such pixels.
+        frames: frame of the circles of each pixel with arcs, (pixels, 9): axis, direction of azimuth 0, and of pi/2.
+        arcs: their arcs.
+    """
+
+    terms: tuple[int, ...]
+    smooth: np.ndarray
+    limb: np.ndarray
+    limb_rule: LimbRule | None
+    frames: np.ndarray
+    arcs: ArcRows
+
+
+class RecordPlan(NamedTuple):
+    """Positions of a record, and a part of the plan for each scale of the blur."""
+
+    places: RecordPlaces
+    parts: tuple[PlanPart, ...]
+
+
+def record_plan(imaging: Imaging, places: RecordPlaces, finest: float, elongation: float = 1.0) -> RecordPlan:
+    """Plan a record. ArgumentError inside jax.jit.
+
+    Args:
+        imaging: sphere, blur and the lamp's nearness.
+        places: positions to record.
+        finest: narrowest scale of the lobe, rad.
+        elongation: elongation of the lobe, no unit: factor of the distance from a highlight within which a lobe may be
+            narrow on the scale of the kernel. Default: 1, a round lobe.
+
+    Returns:
+        The plan. It is valid for materials that are not narrower, and for cameras whose parameters differ little.
+    """
+    imaging = jax.lax.stop_gradient(imaging)
+    groups = groups_of(imaging.blur, imaging.sample)
+    return RecordPlan(places, tuple(_part(imaging, group, places, finest, elongation) for group in groups))
+
+
+def graded_for(finest: float, imaging: Imaging) -> float:
+    """Round the scale of a lobe, rad, to one of few, so that most materials share a plan."""
+    return min(float(np.exp2(np.floor(np.log2(finest)))), COARSEST / float(imaging.sample.radius))
+
+
+def _part(imaging: Imaging, group: BlurGroup, places: RecordPlaces, finest: float, elongation: float) -> PlanPart:
+    scale = group.scale
+    lamp = np.zeros(()) if imaging.lamp_nearness is None else np.asarray(imaging.lamp_nearness)
+    view = SphereView(float(imaging.sample.radius), float(imaging.sample.nearness), float(lamp))
+    pixels = _pixels(imaging, places, scale.reach)
+    clear, dark = _clear(imaging, pixels, scale.margin), _dark(view, pixels)
+    near, crowded = _near(view, pixels, scale.near * elongation), _crowded(view, pixels)
+    smooth, limb, rule = clear & ~near & ~crowded, np.zeros(places.x.size, dtype=bool), None
+    if imaging.blur.is_rest(group.terms[0]):
+        rule = None if imaging.blur.varies else limb_rule(imaging.blur.rest, view.radius)  # type: ignore[arg-type]
+        if rule is not None:
+            limb, dim = _rest_beside(imaging, view, pixels, ~dark & ~near & ~smooth)
+            smooth |= dim
+    rough = np.flatnonzero(~dark & ~smooth & ~limb)
+    frames, arcs = _arcs(view, pixels.at(rough), scale.fineness, finest, elongation)
+    arcs = arcs._replace(place=rough[arcs.window])
+    return PlanPart(group.terms, np.flatnonzero(smooth), np.flatnonzero(limb), rule, frames, arcs)
+
+
+def _pixels(imaging: Imaging, places: RecordPlaces, half: float) -> Windows:
+    """Return the windows of pixels. half: of their side, px."""
+    size = places.x.size
+    turn = places.turn or Turn(np.ones(size), np.zeros(size))  # type: ignore[arg-type]
+    lamps, which = np.unique(places.lamp_angle, return_inverse=True)
+    peaks = np.asarray(_highlights(imaging, lamps))[which] if size else np.zeros(0)
+    x, y = (np.asarray(a, dtype=float) for a in places[:2])
+    return Windows(x, y, places.lamp_angle, peaks, np.asarray(turn.cosine), np.asarray(turn.sine), half)
+
+
+def _highlights(imaging: Imaging, lamps: np.ndarray) -> np.ndarray:
+    """Compute the angle between the normal of the highlight and the optical axis for each lamp, rad."""
+    if imaging.sample.distant and imaging.lamp_nearness is None:
+        return lamps / 2
+    (found,) = in_calls(_highlight_blocks, (lamps,), imaging)
+    return found
+
+
+@kept_program
+def _highlight_blocks(used: jax.Array, rows: tuple[jax.Array, ...], imaging: Imaging) -> tuple[jax.Array]:
+    return (in_blocks(lambda lamp: imaging.sample.highlight(lamp[0], imaging.lamp_nearness), used, rows),)
+
+
+def _near(view: SphereView, pixels: Windows, distance: float) -> np.ndarray:
+    """Find pixels within a square around the highlight of half side `distance`, px."""
+    peak = np.stack([np.sin(pixels.peak), np.zeros(pixels.x.size), np.cos(pixels.peak)])
+    return pixels.contains(view, peak, distance)
+
+
+def _crowded(view: SphereView, pixels: Windows) -> np.ndarray:
+    """Find pixels for which the highlight is closer, as an angle, than the foreshortened length of the kernel."""
+    n_x, n_y, n_z = view.normals(*pixels.to_lamp(pixels.x, pixels.y))
+    sine, cosine = np.sin(pixels.peak), np.cos(pixels.peak)
+    between = np.arctan2(np.hypot(n_x * cosine - n_z * sine, n_y), n_x * sine + n_z * cosine)
+    return between < 2 * pixels.half / (view.radius * np.maximum(n_z - view.camera, _GRAZING))
+
+
+def _dark(view: SphereView, pixels: Windows) -> np.ndarray:
+    """Find pixels whose kernel certainly contains no visible and lit surface."""
+    x, y = pixels.to_lamp(pixels.x, pixels.y)
+    off, corner = np.hypot(x, y), np.sqrt(2) * pixels.half
+    sine, cosine = np.sin(pixels.lamp), np.cos(pixels.lamp)
+    inner, outer = (view.normals(np.maximum(off + side * corner, 0.0), 0 * off)[2] for side in (-1, 1))
+    depth = np.where(cosine > 0, inner, outer)
+    # the largest n . l: x / stretch (1 - q n_z) is at most x / stretch (1 - q outer)
+    across = np.minimum(np.maximum(x + corner, 0.0) / view.stretch * (1 - view.camera * outer), 1.0)
+    return (off - corner > view.radius) | (across * sine + depth * cosine < view.lamp)
+
+
+def _clear(imaging: Imaging, pixels: Windows, distance: float) -> np.ndarray:
+    """Find pixels whose surroundings within a distance, px, are visible and lit."""
+    if not pixels.x.size:
+        return np.zeros(0, dtype=bool)
+    x, y = pixels.to_lamp(pixels.x, pixels.y)
+    (found,) = in_calls(_clear_blocks, (x, y, pixels.lamp), imaging, np.asarray(distance))
+    return found
+
+
+@kept_program
+def _clear_blocks(
+    used: jax.Array, rows: tuple[jax.Array, ...], imaging: Imaging, distance: jax.Array
+) -> tuple[jax.Array]:
+    sample, nearness = imaging.sample, 0.0 if imaging.lamp_nearness is None else imaging.lamp_nearness
+
+    def block(arguments):  # type: ignore[no-untyped-def]
+        x, y, lamp = arguments
+        clear = jnp.ones(x.shape, dtype=bool)
+        for azimuth in _AROUND:
+            element, visible = sample.at(x + distance * np.cos(azimuth), y + distance * np.sin(azimuth))
+            up = element.normal[0] * jnp.sin(lamp) + element.normal[2] * jnp.cos(lamp)
+            clear &= visible & (up > nearness)
+        return clear
+
+    return (in_blocks(block, used, rows),)
+
+
+def _rest_beside(
+    imaging: Imaging, view: SphereView, pixels: Windows, places: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Select pixels with the limb in the support of a residual that require no window, and those in smooth light.
+
+    The effect of a terminator, where light starts at 0, on the residual is at most 2e-5 of the peak. A terminator beside the
+    limb counts only if the light is a thin crescent.
+    """
+    index, reach = np.flatnonzero(places), pixels.half
+    limb, dim = np.zeros_like(places), np.zeros_like(places)
+    own = pixels.at(index)
+    off = np.hypot(own.x, own.y)
+    # positions beyond the limb are replaced by the nearest ones inside
+    inside = np.minimum(1.0, (view.radius - _NO_CRESCENT * reach) / np.maximum(off, 1e-9))
+    bright = _clear(imaging, own._replace(x=own.x * inside, y=own.y * inside), _NO_CRESCENT * reach * (1 - 1e-9))
+    sees = off > view.radius - reach
+    limb[index], dim[index] = sees & bright, ~sees
+    return limb, dim
+
+
+def _arcs(
+    view: SphereView, windows: Windows, fineness: float, finest: float, elongation: float
+) -> tuple[np.ndarray, ArcRows]:
+    """Compute the frames of the circles of windows, and all arcs."""
+
+    def chunk(begin: int) -> tuple[np.ndarray, ...]:
+        own = windows.at(slice(begin, begin + CHUNK))
+        layout = lay_circles(view, own, finest, fineness)
+        circle, middle, half = layout.arcs
+        window, angle, weight = (a[circle] for a in layout.circles)
+        frames = np.concatenate(layout.frame).T
+        nodes = _nodes_on_arcs(view, own, layout, fineness, elongation)
+        return frames, nodes, begin + window, angle, weight * half, middle, half
+
+    nothing = np.zeros(0, dtype=int)
+    found = [(np.zeros((0, 9)), nothing, nothing, *[np.zeros(0)] * 4)]
+    found += in_order(chunk, range(0, windows.x.size, CHUNK), available_cores())
+    frames, nodes, window, *others = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    return frames, ArcRows(nodes, window, window, *others).at(np.argsort(nodes, kind="stable"))
+
+
+def _nodes_on_arcs(
+    view: SphereView, windows: Windows, layout: CircleLayout, fineness: float, elongation: float
+) -> np.ndarray:
+    """Choose the number of nodes of each arc."""
+    circle, _, half = layout.arcs
+    highlight = layout.highlight[layout.circles.window[circle]]
+    length = 2 * half * np.sin(layout.circles.angle[circle])
+    sides = np.minimum(length * view.radius / (2 * windows.half), _LONGEST)
+    distances = np.where(np.isfinite(highlight), length / highlight, 2 * half * (elongation - 1))
+    needed = np.maximum(
+        _ON_ARC + _ON_FULL_ARC * fineness * sides, _BESIDE + _PER_DISTANCE * np.minimum(distances, _MOST_DISTANCES)
+    )
+    return np.minimum(2 * np.ceil(needed / 2), MOST_NODES).astype(int)

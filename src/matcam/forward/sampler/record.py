@@ -1,0 +1,185 @@
+"""Record of a sphere at given positions of its images: the operator behind tables and images (docs/model.md 2 and 3)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache, partial
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from matcam.core.jax import AnyArray, is_concrete, jax, jnp
+from matcam.core.programs import kept_program
+from matcam.core.threads import available_cores, in_order
+from matcam.forward.integral.blur import BlurTerms, Imaging
+from matcam.forward.integral.rest_at_limb import LimbRule
+from matcam.forward.integral.scene import Scene, Turn
+from matcam.forward.sampler.plan import MOST_NODES, PlanPart, RecordPlaces, RecordPlan
+from matcam.forward.sampler.smooth_light import record_inside
+from matcam.material.material import Material
+from matcam.numerics.blocks import in_blocks, repeated_sum, shaped
+from matcam.numerics.sine import sine
+
+_BLOCKS, _ARCS, _SMOOTH = 32, 512, 256
+"""Blocks of one call, and arcs, or pixels in smooth light, of a block: their arrays fit into a cache."""
+_RULES = 32, MOST_NODES
+"""Numbers of nodes on an arc for which there are programs; a program skips unused nodes."""
+
+
+class Subject(NamedTuple):
+    """Material on a sphere in front of a camera, under any lamp.
+
+    Attributes:
+        material: the material.
+        imaging: sphere, blur and the lamp's nearness.
+        turning: angle by which the lamps are turned away from the optical axis, rad.
+    """
+
+    material: Material
+    imaging: Imaging
+    turning: jax.Array
+
+    @property
+    def known(self) -> bool:
+        """Check whether no parameter is being differentiated."""
+        return all(map(is_concrete, jax.tree.leaves(tuple(self))))
+
+    def computed(self, values: jax.Array) -> Any:
+        """Await the values, unless they are being differentiated."""
+        return np.asarray(values) if self.known else values
+
+    def under(self, lamp_angle: AnyArray, turn: Turn | None = None) -> Scene:
+        """Return the light under lamps."""
+        angle = jnp.asarray(lamp_angle) + self.turning
+        return Scene(self.material, self.imaging.sample, angle, self.imaging.lamp_nearness, turn)
+
+
+def record(material: Material, imaging: Imaging, plan: RecordPlan, turning: jax.Array | float = 0.0) -> jax.Array:
+    """Record a material at the positions of a plan.
+
+    Args:
+        material: the material.
+        imaging: sphere and blur, as in the plan or with slightly different parameters.
+        plan: the plan.
+        turning: small angle by which the lamps are turned away from the optical axis, rad. Default: 0.
+
+    Returns:
+        Radiance under unit irradiance, 1/sr, (places, channels). Differentiable in material, sphere, blur and turning.
+    """
+    subject = Subject(material, imaging, jnp.asarray(turning, dtype=float))
+    calls: list[_Call] = []
+    for part in plan.parts:
+        blur = BlurTerms(imaging.blur, part.terms)
+        for index, rule in ((part.smooth, None), (part.limb, part.limb_rule)):
+            calls += [
+                partial(_record_smooth, subject, blur, rule, plan.places, index[begin : begin + _BLOCKS * _SMOOTH])
+                for begin in range(0, index.size, _BLOCKS * _SMOOTH)
+            ]
+        calls += [
+            partial(_record_arcs, subject, blur, plan.places, part, slice(begin, begin + _BLOCKS * _ARCS))
+            for begin in range(0, part.arcs.place.size, _BLOCKS * _ARCS)
+        ]
+    total: Any = np.zeros((plan.places.x.size, subject.under(jnp.zeros(())).channels()))
+    for place, values in in_order(lambda call: call(), calls, available_cores() if subject.known else 1):
+        total = _added(total, place, values.reshape(-1, total.shape[1])[: place.size])
+    return jnp.asarray(total)
+
+
+_Call = Callable[[], tuple[np.ndarray, Any]]
+"""Program call: indices of pixels, and values to add to their records, (blocks, rows, channels)."""
+
+
+def _added(total: Any, place: np.ndarray, values: Any) -> Any:
+    """Add values, (rows, channels), to pixels."""
+    if not is_concrete(values):
+        return jnp.asarray(total).at[place].add(values)
+    columns = (np.bincount(place, column, total.shape[0]) for column in np.asarray(values).T)
+    return total + np.stack(list(columns), axis=-1)
+
+
+def _record_smooth(
+    subject: Subject, blur: BlurTerms, rule: LimbRule | None, places: RecordPlaces, index: np.ndarray
+) -> tuple[np.ndarray, Any]:
+    """Record pixels in smooth light, or at the limb with a rule for the residual of a lens."""
+    pixels = places.at(index)
+    used, rows = shaped((*pixels[:3], pixels.turn), _BLOCKS, _SMOOTH)
+    return index, subject.computed(_smooth_blocks(subject, blur, rule, used if subject.known else None, rows))
+
+
+@kept_program
+def _smooth_blocks(subject: Subject, blur: BlurTerms, rule: LimbRule | None, used: Any, rows: Any) -> jax.Array:
+    def block(arguments: Any) -> jax.Array:
+        x, y, lamp_angle, turn = arguments
+        scene = subject.under(lamp_angle, turn)
+        return record_inside(scene, blur, x, y) if rule is None else rule.record(scene, x, y)
+
+    return in_blocks(block, used, rows)
+
+
+class _ArcInputs(NamedTuple):
+    """Arcs with the pixels that they belong to, arrays of one shape; see `RecordPlaces`, `CircleLayout` and `ArcRows`."""
+
+    x: AnyArray
+    y: AnyArray
+    lamp_angle: AnyArray
+    turn: Turn | None
+    frame: tuple[tuple[AnyArray, ...], ...]
+    angle: AnyArray
+    weight: AnyArray
+    middle: AnyArray
+    half: AnyArray
+
+
+def _record_arcs(
+    subject: Subject, blur: BlurTerms, places: RecordPlaces, part: PlanPart, some: slice
+) -> tuple[np.ndarray, Any]:
+    """Record the light of some arcs."""
+    own = part.arcs.at(some)
+    pixels, vectors = places.at(own.place), part.frames[own.window].T
+    frame = tuple(tuple(vectors[n : n + 3]) for n in (0, 3, 6))
+    used, rows = shaped(_ArcInputs(*pixels[:3], pixels.turn, frame, *own[3:]), _BLOCKS, _ARCS)
+    counts = np.resize(own.nodes, _BLOCKS * _ARCS).reshape(_BLOCKS, _ARCS).max(axis=1)
+    rules = next(rules for rules in map(_gauss_rules, _RULES) if counts.max() < rules.shape[1])
+    values = _arc_blocks(subject, blur, used if subject.known else None, counts, rules, rows)
+    return own.place, subject.computed(values)
+
+
+@cache
+def _gauss_rules(most: int) -> np.ndarray:
+    """Return nodes and weights of Gauss and Legendre for up to `most` nodes, (2, numbers, most), padded with zeros."""
+    rules = np.zeros((2, most + 1, most))
+    for count in range(1, most + 1):
+        rules[:, count, :count] = np.polynomial.legendre.leggauss(count)
+    return rules
+
+
+@kept_program
+def _arc_blocks(subject: Subject, blur: BlurTerms, used: Any, counts: Any, rules: Any, rows: _ArcInputs) -> jax.Array:
+    sample, kernel = subject.imaging.sample, blur.blur
+
+    def block(arguments: Any) -> jax.Array:
+        count, arcs, ((sine_m, cosine_m), (radius, up), towards_lamp) = arguments
+        scene = replace(subject.under(arcs.lamp_angle, arcs.turn), towards_lamp=towards_lamp)
+
+        def seen(rule: tuple[jax.Array, jax.Array]) -> jax.Array:
+            """Compute the light of one node of each arc."""
+            node, share = rule
+            off = arcs.half * node
+            sine_off, versine = sine(off), 2 * sine(off / 2) ** 2
+            along = radius * (cosine_m - sine_m * sine_off - cosine_m * versine)
+            across = radius * (sine_m + cosine_m * sine_off - sine_m * versine)
+            normal = tuple(up * a + along * b + across * c for a, b, c in zip(*arcs.frame, strict=True))
+            element = sample.facing(normal)  # type: ignore[attr-defined]
+            at_x, at_y = scene.on_sensor(element.x, element.y)
+            spread = kernel.spread(sample, normal[2], scene.lamp_angle, scene.lamp_nearness)
+            terms = (kernel.share(one) * kernel.at(one, spread, arcs.x - at_x, arcs.y - at_y) for one in blur.terms)
+            return scene.sent(element) * (sum(terms, jnp.zeros(())) * arcs.weight * share)[:, None]
+
+        nothing = jnp.zeros((arcs.x.size, scene.channels()))
+        return repeated_sum(seen, None if used is None else count, tuple(rules[:, count]), nothing)
+
+    # XLA would compute functions of the arcs again for every node, if they were computed inside of the blocks
+    angles = rows.middle, rows.angle, rows.lamp_angle + subject.turning
+    each = counts, rows, tuple((jnp.sin(a), jnp.cos(a)) for a in angles)
+    return in_blocks(block, used, each)

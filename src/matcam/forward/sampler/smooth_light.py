@@ -1,0 +1,50 @@
+"""Record of pixels in smooth light, by few nodes on the sensor: the kernel is the weight function of their rule."""
+
+from __future__ import annotations
+
+from matcam.core.jax import jax, jnp
+from matcam.forward.integral.blur import Blur, BlurTerms
+from matcam.forward.integral.pupil import mean_over_pupil
+from matcam.forward.integral.scene import Scene
+from matcam.sample.shape import Element
+
+
+def record_inside(scene: Scene, blur: BlurTerms, x: jax.Array, y: jax.Array) -> jax.Array:
+    """Record pixels whose kernel contains neither the highlight nor an end of the light.
+
+    Args:
+        scene: the light, under one lamp or one per pixel.
+        blur: the terms to record through.
+        x: columns of the pixels, (pixels,), px.
+        y: rows of the pixels, (pixels,), px.
+
+    Returns:
+        Radiance per unit irradiance, (pixels, channels).
+    """
+    total: jax.Array | float = 0.0
+    centre, _ = scene.sample.at(*scene.from_sensor(x, y))
+    spread = blur.blur.spread(scene.sample, centre.normal[2], scene.lamp_angle, scene.lamp_nearness)
+    scene = scene.beside_nodes(1)
+    for term in blur.terms:
+        dx, dy, share = blur.blur.plane_rule(term, spread)
+        light = _arriving(scene, blur.blur, x[:, None] - dx, y[:, None] - dy)
+        if blur.blur.is_rest(term):  # the corners of the residual have negligible weight and may lie beyond the limb
+            _, lit = scene.shown(x[:, None] - dx, y[:, None] - dy)
+            light = jnp.where(lit[..., None], light, 0.0)
+        total += blur.blur.share(term) * jnp.sum(light * share[..., None], axis=1)
+    return jnp.asarray(total)
+
+
+def _arriving(scene: Scene, blur: Blur, x: jax.Array, y: jax.Array) -> jax.Array:
+    """Compute the light at positions of the sensor, px, through a lens whose only blur is defocus."""
+
+    def seen(at_x: jax.Array, at_y: jax.Array) -> Element:
+        return scene.sample.at(*scene.from_sensor(at_x, at_y))[0]
+
+    def sent(at_x: jax.Array, at_y: jax.Array) -> jax.Array:
+        return scene.sent(seen(at_x, at_y))
+
+    def disc(at_x: jax.Array, at_y: jax.Array) -> jax.Array:
+        return blur.defocus(scene.sample.radius, seen(at_x, at_y).normal[2])
+
+    return mean_over_pupil(sent, disc, x, y) if blur.chords else sent(x, y)

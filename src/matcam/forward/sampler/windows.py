@@ -1,0 +1,101 @@
+"""Windows: squares of the sensor about pixels of a sphere's image, which contain the support of the kernel.
+
+A window, the visible part of a sphere and its lit part are half-spaces of normals, a . n <= b, for any distance of camera and
+lamp and any rotation of the pixel (docs/model.md 3 and 10).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+_SIDE = np.linspace(-1, 1, 13)
+_SQUARE = np.concatenate([np.stack([_SIDE, 0 * _SIDE + end], -1) for end in (-1, 1)])
+_BORDER = np.concatenate([_SQUARE, _SQUARE[:, ::-1]])
+"""Points on the border of a window, in half sides, (points, 2)."""
+
+
+class SphereView(NamedTuple):
+    """Sphere, camera and lamp, as numbers.
+
+    Attributes:
+        radius: radius of the limb in the image, px.
+        camera: inverse of the camera's distance, 1/radii; 0: distant.
+        lamp: inverse of the lamp's distance, 1/radii; 0: distant.
+    """
+
+    radius: float
+    camera: float
+    lamp: float
+
+    @property
+    def stretch(self) -> float:
+        """Return the scale at the depth of the centre, px per radius."""
+        return self.radius * (1 - self.camera**2) ** 0.5
+
+    def normals(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Compute the normals at positions of the image, px; on the limb for positions beyond it."""
+        beyond = np.maximum(np.hypot(x, y) / (self.radius * (1 - 1e-12)), 1.0)
+        x, y, q = x / beyond / self.stretch, y / beyond / self.stretch, self.camera
+        square = x**2 + y**2
+        n_z = (square * q + np.sqrt(np.maximum(1 + square * (q**2 - 1), 0))) / (1 + square * q**2)
+        depth = 1 - q * n_z
+        return x * depth, y * depth, n_z
+
+
+class Windows(NamedTuple):
+    """Squares about pixels and the lamps of the pixels, arrays of shape (windows,). The axes x and y are those of the sensor.
+
+    Attributes:
+        x: centre of the pixel, px.
+        y: centre of the pixel, px.
+        lamp: angle between lamp and optical axis, rad.
+        peak: angle between the normal of the highlight and the optical axis, rad.
+        cosine: cosine of the azimuth of the lamp.
+        sine: sine of the azimuth of the lamp.
+        half: half of the side, px; one for all.
+    """
+
+    x: np.ndarray
+    y: np.ndarray
+    lamp: np.ndarray
+    peak: np.ndarray
+    cosine: np.ndarray
+    sine: np.ndarray
+    half: float = 0.0
+
+    def at(self, index: np.ndarray | slice) -> Windows:
+        """Return the windows at indices."""
+        return self._replace(**{name: getattr(self, name)[index] for name in self._fields[:-1]})
+
+    def to_lamp(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Rotate positions of the sensor, (windows, ...), to axes whose x axis points towards the lamp."""
+        cosine, sine = (a.reshape(-1, *[1] * (np.ndim(x) - 1)) for a in (self.cosine, self.sine))
+        return x * cosine + y * sine, y * cosine - x * sine
+
+    def border(self, view: SphereView) -> np.ndarray:
+        """Compute normals along the border of each window, or on the limb where it is outside, (3, windows, points)."""
+        x, y = (a[:, None] + self.half * offset for a, offset in zip((self.x, self.y), _BORDER.T, strict=True))
+        return np.stack(view.normals(*self.to_lamp(x, y)))
+
+    def contains(self, view: SphereView, normal: np.ndarray, half: float | None = None) -> np.ndarray:
+        """Check whether the image of a normal lies in the window. half: of another side, px."""
+        scale = view.stretch / (1 - view.camera * normal[2])
+        x = scale * (normal[0] * self.cosine - normal[1] * self.sine)
+        y = scale * (normal[0] * self.sine + normal[1] * self.cosine)
+        half = self.half if half is None else half
+        return (np.abs(x - self.x) < half) & (np.abs(y - self.y) < half)
+
+    def half_spaces(self, view: SphereView) -> tuple[np.ndarray, np.ndarray]:
+        """Compute a, (3, windows, 6), and b, (windows, 6): limb, terminator, and the four sides."""
+        zero, one = np.zeros(self.x.size), np.ones(self.x.size)
+        normals = [(zero, zero, -one), (-np.sin(self.lamp), zero, -np.cos(self.lamp))]
+        offsets = [-view.camera * one, -view.lamp * one]
+        for centre, along, across in ((self.x, self.cosine, -self.sine), (self.y, self.sine, self.cosine)):
+            for side in (1, -1):
+                # the image of a normal lies at stretch (n_x, n_y) / (1 - q n_z)
+                end = side * centre + self.half
+                normals.append((side * view.stretch * along, side * view.stretch * across, view.camera * end))
+                offsets.append(end)
+        return np.stack([np.stack(component, -1) for component in zip(*normals, strict=True)]), np.stack(offsets, -1)

@@ -1,0 +1,123 @@
+"""Programs over any number of rows, in arrays of few shapes: each shape requires a compilation."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from matcam.core.jax import jax, jnp
+
+BLOCKS, BLOCK = 64, 1024
+"""Default number of blocks of one call, and of rows in a block: their arrays fit into a cache."""
+_SHORTEST, _SHORT, _MEDIUM = 16, 1024, 8192
+
+
+def in_blocks(function: Callable[..., Any], used: Any, rows: Any) -> Any:
+    """Map a function over blocks of rows, (blocks, rows), and skip unused blocks, whose results are 0.
+
+    Args:
+        function: function of the rows of one block.
+        used: number of blocks to compute; None: all, which reverse differentiation requires.
+        rows: arrays, (blocks, rows, ...).
+    """
+    if used is None:
+        return jax.lax.map(jax.checkpoint(function), rows)
+
+    def of(number: Any) -> Any:
+        return function(jax.tree.map(lambda a: a[number], rows))
+
+    like = jax.eval_shape(of, 0)
+    blocks = jax.tree.leaves(rows)[0].shape[0]
+    nothing = jax.tree.map(lambda a: jnp.zeros((blocks, *a.shape), a.dtype), like)
+    return jax.lax.fori_loop(
+        0, used, lambda number, out: jax.tree.map(lambda a, b: a.at[number].set(b), out, of(number)), nothing
+    )
+
+
+def repeated_sum(function: Callable[..., Any], count: Any, terms: Any, nothing: Any) -> Any:
+    """Sum a function over terms, the first axis of arrays.
+
+    Args:
+        function: function of one term.
+        count: number of terms to sum; None: all, which reverse differentiation requires.
+        terms: arrays, (terms, ...).
+        nothing: 0 of the shape of the result.
+    """
+    if count is None:
+        return jax.lax.scan(lambda total, term: (total + function(term), None), nothing, terms)[0]
+    return jax.lax.fori_loop(
+        0, count, lambda number, total: total + function(jax.tree.map(lambda a: a[number], terms)), nothing
+    )
+
+
+def shaped(rows: Any, blocks: int = BLOCKS, block: int = BLOCK) -> tuple[np.ndarray, Any]:
+    """Repeat rows up to (blocks, block); returns the number of blocks with rows, and the arrays.
+
+    Args:
+        rows: arrays of one length, at most blocks * block, not empty.
+        blocks: number of blocks.
+        block: number of rows of a block.
+    """
+    count = jax.tree.leaves(rows)[0].shape[0]
+    repeated = jax.tree.map(lambda a: np.resize(a, blocks * block).reshape(blocks, block), rows)
+    return np.asarray(-(-count // block)), repeated
+
+
+def in_calls(program: Callable[..., tuple[Any, ...]], rows: tuple[np.ndarray, ...], *others: Any) -> tuple[Any, ...]:
+    """Call a program for any number of rows.
+
+    Args:
+        program: function of the number of used blocks, the rows, (BLOCKS, BLOCK), and other arguments. It returns a tuple
+            of arrays, (BLOCKS, BLOCK, ...).
+        rows: arrays of one length, not empty.
+        others: further arguments of the program.
+
+    Returns:
+        NumPy arrays over the rows.
+    """
+    size, found = BLOCKS * BLOCK, []
+    for begin in range(0, rows[0].shape[0], size):
+        part = tuple(a[begin : begin + size] for a in rows)
+        out = program(*shaped(part), *others)
+        found.append([np.asarray(a).reshape(size, *a.shape[2:])[: part[0].shape[0]] for a in out])
+    return tuple(np.concatenate(parts) for parts in zip(*found, strict=True))
+
+
+def in_batches(function: Callable[..., jax.Array], arrays: tuple[Any, ...], size: int) -> jax.Array:
+    """Map over the leading axis of all arrays in batches of one shape.
+
+    This limits the memory. The last batch is padded.
+    """
+    arrays = jax.tree.map(jnp.asarray, arrays)
+    count = jax.tree.leaves(arrays)[0].shape[0]
+    size = min(size, count)
+    batches = -(-count // size)
+
+    def split(array: jax.Array) -> jax.Array:
+        padded = jnp.concatenate([array, jnp.broadcast_to(array[-1:], (batches * size - count, *array.shape[1:]))])
+        return padded.reshape(batches, size, *array.shape[1:])
+
+    out = jax.lax.map(lambda batch: function(*batch), jax.tree.map(split, arrays))
+    return out.reshape(-1, *out.shape[2:])[:count]
+
+
+def pad_indices(index: np.ndarray) -> np.ndarray:
+    """Repeat the last index up to one of few lengths."""
+    return np.pad(index, (0, few_lengths(index.size) - index.size), mode="edge") if index.size else index
+
+
+def few_lengths(size: int) -> int:
+    """Round up to one of few lengths, because each requires a compilation, and programs of 10 to 20 MB.
+
+    A compilation takes longer than a thousand positions, so up to that number each length is four times the previous
+    one. Beyond it there are two lengths per power of two, and eight beyond several thousand.
+    """
+    length = _SHORTEST
+    while length < min(size, _SHORT):
+        length *= 4
+    if size <= length:
+        return length
+    unit = 2 ** (size - 1).bit_length() // 2 // (2 if size <= _MEDIUM else 8)
+    return -(-size // unit) * unit
