@@ -6,7 +6,7 @@ from scipy.ndimage import gaussian_filter, uniform_filter1d
 
 from matcam import Camera, LinearImage, calibrate, edge_mtf_stack
 from matcam.calibration.camera.camera_fit import CameraRequest, fit_camera
-from matcam.calibration.camera.consensus import strangers_remarks
+from matcam.calibration.camera.consensus import disagreement_remarks
 from matcam.calibration.camera.evidence import Evidence, Finding
 from matcam.calibration.photograph.linear_image import planes_of
 from matcam.core.errors import ArgumentError, FitError
@@ -35,7 +35,7 @@ def test_a_gaussian_camera_with_its_errors_and_its_origin(tmp_path):
     assert fit.consistent
     assert fit.spread < 0.02
     assert 0.9 < fit.chi2 / fit.degrees < 1.1
-    assert fit.edges.x.size == fit.measurements["picture 1 (edges)"] == 16
+    assert fit.edges.x.size == fit.measurements["image 1 (edges)"] == 16
     found.camera.save(tmp_path / "camera.json")
     loaded = Camera.load(tmp_path / "camera.json")
     assert loaded.uncertainty.std()["optics.sigma_px"] == pytest.approx(fit.std[0])
@@ -281,26 +281,26 @@ def taken(values, camera):
 
 def test_contradictions_and_mixed_cameras():
     sharp, soft = chart(0.5), chart(0.8, seed=2)
-    with pytest.raises(FitError, match=r"contradictory measurements, channel grey: picture [12] \(edges\) sees a blur"):
+    with pytest.raises(FitError, match=r"contradictory measurements, channel grey: image [12] \(edges\) sees a blur"):
         calibrate([sharp, soft])
     with pytest.raises(
-        FitError, match=r"contradictory .*: picture 1 \(edges\) sees a blur -\d+% against that of star.png \(star\)"
+        FitError, match=r"contradictory .*: image 1 \(edges\) sees a blur -\d+% against that of star.png \(star\)"
     ):
         calibrate([sharp], samples=samples_of(0.9, 0.5, 1))
-    with pytest.raises(ArgumentError, match=r"different cameras: One \(picture 1\), Two \(picture 2\)"):
+    with pytest.raises(ArgumentError, match=r"different cameras: One \(image 1\), Two \(image 2\)"):
         calibrate([taken(sharp, "One"), taken(sharp, "Two")])
 
 
 def test_bad_pictures_among_good_ones():
     good, empty = chart(0.5), np.random.default_rng(1).normal(100, 3, (420, 440))
     found = calibrate([good, empty])
-    assert found.pictures == ("picture 1",)
-    assert "no slanted edge was found" in found.failed["picture 2"]
-    with pytest.raises(FitError, match="picture 1: no slanted edge was found"):
+    assert found.pictures == ("image 1",)
+    assert "no slanted edge was found" in found.failed["image 2"]
+    with pytest.raises(FitError, match="image 1: no slanted edge was found"):
         calibrate([empty])
-    with pytest.raises(FitError, match="none of 2 pictures can be used; the first: picture 1: no slanted edge"):
+    with pytest.raises(FitError, match="none of 2 images can be used; the first: image 1: no slanted edge"):
         calibrate([empty, empty])
-    with pytest.raises(FitError, match=r"none of its 16 edges can be measured; .* picture is sharpened"):
+    with pytest.raises(FitError, match=r"none of its 16 edges can be measured; .* image is sharpened"):
         calibrate([good + 1.5 * (good - gaussian_filter(good, 1.0))])
 
 
@@ -311,7 +311,7 @@ def test_bad_arguments():
         ({"half_width": 0.7}, "half_width must lie in"),
         ({"half_width": None, "model": "halo"}, "with the gaussian model only"),
         ({"channels": ["X"]}, "channel must be one of"),
-        ({"f_numbers": [2.8, 4.0]}, "one for each of the 1 pictures"),
+        ({"f_numbers": [2.8, 4.0]}, "one for each of the 1 images"),
         ({"f_numbers": 0.0}, "f_numbers must lie in"),
         ({"cfa": "RGBG"}, "cfa must be one of"),
     ):
@@ -319,12 +319,15 @@ def test_bad_arguments():
             calibrate([picture], **options)
     with pytest.raises(ArgumentError, match="neither pictures nor samples were given"):
         calibrate([])
-    with pytest.raises(ArgumentError, match="a picture must be numbers of shape"):
+    with pytest.raises(ArgumentError, match="an image must be numbers of shape"):
         calibrate([np.zeros((4, 5, 2))])
     star = samples_of(0.5, 0.5, 1)
     for options, words in (
         ({"model": "diffraction"}, "wavelength and pixel_pitch must be given"),
-        ({"half_width": None, "wavelength": 5e-7, "pixel_pitch": 5e-6}, "not every picture's f-number is known"),
+        (
+            {"half_width": None, "wavelength": 5e-7, "pixel_pitch": 5e-6},
+            "the f-number of at least one image is not known",
+        ),
         ({"model": "defocus", "wavelength": 550.0, "pixel_pitch": 5e-6}, "wavelength must lie in"),
         ({"model": "defocus", "wavelength": 5e-7, "pixel_pitch": 5.0}, "pixel_pitch must lie in"),
     ):
@@ -335,7 +338,7 @@ def test_bad_arguments():
     mosaic = Photograph(picture, "RGGB", 1.0, True, Exif())
     with pytest.raises(ArgumentError, match="camera raw is linear"):
         planes_of(mosaic, None, "srgb")
-    with pytest.raises(ArgumentError, match="channel 'Y' is not in this picture; it has R, G, B"):
+    with pytest.raises(ArgumentError, match="channel 'Y' is not in this image; it has R, G, B"):
         planes_of(mosaic, ["Y"], None)
 
 
@@ -362,7 +365,7 @@ def test_pictures_that_software_has_been_at():
     ):
         with pytest.raises(
             FitError,
-            match="this is a processed picture; its MTF is not the lens's: the noise of neighbouring pixels is correlated",
+            match="this is a processed image; its MTF is not the lens's: the noise of neighbouring pixels is correlated",
         ):
             calibrate([processed])
     with pytest.raises(
@@ -423,7 +426,7 @@ def test_targets_of_one_kind_are_named_in_one_remark():
     strangers = {f"a.png: grating {n} (bars) (grating)": off for n, off in ((3, 0.2), (4, 36.0))} | {
         "a.png: star 9 (star)": -0.1
     }
-    gratings, star = strangers_remarks(strangers, "R")
+    gratings, star = disagreement_remarks(strangers, "R")
     assert gratings.text.startswith("R: 2 targets of one kind (grating) see blurs from +20% to more than +100%")
     assert "grating 3 (bars)" in gratings.text
     assert star.text == "R: a.png: star 9 (star) sees a blur -10% against that of the edges, and is left out"

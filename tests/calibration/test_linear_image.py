@@ -88,7 +88,7 @@ def test_what_is_refused():
             LinearImage(**arguments)
     for options, words in (
         ({"tone": None}, "tone must be 'auto', 'linear', 'srgb', a gamma or a table"),
-        ({"roi": (0, 0, 31, 20)}, "roi must lie inside the picture of 30 x 40 px"),
+        ({"roi": (0, 0, 31, 20)}, "roi must lie inside the image of 30 x 40 px"),
         ({"roi": (0, 0, "a", 20)}, "four whole numbers"),
         ({"channel": "G"}, "give cfa if it is a mosaic"),
     ):

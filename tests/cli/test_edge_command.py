@@ -136,7 +136,7 @@ BAD = [
     (("none.tif",), "none.tif: no such file"),
     (("text.tif",), "neither TIFF, PNG, JPEG, OpenEXR nor camera raw"),
     (("cut.tif",), "more than its 3000 bytes can hold: damaged"),
-    (("chart.tif", "--roi", 100, 0, 80, 160), "--roi must lie inside the picture of 150 x 200 px"),
+    (("chart.tif", "--roi", 100, 0, 80, 160), "--roi must lie inside the image of 150 x 200 px"),
     (("chart.tif", "--roi", 0, 0, 10, 60), "at least 16 x 16 px"),
     (("chart.tif", "--roi", 1, 2, 3), "requires 4 arguments"),
     (("chart.tif", "--roi", "1,2,3"), "requires 4 arguments"),

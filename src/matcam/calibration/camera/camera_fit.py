@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from matcam.calibration.camera.consensus import strangers_remarks
+from matcam.calibration.camera.consensus import disagreement_remarks
 from matcam.calibration.camera.evidence import EdgeTable, Evidence, LensAt, MeanCurve
 from matcam.calibration.camera.joint_fit import (
     EdgeMeasurements,
@@ -74,7 +74,7 @@ class CameraRequest:
             return lambda _: lens
         if both and any(number is None for number in f_numbers):
             raise ArgumentError(
-                "diffraction needs f-numbers, but not every picture's f-number is known: give f_numbers: give f_numbers"
+                "diffraction requires f-numbers, but the f-number of at least one image is not known: give f_numbers"
             )
         if not both:
             return lambda _: Separable(jnp.zeros(()), jnp.asarray(550e-9), jnp.asarray(5e-6))
@@ -95,7 +95,7 @@ class CameraFit(Summarised):
         spread: relative standard deviation of the blur among the edges, beyond their noise (no unit).
         edges: results of every edge; None without edges.
         curve: the edges' mean MTF, free of a model, and this camera's.
-        measurements: number of measurements by picture and kind.
+        measurements: number of measurements by image and kind.
         remarks: on targets that were left out. Default: ().
 
     Example:
@@ -238,7 +238,7 @@ def fit_camera(evidence: Evidence, channel: str, request: CameraRequest) -> Came
     start = np.asarray(lens.start(jnp.asarray(np.log(_SIGMA if table is None else np.median(table.sigma)))))
     precision = np.array([0.0, 0.0, KURTOSIS**-2]) if separable else np.zeros(start.size)
     half = float(request.half_width or 0.5)
-    fitted, strangers = _without_strangers(
+    fitted, disagreeing = _without_disagreeing(
         measurements, lambda some: fit_jointly(some, start, lens.longest, precision, half), channel
     )
     covariance = fitted.observed_covariance()
@@ -271,12 +271,12 @@ def fit_camera(evidence: Evidence, channel: str, request: CameraRequest) -> Came
         spread=0.0 if table is None else table.spread,
         edges=table,
         curve=curve,
-        measurements={name: n for name, n in Counter(measurements.groups).items() if name not in strangers},
-        remarks=strangers_remarks(strangers, channel),
+        measurements={name: n for name, n in Counter(measurements.groups).items() if name not in disagreeing},
+        remarks=disagreement_remarks(disagreeing, channel),
     )
 
 
-def _without_strangers(
+def _without_disagreeing(
     measurements: Measurements, fit: Callable[[Measurements], JointFit], channel: str
 ) -> tuple[JointFit, dict[str, float]]:
     """Fit without the targets that the edges of their chart contradict, and list these with the difference of their
@@ -284,24 +284,24 @@ def _without_strangers(
 
     FitError where edges do not decide which measurements are wrong; channel: for its message.
     """
-    groups, replaceable, strangers = measurements.groups, measurements.replaceable, dict[str, float]()
+    groups, replaceable, disagreeing = measurements.groups, measurements.replaceable, dict[str, float]()
     while True:
-        fitted = fit(measurements.without(strangers))
-        candidates = replaceable - strangers.keys()
+        fitted = fit(measurements.without(disagreeing))
+        candidates = replaceable - disagreeing.keys()
         off = fitted.differences(groups, set(groups) - candidates)
         more = {k: d for k, (d, std) in off.items() if k in candidates and abs(d) > max(_STRANGE, _CLEAR * std)}
         if not more:
             off = fitted.differences(groups, groups)
             name, (difference, std) = max(off.items(), key=lambda one: abs(one[1][0]), default=("", (0.0, 0.0)))
             if abs(difference) < max(_LARGE, _CLEAR * std):
-                return fitted, strangers
+                return fitted, disagreeing
             if name not in candidates:
                 others = [other for other in off if other != name]
                 text = f"{name} sees a blur {difference:+.0%} against that of {', '.join(others[:2])}"
                 text += f" and {len(others) - 2} others" if len(others) > 2 else ""
                 raise FitError(f"contradictory measurements, channel {channel}: {text}")
             more = {name: difference}
-        strangers |= more
+        disagreeing |= more
 
 
 class _FittedLens:

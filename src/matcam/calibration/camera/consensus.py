@@ -1,6 +1,6 @@
 """Selection of the edges that agree with each other, and the check that they are enough.
 
-Any picture has edges, for example of a printed page or a shadow. A single such edge does not determine a camera. Edges
+Any image has edges, for example of a printed page or a shadow. A single such edge does not determine a camera. Edges
 whose blur differs from that of all others, or whose levels are impossible, are left out. The remaining edges must be
 enough to check their agreement.
 """
@@ -60,7 +60,7 @@ def refuse_too_few(stacks: Sequence[EdgeStack], channel: str, *, accept_sharpene
     if processed > _PROCESSED * (good + processed):
         raise FitError(
             f"channel {channel}: {processed} of {good + processed} edges are sharpened, crushed or saturated: this is a "
-            "processed or overexposed picture, whose MTF is not the lens's: use camera raw, and expose less"
+            "processed or overexposed image, whose MTF is not the lens's: use camera raw, and expose less"
         )
     if good < FEWEST_EDGES:
         raise FitError(
@@ -92,13 +92,13 @@ def _relative_std(stack: EdgeStack, which: np.ndarray) -> np.ndarray:
     return np.sqrt(stack.parametric.covariance[which, 0, 0]) / stack.parametric.values[which, 0]
 
 
-def strangers_remarks(strangers: Mapping[str, float], channel: str) -> tuple[Remark, ...]:
+def disagreement_remarks(disagreeing: Mapping[str, float], channel: str) -> tuple[Remark, ...]:
     """Describe the targets that were left out, one remark for each kind of target.
 
-    strangers: relative difference of the blur by name, which ends in the kind in brackets.
+    disagreeing: relative difference of the blur by name, which ends in the kind in brackets.
     """
     kinds: dict[str, dict[str, float]] = {}
-    for name, off in strangers.items():
+    for name, off in disagreeing.items():
         kinds.setdefault(name.rpartition(" (")[2].rstrip(")"), {})[name] = off
     remarks = []
     for kind, names in kinds.items():

@@ -31,7 +31,7 @@ from matcam.core.remark import Remark
 from matcam.files.photographs import Photograph
 
 LensAt = Callable[[float | None], LensModel]
-"""The family of lenses in a picture taken at an f-number, None if that is not known."""
+"""The family of lenses in an image taken at an f-number, None if that is not known."""
 
 _MARGIN = 6  # px about a grating or star, where its blur is
 _LEAST_STD = 1e-4  # of an MTF value: no edge outweighs the others by more
@@ -50,7 +50,7 @@ class EdgeTable(NamedTuple):
         mtf50_std: (n,) its standard deviation, cycles/px.
         mtf: (n, 81) MTF at `free_fit.FREQUENCIES`, free of a model.
         mtf_std: (n, 81) its standard deviation.
-        source: (n,) names of pictures.
+        source: (n,) names of images.
 
     Example:
         >>> one, mtf = np.ones(4), np.full((4, 81), 0.5)
@@ -86,7 +86,7 @@ class EdgeTable(NamedTuple):
         An edge whose normal lies within 45 degrees of the radius shows the meridional MTF, any other the sagittal one.
 
         Args:
-            middle: (x, y) of the middle of the picture, px.
+            middle: (x, y) of the middle of the image, px.
 
         Returns:
             Distances (n,), px, and a mask (n,) of the meridional edges.
@@ -95,10 +95,10 @@ class EdgeTable(NamedTuple):
         return np.hypot(x, y), np.abs(np.cos(self.angle - np.arctan2(y, x))) > np.sqrt(0.5)
 
     def of_source(self, source: str) -> EdgeTable:
-        """Return the edges of one picture.
+        """Return the edges of one image.
 
         Args:
-            source: name of the picture.
+            source: name of the image.
         """
         return EdgeTable(*(column[self.source == source] for column in self))
 
@@ -160,17 +160,17 @@ class MeanCurve:
 
 
 class Finding(NamedTuple):
-    """Measurements of one colour from one picture or from the caller.
+    """Measurements of one colour from one image or from the caller.
 
     Attributes:
         channel: "R", "G", "B", "Y" or "grey".
-        source: name of the picture.
-        f_number: f-number of the picture; None if it is not known.
+        source: name of the image.
+        f_number: f-number of the image; None if it is not known.
         edges: its edges; None if there are none.
         samples: MTF values of its other targets.
-        dots: places of its grids' dots, page and picture.
-        shape: height and width of the picture, px; None: there is no picture.
-        software: what software did to the picture; None: there is no picture.
+        dots: positions of its grids' dots, page and image.
+        shape: height and width of the image, px; None: there is no image.
+        software: what software did to the image; None: there is no image.
     """
 
     channel: str
@@ -197,7 +197,7 @@ class PicturePlan:
     def measure(
         self, picture: Photograph | LinearImage, name: str, f_number: float | None
     ) -> tuple[list[Finding], list[Remark]]:
-        """Measure a picture by colour, and return the findings and remarks.
+        """Measure an image by colour, and return the findings and remarks.
 
         FitError if nothing in it can be measured, or the chart is not in it.
         """
@@ -273,7 +273,7 @@ def _nothing_measured(chart: Chart, registration: Projection) -> FitError:
 
 
 def dot_places(chart: Chart, targets: Targets) -> tuple[BlurPlaces, ...]:
-    """Return the positions of all measured dots in the picture and on the page, from the registration."""
+    """Return the positions of all measured dots in the image and on the page, from the registration."""
     printed = [np.array(one.centres, dtype=float) for one in chart.elements if isinstance(one, Dots)]
     if not printed or not targets.grids:
         return ()
@@ -306,7 +306,7 @@ class Evidence:
 
     @property
     def f_numbers(self) -> list[float | None]:
-        """Return the f-number of every measurement's picture."""
+        """Return the f-number of every measurement's image."""
         return [f_number for _, _, f_number in self._stacks] + [s.f_number for s in self._samples]
 
     def check(self, channel: str, *, accept_sharpened: bool) -> list[Remark]:
@@ -333,14 +333,14 @@ class Evidence:
         )
 
     def _replaceable(self) -> frozenset[str]:
-        """Return the groups of targets in pictures that also have edges, which are more reliable."""
+        """Return the groups of targets in images that also have edges, which are more reliable."""
         seen = {source for edges, source, _ in self._stacks if edges.good.size}
         own = [s for f in self._findings if f.shape is not None and f.source in seen for s in f.samples]
         return frozenset(_group(s) for s in own)
 
     @property
     def software(self) -> list[Processed]:
-        """Return the processing that was found in the pictures."""
+        """Return the processing that was found in the images."""
         return [f.software for f in self._findings if f.software is not None]
 
     def field(self) -> LensField | None:
@@ -349,7 +349,7 @@ class Evidence:
         if len(shapes) != 1:
             return None
         places, edges = [one for f in self._findings for one in f.dots], self.table()
-        # Pictures with other apertures have another blur.
+        # Images with other apertures have another blur.
         if edges is not None:
             pictures = map(edges.of_source, dict.fromkeys(edges.source.tolist()))
             places += [BlurPlaces(np.column_stack([of.x, of.y]), of.sigma, of.sigma_std) for of in pictures]

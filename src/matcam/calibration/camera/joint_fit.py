@@ -30,7 +30,7 @@ _ROUNDS, _DONE, _WORSE = 40, 1e-3, 1.05
 _AT_ONCE = 16  # number of edges in one block
 
 
-_DOUBT = 1e-3  # probability below which noise does not explain the scatter
+_IMPROBABLE = 1e-3  # probability below which noise does not explain the scatter
 
 
 class EdgeMeasurements(NamedTuple):
@@ -83,7 +83,7 @@ class Measurements(NamedTuple):
     Attributes:
         edges: None where there are none.
         values: None where there are none.
-        groups: picture and kind of every measurement, edges first.
+        groups: image and kind of every measurement, edges first.
         replaceable: groups that may be left out: targets of a described chart whose edges are measured, too.
     """
 
@@ -154,7 +154,7 @@ class JointFit(NamedTuple):
         """
         _, probability = self.excess()
         count = len(self.shares.score)
-        if probability > _DOUBT or count < 4:
+        if probability > _IMPROBABLE or count < 4:
             return self.covariance
         score = self.shares.score - self.shares.score.mean(0)
         spread = score.T @ score * count / (count - 1)
@@ -167,7 +167,7 @@ class JointFit(NamedTuple):
     def differences(self, groups: Sequence[str], trusted: Collection[str]) -> dict[str, tuple[float, float]]:
         """Compute how much more blur each group sees than the other trusted ones, relative, and its standard deviation.
 
-        groups: picture and kind of every measurement.
+        groups: image and kind of every measurement.
         """
         names = list(dict.fromkeys(groups))
         # the scatter between groups, which they cause themselves, is no excuse: each is judged by its members
@@ -175,10 +175,10 @@ class JointFit(NamedTuple):
         shift, error = (np.array(column) for column in zip(*map(self._of_group, members), strict=True))
         found = {}
         for i, name in enumerate(names):
-            rest = np.array([other in trusted and other != name for other in names])
-            if rest.any():
-                weight = error[rest] ** -2
-                middle, std = weight @ shift[rest] / weight.sum(), weight.sum() ** -0.5
+            others = np.array([other in trusted and other != name for other in names])
+            if others.any():
+                weight = error[others] ** -2
+                middle, std = weight @ shift[others] / weight.sum(), weight.sum() ** -0.5
                 found[name] = float(shift[i] - middle), float(np.hypot(error[i], std))
         return found
 

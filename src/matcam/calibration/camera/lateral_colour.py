@@ -1,7 +1,7 @@
 """Lateral colour: the difference in image size between two colours, from edges that were measured in both.
 
 An edge determines its position along its normal only. Between colours it moves by a shift, and by a magnification that
-may change with the squared distance from the centre of the picture.
+may change with the squared distance from the centre of the image.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from matcam.core.remark import Remark
 from matcam.numerics.normal import robust_fit
 
 _SAME = 2.0  # px: largest distance between the centres of one edge in two colours
-_ALIKE = np.radians(3.0)  # largest angle between their normals
+_SAME_DIRECTION = np.radians(3.0)  # largest angle between their normals
 _FEWEST, _MANY = 12, 24  # fewest edges for a magnification, and for one that changes over the field
 _REMARKABLE, _SURE = 0.1, 5.0  # px in the corners, and standard deviations
 
@@ -25,7 +25,7 @@ class LateralColour(NamedTuple):
     """Size of the image in one colour relative to another.
 
     Attributes:
-        corner: how far further out this colour lies in the picture's corners, px.
+        corner: how far further out this colour lies in the image's corners, px.
         corner_std: its standard deviation, px.
         scale: the same over half the diagonal, at the middle (no unit).
         scale_std: its standard deviation.
@@ -47,7 +47,7 @@ class LateralColour(NamedTuple):
 def lateral_colour(of: EdgeTable, reference: EdgeTable, shape: tuple[int, int]) -> LateralColour | None:
     """Compare the edges of one colour with those of another, or return None if too few are seen in both.
 
-    shape: height and width of the pictures, px.
+    shape: height and width of the images, px.
     """
     middle, unit = (np.array(shape[::-1]) - 1) / 2, float(np.hypot(*shape) / 2)
     places, moved, normals = [], [], []
@@ -56,7 +56,7 @@ def lateral_colour(of: EdgeTable, reference: EdgeTable, shape: tuple[int, int]) 
         here, there = (np.column_stack([edges.x, edges.y]) for edges in (mine, theirs))
         far, nearest = cKDTree(there).query(here)
         angle = theirs.angle[nearest]
-        same = (far < _SAME) & (np.abs(np.angle(np.exp(1j * (mine.angle - angle)))) < _ALIKE)
+        same = (far < _SAME) & (np.abs(np.angle(np.exp(1j * (mine.angle - angle)))) < _SAME_DIRECTION)
         normal = np.column_stack([np.cos(angle), np.sin(angle)])[same]
         places.append(there[nearest][same])
         normals.append(normal)

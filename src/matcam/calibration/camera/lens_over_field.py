@@ -1,7 +1,7 @@
 """The change of the lens over the field, from the positions of dots and the blur of all edges.
 
 Dots are on a plane page: a deviation from the pinhole projection of the plane is the distortion of the lens. The blur
-of edges and dots is modelled as a constant, or as a quadratic function of the distance from the centre of the picture.
+of edges and dots is modelled as a constant, or as a quadratic function of the distance from the centre of the image.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ _UNKNOWN = 0.01
 """Standard deviation of k1 where no dots have been measured."""
 _FEWEST = 12  # in widths of the lens
 _MODEL = 0.02
-"""Standard deviation of k1 from the approximation of the distortion by one coefficient about the centre of the picture."""
+"""Standard deviation of k1 from the approximation of the distortion by one coefficient about the centre of the image."""
 
 
 class BlurPlaces(NamedTuple):
-    """Width of the lens at n positions in the picture.
+    """Width of the lens at n positions in the image.
 
     Attributes:
         seen: (n, 2) positions, px.
@@ -44,9 +44,9 @@ def lens_over_field(places: Sequence[BlurPlaces], shape: tuple[int, int]) -> Len
     """Return distortion and growth of the blur over the field, or None if neither was measured.
 
     Args:
-        places: edges or dots of each picture, each group with one width of its own; the blur of groups of fewer than 12
+        places: edges or dots of each image, each group with one width of its own; the blur of groups of fewer than 12
             is left out.
-        shape: height and width of the pictures, px.
+        shape: height and width of the images, px.
     """
     middle, unit = ((shape[1] - 1) / 2, (shape[0] - 1) / 2), float(np.hypot(*shape) / 2)
     found = []

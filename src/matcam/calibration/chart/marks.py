@@ -1,4 +1,4 @@
-"""The fiducials of a chart in a picture, dark discs in concentric dark rings: their detection, and which mark is which.
+"""The fiducials of a chart in an image, dark discs in concentric dark rings: their detection, and which mark is which.
 
 Four marks fix a pinhole's view, and a fifth must agree. All fours of marks are tried against all fours of fiducials that
 follow one another in the same turn, through lenses of several barrel distortions. The mark with two rings, where it is to be
@@ -23,14 +23,14 @@ from matcam.core.arrays import FloatArray
 _DARK = (0.6, 0.78, 0.45)  # of the paper around: where small discs run into their rings, another level parts them
 _CONCENTRIC = 0.35  # radii of the disc
 _RING, _SECOND = (2.5, 9.0), (4.5, 16.0)  # areas of the rings over the disc's: 5 and 9, in all sorts of light and blur
-_SMALLEST, _LARGEST = 4, 0.01  # px; of the picture: area of a disc
+_SMALLEST, _LARGEST = 4, 0.01  # px; of the image: area of a disc
 _BARREL = (0.0, 0.06, 0.13, -0.03)  # relative to the undistorted radius: r (1 + d r^2), r in half diagonals
-# relative to the size of the chart in the picture: tolerance for a mark in the view that four others define
+# relative to the size of the chart in the image: tolerance for a mark in the view that four others define
 _NEAR = 0.03
 _CLOSE = 0.005  # relative to the size of the chart: mean distance below which no other lens is tried
 _MOST_MARKS = (24, 9)  # number of discs of equal size that are tried with a known first mark, and without
-_CANDIDATES = 40  # number of views of equal rank that are compared with the picture
-_ALIKE = 2.5  # ratio of the sizes of discs in one picture
+_CANDIDATES = 40  # number of views of equal rank that are compared with the image
+_SIMILAR_SIZE = 2.5  # ratio of the sizes of discs in one image
 _CLEAR = 0.5  # share of the expected steps between dark and bright, if only four marks are found
 _LEVEL = 0.5  # squares and patches darker than this are compared
 _MOST_PLACES = 150
@@ -55,7 +55,7 @@ def balanced(mosaic: ArrayLike) -> FloatArray:
 
 
 def find_marks(picture: FloatArray, enough: int) -> list[Mark]:
-    """Find all concentric dark discs and rings in a picture (height, width) with NaN for missing data.
+    """Find all concentric dark discs and rings in an image (height, width) with NaN for missing data.
 
     The search stops at `enough` marks if one of them has two rings.
     """
@@ -107,11 +107,11 @@ def _marks_below(share: FloatArray, dark: float) -> list[Mark]:
 
 
 class Match(NamedTuple):
-    """Pairs of a fiducial of the chart and a mark in the picture.
+    """Pairs of a fiducial of the chart and a mark in the image.
 
     Attributes:
         pairs: indices of fiducial and mark.
-        sure: whether more than four marks agree, or the picture shows what is printed between four.
+        sure: whether more than four marks agree, or the image shows what is printed between four.
     """
 
     pairs: list[tuple[int, int]]
@@ -122,7 +122,7 @@ class _Views(NamedTuple):
     """Pinhole views of the page, and the marks that they explain.
 
     Attributes:
-        matrix: (n, 3, 3) from mm to undistorted px from the picture's middle.
+        matrix: (n, 3, 3) from mm to undistorted px from the image's middle.
         barrel: (n,) of the lens.
         nearest: (n, fiducials) nearest mark, -1 where none is near.
         explained: (n,) marks that are where the view puts a fiducial.
@@ -145,20 +145,20 @@ class _Views(NamedTuple):
 
 
 def match_marks(chart: Chart, marks: list[Mark], smooth: FloatArray) -> Match:
-    """Return the match with most marks that agrees best with the picture.
+    """Return the match with most marks that agrees best with the image.
 
-    `smooth`: (height, width) picture without gaps or noise.
+    `smooth`: (height, width) image without gaps or noise.
     """
-    alike_marks = _most_alike(marks)
+    similar_marks = _similar_marks(marks)
     places = np.array([fiducial.centre for fiducial in chart.fiducials])
     middle = (np.array(smooth.shape[::-1]) - 1) / 2
     unit = float(np.hypot(*smooth.shape)) / 2
-    tops = [i for i, j in enumerate(alike_marks[: _MOST_MARKS[0]]) if marks[j].rings == 2]
+    tops = [i for i, j in enumerate(similar_marks[: _MOST_MARKS[0]]) if marks[j].rings == 2]
     first = next(i for i, fiducial in enumerate(chart.fiducials) if fiducial.rings == 2)
     best, top, marks_used = None, 0, list[int]()
     # First with the mark that has two rings, if there is one; if that fails or explains few marks, without it.
     for pinned in (True, False) if tops else (False,):
-        marks_used = alike_marks[: _MOST_MARKS[0 if pinned else 1]]
+        marks_used = similar_marks[: _MOST_MARKS[0 if pinned else 1]]
         seen = np.array([marks[j][:2] for j in marks_used])
         quads = _quads(places, [first] if pinned else list(range(len(places))))
         found: list[_Views] = []
@@ -175,22 +175,22 @@ def match_marks(chart: Chart, marks: list[Mark], smooth: FloatArray) -> Match:
             break
     if best is None or not top:
         return Match([], False)
-    alike = best if top < 5 else best.subset(np.arange(len(best.off))[:_CANDIDATES])
+    candidates = best if top < 5 else best.subset(np.arange(len(best.off))[:_CANDIDATES])
     scores = np.array(
-        [_shown(chart, *view, smooth, middle, unit) for view in zip(alike.matrix, alike.barrel, strict=True)]
+        [_shown(chart, *view, smooth, middle, unit) for view in zip(candidates.matrix, candidates.barrel, strict=True)]
     )
-    # The picture decides between matches of four marks; with more marks it only decides between close ones.
-    chosen = int(np.argmin(alike.off - (scores if top < 5 else 0.01 * scores)))
-    pairs = [(i, marks_used[int(j)]) for i, j in enumerate(alike.nearest[chosen]) if j >= 0]
+    # The image decides between matches of four marks; with more marks it only decides between close ones.
+    chosen = int(np.argmin(candidates.off - (scores if top < 5 else 0.01 * scores)))
+    pairs = [(i, marks_used[int(j)]) for i, j in enumerate(candidates.nearest[chosen]) if j >= 0]
     # Marks that are not explained while fiducials are missing may be those of another chart.
     astray = top < len(places) and len(marks) > top + 1
     return Match(pairs, bool(scores[chosen] > _CLEAR) if top < 5 or astray else True)
 
 
-def _most_alike(marks: list[Mark]) -> list[int]:
+def _similar_marks(marks: list[Mark]) -> list[int]:
     """Return the indices of marks that may be of one chart: the largest group of similar size first."""
     radii = np.array([mark.radius for mark in marks])
-    near = np.array([(np.maximum(radii / r, r / radii) < _ALIKE).sum() for r in radii])
+    near = np.array([(np.maximum(radii / r, r / radii) < _SIMILAR_SIZE).sum() for r in radii])
     middle = radii[near == near.max()]
     off = np.abs(np.log(radii / np.median(middle))) - 0.5 * np.array([mark.rings == 2 for mark in marks])
     return [int(i) for i in np.argsort(off, kind="stable")]
@@ -243,7 +243,7 @@ def _best(found: list[_Views]) -> _Views:
 
 
 def _shown(chart: Chart, view: FloatArray, barrel: float, smooth: FloatArray, middle: FloatArray, unit: float) -> float:
-    """Return the agreement of a view with the picture: 1 if all dark elements are on bright paper, about 0 by chance."""
+    """Return the agreement of a view with the image: 1 if all dark elements are on bright paper, about 0 by chance."""
     dark = [e for e in chart.elements if isinstance(e, Square | Patch) and e.level < _LEVEL]
     dark = dark[:: max(1, len(dark) // _MOST_PLACES)]
     if not dark:

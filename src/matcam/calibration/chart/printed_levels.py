@@ -92,7 +92,7 @@ class PrintedLevels:
 def printed_levels(values: FloatArray, chart: Chart, projection: Projection) -> PrintedLevels | None:
     """Measure the levels of the patches of a chart, or return None if too few are visible.
 
-    `values`: (height, width) linear, NaN for missing data. `projection`: from the page, mm, to the picture, px.
+    `values`: (height, width) linear, NaN for missing data. `projection`: from the page, mm, to the image, px.
     """
     rows = []
     for patch in checks.instance("chart", chart, Chart).elements:
@@ -106,8 +106,8 @@ def printed_levels(values: FloatArray, chart: Chart, projection: Projection) -> 
     # The levels of a print change smoothly: a patch far from the line was covered, or not lit like its paper.
     x, y = np.log(level), np.log(printed)
     slope = float(np.median(y[x < 0] / x[x < 0]))
-    bend = np.abs(y - slope * x) < _OFF * np.maximum(np.abs(slope * x), 0.3)
-    good = bend & (np.append(True, np.diff(printed) > 0))
+    close = np.abs(y - slope * x) < _OFF * np.maximum(np.abs(slope * x), 0.3)
+    good = close & (np.append(True, np.diff(printed) > 0))
     if good.sum() < _FEWEST:
         return None
     return PrintedLevels(level[good], printed[good], std[good])
@@ -142,9 +142,9 @@ def _over_paper(values: FloatArray, patch: Patch, projection: Projection) -> tup
         return None
     # the paper beyond a shorter side is as far away as that beyond a longer one
     ratio = float(np.hypot(*across) / np.hypot(*along))
-    reach = 1 + np.clip(_CLEAR / shortest, *_BESIDE) + np.linspace(0, _PAPER, _GRID // 2)
-    beside_u = 1 + (reach - 1) * min(1.0, 1 / ratio)
-    beside_v = 1 + (reach - 1) * min(1.0, ratio)
+    distance = 1 + np.clip(_CLEAR / shortest, *_BESIDE) + np.linspace(0, _PAPER, _GRID // 2)
+    beside_u = 1 + (distance - 1) * min(1.0, 1 / ratio)
+    beside_v = 1 + (distance - 1) * min(1.0, ratio)
     pairs = [
         (level(beside_u, inner), level(-beside_u, inner)), (level(inner, beside_v), level(inner, -beside_v)),
     ]  # fmt: skip

@@ -1,4 +1,4 @@
-"""The registration of a photograph: the map from the page of a chart to the picture.
+"""The registration of a photograph: the map from the page of a chart to the image.
 
 Fiducials are found first, and any four of them locate the chart. A pinhole camera with distortion, and a page that may
 be curved, are then fitted to the positions of the fiducials and of the sides of the squares. The accuracy only needs to
@@ -23,10 +23,10 @@ from matcam.core.arrays import FloatArray
 from matcam.core.errors import ArgumentError, FitError
 
 Projection = Callable[[FloatArray], FloatArray]
-"""A map from places on the page (n, 2), mm, to places in the picture (n, 2), px: a `Registration`, or anything like it."""
+"""A map from positions on the page (n, 2), mm, to positions in the image (n, 2), px: a `Registration`, or anything like it."""
 
 _FEWEST_PLACES = 12
-_WORST = 3.0  # px in a picture of 1000 px: largest root mean square residual
+_WORST = 3.0  # px in an image of 1000 px: largest root mean square residual
 _MARK_STD, _SIDE_STD = 0.2, 0.3  # px: residual of a pinhole model of a curved page, for marks and for sides
 _MANY_SIDES = 100  # number of side positions above which more do not outweigh the fiducials
 _CURL = 0.02  # height of the border of a page relative to the height of the camera: typical of pages on a table
@@ -38,12 +38,12 @@ _ROUNDS = 2  # number of searches for sides
 class Registration:
     """Map from points of a chart's page to positions in a photograph.
 
-    Calling it with points (n, 2) on the page returns their places (n, 2), with pixel centres on whole numbers.
+    Calling it with points (n, 2) on the page returns their positions (n, 2), with pixel centres on whole numbers.
 
     Attributes:
-        homography: (3, 3) matrix from mm to px from the picture's middle, before distortion.
-        distortion: a and b of the distorted radius r (1 + a r^2 + b r^4), r in half diagonals of the picture (no unit).
-        shape: height and width of the picture, px.
+        homography: (3, 3) matrix from mm to px from the image's middle, before distortion.
+        distortion: a and b of the distorted radius r (1 + a r^2 + b r^4), r in half diagonals of the image (no unit).
+        shape: height and width of the image, px.
         residual: root mean square distance that the fit leaves at the fiducials, px.
         found: number of fiducials found.
         curl: shape of a page that is not plane: heights by x^2, xy and y^2 over the eye's, and the eye's foot (x, y),
@@ -66,22 +66,22 @@ class Registration:
     page: tuple[float, float] = (1.0, 1.0)
 
     def __call__(self, points: FloatArray) -> FloatArray:
-        """Project points on the page to the picture.
+        """Project points on the page to the image.
 
         Args:
-            points: (n, 2) places on the page, mm.
+            points: (n, 2) positions on the page, mm.
 
         Returns:
-            (n, 2) places in the picture, px.
+            (n, 2) positions in the image, px.
         """
         parameters = np.concatenate([self.homography.ravel()[:8], self.distortion, self.curl])
         return _project(parameters, np.asarray(points, float), self.shape, self.page)
 
     def scale(self, point: tuple[float, float]) -> float:
-        """Return the scale of the picture at a point of the page.
+        """Return the scale of the image at a point of the page.
 
         Args:
-            point: place on the page, mm.
+            point: position on the page, mm.
 
         Returns:
             The scale, px per mm.
@@ -101,7 +101,7 @@ def register_chart(image: ArrayLike | LinearImage, chart: Chart, *, mosaic: bool
         mosaic: make the four colours of every 2 x 2 px equally bright first. Default: False. Set it for raw mosaics.
 
     Returns:
-        The map from the page to the picture.
+        The map from the page to the image.
 
     Raises:
         FitError: if too few fiducials are found, or they do not lie as on the chart.
@@ -130,14 +130,14 @@ def register_chart(image: ArrayLike | LinearImage, chart: Chart, *, mosaic: bool
     marks = find_marks(picture, len(chart.fiducials))
     if len(marks) < 4:
         raise FitError(
-            f"no chart of this description in the picture: {len(marks)} of its {len(chart.fiducials)} fiducials found; 4 are "
+            f"no chart of this description in the image: {len(marks)} of its {len(chart.fiducials)} fiducials found; 4 are "
             "needed"
         )
     smooth = smoothed(picture)
     match = match_marks(chart, marks, smooth)
     if not match.sure:
         raise FitError(
-            f"no chart of this description in the picture: {len(marks)} fiducials found, but not where it has them"
+            f"no chart of this description in the image: {len(marks)} fiducials found, but not where it has them"
         )
     places = np.array([chart.fiducials[i].centre for i, _ in match.pairs])
     seen = np.array([marks[j][:2] for _, j in match.pairs])
@@ -157,21 +157,21 @@ def radial_distortion(places: FloatArray, seen: FloatArray, shape: tuple[int, ..
 
     Args:
         places: (n, 2) on a plane page, any unit.
-        seen: (n, 2) in the picture, px.
-        shape: height and width of the picture, px; r counts in its half diagonal.
+        seen: (n, 2) in the image, px.
+        shape: height and width of the image, px; r counts in its half diagonal.
 
     Raises:
-        FitError: fewer than 12 places, or they do not determine a pinhole's view.
+        FitError: fewer than 12 positions, or they do not determine a pinhole's view.
     """
     if len(places) < _FEWEST_PLACES:
-        raise FitError(f"{len(places)} places do not determine the distortion; at least {_FEWEST_PLACES} are needed")
+        raise FitError(f"{len(places)} positions do not determine the distortion; at least {_FEWEST_PLACES} are needed")
     middle, spread = places.mean(0), max(float(np.ptp(places, axis=0).max()), 1e-300)
     at, used = (places - middle) / spread, np.ones(len(places), bool)
     for _ in range(3):
         try:
             start = np.append(_homography(at[used], _from_middle(seen[used], shape)).ravel()[:8], 0.0)
         except np.linalg.LinAlgError:
-            raise FitError("the places do not determine the pose of the page: give dots that span it") from None
+            raise FitError("the positions do not determine the pose of the page: give dots that span it") from None
         size = np.append(np.maximum(np.abs(start[:8]), 1e-6), 0.01)
 
         def off(p: FloatArray, at: FloatArray = at, size: FloatArray = size) -> FloatArray:
@@ -200,7 +200,7 @@ def check_projection_given(name: str, element: Element | None, projection: Proje
 def pixel_box(points: FloatArray, shape: tuple[int, int], margin: int) -> tuple[int, int, int, int]:
     """Return the region (x, y, width, height) that contains points, px.
 
-    `points`: (n, 2) px. `shape`: (height, width) of the picture. `margin`: px around the points.
+    `points`: (n, 2) px. `shape`: (height, width) of the image. `margin`: px around the points.
     """
     low = np.maximum(np.floor(points.min(0)).astype(int) - margin, 0)
     high = np.minimum(np.ceil(points.max(0)).astype(int) + margin + 1, shape[::-1])
@@ -248,7 +248,7 @@ def _registration_through(
 def _project(
     parameters: FloatArray, points: FloatArray, shape: tuple[int, int], page: tuple[float, float] = (1.0, 1.0)
 ) -> FloatArray:
-    """Project points on the page (mm) to the picture (px).
+    """Project points on the page (mm) to the image (px).
 
     `parameters`: eight of the homography, two of the distortion, and optionally five of the curvature: three of a quadratic
     height relative to that of the camera, and the camera's foot point, all in widths of the page from its centre.
@@ -263,12 +263,12 @@ def _project(
     u, v, w = h @ np.stack([points[:, 0], points[:, 1], np.ones(len(points))])
     u, v = u / w, v / w
     square = (u * u + v * v) / ((shape[0] ** 2 + shape[1] ** 2) / 4)
-    bent = 1 + parameters[8] * square + parameters[9] * square * square
-    return np.stack([u * bent + (shape[1] - 1) / 2, v * bent + (shape[0] - 1) / 2], axis=-1)
+    distortion_factor = 1 + parameters[8] * square + parameters[9] * square * square
+    return np.stack([u * distortion_factor + (shape[1] - 1) / 2, v * distortion_factor + (shape[0] - 1) / 2], axis=-1)
 
 
 def _from_middle(points: FloatArray, shape: tuple[int, ...]) -> FloatArray:
-    """Return px relative to the centre of the picture."""
+    """Return px relative to the centre of the image."""
     return points - (np.array(shape[1::-1]) - 1) / 2
 
 

@@ -20,9 +20,9 @@ _ROUNDS, _LARGEST = 5, 9.0
 # the relative standard deviation of a variance of n differences is the root of this over n, because they share pixels
 _LOSS = 4.0
 _FEWEST = 100  # smallest number of differences
-_ALIKE, _SURE = 0.75, 5.0  # variance between neighbours over that of pixels 2 px apart; standard deviations
+_CORRELATED, _SURE = 0.75, 5.0  # variance between neighbours over that of pixels 2 px apart; standard deviations
 _WIDE, _WIDE_IN_BLOCKS = 0.8, 0.65  # the same, 2 over 3 px apart: demosaicing and JPEG have a shorter range
-_BENT, _SURE_BENT = 1.08, 4.0  # variance of dark over bright pixels; standard deviations
+_TONE_RATIO, _SURE_TONE = 1.08, 4.0  # variance of dark over bright pixels; standard deviations
 _EQUAL, _REVERSALS = 0.5, 0.35
 """Share of equal neighbours above which, and of changes that reverse the one before below which, a side has no noise.
 
@@ -30,7 +30,7 @@ Rounded codes of smooth light change along contours, and a change is followed by
 levels reverses 30 to 98 % of its changes, and of 0.2 levels 59 % or more, for light that changes by 0.1 levels/px or less.
 """
 _GRID = 1.4  # squared difference across the border of a block over that within
-# the same, above which the noise was removed by the blocks alone: denoised pictures have weaker borders
+# the same, above which the noise was removed by the blocks alone: denoised images have weaker borders
 _BLOCKS_ALONE = 4.0
 # px, px^2: errors of MTF50 times the blur, and its square, in tests/oracle/processed_pictures.py
 _DENOISED, _DEMOSAICED = 0.2, 0.15
@@ -38,11 +38,11 @@ _MOST = 0.4  # of MTF50
 _PILED, _LEAST_PILE = 2.0, 0.05  # multiple of the share at the next level; share of the dark side at the lowest level
 LEAST_NOISE = 2e-4
 """Smallest noise of a photograph, relative to the step of its light: a smooth render has less."""
-BENT_DOUBT = 0.03
+TONE_CURVE_UNCERTAINTY = 0.03
 """Smallest relative standard deviation of a blur behind a tone curve that was not undone."""
 
 
-def smoothing_doubt(blur: float, *, denoised: bool) -> float:
+def smoothing_uncertainty(blur: float, *, denoised: bool) -> float:
     """Return the relative standard deviation of a blur from smoothing by software.
 
     Args:
@@ -56,8 +56,8 @@ class FlatNoise(NamedTuple):
     """Noise of even areas.
 
     Attributes:
-        alike: variance between neighbours over that of pixels 2 px apart; 1 for independent noise.
-        alike_std: its standard deviation; infinite where nothing is known.
+        neighbour_ratio: variance between neighbours over that of pixels 2 px apart; 1 for independent noise.
+        neighbour_ratio_std: its standard deviation; infinite where nothing is known.
         wide: variance of pixels 2 px apart over that of pixels 3 px apart; 1 for independent noise.
         tilt: variance of the dark side over that of the bright one; NaN where nothing is known.
         tilt_std: its standard deviation.
@@ -65,8 +65,8 @@ class FlatNoise(NamedTuple):
         variance: of dark and bright side.
     """
 
-    alike: float
-    alike_std: float
+    neighbour_ratio: float
+    neighbour_ratio_std: float
     wide: float
     tilt: float
     tilt_std: float
@@ -76,7 +76,7 @@ class FlatNoise(NamedTuple):
     @property
     def smoothed(self) -> bool:
         """Check whether the noise of neighbours is correlated."""
-        return self.alike < _ALIKE and 1 - self.alike > _SURE * self.alike_std
+        return self.neighbour_ratio < _CORRELATED and 1 - self.neighbour_ratio > _SURE * self.neighbour_ratio_std
 
     @property
     def denoised(self) -> bool:
@@ -90,25 +90,25 @@ class FlatNoise(NamedTuple):
         return self.smoothed and self.grid > _GRID
 
     @property
-    def bent(self) -> bool:
+    def tone_curve_suspected(self) -> bool:
         """Check whether the noise of dark pixels is larger than that of bright ones, as under a tone curve."""
-        return not self.smoothed and self.tilt > _BENT and self.tilt - 1 > _SURE_BENT * self.tilt_std
+        return not self.smoothed and self.tilt > _TONE_RATIO and self.tilt - 1 > _SURE_TONE * self.tilt_std
 
     @property
     def correlation(self) -> str:
         """Describe the correlation of neighbours."""
-        return f"the noise of neighbouring pixels is correlated ({self.alike:.2f} of independent noise)"
+        return f"the noise of neighbouring pixels is correlated ({self.neighbour_ratio:.2f} of independent noise)"
 
     @property
     def apart(self) -> float:
         """Return the significance of a negative correlation of neighbours, as from sharpening, in standard deviations."""
-        return (self.alike - 1) / self.alike_std
+        return (self.neighbour_ratio - 1) / self.neighbour_ratio_std
 
 
 def flat_noise(
     value: FloatArray, dark: np.ndarray, bright: np.ndarray, *, lines: bool = True, least: float = 0.0
 ) -> FlatNoise:
-    """Return the noise of a picture (height, width).
+    """Return the noise of an image (height, width).
 
     dark, bright: masks of its flat areas, bool. `lines`: whether columns are neighbours, too, and all pixels are
     present. `least`: standard deviation below which no noise is assumed, as in a smooth render.
@@ -136,8 +136,10 @@ def flat_noise(
     if not good.any():
         return result
     weight = fewer * good
-    alike = ratio(near, two)
-    result = result._replace(alike=alike, alike_std=float(alike * np.sqrt(_LOSS / weight.sum())))
+    neighbour_ratio = ratio(near, two)
+    result = result._replace(
+        neighbour_ratio=neighbour_ratio, neighbour_ratio_std=float(neighbour_ratio * np.sqrt(_LOSS / weight.sum()))
+    )
     if min(n) > _FEWEST and variance[1] > 0:
         tilt = float(variance[0] / variance[1])
         result = result._replace(tilt=tilt, tilt_std=float(max(tilt, 1.0) * np.sqrt(_LOSS / n[0] + _LOSS / n[1])))

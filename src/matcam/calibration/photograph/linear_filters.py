@@ -1,7 +1,7 @@
-"""Linear filters that were applied to a picture, from the correlation of its noise, and their effect on its MTF.
+"""Linear filters that were applied to an image, from the correlation of its noise, and their effect on its MTF.
 
 The noise of a sensor is independent between pixels. A linear filter of transfer function K gives their noise the power
-spectrum |K|^2, and multiplies the MTF of the picture by K. Smoothing, sharpening, deconvolution and resampling are
+spectrum |K|^2, and multiplies the MTF of the image by K. Smoothing, sharpening, deconvolution and resampling are
 compared with no filter at all by their posterior probabilities, so that a doubt grows with the correlation, and no
 threshold decides.
 
@@ -33,7 +33,7 @@ _FAR_LAGS = ((0, 5), (5, 0), (4, 4), (4, -4), (0, 6), (6, 0))
 _LIGHT, _LENGTHS = 0.03, (8.0, 20.0, 1e3)
 """Standard deviation of correlations by light that is not even, and the distances over which they fall, px."""
 _NO_FILTER = 0.95
-"""Prior probability that no filter was applied to a picture."""
+"""Prior probability that no filter was applied to an image."""
 _LARGEST = 4.0
 """Standard deviations above which a deviation is not noise."""
 _ORDER = 3
@@ -62,7 +62,7 @@ _FOUND, _SHARPER, _SOFT = (
     0.75,
 )  # 2 ln likelihood; how it grows with the inverse of the blur; from which blur on, px
 _LEAST_WIDTH, _WIDTH, _CORE, _COARSER = 0.2, 0.3, 6.0, 0.25  # px; blurs; blurs; of the distance: the bumps
-_ROOM = 0.8  # of the region, to which bumps reach
+_ROOM = 0.8  # of the region, to which bumps outermost
 
 
 class Correlations(NamedTuple):
@@ -94,7 +94,7 @@ class BareEdge(NamedTuple):
     blur: float
 
 
-class FilterDoubt(NamedTuple):
+class FilterUncertainty(NamedTuple):
     """Uncertainty of an MTF from filters that may have been applied.
 
     Attributes:
@@ -117,10 +117,10 @@ class _Filters(NamedTuple):
 
 
 def correlations(value: FloatArray, sides: tuple[np.ndarray, np.ndarray]) -> Correlations | None:
-    """Measure the correlations of a picture's noise; None where too little of it is known.
+    """Measure the correlations of an image's noise; None where too little of it is known.
 
     Args:
-        value: picture (height, width), any unit.
+        value: image (height, width), any unit.
         sides: its flat parts (height, width), dark and bright, bool.
 
     Returns:
@@ -138,7 +138,7 @@ def correlations(value: FloatArray, sides: tuple[np.ndarray, np.ndarray]) -> Cor
         if not scale > 0:
             return None
         noise[side], there[side] = np.clip(left / scale, -_LARGEST, _LARGEST), 1.0
-    # the border of a shadow or dirt leaves structure in few places, which is not noise
+    # the border of a shadow or dirt leaves structure in few positions, which is not noise
     weight = np.maximum(ndimage.uniform_filter(there, _PATCH), 1e-3)
     local = np.abs(ndimage.uniform_filter(noise, _PATCH) / weight)
     there *= local < _STRUCTURE * np.median(local[there > 0])
@@ -225,22 +225,22 @@ def effect_on_half(frequency: FloatArray, mtf: FloatArray) -> float:
     return share if np.isfinite(share) else 0.0
 
 
-def filter_doubt(
+def filter_uncertainty(
     seen: Correlations | None, frequency: FloatArray, mtf: FloatArray, *, sharpened: bool = False
-) -> FilterDoubt:
+) -> FilterUncertainty:
     """Compute the effect of possible linear filters on an MTF from the noise.
 
     Args:
         seen: correlations of the noise; None where nothing is known.
         frequency: frequencies (n,), cycles/px.
-        mtf: MTF of the picture (n,).
+        mtf: MTF of the image (n,).
         sharpened: whether the edge itself shows that a filter has raised its MTF. Default: False.
 
     Returns:
         The doubt; its share is 0 if the noise is unknown.
     """
     if seen is None:
-        return FilterDoubt(0.0, 0.0, False)
+        return FilterUncertainty(0.0, 0.0, False)
     log_likelihood, effect = _log_likelihoods(seen), _effects(frequency, mtf)
     probability = _filters().prior * np.exp(log_likelihood - log_likelihood.max())
     if sharpened:
@@ -251,7 +251,7 @@ def filter_doubt(
     # two standard deviations need not contain an improbable value: the share falls faster than the root of the
     # probability
     share = filtered * np.sqrt(probability[1:] @ effect[1:] ** 2 / max(filtered, 1e-300))
-    return FilterDoubt(float(share), filtered, bool(effect[likeliest] < 0))
+    return FilterUncertainty(float(share), filtered, bool(effect[likeliest] < 0))
 
 
 def _effects(frequency: FloatArray, mtf: FloatArray) -> FloatArray:
@@ -352,14 +352,14 @@ def _spline(frequency: FloatArray, phase: float) -> FloatArray:
     return _shifted(weights, -1, frequency, phase) / ((2 + np.cos(2 * np.pi * frequency)) / 3)
 
 
-def _line_bumps(blur: float, reach: float) -> tuple[FloatArray, FloatArray]:
-    """Return places and widths of the bumps of a line spread function, px: narrow in the core, coarser outside."""
+def _line_bumps(blur: float, outermost: float) -> tuple[FloatArray, FloatArray]:
+    """Return positions and widths of the bumps of a line spread function, px: narrow in the core, coarser outside."""
     width = max(_LEAST_WIDTH, _WIDTH * blur)
-    half = min(max(_CORE * blur, 5.0), reach)
+    half = min(max(_CORE * blur, 5.0), outermost)
     core = width * np.arange(int(2 * half / width) + 1)
     core -= core.mean()
     places, widths, at = [], [], float(core[-1])
-    while at < reach:
+    while at < outermost:
         step = max(width, _COARSER * at)
         at += step
         places.append(at)

@@ -1,7 +1,7 @@
 """One colour plane of a photograph, linear: the input of every estimator of this package.
 
-The sites of a mosaic keep their positions, with NaN between them: nothing is demosaiced. Of a colour picture one
-channel or the luminance is taken, of a grey one everything. `region_of` is the one place where an estimator's `image`
+The sites of a mosaic keep their positions, with NaN between them: nothing is demosaiced. Of a colour image one
+channel or the luminance is taken, of a grey one everything. `region_of` is the one position where an estimator's `image`
 becomes such a plane; `flaw` says whether there is anything in it to measure.
 """
 
@@ -25,22 +25,22 @@ from matcam.files.picture_header import Exif
 from matcam.numerics.normal import robust_std
 
 CHANNELS = ("R", "G", "B", "Y", "grey")
-"""Names of colour planes; "Y" is the luminance of a colour picture."""
+"""Names of colour planes; "Y" is the luminance of a colour image."""
 SMALLEST = 16
 """Smallest side of a region that is measured, px."""
 _LUMINANCE = (0.2126, 0.7152, 0.0722)  # of linear R, G, B (IEC 61966-2-1)
 _SATURATED = 0.02  # share of full pixels above which a region is rejected
 _FLAT_TOP = 0.05  # share of pixels with the brightest value that needs a test
 _SPREAD = 3.0
-"""Noise of the dark side, in levels, above which the bright side of a picture cannot have noise below half a level.
+"""Noise of the dark side, in levels, above which the bright side of an image cannot have noise below half a level.
 
 A pile at the brightest value comes either from the end of a range or from noise below half a level; the sRGB curve is at most
 six times as steep in dark parts.
 """
 _SMOOTH, _SMOOTH_GAPS = 0.7, 1.2
-"""Width of the means by which targets are looked for, px, in pictures without and with gaps: mosaics miss 1 to 3 of 4 px."""
+"""Width of the means by which targets are looked for, px, in images without and with gaps: mosaics miss 1 to 3 of 4 px."""
 _WHOLE = 0.9
-"""Share of known pixels from which a picture has no gaps that are worth more smoothing."""
+"""Share of known pixels from which an image has no gaps that are worth more smoothing."""
 _ALONE = 1e-6  # of a Gaussian's weight: a pixel with fewer data around it is left dark
 
 
@@ -49,7 +49,7 @@ class LinearImage:
     """One colour plane of a photograph, linear.
 
     Every estimator takes a `LinearImage`, or an array that it turns into one with `LinearImage.of`. Make one yourself where
-    several estimators look at the same picture, or to keep aperture and file with it.
+    several estimators look at the same image, or to keep aperture and file with it.
 
     Attributes:
         values: linear light (height, width), any unit. NaN where there are no data, or a mosaic has another colour.
@@ -142,7 +142,7 @@ class LinearImage:
             The plane; `remarks` says what "auto" has assumed.
 
         Raises:
-            ArgumentError: the image is no picture, has not this channel, or the region does not lie inside it.
+            ArgumentError: the image is no image, has not this channel, or the region does not lie inside it.
 
         Source:
             Luminance: IEC 61966-2-1.
@@ -212,7 +212,7 @@ class LinearImage:
             roi: (x, y, width, height), px of this plane. Default: None, all of it.
 
         Returns:
-            The region, which knows its place in the photograph (`corner`).
+            The region, which knows its position in the photograph (`corner`).
 
         Raises:
             ArgumentError: the region is not four whole numbers, or does not lie inside the plane.
@@ -284,7 +284,7 @@ def flaw(values: np.ndarray) -> Remark | None:
 
 
 def local_mean(values: FloatArray, width: float) -> FloatArray:
-    """Return the local means of a picture (height, width).
+    """Return the local means of an image (height, width).
 
     They are weighted by a Gaussian of `width` px. NaN are filled from around.
     """
@@ -296,7 +296,7 @@ def local_mean(values: FloatArray, width: float) -> FloatArray:
 
 
 def smoothed(values: FloatArray) -> FloatArray:
-    """Compute a picture (height, width) with less noise, and without gaps, in which targets are looked for."""
+    """Compute an image (height, width) with less noise, and without gaps, in which targets are looked for."""
     return local_mean(values, _SMOOTH if np.isfinite(values).mean() > _WHOLE else _SMOOTH_GAPS)
 
 
@@ -316,7 +316,7 @@ def planes_of(
         there = ("grey",)
     for channel in channels or ():
         if channel not in there and not (channel == "Y" and photograph.values.ndim == 3):
-            raise ArgumentError(f"channel {channel!r} is not in this picture; it has {', '.join(there)}")
+            raise ArgumentError(f"channel {channel!r} is not in this image; it has {', '.join(there)}")
     if photograph.cfa is not None and not is_linear(tone) and not (isinstance(tone, str) and tone == "auto"):
         raise ArgumentError("camera raw is linear: it has no tone curve to be undone")
     names = there if channels is None else channels
@@ -324,7 +324,7 @@ def planes_of(
 
 
 def as_photograph(
-    image: ArrayLike, what: str = "a picture must be numbers", colours: tuple[int, ...] = (3,)
+    image: ArrayLike, what: str = "an image must be numbers", colours: tuple[int, ...] = (3,)
 ) -> Photograph:
     """Return an array of linear values as a photograph without a file.
 
@@ -375,7 +375,7 @@ def _shifted(cfa: str, x: int, y: int) -> str:
 
 
 def _checked_roi(roi: Sequence[int] | None, shape: tuple[int, ...]) -> tuple[int, int, int, int]:
-    """Return a region as whole numbers inside a picture."""
+    """Return a region as whole numbers inside an image."""
     height, width = shape[:2]
     if roi is None:
         return 0, 0, width, height
@@ -387,5 +387,5 @@ def _checked_roi(roi: Sequence[int] | None, shape: tuple[int, ...]) -> tuple[int
     if not whole:
         raise ArgumentError(f"roi must be four whole numbers (x, y, width, height), got {roi!r:.60}")
     if x < 0 or y < 0 or w < 0 or h < 0 or x + w > width or y + h > height:
-        raise ArgumentError(f"roi must lie inside the picture of {width} x {height} px, got {(x, y, w, h)}")
+        raise ArgumentError(f"roi must lie inside the image of {width} x {height} px, got {(x, y, w, h)}")
     return x, y, w, h

@@ -1,4 +1,4 @@
-"""Tone curves: from a picture's codes to light. MTFs exist for linear values only (docs/model.md 7)."""
+"""Tone curves: from an image's codes to light. MTFs exist for linear values only (docs/model.md 7)."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from matcam.files.photographs import Photograph, read_photograph
 from matcam.files.tone_curve import checked_curve, curve_through, read_numbers
 
 Tone = str | float | ArrayLike
-"""Tone curve of the codes of a picture: "linear"; "srgb" (IEC 61966-2-1); a gamma, light = (code / full) ** gamma;
+"""Tone curve of the codes of an image: "linear"; "srgb" (IEC 61966-2-1); a gamma, light = (code / full) ** gamma;
 linear values by code, (codes,) or (codes, 3); "auto": that of the file, see `assumed_tone`.
 """
 
@@ -30,7 +30,7 @@ def is_linear(tone: Tone) -> bool:
 def assumed_tone(photograph: Photograph, *, mosaic: bool = False) -> tuple[str, tuple[Remark, ...]]:
     """Return the tone curve that "auto" selects.
 
-    A remark states the assumption. `mosaic`: whether the picture was not demosaiced yet; tone curves are applied later.
+    A remark states the assumption. `mosaic`: whether the image was not demosaiced yet; tone curves are applied later.
     """
     if photograph.linear or mosaic:
         return "linear", ()
@@ -75,7 +75,7 @@ def linear_values(codes: np.ndarray, tone: Tone, channel: int | None = None) -> 
 def _by_code(codes: np.ndarray, curve: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
     """Return a curve of the share of full scale.
 
-    Large pictures of whole numbers go through a table.
+    Large images of whole numbers go through a table.
     """
     if codes.dtype.kind not in "ui":
         return curve(codes / 1.0)
@@ -111,7 +111,7 @@ def tone_from_patches(
     for x, y, width, height in patches:
         if min(x, y) < 0 or min(width, height) < 2 or x + width > codes.shape[1] or y + height > codes.shape[0]:
             raise ArgumentError(
-                f"patch {(x, y, width, height)} must lie inside the picture of {codes.shape[1]} x {codes.shape[0]} px"
+                f"patch {(x, y, width, height)} must lie inside the image of {codes.shape[1]} x {codes.shape[0]} px"
             )
         part = codes[y : y + height, x : x + width]
         means.append(part[..., channel].mean() if part.ndim == 3 and channel is not None else part.mean())

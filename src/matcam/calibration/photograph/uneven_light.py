@@ -20,7 +20,7 @@ from matcam.numerics.polynomials import plane_powers
 
 _BINS, _SMALLEST_BIN = 220, 4.0
 """Number of bins of a region; smallest side of a bin, px. The eigenvalues of 220 bins are computed in 10 ms."""
-REACH, _MORE = 3.5, 1.5
+EXCLUDED_WIDTHS, _EXCLUDED_MARGIN = 3.5, 1.5
 """Distance from the edge within which pixels are in no bin: in standard deviations of the blur, plus px."""
 _LENGTHS = (8.0, 20.0, 50.0)
 """Correlation lengths of the light that are tried, px."""
@@ -55,7 +55,7 @@ class LightField(NamedTuple):
 
     Attributes:
         factor: factor of each pixel (rows, columns).
-        addend: addend of each pixel (rows, columns), in the picture's units.
+        addend: addend of each pixel (rows, columns), in the image's units.
         amplitude: standard deviation of the light over the region, relative to the scene or, of what adds, to the step.
         possible: the same, rms over all models of the light by their probabilities.
         ghost: share of a ghost that the light may be instead: it depends on the distance from the edge alone.
@@ -155,7 +155,7 @@ def light_field(
     Returns:
         The most probable light.
     """
-    bins = _bins(value, x, y, distance, noise, REACH * blur + _MORE)
+    bins = _bins(value, x, y, distance, noise, EXCLUDED_WIDTHS * blur + _EXCLUDED_MARGIN)
     if bins is None:
         return None
     bright = bins.distance > 0
@@ -247,10 +247,10 @@ def _bins(
     y: FloatArray,
     distance: FloatArray,
     noise: tuple[float, float],
-    reach: float,
+    margin: float,
 ) -> _Bins | None:
     """Average the flat sides over bins, or return None if there are too few."""
-    flat = np.isfinite(value) & (np.abs(distance) > reach)
+    flat = np.isfinite(value) & (np.abs(distance) > margin)
     side = max(_SMALLEST_BIN, float(np.sqrt(flat.sum() / _BINS)))
     rows, columns = (np.floor((a - a.min()) / side).astype(int) for a in (y, x))
     name = ((2 * rows + (distance > 0)) * (columns.max() + 1) + columns)[flat]

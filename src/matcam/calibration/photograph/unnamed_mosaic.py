@@ -1,7 +1,7 @@
-"""Detection of mosaics that are declared as grey pictures.
+"""Detection of mosaics that are declared as grey images.
 
 The columns and rows of a mosaic alternate, because the light of one colour is brighter than that of another. No other
-cause makes every second pixel of a whole picture differ.
+cause makes every second pixel of a whole image differ.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ from matcam.core.arrays import FloatArray
 from matcam.core.errors import FitError
 from matcam.numerics.normal import robust_std
 
-_LARGEST = 1024  # px: so much of a picture is enough
-_DARK = 0.2  # of a picture's bright light, below which light that alternates is noise
+_LARGEST = 1024  # px: so much of an image is enough
+_DARK = 0.2  # of an image's bright light, below which light that alternates is noise
 _ALTERNATING, _SIGNIFICANT = 0.03, 6.0  # of the light; standard deviations
 _FEWEST = 30
 """Pixels whose median is known."""
@@ -30,7 +30,7 @@ def refuse_unnamed_mosaic(plane: LinearImage) -> None:
 
 
 def alternation(values: FloatArray) -> float:
-    """Return the relative difference of neighbours over a whole picture (height, width), 0 if there is none.
+    """Return the relative difference of neighbours over a whole image (height, width), 0 if there is none.
 
     Second differences of neighbours are 0 in even light, and in light that changes evenly. Their medians at every
     second pixel of every second line measure the periodic part, independently of edges.

@@ -116,8 +116,8 @@ def rise_distance(edge: EdgeMTF) -> EdgeNumber:
         2.2
     """
     checks.instance("edge", edge, EdgeMTF)
-    reach = 6 * float(line_width(edge.fits.free.shape))
-    distance = np.linspace(-reach, reach, _SAMPLES)
+    extent = 6 * float(line_width(edge.fits.free.shape))
+    distance = np.linspace(-extent, extent, _SAMPLES)
     return rise(distance, edge.esf(distance))
 
 
@@ -156,7 +156,7 @@ def readings(edge: EdgeMTF, frequencies: FloatArray | tuple[float, ...] = ()) ->
         frequencies: frequencies at which the MTF is wanted, cycles/px. Default: none.
 
     Returns:
-        Numbers by name, with units in the names: frequencies of MTF50, 30, 20 and 10, rise, MTF at `frequencies`.
+        Values by name, with units in the names: frequencies of MTF50, 30, 20 and 10, rise, MTF at `frequencies`.
     """
     found: dict[str, Any] = {}
     for level in LEVELS:

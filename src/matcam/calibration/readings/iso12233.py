@@ -46,7 +46,7 @@ class ISOEdge:
         sfr50: lowest frequency where it is one half, cycles/px; NaN if there is none.
         sfr10: lowest frequency where it is one tenth, cycles/px; NaN if there is none.
         slope: mean slope of the edge to the columns, or to the rows if it is nearer to them, rad.
-        esf: edge spread function (m,), in the picture's linear units.
+        esf: edge spread function (m,), in the image's linear units.
         spacing: distance between its samples along the normal, px.
 
     Example:
@@ -71,7 +71,7 @@ class ISOEdge:
             frequencies: frequencies at which the response is wanted, cycles/px. Default: (), none.
 
         Returns:
-            Numbers by name, with units in the names, as `matcam edge` prints them.
+            Values by name, with units in the names, as `matcam edge` prints them.
         """
         found: dict[str, Any] = {}
         for level in LEVELS:
@@ -95,7 +95,7 @@ class ISOEdge:
         """Return the result as a JSON object.
 
         Returns:
-            Numbers by name, units in the names.
+            Values by name, units in the names.
         """
         return plain(
             {
@@ -122,7 +122,7 @@ def iso12233_sfr(
 ) -> ISOEdge:
     """Measure the e-SFR of an edge by the steps of ISO 12233:2023.
 
-    The edge's place in each row is the centroid of the derivative under a window; a polynomial through these places aligns the
+    The edge's position in each row is the centroid of the derivative under a window; a polynomial through these positions aligns the
     rows; four bins a sample make the edge spread function; its derivative, under a Tukey window, is transformed, and the
     response of the difference filter is undone.
 
@@ -183,7 +183,7 @@ def iso12233_sfr(
 def _edge_places(value: FloatArray, start: FloatArray, number: FloatArray, order: int) -> FloatArray:
     """Find the position of the edge in every row, samples, from a polynomial through centroids of the derivative.
 
-    start: place of the first sample of each row, samples. number: of each row.
+    start: position of the first sample of each row, samples. number: of each row.
     """
     columns = value.shape[1]
     # the difference of two neighbours is at the point between them

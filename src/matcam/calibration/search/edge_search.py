@@ -1,9 +1,9 @@
-"""Search for straight edges in a picture: without a description at any scale and rotation, under uneven light and mild
+"""Search for straight edges in an image: without a description at any scale and rotation, under uneven light and mild
 distortion; or the sides of the squares of a chart that was found.
 
 Adjacent pixels with gradients in similar directions are one edge; its position and direction are those of its pixels,
 weighted by gradient. Corners end an edge, because the gradient changes direction there; squares are not required. An
-edge is kept if the areas on both sides of it are even, and wide enough to be measured. NumPy and SciPy, on the picture
+edge is kept if the areas on both sides of it are even, and wide enough to be measured. NumPy and SciPy, on the image
 reduced to a few megapixels.
 
 Around gratings, stars, dots and tables there are edges by the hundred. In a chart, only the sides of squares are searched,
@@ -23,14 +23,14 @@ from matcam.calibration.chart.sides import seen_sides
 from matcam.calibration.photograph.linear_image import smoothed
 from matcam.core.arrays import FloatArray
 
-_PIXELS = 2_000_000  # of the reduced picture, largest value
-_SMOOTH = 1.0  # px of the reduced picture
+_PIXELS = 2_000_000  # of the reduced image, largest value
+_SMOOTH = 1.0  # px of the reduced image
 _SECTORS = 16  # number of directions; each is searched together with its two neighbours
 _NOISE, _WEAK = 6.0, 0.06  # gradients count above this multiple of the median, and above this share of the strongest
-_SHORTEST = 12.0  # px of the reduced picture
+_SHORTEST = 12.0  # px of the reduced image
 _SLENDER = 3.0  # smallest length over width of a ribbon of pixels
-_CORNER = 2.5  # px of the reduced picture that are cut off both ends
-_PROFILE = 40  # px of the reduced picture, on both sides
+_CORNER = 2.5  # px of the reduced image that are cut off both ends
+_PROFILE = 40  # px of the reduced image, on both sides
 _ALONG = 24  # number of positions along an edge
 _UNEVEN, _SLOPE = 0.06, 0.002  # relative to the step: largest change of the mean of a side, and largest change rate
 _SPOT = 0.4  # relative to the step: largest deviation of single positions along an edge
@@ -43,7 +43,7 @@ _STRAIGHT = 0.7  # px: largest distance of these from a straight line
 class EdgePlaces(NamedTuple):
     """Set of n edges, the longest and strongest first.
 
-    Lengths are px of the picture, pixel centres on whole numbers, x right, y down.
+    Lengths are px of the image, pixel centres on whole numbers, x right, y down.
 
     Attributes:
         x: (n,) px, of the middle.
@@ -61,7 +61,7 @@ class EdgePlaces(NamedTuple):
 
 
 def find_edges(picture: np.ndarray, *, mosaic: bool = False) -> EdgePlaces:
-    """Find straight edges in a picture of any monotone codes.
+    """Find straight edges in an image of any monotone codes.
 
     picture: (height, width) or (height, width, 3). mosaic: of colour filters, whose pixels can only be compared in cells of
     2 x 2.
@@ -80,7 +80,7 @@ def described_edges(values: FloatArray, chart: Chart, projection: Projection) ->
     """Return the sides of a chart's squares that can be measured; None for a chart without squares.
 
     values: (height, width) any monotone codes, mosaics balanced; NaN where there are no data. projection: from the page, mm, to
-    the picture, px.
+    the image, px.
     """
     smooth = smoothed(values)
     sides = seen_sides(smooth, chart, projection)
@@ -96,7 +96,7 @@ def described_edges(values: FloatArray, chart: Chart, projection: Projection) ->
 
 
 def _at_scale(picture: np.ndarray, factor: int) -> EdgePlaces:
-    """Find edges in the picture reduced by a factor."""
+    """Find edges in the image reduced by a factor."""
     small = _reduced(picture, factor)
     ribbons = _ribbons(small) if min(small.shape) > 2 * _SHORTEST else np.zeros((0, 4))
     x, y, angle, length = ribbons.T

@@ -1,11 +1,11 @@
-"""The slanted edges of a photograph, measured in strips along them, and remarks on the whole picture.
+"""The slanted edges of a photograph, measured in strips along them, and remarks on the whole image.
 
-The rows of a strip begin where the edge does, so that an edge may lie at any angle. A row is one of the picture, or a
-column where that crosses the edge more squarely; nothing is resampled. Strips of one picture have one shape, so that
+The rows of a strip begin where the edge does, so that an edge may lie at any angle. A row is one of the image, or a
+column where that crosses the edge more squarely; nothing is resampled. Strips of one image have one shape, so that
 one compiled program measures them all: missing pixels of a shorter or narrower one are NaN.
 
 The fit of an edge includes light that changes linearly. The nonlinear part of the vignetting within a strip is divided
-out: it is known from the bright sides of the edges in a picture, most of which are the same paper. A wrong level or
+out: it is known from the bright sides of the edges in an image, most of which are the same paper. A wrong level or
 slope of the light changes nothing.
 """
 
@@ -45,12 +45,12 @@ _FEW = 6  # number of edges below which directions are not compared
 
 
 class Strips(NamedTuple):
-    """Set of n strips in a rotated picture.
+    """Set of n strips in a rotated image.
 
     u runs along its rows, v across them. All are whole px but u, v and tilt.
 
     Attributes:
-        transposed: (n,) u is the picture's y, and v its x.
+        transposed: (n,) u is the image's y, and v its x.
         mirrored: (n,) the bright side lies at smaller u.
         u: (n,) px, of the edge's middle.
         v: (n,) px, of the edge's middle.
@@ -119,7 +119,7 @@ def _crushed(value: np.ndarray) -> Remark | None:
 
 
 def edge_remarks(result: EdgeStack, channel: str) -> list[Remark]:
-    """Return remarks on a picture from the edges of one channel."""
+    """Return remarks on an image from the edges of one channel."""
     good = result.good
     codes = Counter(problem.code for problem in result.problems if problem)
     remarks = []
@@ -141,7 +141,7 @@ def edge_remarks(result: EdgeStack, channel: str) -> list[Remark]:
 
 
 def strips_along(edges: EdgePlaces, shape: tuple[int, int]) -> Strips:
-    """Return strips along the edges of a picture (height, width).
+    """Return strips along the edges of an image (height, width).
 
     Long edges get several, one after the other. Edges without room for a strip are left out.
     """
@@ -249,11 +249,11 @@ def _region(
 
 
 def _inside(strips: Strips, shape: tuple[int, int]) -> np.ndarray:
-    """Check whether strips, with a margin of 2 px, are inside the picture."""
-    reach = strips.width / 2 + np.abs(strips.tilt) * strips.rows / 2 + 2
+    """Check whether strips, with a margin of 2 px, are inside the image."""
+    margin = strips.width / 2 + np.abs(strips.tilt) * strips.rows / 2 + 2
     across, along = (np.where(strips.transposed, *pair) for pair in (shape[:2], shape[1::-1]))
     long = strips.rows / 2 + 2
-    return (strips.u >= reach) & (strips.u + reach < across) & (strips.v >= long) & (strips.v + long < along)
+    return (strips.u >= margin) & (strips.u + margin < across) & (strips.v >= long) & (strips.v + long < along)
 
 
 def _bright(value: np.ndarray) -> np.ndarray:

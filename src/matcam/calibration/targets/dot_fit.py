@@ -2,7 +2,7 @@
 
 A dot is disc x Gaussian x square pixel. Its size comes from the lattice. The pixel values are a quadrature over the
 disc: a Gaussian and a square are separable, so a node of the disc is a product of two erf differences. Derivatives by
-the place are those of the Gaussian, by the variance half the second ones. All of them come from one table of the
+the position are those of the Gaussian, by the variance half the second ones. All of them come from one table of the
 derivatives along x and y.
 """
 
@@ -30,14 +30,14 @@ SHARED = [(2, 0), (0, 2), (4, 0), (2, 2), (0, 4)]
 """Derivatives by (x, y) for the common deviation of the dots of a zone from disc x Gaussian x square."""
 
 _CLEAR = 6.0  # standard deviations of the smoothed background
-_ALIKE = (0.3, 3.0)  # relative to the median flux: dots are all of one kind
+_SIMILAR_FLUX = (0.3, 3.0)  # relative to the median flux: dots are all of one kind
 _OFF = 0.25  # relative to the pitch: largest distance of a dot from the position that its neighbour predicts
 _OWN = [(0, 0), (1, 0), (0, 1), (2, 0), (0, 2)]
 _START = 0.6  # px
 _RANGE = (0.15, 6.0)  # px of sigma
 _STEPS, _WEIGHTED = 16, 4  # Gauss-Newton steps; step from which the weights are those of the noise
 _SETTLED = 0.01  # standard deviations
-_REACH = 7  # px, largest size of a stamp
+_LARGEST_HALF_SIZE = 7  # px, largest size of a stamp
 _CLOSEST = 6.0  # px between dots
 _OUTLIER, _SAME = (
     5.0,
@@ -47,7 +47,7 @@ _AT_ONCE = 512  # number of dots whose tables fit into memory, for any grid
 
 
 def _disc_nodes(radii: int = 5, turns: int = 14) -> tuple[FloatArray, FloatArray]:
-    """Return places (2, n) and weights (n,) of a quadrature over the unit disc: Gauss's on rings, which alternate."""
+    """Return positions (2, n) and weights (n,) of a quadrature over the unit disc: Gauss's on rings, which alternate."""
     nodes, weights = np.polynomial.legendre.leggauss(radii)
     turn = 2 * np.pi * (np.arange(turns) + 0.5 * (np.arange(radii)[:, None] % 2)) / turns
     places = np.sqrt((nodes + 1) / 2)[:, None] * np.stack([np.cos(turn), np.sin(turn)])
@@ -58,12 +58,12 @@ _DISC, _SHARE = _disc_nodes()
 
 
 class DotLattice(NamedTuple):
-    """Positions of n dots, in a picture and printed.
+    """Positions of n dots, in an image and printed.
 
     Attributes:
         x: (n,) px.
         y: (n,) px.
-        u: (n,) place on the page, in pitches, or in mm if a chart says so.
+        u: (n,) position on the page, in pitches, or in mm if a chart says so.
         v: (n,).
     """
 
@@ -108,7 +108,7 @@ class DotFit:
         shared: (n, pixels, 5) derivatives times contents, in what the dots of a zone have in common.
         residual: (n, pixels).
         weight: (n, pixels) inverse variances.
-        radius: mean of the dots' radii as they should be in the picture, px.
+        radius: mean of the dots' radii as they should be in the image, px.
         gain: variance of a pixel over its value.
         read_variance: variance of a dark pixel.
     """
@@ -140,17 +140,19 @@ def fit_dots(values: FloatArray, lattice: DotLattice, size: float, half_width: f
     can be measured.
     """
     shape, pitch = size * lattice.shapes, lattice.pitch
-    reach = int(min(_REACH, max(3, np.floor(pitch / 2 - 0.5))))
+    half_size = int(min(_LARGEST_HALF_SIZE, max(3, np.floor(pitch / 2 - 0.5))))
     if pitch < _CLOSEST:
         raise FitError(f"the dots are {pitch:.1f} px apart: at least {_CLOSEST:g} are needed to separate them")
-    columns, rows = (np.round(c).astype(int)[:, None] + np.arange(-reach, reach + 1) for c in (lattice.x, lattice.y))
+    columns, rows = (
+        np.round(c).astype(int)[:, None] + np.arange(-half_size, half_size + 1) for c in (lattice.x, lattice.y)
+    )
     whole = (np.minimum(columns[:, 0], rows[:, 0]) >= 0) & (columns[:, -1] < values.shape[1])
     whole &= rows[:, -1] < values.shape[0]
     if whole.sum() < FEWEST:
         raise FitError(f"{whole.sum()} whole dots are too few: {FEWEST} are needed")
     lattice, shape, columns, rows = lattice.subset(whole), shape[whole], columns[whole], rows[whole]
     value = values[rows[:, :, None], columns[:, None, :]]
-    # from the place of a dot in the lattice to its pixels
+    # from the position of a dot in the lattice to its pixels
     du, dv = (
         np.broadcast_to(off, value.shape).reshape(len(value), -1)
         for off in ((columns - lattice.x[:, None])[:, None, :], (rows - lattice.y[:, None])[:, :, None])
@@ -196,7 +198,7 @@ def fit_dots(values: FloatArray, lattice: DotLattice, size: float, half_width: f
         if step > _WEIGHTED + 2 and (np.abs(change[:, 6]) < _SETTLED * std[:, 6]).mean() > 0.98:
             break
     if not np.isfinite(state).all():
-        raise FitError("the dots' pixels do not determine their blur: give a sharper or larger picture of the grid")
+        raise FitError("the dots' pixels do not determine their blur: give a sharper or larger image of the grid")
     # the common deviation of the dots needs higher derivatives, but only once
     flat = dot_derivatives(u, v, shape, np.sqrt(state[:, 6]), half_width, SHARED).reshape(len(SHARED), len(state), -1)
     shared = state[:, 3, None, None] * flat.transpose(1, 2, 0)
@@ -222,7 +224,7 @@ def find_dots(values: FloatArray) -> tuple[FloatArray, FloatArray]:
     flux = ndimage.sum_labels(sign * off, label, every)
     y, x = np.array(ndimage.center_of_mass(np.maximum(sign * off, 0), label, every)).T
     usual = np.median(flux)
-    whole = (flux > _ALIKE[0] * usual) & (flux < _ALIKE[1] * usual)
+    whole = (flux > _SIMILAR_FLUX[0] * usual) & (flux < _SIMILAR_FLUX[1] * usual)
     if whole.sum() < FEWEST:
         raise FitError("region contains no grid of dots: its spots are not similar")
     return x[whole], y[whole]

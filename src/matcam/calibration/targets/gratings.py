@@ -40,7 +40,7 @@ class GratingMTF:
 
     Attributes:
         samples: MTF at the harmonics that say something.
-        frequency: (fx, fy) of the grating in the middle of its picture, cycles/px.
+        frequency: (fx, fy) of the grating in the middle of its image, cycles/px.
         orders: orders of the harmonics that were fitted.
         modulation: amplitude of each harmonic relative to the mean, signed as the print's phase has it (no unit).
         modulation_std: its standard deviations.
@@ -112,12 +112,12 @@ def grating_mtf(
     the mean, get the errors that they deserve. Those that say nothing are left out.
 
     Args:
-        image: picture: a `LinearImage`, a `Photograph`, or an array as `LinearImage.of` takes it.
-        roi: region (x, y, width, height) that holds one grating, px. Default: None, all of the picture. It may hold what is
+        image: image: a `LinearImage`, a `Photograph`, or an array as `LinearImage.of` takes it.
+        roi: region (x, y, width, height) that holds one grating, px. Default: None, all of the image. It may hold what is
             around the grating.
         grating: the grating as a chart describes it. Default: None, it is found. Give it with `projection`; both replace roi,
             profile, contrast, duty and near.
-        projection: map from the chart's page, mm, to the picture, px: a `Registration`. Default: None. Give it with `grating`.
+        projection: map from the chart's page, mm, to the image, px: a `Registration`. Default: None. Give it with `grating`.
         profile: "bars", "sine" or "lines" (no unit). Default: "bars".
         contrast: (bright - dark) / (bright + dark) of the print, linear (no unit). Default: None; it must be given where
             `grating` is not.
@@ -236,12 +236,10 @@ def _expected_grating(
     corners = projection(checks.instance("grating", grating, Grating).corners)
     box = pixel_box(corners, shape, 0)
     if min(box[2:]) < SMALLEST:
-        raise FitError(
-            "the grating lies outside the picture, or covers less than 16 x 16 px of it: photograph it larger"
-        )
+        raise FitError("the grating lies outside the image, or covers less than 16 x 16 px of it: photograph it larger")
     inside = _inside_polygon(corners - box[:2], (box[3], box[2]))
     if inside.sum() < 64:
-        raise FitError("the grating covers too few pixels of the picture: photograph it larger")
+        raise FitError("the grating covers too few pixels of the image: photograph it larger")
     across = np.array([np.cos(grating.angle), np.sin(grating.angle)])
     along = np.array([-np.sin(grating.angle), np.cos(grating.angle)])
     u, v = (a.ravel() for a in np.meshgrid(*(np.linspace(-0.5, 0.5, 9) * side for side in grating.size)))
@@ -266,7 +264,7 @@ def _fit_grating(
         fit = fit_wave(pixels, found.phase, found.parameters, _constant, steps=4, rough=True)
     fit = fit and fit_wave(pixels, found.phase, fit.parameters, _constant, orders)
     if not fit:
-        raise FitError("the grating's pixels do not determine its contrast: too few of them in this picture")
+        raise FitError("the grating's pixels do not determine its contrast: too few of them in this image")
     if not fit.signal > _CLEAR:
         raise FitError(
             f"region contains no grating that can be measured: its wave is {fit.signal:.1f} standard deviations strong"

@@ -1,7 +1,7 @@
 """Grids of dots: the point spread function at every dot, its variation over the field, and the MTF.
 
 Each dot is fitted as disc x Gaussian x square pixel (`dot_fit`). Its size comes from the lattice that all dots form,
-not from the print's scale in the picture. The common deviation of the dots of a zone from this model, to second and
+not from the print's scale in the image. The common deviation of the dots of a zone from this model, to second and
 fourth derivatives, is part of the MTF of the zone, which is then not Gaussian.
 """
 
@@ -28,7 +28,7 @@ from matcam.files.photographs import Photograph
 from matcam.numerics.normal import robust_fit
 from matcam.numerics.polynomials import plane_powers
 
-_REACH = 8  # px around a dot
+_MARGIN = 8  # px around a dot
 _ZONE = 60  # smallest number of dots in a zone
 _FIELD = 6  # terms of the variance over the field, of second order
 _FREQUENCY = np.array([0.2, 0.2, 0.4, 0.4, 0.4])
@@ -82,7 +82,7 @@ class BlurField:
         return cls(found, covariance, middle, half)
 
     def sigma_at(self, x: ArrayLike, y: ArrayLike) -> tuple[FloatArray, FloatArray]:
-        """Return sigma anywhere in the picture.
+        """Return sigma anywhere in the image.
 
         Args:
             x: columns, px.
@@ -103,13 +103,13 @@ class DotGrid:
     """Blur at n dots, over the field, and its MTF.
 
     Attributes:
-        x: (n,) places of the dots in the picture, px.
+        x: (n,) positions of the dots in the image, px.
         y: (n,) px.
         sigma: (n,) standard deviation of the lens as a Gaussian, behind a pixel of the stated half width, px.
         sigma_std: (n,) its standard deviation, px.
         samples: MTF of lens and pixel in zones of the field, free of the Gaussian.
         field: smooth blur over the field.
-        radius: mean of the dots' radii as they should be in the picture, px.
+        radius: mean of the dots' radii as they should be in the image, px.
         gain: variance of a pixel over its value, as the fit left it; a pixel's variance is gain * value + read_variance.
         read_variance: variance of a dark pixel, in squared units of the values.
 
@@ -136,7 +136,7 @@ class DotGrid:
 
     @property
     def middle(self) -> tuple[float, float]:
-        """Return the centre of the grid in the picture, (x, y) px."""
+        """Return the centre of the grid in the image, (x, y) px."""
         return self.field.middle
 
     def sigma_at(self, x: ArrayLike, y: ArrayLike) -> tuple[FloatArray, FloatArray]:
@@ -193,11 +193,11 @@ def dot_grid(
     Dots are round, dark or bright, on a square lattice.
 
     Args:
-        image: picture: a `LinearImage`, a `Photograph`, or an array as `LinearImage.of` takes it.
-        roi: region (x, y, width, height) that holds nothing but the grid, px. Default: None, all of the picture.
+        image: image: a `LinearImage`, a `Photograph`, or an array as `LinearImage.of` takes it.
+        roi: region (x, y, width, height) that holds nothing but the grid, px. Default: None, all of the image.
         dots: the dots as a chart describes them. Default: None, they are found. Give them with `projection`; both replace `roi`
             and `radius`.
-        projection: map from the chart's page, mm, to the picture, px: a `Registration`. Default: None. Give it with `dots`.
+        projection: map from the chart's page, mm, to the image, px: a `Registration`. Default: None. Give it with `dots`.
         radius: radius of the dots over their pitch, inside (0, 0.5) (no unit). Default: None; it must be given where `dots` is
             not, because blur cannot be told from size.
         half_width: half the side of a pixel's sensitive area, in (0, 0.5] px. Default: 0.5. Sigma depends on it, the MTF
@@ -252,8 +252,8 @@ def _expected_dots(whole: LinearImage, dots: Dots, projection: Projection) -> tu
     seen = projection(printed)
     inside = (seen > 2).all(1) & (seen < np.array(whole.shape[::-1]) - 3).all(1)
     if inside.sum() < FEWEST:
-        raise FitError("the grid of dots lies outside the picture: give a picture that shows it whole")
-    box = pixel_box(seen[inside], whole.shape, _REACH)
+        raise FitError("the grid of dots lies outside the image: give an image that shows it whole")
+    box = pixel_box(seen[inside], whole.shape, _MARGIN)
     x, y = (seen[inside] - box[:2]).T
     return region_of(whole, box), DotLattice(x, y, *printed[inside].T)
 

@@ -24,13 +24,13 @@ class MTFSamples:
 
     Attributes:
         kind: target: "edge", "grating", "star" or "dots".
-        position: (x, y) of the target's middle in the picture, px; pixel centres on whole numbers, row 0 on top.
+        position: (x, y) of the target's middle in the image, px; pixel centres on whole numbers, row 0 on top.
         frequency: (n,) positive, cycles/px of the sensor's full grid, whatever plane of a mosaic was measured.
-        direction: (n,) direction of the frequency to the picture's rows, rad; x right, y down. direction + pi means the same.
+        direction: (n,) direction of the frequency to the image's rows, rad; x right, y down. direction + pi means the same.
         mtf: (n,) no unit.
-        covariance: (n, n) of `mtf`; errors that the samples share (levels, contrast, place) stand off the diagonal.
+        covariance: (n, n) of `mtf`; errors that the samples share (levels, contrast, position) stand off the diagonal.
         channel: "R", "G", "B", "Y" (luminance) or "grey". Default: "grey".
-        f_number: f-number of the picture (no unit). Default: None, not known.
+        f_number: f-number of the image (no unit). Default: None, not known.
         source: file and target, for messages and the profile's provenance. Default: "".
 
     Raises:
@@ -93,7 +93,7 @@ class MTFSamples:
             covariance: (n, n) of `mtf`.
 
         Returns:
-            The samples, placed in the whole picture.
+            The samples, placed in the whole image.
         """
         position = (float(place[0] + region.corner[0]), float(place[1] + region.corner[1]))
         return cls(

@@ -47,7 +47,7 @@ class StarMTF:
 
     Attributes:
         samples: MTF in four directions, up to 0.75 cycles/px, as far as the star goes.
-        centre: (x, y) in the picture, px.
+        centre: (x, y) in the image, px.
         centre_std: standard deviations of `centre`, px.
         cycles: number of the star's cycles.
         contrast: contrast of the print, stated or extrapolated to frequency 0 (no unit).
@@ -117,10 +117,10 @@ def star_mtf(
     Centre, cycles and perspective are found. Nothing is resampled, and the pixels of a mosaic are used as they lie.
 
     Args:
-        image: picture: a `LinearImage`, a `Photograph`, or an array as `LinearImage.of` takes it.
-        roi: region (x, y, width, height) that holds the star and little else, px. Default: None, all of the picture.
+        image: image: a `LinearImage`, a `Photograph`, or an array as `LinearImage.of` takes it.
+        roi: region (x, y, width, height) that holds the star and little else, px. Default: None, all of the image.
         star: the star as a chart describes it. Default: None, it is found. Give it with `projection`, instead of `roi`.
-        projection: map from the chart's page, mm, to the picture, px: a `Registration`. Default: None. Give it with `star`.
+        projection: map from the chart's page, mm, to the image, px: a `Registration`. Default: None. Give it with `star`.
         cycles: number of the star's cycles (no unit). Default: None, counted. Give it where the count fails.
         contrast: (bright - dark) / (bright + dark) of the print, linear (no unit). Default: None, the described star's own.
             Without description the MTF is then extrapolated to 1 at frequency 0, which loses what a wide halo takes.
@@ -129,7 +129,7 @@ def star_mtf(
         tone: tone curve, as in `LinearImage.of` (no unit). Default: "linear".
 
     Returns:
-        The MTF in four directions with its covariance, and the star's place.
+        The MTF in four directions with its covariance, and the star's position.
 
     Raises:
         ArgumentError: if an argument is out of range, or only one of `star` and `projection` is given.
@@ -171,7 +171,7 @@ def _expected_star(
     outer = projection(np.array(star.centre) + star.outer * rim)
     box = pixel_box(outer, shape, 2)
     if min(box[2:]) < SMALLEST or (outer.min(0) < -0.5).any() or (outer.max(0) > np.array(shape[::-1]) - 0.5).any():
-        raise FitError("the star lies outside the picture: give a picture that shows it whole")
+        raise FitError("the star lies outside the image: give an image that shows it whole")
     low = np.array(box[:2])
     centre = projection(np.array([star.centre]))[0] - low
     radii = np.linspace(max(star.inner, 0.2 * star.outer), star.outer, 6)
@@ -213,7 +213,7 @@ def _fit_star(values: FloatArray, found: FoundStar) -> tuple[WaveFit, tuple[floa
         edges = float(frequency[used].min()), float(frequency[used].max())
         fit = fit_wave(some, phase, parameters, partial(_basis, edges=edges), steps=4)
         if fit is None:
-            raise FitError("the star's pixels do not determine its MTF: it is too small in this picture")
+            raise FitError("the star's pixels do not determine its MTF: it is too small in this image")
         parameters = fit.parameters
         left = (some.value - fit.values).var() / some.value.var()
         # this part of a star has little blur: nearly all of the variance is the wave

@@ -80,15 +80,15 @@ def measure_targets(
     of the description.
 
     Args:
-        image: picture: a `LinearImage`, a `Photograph`, or an array as `LinearImage.of` takes it.
-        chart: what the picture shows.
-        registration: map from the chart's page, mm, to the picture, px. Default: None, it is found. Give it if it is known from
+        image: image: a `LinearImage`, a `Photograph`, or an array as `LinearImage.of` takes it.
+        chart: what the image shows.
+        registration: map from the chart's page, mm, to the image, px. Default: None, it is found. Give it if it is known from
             another channel.
         half_width: half the side of a pixel's sensitive area, in (0, 0.5] px. Default: 0.5. Only grids depend on it.
         cfa: colours of the first 2 x 2 px of a mosaic, as in `LinearImage.of` (no unit). Default: None.
         channel: colour, as in `LinearImage.of` (no unit). Default: None.
         tone: tone curve, as in `LinearImage.of` (no unit). Default: "linear".
-        f_number: f-number of the picture (no unit). Default: None, the image's own.
+        f_number: f-number of the image (no unit). Default: None, the image's own.
         source: name of the file; the samples' sources add the target to it (no unit). Default: "", the image's own.
 
     Returns:

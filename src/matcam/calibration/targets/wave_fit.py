@@ -1,12 +1,12 @@
-"""The fit of a printed wave to the pixels of a picture: light x (1 + modulation), with an approximately known phase.
+"""The fit of a printed wave to the pixels of an image: light x (1 + modulation), with an approximately known phase.
 
 A pixel at (x, y) is modelled as  L(x, y) [1 + sum_k c_k b_k(f, a) cos(h_k Phi(x, y; p))].  L is a polynomial (uneven
-light). Phi is the phase with a few parameters p (place, perspective, distortion). f and a are the phase's own local
+light). Phi is the phase with a few parameters p (position, perspective, distortion). f and a are the phase's own local
 frequency and direction, and b_k smooth functions of them. The camera multiplies a wave of frequency f along a by its
 MTF (docs/model.md 2): c b / contrast is that MTF, signed. Nothing is resampled or windowed, and pixels may be missing
 (mosaics). Aliased frequencies are identified correctly, because their phase is known.
 
-The Gauss-Newton method is used with variances from the model (docs/model.md 8). Gain and read noise of the picture come
+The Gauss-Newton method is used with variances from the model (docs/model.md 8). Gain and read noise of the image come
 from its residuals.
 """
 
@@ -22,7 +22,7 @@ from matcam.core.arrays import FloatArray
 from matcam.numerics.linalg import scaled_inverse
 from matcam.numerics.polynomials import plane_powers
 
-_ROUNDING = 1e-13  # relative to the mean square: smallest noise, because no picture is free of it
+_ROUNDING = 1e-13  # relative to the mean square: smallest noise, because no image is free of it
 _STEP = 1e-3  # px
 _DEGREE = 2  # of the light
 _WEIGHTED = 4  # steps after which the weights are those of the noise
@@ -47,7 +47,7 @@ class Phase(Protocol):
 
 
 class WavePixels(NamedTuple):
-    """Set of n pixels of a picture.
+    """Set of n pixels of an image.
 
     Attributes:
         value: (n,) linear light.

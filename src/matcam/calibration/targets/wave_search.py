@@ -1,11 +1,11 @@
-"""The search for printed waves, stars and gratings, in a region of a picture, and the phase of each at every pixel.
+"""The search for printed waves, stars and gratings, in a region of an image, and the phase of each at every pixel.
 
-Lines through a star's centre stay lines in any pinhole's picture, so brightness changes across them only. The centre is where
+Lines through a star's centre stay lines in any pinhole's image, so brightness changes across them only. The centre is where
 the pixels' gradients are all at right angles to the way there. The number of cycles is how often the phase turns along a ring,
 whatever perspective does to its speed. Perspective changes the azimuth by a linear map exactly. A lens's distortion adds a
 smooth displacement, of which second and third order are kept.
 
-A grating is the strongest peak of the region's spectrum. Its phase is a polynomial of the place.
+A grating is the strongest peak of the region's spectrum. Its phase is a polynomial of the position.
 """
 
 from __future__ import annotations
@@ -63,9 +63,9 @@ class StarPhase(NamedTuple):
         c, q = parameters[5:9], parameters[9:]
         uu, uv, vv = u * u, u * v, v * v  # general powers are slow
         square = np.maximum(uu + vv, 1e-12)
-        bent = uu * (c[0] * u + c[1] * v + q[0] * uu + q[1] * uv) + q[2] * uv * uv
-        bent += vv * (c[2] * u + c[3] * v + q[3] * uv + q[4] * vv)
-        return self.cycles * azimuth + turn + bent / square
+        displacement = uu * (c[0] * u + c[1] * v + q[0] * uu + q[1] * uv) + q[2] * uv * uv
+        displacement += vv * (c[2] * u + c[3] * v + q[3] * uv + q[4] * vv)
+        return self.cycles * azimuth + turn + displacement / square
 
     def parameters_through(
         self,
@@ -93,7 +93,7 @@ class StarPhase(NamedTuple):
 
 
 class FoundStar(NamedTuple):
-    """Star that was found in a picture.
+    """Star that was found in an image.
 
     Attributes:
         phase: its cycles and its outer radius, px.
@@ -159,15 +159,15 @@ def _centre(filled: FloatArray) -> tuple[float, float]:
     strength = np.minimum(length, np.quantile(length, 0.9)) ** 2
     at = np.array([(filled.shape[1] - 1) / 2, (filled.shape[0] - 1) / 2])
     normals, found = np.stack([nx.ravel(), ny.ravel()]), (nx * x + ny * y).ravel()
-    reach = max(filled.shape) / 3
+    scale = max(filled.shape) / 3
     for _ in range(_ROUNDS):
         # gradients in other directions (a rim, another target) get a lower weight
-        weight = strength.ravel() / (1 + ((found - at @ normals) / reach) ** 2) ** 2
+        weight = strength.ravel() / (1 + ((found - at @ normals) / scale) ** 2) ** 2
         normal = (normals * weight) @ normals.T
         if np.linalg.det(normal) <= 1e-12 * np.trace(normal) ** 2:
             raise FitError("region contains no Siemens star: its brightness changes in one direction only")
         at = np.linalg.solve(normal, normals @ (weight * found))
-        reach = max(reach * 0.7, 3.0)
+        scale = max(scale * 0.7, 3.0)
     if not (0 <= at[0] < filled.shape[1] and 0 <= at[1] < filled.shape[0]):
         raise FitError("region contains no Siemens star: its rays do not meet inside it")
     return float(at[0]), float(at[1])
@@ -206,22 +206,22 @@ def _rings(filled: FloatArray, centre: tuple[float, float]) -> list[_Ring]:
 class GratingPhase(NamedTuple):
     """Phase of a grating at pixels.
 
-    It is a polynomial of second (6 parameters) or third (10) order in the place.
+    It is a polynomial of second (6 parameters) or third (10) order in the position.
 
     Attributes:
         middle: (x, y) about which the phase is expanded, px.
-        reach: half the grating's extent, px.
+        half_extent: half the grating's extent, px.
         order: of the polynomial, 2 or 3.
     """
 
     middle: tuple[float, float]
-    reach: float
+    half_extent: float
     order: int
 
     @property
     def scale(self) -> FloatArray:
         """Return changes of the parameters that turn phases by 1 rad."""
-        return np.array([(_UNIT / self.reach) ** (i + j) for i, j in plane_orders(self.order)])
+        return np.array([(_UNIT / self.half_extent) ** (i + j) for i, j in plane_orders(self.order)])
 
     def at(self, parameters: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
         """Return the phase at px, rad."""
@@ -237,7 +237,7 @@ class GratingPhase(NamedTuple):
 
 
 class FoundGrating(NamedTuple):
-    """Grating that was found in a picture.
+    """Grating that was found in an image.
 
     Attributes:
         phase: the polynomial of its phase.
@@ -270,8 +270,8 @@ def find_grating(values: FloatArray, near: tuple[float, float] | None = None) ->
     frequency = _strongest(filled, near)
     if near is not None:
         shifts = np.stack(np.meshgrid([-2, -1, 0, 1, 2], [-2, -1, 0, 1, 2]), axis=-1).reshape(-1, 2)
-        alike = np.concatenate([shifts + frequency, shifts - frequency])
-        frequency = alike[np.argmin(np.hypot(*(alike - np.array(near)).T))]
+        aliases = np.concatenate([shifts + frequency, shifts - frequency])
+        frequency = aliases[np.argmin(np.hypot(*(aliases - np.array(near)).T))]
     y, x = np.indices(values.shape).astype(float)
     wave = np.exp(-2j * np.pi * (frequency[0] * x + frequency[1] * y))
     smooth = max(3.0, 0.8 / np.hypot(*_alias(frequency)))
