@@ -246,7 +246,7 @@ def test_what_a_photographer_should_know():
     assert "contrast is only 7%" in remarks(chart(0.5, snr=300, dark=0.87))
     codes = np.clip(even / 3000 * 255, 0, 255)
     codes[:, :300] = np.clip(even[:, :300] / 4300 * 255, 0, 255)
-    assert "edges are saturated, and left out" in remarks(codes.astype(np.uint8), tone="linear")
+    assert "edges are saturated and were excluded" in remarks(codes.astype(np.uint8), tone="linear")
 
     def sharpened(rows):
         part = even.copy()
@@ -265,11 +265,11 @@ def test_what_was_assumed_of_the_tone_curve(tmp_path):
     codes = 255 * np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
     (tmp_path / "a.png").write_bytes(png_encode(np.rint(codes).clip(0, 255).astype(np.uint8)))
     found = calibrate([tmp_path / "a.png"])
-    assert found.remarks == (Remark("tone-assumed", "a.png: 8 bits and no tone curve stated: sRGB assumed (--tone)"),)
+    assert found.remarks == (Remark("tone-assumed", "a.png: 8 bits and no tone curve specified: sRGB assumed (--tone)"),)
     assert found.channels["grey"].values[0] == pytest.approx(0.5, rel=0.01)
     assert calibrate([tmp_path / "a.png"], tone="srgb").remarks == ()
     (tmp_path / "b.png").write_bytes(png_encode((60000 * light).clip(0, 65535).astype(np.uint16)))
-    assert "16 bits and no tone curve stated: linear assumed" in calibrate([tmp_path / "b.png"]).remarks[0].text
+    assert "16 bits and no tone curve specified: linear assumed" in calibrate([tmp_path / "b.png"]).remarks[0].text
 
 
 # ---------------------------------------------------------------- what is refused

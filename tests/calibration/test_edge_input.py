@@ -216,7 +216,7 @@ def test_a_stack_says_which_edges_cannot_be_measured(clean):
     assert [problem and problem.code for problem in result.problems] == [None, "flat", None]
     assert result.good.tolist() == [0, 2]
     assert [edge.mtf50 for edge in result] == pytest.approx(result.mtf50, nan_ok=True)
-    assert result.to_dict()["problems"][1]["text"] == "region is all one value, 3: there is no edge in it"
+    assert result.to_dict()["problems"][1]["text"] == "region has only one value, 3: it contains no edge"
     planes = [LinearImage(clean, corner=(7, 9)), LinearImage(clean[:, ::-1])]
     placed = edge_mtf_stack(planes)
     assert placed.mtf50 == pytest.approx(result.mtf50[[0, 2]], rel=1e-9)

@@ -115,9 +115,9 @@ def test_many_edges_in_one_run(edge, photograph, tmp_path):
     ("text", "words"),
     [
         ("a,b\n", "no column x"),
-        ("x,y,width,height\n1,2,3\n", "line 2 is no region"),
-        ("x,y,width,height\n", "no region is in it"),
-        ("name,x,y,width,height\na,0,0,20,20\na,0,0,20,20\n", "the name a is there twice"),
+        ("x,y,width,height\n1,2,3\n", "line 2 is not a region"),
+        ("x,y,width,height\n", "it contains no region"),
+        ("name,x,y,width,height\na,0,0,20,20\na,0,0,20,20\n", "the name a occurs twice"),
     ],
 )
 def test_a_file_that_names_no_regions(edge, photograph, tmp_path, text, words):
