@@ -265,7 +265,9 @@ def test_what_was_assumed_of_the_tone_curve(tmp_path):
     codes = 255 * np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
     (tmp_path / "a.png").write_bytes(png_encode(np.rint(codes).clip(0, 255).astype(np.uint8)))
     found = calibrate([tmp_path / "a.png"])
-    assert found.remarks == (Remark("tone-assumed", "a.png: 8 bits and no tone curve specified: sRGB assumed (--tone)"),)
+    assert found.remarks == (
+        Remark("tone-assumed", "a.png: 8 bits and no tone curve specified: sRGB assumed (--tone)"),
+    )
     assert found.channels["grey"].values[0] == pytest.approx(0.5, rel=0.01)
     assert calibrate([tmp_path / "a.png"], tone="srgb").remarks == ()
     (tmp_path / "b.png").write_bytes(png_encode((60000 * light).clip(0, 65535).astype(np.uint16)))
