@@ -72,7 +72,7 @@ def test_a_plane_goes_through_unchanged():
     assert LinearImage.of(plane) is plane
     assert region_of(plane, (2, 4, 20, 30)).corner == (2, 4)
     for options in ({"channel": "G"}, {"cfa": "RGGB"}, {"tone": "srgb"}):
-        with pytest.raises(ArgumentError, match="those of the LinearImage already"):
+        with pytest.raises(ArgumentError, match="already specified by the LinearImage"):
             LinearImage.of(plane, **options)
 
 

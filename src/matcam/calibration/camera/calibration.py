@@ -1,4 +1,4 @@
-"""The calibration of a camera: every measurement of every photograph, in one fit per colour, judged and with its errors."""
+"""Calibration of a camera: one fit per colour to all measurements of all photographs, with standard deviations."""
 
 from __future__ import annotations
 
@@ -34,20 +34,22 @@ from matcam.files.photographs import Photograph, open_photograph
 if TYPE_CHECKING:
     import xarray as xr
 
-_REFERENCE = "G"  # the colour with the most sites
+_REFERENCE = "G"
+"""Colour with which the image size of the other colours is compared. It has the most sites in a mosaic."""
 Picture = str | Path | ArrayLike | Photograph | LinearImage
+"""Image as an argument of `calibrate`: file, array, `Photograph` or `LinearImage`."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Calibration(Summarised):
-    """Camera for every colour, and how it was found.
+    """Calibrated camera for every colour, with the fits and remarks.
 
     Attributes:
         channels: fits by channel: "R", "G", "B", "Y" or "grey".
-        failed: images that could not be used, and why.
-        remarks: what was assumed, and what a photographer should know.
+        failed: reasons by name for images that could not be used.
+        remarks: assumptions, and advice to the photographer.
         pictures: names of the images that were used.
-        lateral_colour: by how much red and blue are larger than green, by channel. Default: {}, not known.
+        lateral_colour: size of the red and of the blue image relative to green, by channel. Default: {}, not known.
         shape: height and width of the images, px. Default: None, they differ, or there are none.
 
     Example:
@@ -68,29 +70,26 @@ class Calibration(Summarised):
 
     @property
     def channel(self) -> str:
-        """Return the channel that represents the camera.
-
-        It is green, luminance or grey, whichever there is, or else the first.
-        """
+        """Channel that represents the camera: green, luminance or grey if available, otherwise the first."""
         return next((c for c in ("G", "Y", "grey") if c in self.channels), next(iter(self.channels)))
 
     @property
     def camera(self) -> Camera:
-        """Return the camera of `channel`."""
+        """Camera of `channel`."""
         return self.channels[self.channel].camera
 
     @property
     def cameras(self) -> dict[str, Camera]:
-        """Return the cameras by channel."""
+        """Cameras by channel."""
         return {name: found.camera for name, found in self.channels.items()}
 
     def edges_dataset(self) -> xr.Dataset:
-        """Return the measured edges of all channels in one data set.
+        """Convert the measured edges of all channels to one data set.
 
         Returns:
-            Place, direction, blur and MTF50 of each, with units. For images of one shape also the image height, its distance
-            from their middle, and the plane: an edge whose normal lies within 45 degrees of the radius shows the "meridional"
-            MTF, any other the "sagittal" one.
+            Position, direction, blur and MTF50 of each edge, with units. For images of one shape, also the image height
+            (distance from the middle) and the plane: the MTF is "meridional" if the normal of the edge is within 45 degrees
+            of the radius, otherwise "sagittal".
         """
         import xarray as xr
 
@@ -130,10 +129,10 @@ class Calibration(Summarised):
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the result as `matcam calibrate --json` prints it.
+        """Return the result as a JSON object, which `matcam calibrate --json` prints.
 
         Returns:
-            The fit of every channel, images, failures, and the remarks' texts.
+            The fit of every channel, images, failures, and the texts of the remarks.
         """
         return plain(
             {
@@ -162,41 +161,41 @@ def calibrate(
     cfa: str | None = None,
     accept_sharpened: bool = False,
 ) -> Calibration:
-    """Find a camera from images of slanted edges and other targets.
+    """Calibrate a camera with images of slanted edges and other targets.
 
-    An image that cannot be used is left out, and listed in `failed`.
+    Images that cannot be used are skipped, and listed in `failed`.
 
     Args:
-        pictures: files (8 or 16 bit TIFF, PNG, JPEG; OpenEXR; camera raw), arrays (height, width[, 3]) of linear values, or
-            `Photograph`s, or `LinearImage`s, each of one colour. All by one camera.
-        samples: measurements of gratings, stars, dots. Default: none.
-        chart: what the images show, or its file, which `matcam chart` writes. Default: None, slanted edges only. With it
-            gratings, stars and dots are measured, too.
-        model: lens (no unit): "gaussian" (the paper's sigma_mtf), "halo" (Gaussian core and veiling glare), "diffraction",
-            "defocus" (diffraction and defocus), "measured" (the edges' own mean curve, divided by the pixel).
-            Default: "gaussian".
-        half_width: half the side of a pixel's sensitive area, in (0, 0.5] px. Default: 0.5. None fits it together with a
-            Gaussian core, which takes many edges, and is refused where either is not known to 10 %.
-        wavelength: of the light, m, one or by channel. Default: None. "diffraction" and "defocus" need it; with
-            `half_width=None` it takes diffraction into account.
-        pixel_pitch: distance between pixels, m. Default: None. Needed with `wavelength`.
-        f_numbers: f-number of each image, or one for all (no unit). Default: None, the files' own.
-        tone: tone curve of images that are not linear by nature (no unit): "linear", "srgb", a gamma, or a table of linear
-            values by code. Default: "auto", 8-bit files are taken for sRGB, others for linear, and `remarks` says so.
-        channels: of "R", "G", "B", "Y" (luminance), "grey" (no unit). Default: None, all there are.
-        cfa: colours of the first 2 x 2 px, row by row, of mosaics whose files do not say so: "RGGB", "BGGR", "GRBG" or "GBRG".
-            The sites of each colour are samples as they are. Default: None, the files' own, or no mosaic (no unit).
-        accept_sharpened: measure edges that overshoot as sharpened ones do, and images that were denoised or compressed: lens
-            and software together (no unit). Default: False.
+        pictures: files (8 or 16 bit TIFF, PNG, JPEG; OpenEXR; camera raw), arrays (height, width[, 3]) of linear values,
+            `Photograph`s, or `LinearImage`s of one colour each. All must be taken with one camera.
+        samples: measurements of gratings, stars and dots. Default: none.
+        chart: description of the chart in the images, or its file, which `matcam chart` writes. With a chart, gratings, stars
+            and dots are also measured. Default: None, slanted edges only.
+        model: lens model (no unit): "gaussian" (the sigma_mtf of the paper), "halo" (Gaussian core and veiling glare),
+            "diffraction", "defocus" (diffraction and defocus), "measured" (mean MTF of the edges, divided by that of the
+            pixel). Default: "gaussian".
+        half_width: half the side of the sensitive area of a pixel, in (0, 0.5] px. None fits it together with a Gaussian
+            core, which requires many edges, and fails if either is not determined to 10 %. Default: 0.5.
+        wavelength: wavelength of the light, m, one value or a mapping by channel. It is required by "diffraction" and
+            "defocus". With `half_width=None`, diffraction is included if it is given. Default: None.
+        pixel_pitch: pixel pitch, m; required with `wavelength`. Default: None.
+        f_numbers: f-number of each image, or one for all (no unit). Default: None, those of the files.
+        tone: tone curve of images whose format is not linear (no unit): "linear", "srgb", a gamma, or a table of linear values
+            by code. Default: "auto": 8-bit files are assumed to be sRGB, others linear, which `remarks` reports.
+        channels: channels out of "R", "G", "B", "Y" (luminance), "grey" (no unit). Default: None, all available ones.
+        cfa: colours of the first 2 x 2 px, row by row, of mosaics whose files do not specify them: "RGGB", "BGGR", "GRBG" or
+            "GBRG" (no unit). Mosaics are not demosaiced. Default: None, those of the files, or no mosaic.
+        accept_sharpened: accept sharpened edges, and images that were denoised or compressed; the result is the MTF of lens
+            and processing (no unit). Default: False.
 
     Returns:
-        A camera for every colour with its uncertainty, how well it explains the edges, and remarks.
+        A camera for every colour with its uncertainty, the agreement with the edges, and remarks.
 
     Raises:
         ArgumentError: if an argument is out of range, or the images are of different cameras.
-        FitError: if measurements contradict one another, or do not determine what was asked; if there are edges only, fewer
-            than 8 or all in one direction, or more than 30 % of them sharpened or saturated.
-        MatcamError: the error of the first bad image, if there is no good one.
+        FitError: if measurements contradict one another, or do not determine the requested parameters. Without other targets,
+            also if there are fewer than 8 edges, all edges have one direction, or more than 30 % are sharpened or saturated.
+        MatcamError: the error of the first image, if no image can be used.
 
     Source:
         docs/model.md 7; docs/calibrate.md.
@@ -264,12 +263,12 @@ class _Pictures:
     """Measurements of all images, and the images that failed.
 
     Attributes:
-        findings: one for each colour of each image.
-        remarks: on all images.
+        findings: measurements of each colour of each image.
+        remarks: remarks on all images.
         used: names of the images that were used.
-        failed: why others were not, by name.
-        errors: the same, as errors.
-        cameras: first image of every camera, by the camera's name.
+        failed: reasons by name for the images that were not used.
+        errors: errors of the images that were not used.
+        cameras: first image of every camera, by the name of the camera.
     """
 
     findings: list[Finding] = field(default_factory=list)
@@ -280,10 +279,7 @@ class _Pictures:
     cameras: dict[str, str] = field(default_factory=dict)
 
     def add(self, picture: Any, name: str, f_number: float | None, plan: PicturePlan) -> None:
-        """Measure an image, or record its error.
-
-        `name` is used for an image that is not a file.
-        """
+        """Measure an image, or record its error. `name`: name of an image that is not a file."""
         if isinstance(picture, str | Path):
             name = str(picture)
         elif isinstance(picture, LinearImage):
@@ -312,9 +308,9 @@ class _Pictures:
             self.remarks += [Remark(remark.code, f"{short}: {remark.text}") for remark in remarks]
 
     def check(self) -> None:
-        """Raise an error if the images cannot give one camera.
+        """Raise an error if the images do not determine one camera.
 
-        ArgumentError: they are of different cameras. If none could be used, the error of the first image is raised.
+        ArgumentError if they are of different cameras. If no image could be used, the error of the first is raised.
         """
         if len(self.cameras) > 1:
             listed = ", ".join(f"{camera} ({file})" for camera, file in self.cameras.items())
@@ -324,7 +320,7 @@ class _Pictures:
             raise first if count == 1 else FitError(f"none of {count} images can be used; the first: {first}")
 
     def provenance(self, summary: str) -> Provenance:
-        """Return the provenance of a profile that is made from these images."""
+        """Create the provenance of a profile from these images."""
         return Provenance(
             source=f"{len(self.used)} images ({', '.join(self.used)}), {summary}",
             created=datetime.datetime.now(datetime.UTC).date().isoformat(),
@@ -334,10 +330,7 @@ class _Pictures:
 
 
 def _checked_f_numbers(f_numbers: Any, count: int) -> list[float | None]:
-    """Return one f-number for each image.
-
-    None selects the f-number in the file.
-    """
+    """List one f-number for each image; None selects the f-number in the file."""
     if f_numbers is None:
         return [None] * count
     numbers = np.asarray(checks.within("f_numbers", f_numbers, 0.3, 200.0), dtype=float)

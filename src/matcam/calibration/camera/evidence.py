@@ -1,4 +1,4 @@
-"""The measurements for a camera: those of each photograph by colour, and all of one colour."""
+"""Collection of the measurements for a camera: for each photograph by colour, and for one colour of all photographs."""
 
 from __future__ import annotations
 
@@ -31,26 +31,28 @@ from matcam.core.remark import Remark
 from matcam.files.photographs import Photograph
 
 LensAt = Callable[[float | None], LensModel]
-"""The family of lenses in an image taken at an f-number, None if that is not known."""
+"""Lens model of an image as a function of its f-number, which is None if it is not known."""
 
-_MARGIN = 6  # px about a grating or star, where its blur is
-_LEAST_STD = 1e-4  # of an MTF value: no edge outweighs the others by more
+_MARGIN = 6
+"""Margin around a grating or star that includes its blur, px."""
+_LEAST_STD = 1e-4
+"""Smallest standard deviation of an MTF value in a mean. It limits the weight of a single edge."""
 
 
 class EdgeTable(NamedTuple):
     """Results of n edges over the field.
 
     Attributes:
-        x: (n,) px, of the middle.
-        y: (n,) px.
+        x: (n,) x of the middle, px.
+        y: (n,) y of the middle, px.
         angle: (n,) direction of the normal towards the bright side, rad.
-        sigma: (n,) standard deviation of each edge's own Gaussian lens, px.
-        sigma_std: (n,) its standard deviation, px.
-        mtf50: (n,) cycles/px, free of a model.
-        mtf50_std: (n,) its standard deviation, cycles/px.
-        mtf: (n, 81) MTF at `free_fit.FREQUENCIES`, free of a model.
-        mtf_std: (n, 81) its standard deviation.
-        source: (n,) names of images.
+        sigma: (n,) lens width from the Gaussian fit of each edge, px.
+        sigma_std: (n,) standard deviation of `sigma`, px.
+        mtf50: (n,) model-free MTF50, cycles/px.
+        mtf50_std: (n,) standard deviation of `mtf50`, cycles/px.
+        mtf: (n, 81) model-free MTF at `free_curve.FREQUENCIES`.
+        mtf_std: (n, 81) standard deviation of `mtf`.
+        source: (n,) names of the images.
 
     Example:
         >>> one, mtf = np.ones(4), np.full((4, 81), 0.5)
@@ -83,7 +85,7 @@ class EdgeTable(NamedTuple):
     def over_field(self, middle: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
         """Compute distances from the middle, and find meridional edges.
 
-        An edge whose normal lies within 45 degrees of the radius shows the meridional MTF, any other the sagittal one.
+        The MTF of an edge is meridional if its normal is within 45 degrees of the radius, otherwise sagittal.
 
         Args:
             middle: (x, y) of the middle of the image, px.
@@ -95,7 +97,7 @@ class EdgeTable(NamedTuple):
         return np.hypot(x, y), np.abs(np.cos(self.angle - np.arctan2(y, x))) > np.sqrt(0.5)
 
     def of_source(self, source: str) -> EdgeTable:
-        """Return the edges of one image.
+        """Select the edges of one image.
 
         Args:
             source: name of the image.
@@ -104,19 +106,13 @@ class EdgeTable(NamedTuple):
 
     @property
     def weights(self) -> np.ndarray:
-        """Return the weights (n, 81) of the edges in their mean MTF.
-
-        They go by the variances, and their sum is 1.
-        """
+        """Weights (n, 81) of the edges in their mean MTF: inverse variances, normalised to a sum of 1."""
         weight = 1 / np.maximum(self.mtf_std, _LEAST_STD) ** 2
         return weight / weight.sum(0)
 
     @property
     def spread(self) -> float:
-        """Return the relative standard deviation of sigma beyond its noise.
-
-        It is 0 where noise explains the scatter of the edges.
-        """
+        """Relative standard deviation of sigma beyond its noise; 0 if noise explains the scatter of the edges."""
         if self.x.size < 3:
             return 0.0
         relative = self.sigma_std / self.sigma
@@ -127,13 +123,13 @@ class EdgeTable(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class MeanCurve:
-    """Mean MTF of all edges, and a camera's.
+    """Mean MTF of all edges, and the MTF of a camera.
 
     Attributes:
-        frequency: (81,) cycles/px.
-        mtf: (81,) mean of the edges, free of a model; NaN without edges.
-        mtf_std: (81,) its standard deviation; NaN without edges.
-        camera_mtf: (81,) mean of the camera's in the edges' directions; along the rows without edges.
+        frequency: (81,) frequencies, cycles/px.
+        mtf: (81,) model-free mean of the edges; NaN without edges.
+        mtf_std: (81,) standard deviation of `mtf`; NaN without edges.
+        camera_mtf: (81,) mean MTF of the camera in the directions of the edges; along the rows without edges.
 
     Example:
         >>> f = np.linspace(0, 1, 5)
@@ -149,10 +145,7 @@ class MeanCurve:
 
     @property
     def misfit(self) -> tuple[float, float]:
-        """Return the largest difference below Nyquist, and its standard deviation.
-
-        Both are NaN without edges.
-        """
+        """Largest difference below Nyquist, and its standard deviation; both are NaN without edges."""
         off = np.abs(self.mtf - self.camera_mtf)
         below = (self.frequency > 0) & (self.frequency <= 0.5)
         worst = int(np.argmax(np.where(below, off, -1)))
@@ -160,17 +153,17 @@ class MeanCurve:
 
 
 class Finding(NamedTuple):
-    """Measurements of one colour from one image or from the caller.
+    """Measurements of one colour, from one image or provided by the caller.
 
     Attributes:
         channel: "R", "G", "B", "Y" or "grey".
         source: name of the image.
         f_number: f-number of the image; None if it is not known.
-        edges: its edges; None if there are none.
-        samples: MTF values of its other targets.
-        dots: positions of its grids' dots, page and image.
-        shape: height and width of the image, px; None: there is no image.
-        software: what software did to the image; None: there is no image.
+        edges: measured edges; None if there are none.
+        samples: MTF values of other targets.
+        dots: positions of dots on the page and in the image.
+        shape: height and width of the image, px; None if there is no image.
+        software: processing of the image; None if there is no image.
     """
 
     channel: str
@@ -197,14 +190,14 @@ class PicturePlan:
     def measure(
         self, picture: Photograph | LinearImage, name: str, f_number: float | None
     ) -> tuple[list[Finding], list[Remark]]:
-        """Measure an image by colour, and return the findings and remarks.
+        """Measure each colour of an image; return the measurements and remarks.
 
-        FitError if nothing in it can be measured, or the chart is not in it.
+        FitError if nothing can be measured, or the chart is not found.
         """
         mosaic = (self.cfa or picture.cfa) is not None
         if isinstance(picture, LinearImage):
             if self.cfa is not None:
-                raise ArgumentError("cfa is that of the LinearImage already: leave it out")
+                raise ArgumentError("cfa is already specified by the LinearImage: omit it")
             planes: Iterable[LinearImage] = [replace(picture, source=name, f_number=f_number)]
             values, mosaic = (smoothed(picture.values) if mosaic else picture.values), False
         else:
@@ -218,7 +211,7 @@ class PicturePlan:
             refuse_unnamed_mosaic(plane)
             remarks = remarks or list(plane.remarks)
             if self.chart is not None and registration is None:
-                # The colours matter only for the blur: all pixels of a mosaic are used to find the chart.
+                # All pixels of a mosaic are used to find the chart, because its position hardly depends on the colour.
                 seen = balanced(values) if mosaic else plane.values
                 registration = register_chart(seen, self.chart)
                 edges = described_edges(seen, self.chart, registration)
@@ -250,7 +243,7 @@ class PicturePlan:
 
 
 def _without_waves(plane: LinearImage, chart: Chart | None, registration: Projection) -> LinearImage:
-    """Return a plane without gratings and stars: their finest waves would raise the noise estimate."""
+    """Remove gratings and stars from a plane, because their finest waves would increase the noise estimate."""
     values, turn = plane.values.copy(), np.linspace(0, 2 * np.pi, 33)
     rim = np.stack([np.cos(turn), np.sin(turn)], axis=-1)
     for element in chart.elements if chart is not None else ():
@@ -262,7 +255,7 @@ def _without_waves(plane: LinearImage, chart: Chart | None, registration: Projec
 
 
 def _nothing_measured(chart: Chart, registration: Projection) -> FitError:
-    """Explain why a chart that was found could not be measured."""
+    """Create the error for a chart that was found, but could not be measured."""
     width, height = chart.page
     ends = registration(np.array([[0.0, height / 2], [width, height / 2]]))
     across = float(np.hypot(*(ends[1] - ends[0])))
@@ -273,7 +266,7 @@ def _nothing_measured(chart: Chart, registration: Projection) -> FitError:
 
 
 def dot_places(chart: Chart, targets: Targets) -> tuple[BlurPlaces, ...]:
-    """Return the positions of all measured dots in the image and on the page, from the registration."""
+    """List the positions of all measured dots in the image and on the page, assigned with the registration."""
     printed = [np.array(one.centres, dtype=float) for one in chart.elements if isinstance(one, Dots)]
     if not printed or not targets.grids:
         return ()
@@ -287,15 +280,12 @@ def dot_places(chart: Chart, targets: Targets) -> tuple[BlurPlaces, ...]:
 
 
 def _group(samples: MTFSamples) -> str:
-    """Return the name of a target with its kind."""
+    """Format the name of a target with its kind."""
     return f"{samples.source} ({samples.kind})" if samples.source else samples.kind
 
 
 class Evidence:
-    """All findings on one colour.
-
-    Edges come first, as in the joint fit.
-    """
+    """All measurements of one colour. Edges are listed first, as in the joint fit."""
 
     def __init__(self, findings: Iterable[Finding]) -> None:
         self._findings = findings = tuple(findings)
@@ -306,23 +296,23 @@ class Evidence:
 
     @property
     def f_numbers(self) -> list[float | None]:
-        """Return the f-number of every measurement's image."""
+        """F-number of the image of every measurement."""
         return [f_number for _, _, f_number in self._stacks] + [s.f_number for s in self._samples]
 
     def check(self, channel: str, *, accept_sharpened: bool) -> list[Remark]:
-        """Return remarks on edges that were left out.
+        """List remarks on edges that were excluded.
 
-        FitError if edges are the only measurements and too few for a camera.
+        FitError if edges are the only measurements, and insufficient for a camera.
         """
         edges = [stack for stack, _, _ in self._stacks]
         if edges and not self._samples:
             refuse_too_few(edges, channel, accept_sharpened=accept_sharpened)
         lost = sum(problem is not None and problem.code == "no-consensus" for e in edges for problem in e.problems)
-        text = f"{channel}: {lost} edges disagree with all others, and are left out"
+        text = f"{channel}: {lost} edges disagree with the others and were excluded"
         return [Remark("no-consensus", text)] if lost else []
 
     def measurements(self, lens_at: LensAt) -> Measurements:
-        """Return all measurements in the form of the joint fit."""
+        """Convert all measurements to the form of the joint fit."""
         groups = [f"{source} (edges)" for edges, source, _ in self._stacks for _ in edges.good]
         groups += [_group(samples) for samples in self._samples]
         return Measurements(
@@ -333,30 +323,30 @@ class Evidence:
         )
 
     def _replaceable(self) -> frozenset[str]:
-        """Return the groups of targets in images that also have edges, which are more reliable."""
+        """List the groups of targets in images that also have edges, which are more reliable."""
         seen = {source for edges, source, _ in self._stacks if edges.good.size}
         own = [s for f in self._findings if f.shape is not None and f.source in seen for s in f.samples]
         return frozenset(_group(s) for s in own)
 
     @property
     def software(self) -> list[Processed]:
-        """Return the processing that was found in the images."""
+        """Processing that was found in the images."""
         return [f.software for f in self._findings if f.software is not None]
 
     def field(self) -> LensField | None:
-        """Return the change of the lens over the field from edges and dots, or None if it is unknown."""
+        """Estimate the change of the lens over the field from edges and dots; None if it is unknown."""
         shapes = {f.shape for f in self._findings if f.shape is not None}
         if len(shapes) != 1:
             return None
         places, edges = [one for f in self._findings for one in f.dots], self.table()
-        # Images with other apertures have another blur.
+        # Each image is a group of its own, because the blur depends on the aperture.
         if edges is not None:
             pictures = map(edges.of_source, dict.fromkeys(edges.source.tolist()))
             places += [BlurPlaces(np.column_stack([of.x, of.y]), of.sigma, of.sigma_std) for of in pictures]
         return lens_over_field(places, *shapes)
 
     def table(self) -> EdgeTable | None:
-        """Return all edges without problems; None if there are no edges."""
+        """Collect all edges without problems; None if there are no edges."""
         tables = []
         for edges, source, _ in self._stacks:
             fit, good = edges.parametric, edges.good

@@ -75,9 +75,9 @@ def measure_targets(
 ) -> Targets:
     """Find a chart, and measure its gratings, stars and dots.
 
-    Squares are measured by `edge_mtf` and `calibrate`. Targets that cannot be measured are listed in `problems`. The contrast of
-    stars and gratings is that of the print, which is measured with the tone patches of the chart. If the patches are covered,
-    the contrast of the description is used.
+    Squares are measured by `edge_mtf` and `calibrate`. Targets that cannot be measured are listed in `problems`. The
+    contrast of stars and gratings is that of the print, which is measured with the tone patches of the chart. If the patches
+    are covered, the contrast of the description is used.
 
     Args:
         image: `LinearImage`, `Photograph`, or array as in `LinearImage.of`.
