@@ -151,7 +151,7 @@ def refused(clean, noisy):
     along, diagonal = (oracle.picture(oracle.gaussian(0.5, a)) * ELECTRONS for a in (1e-9, 45))
     return {
         "noise alone": (rng.poisson(5000, (160, 80)).astype(float), {}, FitError, "edge"),
-        "flat": (np.full((160, 80), 7.0), {}, FitError, "all one value, 7"),
+        "flat": (np.full((160, 80), 7.0), {}, FitError, "only one value, 7"),
         "nothing": (np.full((160, 80), np.nan), {}, FitError, "0 usable samples"),
         "along the grid": (along, {}, FitError, "phases are missing: an edge at 0.0 degrees"),
         "diagonal": (diagonal, {}, FitError, "phases are missing: an edge at 45.0 degrees"),
