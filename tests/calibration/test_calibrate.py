@@ -89,7 +89,7 @@ def test_a_mosaic_is_read_as_grey_by_nobody():
         calibrate([codes])
     with pytest.raises(ArgumentError, match="cfa is for a mosaic"):
         calibrate([np.stack([codes] * 3, -1)], cfa="GBRG")
-    with pytest.raises(ArgumentError, match="cfa is that of the LinearImage already"):
+    with pytest.raises(ArgumentError, match="cfa is already specified by the LinearImage"):
         calibrate([LinearImage(codes.astype(float))], cfa="GBRG")
 
 
@@ -253,7 +253,7 @@ def test_what_a_photographer_should_know():
         part[:rows] += 1.0 * (even - gaussian_filter(even, 1.0))[:rows]
         return part
 
-    assert "overshoot as sharpened ones do" in remarks(sharpened(70))
+    assert "overshoot, as after sharpening" in remarks(sharpened(70))
     # where most are sharpened, the others are no sample of the lens
     assert "are sharpened, crushed or saturated" in refusal(sharpened(200))
 

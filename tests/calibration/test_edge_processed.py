@@ -210,7 +210,10 @@ def test_noise_of_flat_parts():
     assert noise.tilt == pytest.approx(0.25, abs=0.03)
     assert noise.variance == pytest.approx((1150, 4600), rel=0.1)
     assert not any((noise.smoothed, noise.denoised, noise.compressed, noise.tone_curve_suspected))
-    assert flat_noise(np.full((40, 40), 3.0), np.ones((40, 40), bool), np.zeros((40, 40), bool)).neighbour_ratio_std == np.inf
+    assert (
+        flat_noise(np.full((40, 40), 3.0), np.ones((40, 40), bool), np.zeros((40, 40), bool)).neighbour_ratio_std
+        == np.inf
+    )
 
 
 def compressed(rng, snr, quality):

@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 
 from matcam.calibration.camera.consensus import in_consensus, refuse_too_few
 from matcam.calibration.camera.joint_fit import Measurements, edge_measurements, value_measurements
-from matcam.calibration.camera.lens_over_field import BlurPlaces, lens_over_field
+from matcam.calibration.camera.lens_over_field import BlurSamples, lens_over_field
 from matcam.calibration.camera.processed_pictures import Processed, processed
 from matcam.calibration.chart.chart import Chart, Dots, Grating, Star
 from matcam.calibration.chart.marks import balanced
@@ -171,7 +171,7 @@ class Finding(NamedTuple):
     f_number: float | None
     edges: EdgeStack | None
     samples: tuple[MTFSamples, ...]
-    dots: tuple[BlurPlaces, ...] = ()
+    dots: tuple[BlurSamples, ...] = ()
     shape: tuple[int, int] | None = None
     software: Processed | None = None
 
@@ -220,14 +220,16 @@ class PicturePlan:
             remarks += [Remark(r.code, f"{plane.channel}: {r.text}") for r in software.remarks]
             result: EdgeStack | None = None
             samples: tuple[MTFSamples, ...] = ()
-            dots: tuple[BlurPlaces, ...] = ()
+            dots: tuple[BlurSamples, ...] = ()
             if self.chart is not None:
                 targets = measure_targets(plane, self.chart, registration=registration, half_width=self.half_width)
                 samples = targets.samples
-                dots = dot_places(self.chart, targets)
+                dots = dot_positions(self.chart, targets)
                 assumed = any(remark.code == "tone-assumed" for remark in plane.remarks)
-                said = [targets.printed.remark(assumed=assumed)] if targets.printed is not None else []
-                remarks += [Remark(r.code, f"{plane.channel}: {r.text}") for r in (*targets.problems, *said) if r]
+                printed_remarks = [targets.printed.remark(assumed=assumed)] if targets.printed is not None else []
+                remarks += [
+                    Remark(r.code, f"{plane.channel}: {r.text}") for r in (*targets.problems, *printed_remarks) if r
+                ]
             if edges is not None:
                 try:
                     result = plane_edge_stack(plane, edges, self.half_width, accept_sharpened=self.accept_sharpened)
@@ -265,7 +267,7 @@ def _nothing_measured(chart: Chart, registration: Projection) -> FitError:
     )
 
 
-def dot_places(chart: Chart, targets: Targets) -> tuple[BlurPlaces, ...]:
+def dot_positions(chart: Chart, targets: Targets) -> tuple[BlurSamples, ...]:
     """List the positions of all measured dots in the image and on the page, assigned with the registration."""
     printed = [np.array(one.centres, dtype=float) for one in chart.elements if isinstance(one, Dots)]
     if not printed or not targets.grids:
@@ -276,7 +278,7 @@ def dot_places(chart: Chart, targets: Targets) -> tuple[BlurPlaces, ...]:
     for grid in targets.grids:
         seen = np.column_stack([grid.x, grid.y])
         places.append((seen, grid.sigma, grid.sigma_std, page[expected.query(seen)[1]]))
-    return (BlurPlaces(*(np.concatenate(column) for column in zip(*places, strict=True))),)
+    return (BlurSamples(*(np.concatenate(column) for column in zip(*places, strict=True))),)
 
 
 def _group(samples: MTFSamples) -> str:
@@ -342,7 +344,7 @@ class Evidence:
         # Each image is a group of its own, because the blur depends on the aperture.
         if edges is not None:
             pictures = map(edges.of_source, dict.fromkeys(edges.source.tolist()))
-            places += [BlurPlaces(np.column_stack([of.x, of.y]), of.sigma, of.sigma_std) for of in pictures]
+            places += [BlurSamples(np.column_stack([of.x, of.y]), of.sigma, of.sigma_std) for of in pictures]
         return lens_over_field(places, *shapes)
 
     def table(self) -> EdgeTable | None:

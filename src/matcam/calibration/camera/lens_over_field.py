@@ -25,7 +25,7 @@ _MODEL = 0.02
 """Relative standard deviation of k1, because one coefficient about the image centre only approximates the distortion."""
 
 
-class BlurPlaces(NamedTuple):
+class BlurSamples(NamedTuple):
     """Lens width at n positions in the image.
 
     Attributes:
@@ -41,7 +41,7 @@ class BlurPlaces(NamedTuple):
     printed: np.ndarray | None = None
 
 
-def lens_over_field(places: Sequence[BlurPlaces], shape: tuple[int, int]) -> LensField | None:
+def lens_over_field(places: Sequence[BlurSamples], shape: tuple[int, int]) -> LensField | None:
     """Estimate the distortion and the growth of the blur over the field; None if neither was measured.
 
     Args:
@@ -68,7 +68,7 @@ def lens_over_field(places: Sequence[BlurPlaces], shape: tuple[int, int]) -> Len
     return LensField(middle, unit, k1, growth=growth or Coefficient(), holds_at=holds_at)
 
 
-def _growth(groups: Sequence[BlurPlaces], middle: np.ndarray, unit: float) -> tuple[Coefficient | None, float]:
+def _growth(groups: Sequence[BlurSamples], middle: np.ndarray, unit: float) -> tuple[Coefficient | None, float]:
     """Estimate the relative growth of the blur with rho^2, and the distance from the centre to which it refers, px."""
     if not groups:
         return None, 0.0

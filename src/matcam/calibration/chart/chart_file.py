@@ -137,6 +137,7 @@ def chart_schema() -> dict[str, Any]:
     return schema
 
 
+# Types of the fields in the file.
 _Positive = Annotated[FiniteFloat, Field(gt=0)]
 _Level = Annotated[FiniteFloat, Field(ge=0, le=1)]
 _Point = Annotated[list[FiniteFloat], Field(min_length=2, max_length=2)]
@@ -184,7 +185,9 @@ def _model_of(printed: type, **more: Any) -> Any:
 
 
 _CLASSES: dict[str, type] = {one.__name__.lower(): one for one in get_args(Element)}
+"""Classes of elements by their kind in the file."""
 _ELEMENTS: Any = tuple(_model_of(one, kind=Literal[kind]) for kind, one in _CLASSES.items())
+"""Pydantic models of all kinds of elements."""
 _Document = _model(
     "Document",
     {

@@ -44,8 +44,8 @@ _CLEAR = 0.5
 """Smallest agreement with the printed elements if only four marks are found."""
 _LEVEL = 0.5
 """Level below which squares and patches are used for the comparison with the image."""
-_MOST_PLACES = 150
-"""Largest number of squares and patches in the comparison with the image, approximately."""
+_MOST_ELEMENTS = 150
+"""Approximate largest number of squares and patches in the comparison with the image."""
 
 
 class Mark(NamedTuple):
@@ -256,7 +256,7 @@ def _best(found: list[_Views]) -> _Views:
 def _shown(chart: Chart, view: FloatArray, barrel: float, smooth: FloatArray, middle: FloatArray, unit: float) -> float:
     """Compute the agreement of a view with the image: 1 if all dark elements are on bright paper, about 0 by chance."""
     dark = [e for e in chart.elements if isinstance(e, Square | Patch) and e.level < _LEVEL]
-    dark = dark[:: max(1, len(dark) // _MOST_PLACES)]
+    dark = dark[:: max(1, len(dark) // _MOST_ELEMENTS)]
     if not dark:
         return 0.0
     corners = np.array([element.corners for element in dark])

@@ -25,7 +25,7 @@ from matcam.core.errors import ArgumentError, FitError
 Projection = Callable[[FloatArray], FloatArray]
 """Map from positions on the page (n, 2), mm, to positions in the image (n, 2), px: a `Registration` or any function."""
 
-_FEWEST_PLACES = 12
+_FEWEST_POSITIONS = 12
 """Smallest number of positions for an estimate of the distortion, which has nine parameters."""
 _WORST = 3.0
 """Largest root mean square residual in an image of up to 1000 px, px. It increases with larger images."""
@@ -170,8 +170,10 @@ def radial_distortion(places: FloatArray, seen: FloatArray, shape: tuple[int, ..
     Raises:
         FitError: there are fewer than 12 positions, or they do not determine the pose of the page.
     """
-    if len(places) < _FEWEST_PLACES:
-        raise FitError(f"{len(places)} positions do not determine the distortion; at least {_FEWEST_PLACES} are needed")
+    if len(places) < _FEWEST_POSITIONS:
+        raise FitError(
+            f"{len(places)} positions do not determine the distortion; at least {_FEWEST_POSITIONS} are needed"
+        )
     middle, spread = places.mean(0), max(float(np.ptp(places, axis=0).max()), 1e-300)
     at, used = (places - middle) / spread, np.ones(len(places), bool)
     for _ in range(3):
@@ -187,7 +189,7 @@ def radial_distortion(places: FloatArray, seen: FloatArray, shape: tuple[int, ..
         fit = least_squares(lambda p: off(p)[used].ravel(), start / size, x_scale="jac")  # noqa: B023
         left = np.hypot(*off(fit.x).T)
         good = left < 4 * max(float(np.median(left[used])), 1e-9)
-        if good.sum() < _FEWEST_PLACES or np.array_equal(good, used):
+        if good.sum() < _FEWEST_POSITIONS or np.array_equal(good, used):
             break
         used = good
     variance = 2 * fit.cost / max(fit.fun.size - fit.x.size, 1)

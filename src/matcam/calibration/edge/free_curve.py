@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 PAIRS = 7
 """Number of pairs of basis functions in the core. With a spacing of 0.6 s they extend to 3.9 s on both sides."""
-PLACES = 0.6 * (np.arange(PAIRS) + 0.5)
+CENTRES = 0.6 * (np.arange(PAIRS) + 0.5)
 """Centres of the basis functions of the core, in units of s."""
 GHOSTS = np.arange(PAIRS, PAIRS + 3)
 """Indices of the ghost coefficients, both among the even and among the odd coefficients."""
@@ -257,7 +257,7 @@ def _bumps(shape: CoreShape) -> tuple[jax.Array, jax.Array]:
     s = line_width(shape)
     ghosts = shape.apart + GHOST_STEP * s * xp.arange(GHOSTS.size)
     widths = xp.concatenate([xp.full(PAIRS, _WIDTH), xp.full(GHOSTS.size, GHOST_WIDTH)])
-    return xp.concatenate([xp.asarray(PLACES) * s, ghosts]), widths * s
+    return xp.concatenate([xp.asarray(CENTRES) * s, ghosts]), widths * s
 
 
 def _step(t: jax.Array) -> jax.Array:

@@ -21,13 +21,13 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from matcam.calibration.edge.free_curve import (
+    CENTRES,
     EVEN,
     GHOST_STEP,
     GHOST_WIDTH,
     GHOSTS,
     GLARE,
     ODD,
-    PLACES,
     CoreShape,
     FreeCurve,
     edge_basis,
@@ -61,7 +61,7 @@ _PRIOR_GHOST = 0.3
 """Prior standard deviation of the coefficients of a ghost, relative to the step."""
 _FIRST_GHOST, _LAST_GHOST, _FURTHEST = 2.2, 6.0, 8.0
 """Range of distances in which ghosts are searched: from 2.2 s to 6 s or 8 px, whichever is larger."""
-_GHOST_PLACES, _GHOST_ROOM = 24, 0.3
+_GHOST_DISTANCES, _GHOST_ROOM = 24, 0.3
 """Number of distances at which a ghost is tested, and the largest distance relative to the width of the region."""
 _MISFIT = 2e-4
 """Standard deviation of the approximation by basis functions of 0.6 s, relative to the step.
@@ -212,7 +212,7 @@ def ghost_found(fit: LinearFit, known: jax.Array) -> tuple[jax.Array, jax.Array]
     beside = fit.solved(changed(fit.columns, _COLUMN, xp.where(rise > FOUND, _column(fit, log_radius), 0.0)))
     first = _FIRST_GHOST * line_width(fit.shape)
     last = xp.minimum(xp.maximum(_LAST_GHOST * line_width(fit.shape), _FURTHEST), _GHOST_ROOM * _width(fit.cells))
-    places = xp.linspace(first, last, _GHOST_PLACES)
+    places = xp.linspace(first, last, _GHOST_DISTANCES)
 
     columns = _ghosts(beside, places)
     weighted = columns * beside.weight
@@ -402,7 +402,7 @@ LIGHTS = _lights()
 
 def _precisions() -> np.ndarray:
     """Compute the precisions of the priors (p,); levels, light and the position of the edge have no prior."""
-    core, ghosts = _PRIOR * np.exp(-((PLACES / _PRIOR_RANGE) ** 2) / 2), np.full(GHOSTS.size, _PRIOR_GHOST)
+    core, ghosts = _PRIOR * np.exp(-((CENTRES / _PRIOR_RANGE) ** 2) / 2), np.full(GHOSTS.size, _PRIOR_GHOST)
     odd = np.minimum(core, _PRIOR_ODD)
     even = np.concatenate([core, ghosts, [_PRIOR_TAIL, _PRIOR_GLARE]])
     return np.concatenate([np.zeros(_LEVELS), even**-2, odd**-2, ghosts**-2, [0.0]])

@@ -39,6 +39,7 @@ MISFIT = 0.002
 _SIGNIFICANT = 5.0
 """Number of standard deviations that a significant overshoot exceeds."""
 _ANYTHING = "it may contain a ghost, a second edge, the border of a shadow or dirt"
+"""Possible causes of a misfit, for a message about an edge whose content is unknown."""
 _BY, _STEEP, _ABOVE = 1.0, 0.3, 4.0
 """Search for steps: smoothing, px; smallest slope relative to the steepest one, and in standard deviations."""
 _UNLIKE, _ENDS = 1.5, 0.05

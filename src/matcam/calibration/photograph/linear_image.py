@@ -177,7 +177,7 @@ class LinearImage:
         if isinstance(tone, str) and tone == "auto":
             tone, remarks = assumed_tone(photograph, mosaic=mosaic is not None)
         if photograph.cfa is not None and not is_linear(tone):
-            raise ArgumentError("camera raw is linear: it has no tone curve to be undone")
+            raise ArgumentError("camera raw is linear and has no tone curve: omit tone")
         if codes.ndim == 3:
             if mosaic is not None:
                 shape = photograph.values.shape
@@ -185,9 +185,7 @@ class LinearImage:
             channel = checks.choice("channel", channel or "Y", ("R", "G", "B", "Y"))
         elif mosaic is None:
             if channel not in (None, "grey"):
-                raise ArgumentError(
-                    f"channel {channel!r} asks for a colour of a grey image: give cfa if it is a mosaic"
-                )
+                raise ArgumentError(f"channel {channel!r} selects a colour of a grey image: give cfa if it is a mosaic")
             channel = "grey"
         else:
             sites_of(mosaic, channel)  # raises an error for an invalid channel before the image is linearised
@@ -316,7 +314,7 @@ def planes_of(
         if channel not in there and not (channel == "Y" and photograph.values.ndim == 3):
             raise ArgumentError(f"channel {channel!r} is not in this image; it has {', '.join(there)}")
     if photograph.cfa is not None and not is_linear(tone) and not (isinstance(tone, str) and tone == "auto"):
-        raise ArgumentError("camera raw is linear: it has no tone curve to be undone")
+        raise ArgumentError("camera raw is linear and has no tone curve: omit tone")
     names = there if channels is None else channels
     return (LinearImage.of(photograph, name, cfa, tone, f_number=f_number, source=source) for name in names)
 

@@ -54,7 +54,7 @@ _STRAIGHT = 0.7
 """Largest standard deviation of these positions from a straight line, px."""
 
 
-class EdgePlaces(NamedTuple):
+class EdgePositions(NamedTuple):
     """Set of n edges in descending order of length times step.
 
     Positions are in px of the image; pixel centres are whole numbers, x points right, and y down.
@@ -74,7 +74,7 @@ class EdgePlaces(NamedTuple):
     clear: np.ndarray
 
 
-def find_edges(picture: np.ndarray, *, mosaic: bool = False) -> EdgePlaces:
+def find_edges(picture: np.ndarray, *, mosaic: bool = False) -> EdgePositions:
     """Find straight edges in an image with any monotone codes.
 
     `picture`: (height, width) or (height, width, 3). `mosaic`: whether it is a colour mosaic, which is reduced in cells of
@@ -90,7 +90,7 @@ def find_edges(picture: np.ndarray, *, mosaic: bool = False) -> EdgePlaces:
         factor = finer
 
 
-def described_edges(values: FloatArray, chart: Chart, projection: Projection) -> EdgePlaces | None:
+def described_edges(values: FloatArray, chart: Chart, projection: Projection) -> EdgePositions | None:
     """Find the sides of the squares of a chart that can be measured; None for a chart without squares.
 
     `values`: (height, width) any monotone codes, mosaics balanced; NaN for missing pixels. `projection`: from the page, mm,
@@ -109,14 +109,14 @@ def described_edges(values: FloatArray, chart: Chart, projection: Projection) ->
     return clear_edges(smooth, x[good], y[good], angle[good], sides.length[some[good]], _SIDE_CORNER)
 
 
-def _at_scale(picture: np.ndarray, factor: int) -> EdgePlaces:
+def _at_scale(picture: np.ndarray, factor: int) -> EdgePositions:
     """Find edges in the image reduced by a factor."""
     small = _reduced(picture, factor)
     ribbons = _ribbons(small) if min(small.shape) > 2 * _SHORTEST else np.zeros((0, 4))
     x, y, angle, length = ribbons.T
     edges = clear_edges(small, x, y, angle, length, _CORNER)
     x, y = (column * factor + (factor - 1) / 2 for column in (edges.x, edges.y))
-    return EdgePlaces(x, y, edges.angle, factor * edges.length, factor * edges.clear)
+    return EdgePositions(x, y, edges.angle, factor * edges.length, factor * edges.clear)
 
 
 def _reduced(picture: np.ndarray, factor: int) -> np.ndarray:
@@ -177,7 +177,7 @@ def _moments(
 
 def clear_edges(
     small: np.ndarray, x: np.ndarray, y: np.ndarray, angle: np.ndarray, length: np.ndarray, corner: float
-) -> EdgePlaces:
+) -> EdgePositions:
     """Select the edges that are even on both sides, and shorten them at both ends.
 
     `small`, `x`, `y`, `angle`, `length`: as in `clear_distance`. `corner`: length that is removed at both ends, px.
@@ -186,7 +186,7 @@ def clear_edges(
     length = length - 2 * corner
     order = np.argsort(-step * length, kind="stable")
     order = order[(clear > 0)[order]]
-    return EdgePlaces(*(column[order] for column in (x, y, angle, length, clear.astype(float))))
+    return EdgePositions(*(column[order] for column in (x, y, angle, length, clear.astype(float))))
 
 
 def clear_distance(

@@ -22,7 +22,7 @@ from matcam.calibration.edge.edge_result import EdgeStack
 from matcam.calibration.edge.rows import EdgeRegions, RegionFrame, turns_for
 from matcam.calibration.photograph.flat_noise import crushed_share
 from matcam.calibration.photograph.linear_image import LinearImage, flaw
-from matcam.calibration.search.edge_search import EdgePlaces
+from matcam.calibration.search.edge_search import EdgePositions
 from matcam.core.errors import FitError
 from matcam.core.remark import Remark
 from matcam.numerics.normal import robust_fit
@@ -85,7 +85,7 @@ class Strips(NamedTuple):
 
 
 def plane_edge_stack(
-    plane: LinearImage, edges: EdgePlaces, half_width: float = 0.5, *, accept_sharpened: bool = False
+    plane: LinearImage, edges: EdgePositions, half_width: float = 0.5, *, accept_sharpened: bool = False
 ) -> EdgeStack:
     """Measure edges in one colour plane.
 
@@ -150,7 +150,7 @@ def edge_remarks(result: EdgeStack, channel: str) -> list[Remark]:
     return remarks
 
 
-def strips_along(edges: EdgePlaces, shape: tuple[int, int]) -> Strips:
+def strips_along(edges: EdgePositions, shape: tuple[int, int]) -> Strips:
     """Place strips along the edges of an image of shape (height, width).
 
     Long edges are divided into several strips. Edges without enough space for a strip are excluded.

@@ -86,9 +86,9 @@ def characterise_sensor(
     bits = bits or series.bits or max(int(max(one.largest for one in lit)), 1).bit_length()
     planes: list[Transfer] = []
     for plane in range(len(lit[0].mean)):
-        transfer, said = measure_transfer(lit, dark, plane)
+        transfer, transfer_remarks = measure_transfer(lit, dark, plane)
         planes.append(transfer)
-        remarks += [one for one in said if one not in remarks]
+        remarks += [one for one in transfer_remarks if one not in remarks]
     remarks += _dark_times(lit, dark)
     gain = fit_gain(planes)
     read_noise, hidden = _read_noise(dark, gain)
