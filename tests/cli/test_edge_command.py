@@ -142,11 +142,11 @@ BAD = [
     (("chart.tif", "--roi", "1,2,3"), "requires 4 arguments"),
     (("chart.tif", *ROI, "--model", "defocus"), "--wavelength must be given for the defocus model"),
     (("chart.tif", *ROI, "--model", "lens"), "'lens' is not one of"),
-    (("chart.tif", *ROI, "--channel", "R"), "selects a colour of a grey image"),
+    (("chart.tif", *ROI, "--channel", "R"), "must not be 'R' for a grey image"),
     (("chart.tif", *ROI, "--half-width", 0.7), "--half-width must lie in (0, 0.5] px"),
     (("chart.tif", *ROI, "-o", "chart.tif"), "is the input itself"),
     (("chart.tif", *ROI, "-o", "a.bmp"), "must end in"),
-    (("flat.tif",), "all one value"),
+    (("flat.tif",), "only one value"),
     (("white.tif",), "saturated"),
 ]
 

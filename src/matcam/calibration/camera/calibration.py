@@ -70,7 +70,10 @@ class Calibration(Summarised):
 
     @property
     def channel(self) -> str:
-        """Channel that represents the camera: green, luminance or grey if available, otherwise the first."""
+        """Channel that represents the camera.
+
+        It is green, luminance or grey if available, otherwise the first channel.
+        """
         return next((c for c in ("G", "Y", "grey") if c in self.channels), next(iter(self.channels)))
 
     @property

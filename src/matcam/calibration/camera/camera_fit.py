@@ -136,7 +136,10 @@ class CameraFit(Summarised):
 
     @property
     def misfit(self) -> float:
-        """Largest difference from the mean MTF of the edges below Nyquist; NaN without edges."""
+        """Largest difference from the mean MTF of the edges.
+
+        Only frequencies below Nyquist are compared. The value is NaN without edges.
+        """
         return self.curve.misfit[0]
 
     @property
@@ -146,7 +149,10 @@ class CameraFit(Summarised):
 
     @property
     def consistent(self) -> bool:
-        """Whether the camera explains the mean MTF of the edges, to within 0.005 or 4 standard deviations."""
+        """Check that the camera explains the mean MTF of the edges.
+
+        The largest difference must not exceed both 0.005 and 4 standard deviations.
+        """
         return not (self.misfit > _MISSED and self.misfit > _SIGNIFICANT * self.misfit_std)
 
     @property

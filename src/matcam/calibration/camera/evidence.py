@@ -106,13 +106,19 @@ class EdgeTable(NamedTuple):
 
     @property
     def weights(self) -> np.ndarray:
-        """Weights (n, 81) of the edges in their mean MTF: inverse variances, normalised to a sum of 1."""
+        """Weights (n, 81) of the edges in their mean MTF.
+
+        They are inverse variances, normalised to a sum of 1.
+        """
         weight = 1 / np.maximum(self.mtf_std, _LEAST_STD) ** 2
         return weight / weight.sum(0)
 
     @property
     def spread(self) -> float:
-        """Relative standard deviation of sigma beyond its noise; 0 if noise explains the scatter of the edges."""
+        """Relative standard deviation of sigma beyond its noise.
+
+        It is 0 if noise explains the scatter of the edges.
+        """
         if self.x.size < 3:
             return 0.0
         relative = self.sigma_std / self.sigma
@@ -145,7 +151,10 @@ class MeanCurve:
 
     @property
     def misfit(self) -> tuple[float, float]:
-        """Largest difference below Nyquist, and its standard deviation; both are NaN without edges."""
+        """Largest difference below Nyquist, and its standard deviation.
+
+        Both are NaN without edges.
+        """
         off = np.abs(self.mtf - self.camera_mtf)
         below = (self.frequency > 0) & (self.frequency <= 0.5)
         worst = int(np.argmax(np.where(below, off, -1)))

@@ -122,9 +122,10 @@ class Grating:
         return (self.bright - self.dark) / (self.bright + self.dark)
 
     def harmonic(self, order: int) -> float:
-        """Compute the signed amplitude of a harmonic of the print, relative to the mean.
+        """Compute the signed, relative amplitude of a harmonic of the print.
 
-        For a square wave it is (4 / pi) contrast / order with alternating sign for odd orders, and 0 for even orders.
+        The amplitude is relative to the mean. For a square wave it is (4 / pi) contrast / order with alternating sign for odd
+        orders, and 0 for even orders.
 
         Args:
             order: order of the harmonic; 1 for the fundamental.
@@ -141,7 +142,9 @@ class Grating:
 
 @dataclass(frozen=True)
 class Star:
-    """Sinusoidal Siemens star, with the level mean + amplitude cos(cycles * azimuth + phase) between two radii.
+    """Sinusoidal Siemens star.
+
+    Its level between two radii is mean + amplitude cos(cycles * azimuth + phase).
 
     Attributes:
         centre: centre, mm.

@@ -125,7 +125,7 @@ class EdgeMTF(Summarised, EdgeValues[float]):
 
     @property
     def glare_found(self) -> bool:
-        """Whether glare was found."""
+        """Check for glare."""
         return self.glare_fraction != 0
 
     @property

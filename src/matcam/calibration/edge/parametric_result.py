@@ -110,7 +110,10 @@ class ParametricEdge(Summarised, _LensNumbers[float]):
 
     @property
     def consistent(self) -> bool:
-        """Whether the model explains the edge, at a significance level of 0.1 %."""
+        """Check that the model explains the edge.
+
+        The significance level is 0.1 %.
+        """
         return bool(self.misfit_probability > _WRONG)
 
     @property
@@ -195,7 +198,10 @@ class ParametricStack(_LensNumbers[np.ndarray]):
 
     @property
     def consistent(self) -> np.ndarray:
-        """Mask (n,) of the edges that the model explains, at a significance level of 0.1 %."""
+        """Mask (n,) of the edges that the model explains.
+
+        The significance level is 0.1 %.
+        """
         return self.misfit_probability > _WRONG
 
 

@@ -185,7 +185,7 @@ class LinearImage:
             channel = checks.choice("channel", channel or "Y", ("R", "G", "B", "Y"))
         elif mosaic is None:
             if channel not in (None, "grey"):
-                raise ArgumentError(f"channel {channel!r} selects a colour of a grey image: give cfa if it is a mosaic")
+                raise ArgumentError(f"channel must not be {channel!r} for a grey image: give cfa if it is a mosaic")
             channel = "grey"
         else:
             sites_of(mosaic, channel)  # raises an error for an invalid channel before the image is linearised
@@ -204,7 +204,10 @@ class LinearImage:
 
     @property
     def sites(self) -> np.ndarray:
-        """Mask (2, 2) of the sites of this colour in the first 2 x 2 px; true everywhere without a mosaic."""
+        """Mask of the sites of this colour in the first cell.
+
+        The mask (2, 2) covers 2 x 2 px. Without a mosaic, it is true everywhere.
+        """
         return np.ones((2, 2), bool) if self.cfa is None else sites_of(self.cfa, self.channel)
 
     def cut(self, roi: Sequence[int] | None) -> LinearImage:

@@ -82,7 +82,10 @@ class ISOEdge:
 
     @property
     def rise(self) -> float:
-        """10 % to 90 % rise of the ESF, px; NaN if a level is not reached."""
+        """Rise distance (10 % to 90 %) of the ESF, px.
+
+        It is NaN if a level is not reached.
+        """
         end = max(self.esf.size // 8, 1)
         dark, bright = self.esf[:end].mean(), self.esf[-end:].mean()
         share = (self.esf - dark) / (bright - dark)

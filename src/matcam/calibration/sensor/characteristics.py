@@ -22,7 +22,9 @@ _MOST_READ_NOISE = 1e6
 
 @dataclass(frozen=True, repr=False)
 class SensorCharacteristics(Summarised):
-    """Characteristics of a sensor according to EMVA Standard 1288, each with its standard deviation.
+    """Characteristics of a sensor according to EMVA Standard 1288.
+
+    Each value has a standard deviation.
 
     Attributes:
         gain: system gain K, DN per e-.

@@ -70,7 +70,10 @@ class GratingMTF:
 
     @property
     def contrast(self) -> float:
-        """Contrast (bright - dark) / (bright + dark) between the centres of bright and dark lines."""
+        """Contrast at the centres of the lines.
+
+        It is (bright - dark) / (bright + dark) of pixels at the centres of bright and of dark lines.
+        """
         at_bright, at_dark = self.modulation.sum(), (self.modulation * (-1.0) ** np.array(self.orders)).sum()
         return float((at_bright - at_dark) / (2 + at_bright + at_dark))
 
@@ -108,11 +111,11 @@ def grating_mtf(
     channel: str | None = None,
     tone: Tone = "linear",
 ) -> GratingMTF:
-    """Measure the MTF of lens and pixel at the frequency of a grating and at its harmonics.
+    """Measure the MTF of lens and pixel with a grating.
 
-    The phase is fitted, so that the position of the pixels relative to the bars causes no error. Harmonics that cannot be
-    distinguished from each other or from the mean on the pixel grid have large standard deviations. Harmonics that the image
-    does not determine are omitted.
+    The MTF is determined at the frequency of the grating and at its harmonics. The phase is fitted, so that the position of
+    the pixels relative to the bars causes no error. Harmonics that cannot be distinguished from each other or from the mean
+    on the pixel grid have large standard deviations. Harmonics that the image does not determine are omitted.
 
     Args:
         image: `LinearImage`, `Photograph`, or array as in `LinearImage.of`.

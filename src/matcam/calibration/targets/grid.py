@@ -42,7 +42,9 @@ _DIRECTION = np.radians([0.0, 90.0, 0.0, 90.0, 45.0])
 
 @dataclass(frozen=True, eq=False)
 class BlurField:
-    """Variance of a Gaussian lens over the field, as a polynomial of second order.
+    """Variance of a Gaussian lens over the field.
+
+    It is a polynomial of second order in the position.
 
     Attributes:
         coefficients: (6,) coefficients of sigma^2 for 1, u, v, u^2, u v, v^2, px^2; u and v are distances from `middle`
@@ -144,7 +146,7 @@ class DotGrid:
         return self.field.middle
 
     def sigma_at(self, x: ArrayLike, y: ArrayLike) -> tuple[FloatArray, FloatArray]:
-        """Evaluate the lens width at positions in the image, from the smooth field.
+        """Evaluate the smooth lens width at positions in the image.
 
         Args:
             x: columns, px.
@@ -192,7 +194,7 @@ def dot_grid(
     channel: str | None = None,
     tone: Tone = "linear",
 ) -> DotGrid:
-    """Measure the blur of a camera over the field with a grid of dots.
+    """Measure the blur over the field with a grid of dots.
 
     The dots are round, dark or bright, and form a square lattice.
 

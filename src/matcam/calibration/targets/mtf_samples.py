@@ -82,7 +82,7 @@ class MTFSamples:
         cls, kind: str, region: LinearImage, place: Sequence[float] | np.ndarray, frequency: np.ndarray, direction: np.ndarray,
         mtf: np.ndarray, covariance: np.ndarray,
     ) -> MTFSamples:  # fmt: skip
-        """Create the samples of a target that was measured in a region of an image.
+        """Create the samples of a target in a region of an image.
 
         Args:
             kind: target: "edge", "grating", "star" or "dots".

@@ -32,7 +32,7 @@ class Targets:
         grids: blur over the field from every grid of dots.
         problems: remarks on the targets that could not be measured, with the reason.
         registration: map from the page to the image.
-        printed: printed levels of the chart, measured with its tone patches; None if the patches are not visible.
+        printed: printed levels of the chart, measured with its tone patches. Default: None, the patches are not visible.
 
     Example:
         >>> chart = matcam.targets.design_chart(["dots"], pixels_across=300)
