@@ -57,40 +57,27 @@ _SIDE, _SAMPLES = 40.0, 801
 _TRANSFORM = 4096
 """Number of samples of the Fourier transform of a line spread function. The frequencies are 2.4e-3 cycles/px apart."""
 _TONE_CURVATURE, _TONE_PROBABILITIES, _RAISED = 0.3, (0.02, 0.5), 1.15
-"""Prior of a tone curve.
-
-The first number is the standard deviation of its curvature. The pair gives its probability if the noise of the dark side
-is photon noise, and if it is higher. The last number is the factor above photon noise from which it is higher.
-"""
+"""Prior of a tone curve: standard deviation of its curvature; its probabilities if the noise of the dark side is photon
+noise, and if it is higher; factor above photon noise from which it is higher."""
 _SURE_TONE, _NO_TONE = 0.99, 0.01
 """Probabilities of a tone curve above which it is reported, and below which its effect is not computed."""
 _PER_OVERSHOOT = 12.0
 """Relative increase of MTF50 per overshoot of an unsharp mask."""
 _OVERSHOOT, _SURE = 0.003, 3.5
 """Thresholds of sharpening: overshoot relative to the step; combined significance of overshoot and noise, in sigma."""
-_CRUSHED = 0.01
-"""Smallest relative standard deviation of MTF50 for crushed blacks."""
-_MOST_LEVELS = 2000
-"""Number of different values above which an image does not have coarse codes."""
+_CRUSHED, _LEAST_REPORTED, _SURE_GLARE = 0.01, 1e-3, 0.005
+"""Relative errors of MTF50: smallest one by crushed blacks; smallest that is reported; smallest reported for glare."""
 _PER_LEVEL = 0.2
 """Relative error of MTF50 per distance of two levels in units of the step: rms of 12 to 512 levels without noise."""
-_NEAR_LEVELS = 4
-"""Number of levels above and below a flat side among which the smallest distance is searched.
-
-Several are needed because an image without noise lacks some levels.
-"""
-_LEAST_REPORTED = 1e-3
-"""Relative error of MTF50 below which it is not reported."""
+_MOST_LEVELS, _NEAR_LEVELS = 2000, 4
+"""Number of different values above which codes are not coarse; number of levels on both sides of that of a flat side that
+are searched for the smallest distance, because an image without noise lacks some levels."""
 _TAILS, _FADING = 0.08, 0.6
 """Blur that extends to the border of the region: relative error of MTF50; widths of the blur over which it vanishes."""
 _SURER = 0.1
 """Error of the parametric estimate relative to that of the model-free one. A lens model determines the tails."""
-_SURE_GLARE = 0.005
-"""Relative error of MTF50 below which an uncertain glare is not reported."""
-_PER_STEP = 1.5
-"""Relative error of MTF50 per step of the light across the edge, in units of the step, from penumbrae of tests/oracle."""
-_BY_GLARE = 0.72
-"""Relative error of MTF50 per share of glare, at an MTF of one half."""
+_PER_STEP, _BY_GLARE = 1.5, 0.72
+"""Relative error of MTF50 per step of the light across the edge (penumbrae of tests/oracle), and per share of glare."""
 _PER_BORDER, _HARMLESS, _MOST_BY_BLOCKS = 0.006, 3.0, 0.05
 """JPEG block borders: relative error of MTF50 per strength; strength without effect; largest relative error."""
 _GHOST, _SURE_GHOST = 0.01, 4.0
@@ -138,13 +125,11 @@ class _EdgeRegion:
 
     @cached_property
     def sides(self) -> tuple[np.ndarray, np.ndarray]:
-        """Masks of the flat dark and bright side."""
         there, margin = np.isfinite(self.value), _FLAT_WIDTHS * self.blur + _FLAT_MARGIN
         return there & (self.distance < -margin), there & (self.distance > margin)
 
     @cached_property
     def noise(self) -> FlatNoise:
-        """Noise of the flat sides."""
         least = LEAST_NOISE * abs(self.edge.bright - self.edge.dark)
         return flat_noise(self.value, *self.sides, lines=not self.mosaic, least=least)
 
@@ -176,7 +161,6 @@ class _EdgeRegion:
         )
 
     def traces(self) -> list[Trace]:
-        """List all traces that are found."""
         smoothed = _smoothed(self)
         raised = []
         if self.clear > CLEAR:

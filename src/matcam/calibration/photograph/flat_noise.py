@@ -86,23 +86,23 @@ class FlatNoise(NamedTuple):
 
     @property
     def smoothed(self) -> bool:
-        """Whether the noise of neighbours is correlated."""
+        """Check whether the noise of neighbours is correlated."""
         return self.neighbour_ratio < _CORRELATED and 1 - self.neighbour_ratio > _SURE * self.neighbour_ratio_std
 
     @property
     def denoised(self) -> bool:
-        """Whether the noise of more distant pixels is also correlated."""
+        """Check whether the noise of more distant pixels is also correlated."""
         wide = _WIDE_IN_BLOCKS if self.grid > _GRID else _WIDE
         return self.smoothed and self.wide < wide and self.grid < _BLOCKS_ALONE
 
     @property
     def compressed(self) -> bool:
-        """Whether JPEG blocks were found."""
+        """Check for JPEG blocks."""
         return self.smoothed and self.grid > _GRID
 
     @property
     def tone_curve_suspected(self) -> bool:
-        """Whether the noise of dark pixels is larger than that of bright ones, as after a tone curve."""
+        """Check whether the noise of dark pixels is larger than that of bright ones, as after a tone curve."""
         return not self.smoothed and self.tilt > _TONE_RATIO and self.tilt - 1 > _SURE_TONE * self.tilt_std
 
     @property
