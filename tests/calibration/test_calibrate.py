@@ -6,7 +6,7 @@ from scipy.ndimage import gaussian_filter, uniform_filter1d
 
 from matcam import Camera, LinearImage, calibrate, edge_mtf_stack
 from matcam.calibration.camera.camera_fit import CameraRequest, fit_camera
-from matcam.calibration.camera.consensus import strangers_remarks
+from matcam.calibration.camera.consensus import disagreement_remarks
 from matcam.calibration.camera.evidence import Evidence, Finding
 from matcam.calibration.photograph.linear_image import planes_of
 from matcam.core.errors import ArgumentError, FitError
@@ -35,7 +35,7 @@ def test_a_gaussian_camera_with_its_errors_and_its_origin(tmp_path):
     assert fit.consistent
     assert fit.spread < 0.02
     assert 0.9 < fit.chi2 / fit.degrees < 1.1
-    assert fit.edges.x.size == fit.measurements["picture 1 (edges)"] == 16
+    assert fit.edges.x.size == fit.measurements["image 1 (edges)"] == 16
     found.camera.save(tmp_path / "camera.json")
     loaded = Camera.load(tmp_path / "camera.json")
     assert loaded.uncertainty.std()["optics.sigma_px"] == pytest.approx(fit.std[0])
@@ -89,7 +89,7 @@ def test_a_mosaic_is_read_as_grey_by_nobody():
         calibrate([codes])
     with pytest.raises(ArgumentError, match="cfa is for a mosaic"):
         calibrate([np.stack([codes] * 3, -1)], cfa="GBRG")
-    with pytest.raises(ArgumentError, match="cfa is that of the LinearImage already"):
+    with pytest.raises(ArgumentError, match="cfa is already specified by the LinearImage"):
         calibrate([LinearImage(codes.astype(float))], cfa="GBRG")
 
 
@@ -194,14 +194,14 @@ def test_four_apertures_tell_lens_and_pixel_apart(half_width):
 def test_four_apertures_refuse_a_small_pixel_that_they_cannot_know():
     """Linear fill 0.8: what a core may stray from a Gaussian weighs (0.5 / 0.4)^4 as much."""
     f_numbers = (2.8, 4.0, 5.6, 8.0)
-    with pytest.raises(FitError, match=r"400 edges know the pixel's half width to \d+%"):
+    with pytest.raises(FitError, match=r"400 edges determine the half width of the pixel to \d+%"):
         calibrate([at_aperture(n, 0.5, 0.4, int(10 * n)) for n in f_numbers], f_numbers=f_numbers, **LENS)
 
 
 @pytest.mark.slow
 def test_one_aperture_at_a_wide_blur_is_refused():
     with pytest.raises(
-        FitError, match=r"lens and pixel cannot be separated: 100 edges know the pixel's half width to \d+%"
+        FitError, match=r"lens and pixel cannot be separated: 100 edges determine the half width of the pixel to \d+%"
     ):
         calibrate([at_aperture(5.6, 0.8, 0.4, 1)], f_numbers=5.6, **LENS)
 
@@ -209,7 +209,7 @@ def test_one_aperture_at_a_wide_blur_is_refused():
 @pytest.mark.slow
 def test_few_edges_do_not_tell_lens_and_pixel_apart():
     with pytest.raises(
-        FitError, match=r"cannot be separated: 16 edges know the pixel's half width to .* give the fill"
+        FitError, match=r"cannot be separated: 16 edges determine the half width of the pixel to .* give the fill"
     ):
         calibrate([chart(0.8, 0.4)], half_width=None)
     many = samples_of(0.4, 0.4, 3, 24, std=1e-4)
@@ -246,14 +246,14 @@ def test_what_a_photographer_should_know():
     assert "contrast is only 7%" in remarks(chart(0.5, snr=300, dark=0.87))
     codes = np.clip(even / 3000 * 255, 0, 255)
     codes[:, :300] = np.clip(even[:, :300] / 4300 * 255, 0, 255)
-    assert "edges are saturated, and left out" in remarks(codes.astype(np.uint8), tone="linear")
+    assert "edges are saturated and were excluded" in remarks(codes.astype(np.uint8), tone="linear")
 
     def sharpened(rows):
         part = even.copy()
         part[:rows] += 1.0 * (even - gaussian_filter(even, 1.0))[:rows]
         return part
 
-    assert "overshoot as sharpened ones do" in remarks(sharpened(70))
+    assert "overshoot, as after sharpening" in remarks(sharpened(70))
     # where most are sharpened, the others are no sample of the lens
     assert "are sharpened, crushed or saturated" in refusal(sharpened(200))
 
@@ -265,11 +265,13 @@ def test_what_was_assumed_of_the_tone_curve(tmp_path):
     codes = 255 * np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
     (tmp_path / "a.png").write_bytes(png_encode(np.rint(codes).clip(0, 255).astype(np.uint8)))
     found = calibrate([tmp_path / "a.png"])
-    assert found.remarks == (Remark("tone-assumed", "a.png: 8 bits and no tone curve stated: sRGB assumed (--tone)"),)
+    assert found.remarks == (
+        Remark("tone-assumed", "a.png: 8 bits and no tone curve specified: sRGB assumed (--tone)"),
+    )
     assert found.channels["grey"].values[0] == pytest.approx(0.5, rel=0.01)
     assert calibrate([tmp_path / "a.png"], tone="srgb").remarks == ()
     (tmp_path / "b.png").write_bytes(png_encode((60000 * light).clip(0, 65535).astype(np.uint16)))
-    assert "16 bits and no tone curve stated: linear assumed" in calibrate([tmp_path / "b.png"]).remarks[0].text
+    assert "16 bits and no tone curve specified: linear assumed" in calibrate([tmp_path / "b.png"]).remarks[0].text
 
 
 # ---------------------------------------------------------------- what is refused
@@ -281,26 +283,29 @@ def taken(values, camera):
 
 def test_contradictions_and_mixed_cameras():
     sharp, soft = chart(0.5), chart(0.8, seed=2)
-    with pytest.raises(FitError, match=r"contradictory measurements, channel grey: picture [12] \(edges\) sees a blur"):
+    with pytest.raises(
+        FitError, match=r"contradictory measurements, channel grey: the blur of image [12] \(edges\) differs by"
+    ):
         calibrate([sharp, soft])
     with pytest.raises(
-        FitError, match=r"contradictory .*: picture 1 \(edges\) sees a blur -\d+% against that of star.png \(star\)"
+        FitError,
+        match=r"contradictory .*: the blur of image 1 \(edges\) differs by -\d+% from that of star.png \(star\)",
     ):
         calibrate([sharp], samples=samples_of(0.9, 0.5, 1))
-    with pytest.raises(ArgumentError, match=r"different cameras: One \(picture 1\), Two \(picture 2\)"):
+    with pytest.raises(ArgumentError, match=r"different cameras: One \(image 1\), Two \(image 2\)"):
         calibrate([taken(sharp, "One"), taken(sharp, "Two")])
 
 
 def test_bad_pictures_among_good_ones():
     good, empty = chart(0.5), np.random.default_rng(1).normal(100, 3, (420, 440))
     found = calibrate([good, empty])
-    assert found.pictures == ("picture 1",)
-    assert "no slanted edge was found" in found.failed["picture 2"]
-    with pytest.raises(FitError, match="picture 1: no slanted edge was found"):
+    assert found.pictures == ("image 1",)
+    assert "no slanted edge was found" in found.failed["image 2"]
+    with pytest.raises(FitError, match="image 1: no slanted edge was found"):
         calibrate([empty])
-    with pytest.raises(FitError, match="none of 2 pictures can be used; the first: picture 1: no slanted edge"):
+    with pytest.raises(FitError, match="none of 2 images can be used; the first: image 1: no slanted edge"):
         calibrate([empty, empty])
-    with pytest.raises(FitError, match=r"none of its 16 edges can be measured; .* picture is sharpened"):
+    with pytest.raises(FitError, match=r"none of its 16 edges can be measured; .* image is sharpened"):
         calibrate([good + 1.5 * (good - gaussian_filter(good, 1.0))])
 
 
@@ -311,7 +316,7 @@ def test_bad_arguments():
         ({"half_width": 0.7}, "half_width must lie in"),
         ({"half_width": None, "model": "halo"}, "with the gaussian model only"),
         ({"channels": ["X"]}, "channel must be one of"),
-        ({"f_numbers": [2.8, 4.0]}, "one for each of the 1 pictures"),
+        ({"f_numbers": [2.8, 4.0]}, "one for each of the 1 images"),
         ({"f_numbers": 0.0}, "f_numbers must lie in"),
         ({"cfa": "RGBG"}, "cfa must be one of"),
     ):
@@ -319,12 +324,15 @@ def test_bad_arguments():
             calibrate([picture], **options)
     with pytest.raises(ArgumentError, match="neither pictures nor samples were given"):
         calibrate([])
-    with pytest.raises(ArgumentError, match="a picture must be numbers of shape"):
+    with pytest.raises(ArgumentError, match="an image must be numbers of shape"):
         calibrate([np.zeros((4, 5, 2))])
     star = samples_of(0.5, 0.5, 1)
     for options, words in (
         ({"model": "diffraction"}, "wavelength and pixel_pitch must be given"),
-        ({"half_width": None, "wavelength": 5e-7, "pixel_pitch": 5e-6}, "not every picture's f-number is known"),
+        (
+            {"half_width": None, "wavelength": 5e-7, "pixel_pitch": 5e-6},
+            "the f-number of at least one image is not known",
+        ),
         ({"model": "defocus", "wavelength": 550.0, "pixel_pitch": 5e-6}, "wavelength must lie in"),
         ({"model": "defocus", "wavelength": 5e-7, "pixel_pitch": 5.0}, "pixel_pitch must lie in"),
     ):
@@ -335,13 +343,13 @@ def test_bad_arguments():
     mosaic = Photograph(picture, "RGGB", 1.0, True, Exif())
     with pytest.raises(ArgumentError, match="camera raw is linear"):
         planes_of(mosaic, None, "srgb")
-    with pytest.raises(ArgumentError, match="channel 'Y' is not in this picture; it has R, G, B"):
+    with pytest.raises(ArgumentError, match="channel 'Y' is not in this image; it has R, G, B"):
         planes_of(mosaic, ["Y"], None)
 
 
 def test_too_few_edges_are_no_camera():
     picture = chart(0.5)
-    with pytest.raises(FitError, match="good edges are too few for a camera, it takes 8 in two directions"):
+    with pytest.raises(FitError, match="good edges are too few for a camera, 8 in two directions are needed"):
         calibrate([picture[:150, :150]])
 
 
@@ -362,7 +370,7 @@ def test_pictures_that_software_has_been_at():
     ):
         with pytest.raises(
             FitError,
-            match="this is a processed picture; its MTF is not the lens's: the noise of neighbouring pixels is correlated",
+            match="this is a processed image, whose MTF is not that of the lens: the noise of neighbouring pixels",
         ):
             calibrate([processed])
     with pytest.raises(
@@ -423,10 +431,10 @@ def test_targets_of_one_kind_are_named_in_one_remark():
     strangers = {f"a.png: grating {n} (bars) (grating)": off for n, off in ((3, 0.2), (4, 36.0))} | {
         "a.png: star 9 (star)": -0.1
     }
-    gratings, star = strangers_remarks(strangers, "R")
-    assert gratings.text.startswith("R: 2 targets of one kind (grating) see blurs from +20% to more than +100%")
+    gratings, star = disagreement_remarks(strangers, "R")
+    assert gratings.text.startswith("R: the blurs of 2 targets of one kind (grating) differ by +20% to more than +100%")
     assert "grating 3 (bars)" in gratings.text
-    assert star.text == "R: a.png: star 9 (star) sees a blur -10% against that of the edges, and is left out"
+    assert star.text == "R: the blur of a.png: star 9 (star) differs by -10% from that of the edges: it was excluded"
 
 
 def test_rounded_light_is_no_denoised_picture(tmp_path):

@@ -151,7 +151,7 @@ def refused(clean, noisy):
     along, diagonal = (oracle.picture(oracle.gaussian(0.5, a)) * ELECTRONS for a in (1e-9, 45))
     return {
         "noise alone": (rng.poisson(5000, (160, 80)).astype(float), {}, FitError, "edge"),
-        "flat": (np.full((160, 80), 7.0), {}, FitError, "all one value, 7"),
+        "flat": (np.full((160, 80), 7.0), {}, FitError, "only one value, 7"),
         "nothing": (np.full((160, 80), np.nan), {}, FitError, "0 usable samples"),
         "along the grid": (along, {}, FitError, "phases are missing: an edge at 0.0 degrees"),
         "diagonal": (diagonal, {}, FitError, "phases are missing: an edge at 45.0 degrees"),
@@ -159,9 +159,9 @@ def refused(clean, noisy):
         "noisy and diagonal": (rng.poisson(diagonal).astype(float), {}, FitError, "phases are missing"),
         "clipped codes": (codes, {}, FitError, "saturated"),
         "clipped numbers": (np.minimum(noisy, 9500), {}, FitError, "saturated"),
-        "sharpened": (sharpened, {}, FitError, "picture is sharpened: the edge overshoots"),
-        "outside": (clean, {"roi": (10, 10, 80, 100)}, ArgumentError, "roi must lie inside the picture of 80 x 160 px"),
-        "negative": (clean, {"roi": (-1, 0, 40, 40)}, ArgumentError, "inside the picture"),
+        "sharpened": (sharpened, {}, FitError, "image is sharpened: the edge overshoots"),
+        "outside": (clean, {"roi": (10, 10, 80, 100)}, ArgumentError, "roi must lie inside the image of 80 x 160 px"),
+        "negative": (clean, {"roi": (-1, 0, 40, 40)}, ArgumentError, "inside the image"),
         "small": (clean, {"roi": (30, 30, 15, 40)}, ArgumentError, "at least 16 x 16 px, got 15 x 40"),
         "three numbers": (clean, {"roi": (1, 2, 3)}, ArgumentError, "four whole numbers"),
         "fractions": (clean, {"roi": (0.5, 0, 40, 40)}, ArgumentError, "four whole numbers"),
@@ -216,7 +216,7 @@ def test_a_stack_says_which_edges_cannot_be_measured(clean):
     assert [problem and problem.code for problem in result.problems] == [None, "flat", None]
     assert result.good.tolist() == [0, 2]
     assert [edge.mtf50 for edge in result] == pytest.approx(result.mtf50, nan_ok=True)
-    assert result.to_dict()["problems"][1]["text"] == "region is all one value, 3: there is no edge in it"
+    assert result.to_dict()["problems"][1]["text"] == "region has only one value, 3: it contains no edge"
     planes = [LinearImage(clean, corner=(7, 9)), LinearImage(clean[:, ::-1])]
     placed = edge_mtf_stack(planes)
     assert placed.mtf50 == pytest.approx(result.mtf50[[0, 2]], rel=1e-9)

@@ -206,11 +206,14 @@ def test_noise_of_flat_parts():
     light = np.where(dark, 1000.0, 4000.0) * (1 + 0.3 * np.indices(dark.shape)[0] / 120)
     counts = rng.poisson(light).astype(float)
     noise = flat_noise(counts, dark, ~dark)
-    assert noise.alike == pytest.approx(1, abs=4 * noise.alike_std)
+    assert noise.neighbour_ratio == pytest.approx(1, abs=4 * noise.neighbour_ratio_std)
     assert noise.tilt == pytest.approx(0.25, abs=0.03)
     assert noise.variance == pytest.approx((1150, 4600), rel=0.1)
-    assert not any((noise.smoothed, noise.denoised, noise.compressed, noise.bent))
-    assert flat_noise(np.full((40, 40), 3.0), np.ones((40, 40), bool), np.zeros((40, 40), bool)).alike_std == np.inf
+    assert not any((noise.smoothed, noise.denoised, noise.compressed, noise.tone_curve_suspected))
+    assert (
+        flat_noise(np.full((40, 40), 3.0), np.ones((40, 40), bool), np.zeros((40, 40), bool)).neighbour_ratio_std
+        == np.inf
+    )
 
 
 def compressed(rng, snr, quality):

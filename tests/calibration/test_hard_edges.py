@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from matcam import edge_mtf
-from matcam.calibration.photograph.linear_filters import correlations, filter_doubt
+from matcam.calibration.photograph.linear_filters import correlations, filter_uncertainty
 from matcam.core.errors import FitError
 from matcam.numerics.crossing import first_fall
 from tests.oracle import hard_edges as oracle
@@ -100,7 +100,7 @@ def flat_sides(snr, seed):
 def test_a_filter_is_known_by_the_noise_behind_it():
     for seed in range(5):
         counts, sides = flat_sides(100, seed)
-        assert filter_doubt(correlations(counts, sides), FREQUENCY, MTF).share < 0.015
+        assert filter_uncertainty(correlations(counts, sides), FREQUENCY, MTF).share < 0.015
     half = first_fall(FREQUENCY, MTF)
     for name, filtered, width in (
         ("smooth", oracle.smoothed(counts, 0.4), 0.4),
@@ -113,7 +113,7 @@ def test_a_filter_is_known_by_the_noise_behind_it():
         transfer = np.cos(2 * np.pi * FREQUENCY[:, None] * (np.arange(65) - 32)) @ taps
         behind = MTF * transfer
         effect = first_fall(FREQUENCY, behind) / half - 1
-        found = filter_doubt(correlations(filtered, sides), FREQUENCY, behind)
+        found = filter_uncertainty(correlations(filtered, sides), FREQUENCY, behind)
         assert found.probability > 0.99, name
         assert found.smooths == (name == "smooth")
         assert found.share == pytest.approx(abs(effect), rel=0.6), name
@@ -124,7 +124,7 @@ def test_light_that_is_left_is_no_filter():
         counts, sides = flat_sides(40, seed)
         x, y = real_edges.grid(100, 80)
         counts *= 1 + 0.01 * np.sin(2 * np.pi * (x + y) / 35)
-        assert filter_doubt(correlations(counts, sides), FREQUENCY, MTF).probability < 0.5
+        assert filter_uncertainty(correlations(counts, sides), FREQUENCY, MTF).probability < 0.5
 
 
 def test_a_shoulder_is_remarked_on():

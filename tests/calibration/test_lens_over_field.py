@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from matcam.calibration.camera.lens_over_field import BlurPlaces, lens_over_field
+from matcam.calibration.camera.lens_over_field import BlurSamples, lens_over_field
 from matcam.calibration.chart.registration import radial_distortion
 from matcam.core.errors import FitError
 
@@ -27,7 +27,7 @@ def blurred(seed, growth, count=60, noise=0.01):
     x, y = rng.uniform(0, SHAPE[1], count), rng.uniform(0, SHAPE[0], count)
     rho2 = ((x - 599.5) ** 2 + (y - 399.5) ** 2) / HALF**2
     sigma = 0.6 * (1 + growth * rho2) * (1 + noise * rng.standard_normal(count))
-    return BlurPlaces(np.column_stack([x, y]), sigma, np.full(count, 0.6 * noise))
+    return BlurSamples(np.column_stack([x, y]), sigma, np.full(count, 0.6 * noise))
 
 
 def test_distortion_and_its_error_over_thirty_photographs():
@@ -68,11 +68,11 @@ def test_pictures_of_different_blur_make_one_growth():
 
 
 def test_nothing_measured_says_nothing():
-    few = BlurPlaces(*(column[:5] for column in blurred(0, 0.2)[:3]))
+    few = BlurSamples(*(column[:5] for column in blurred(0, 0.2)[:3]))
     assert lens_over_field([few], SHAPE) is None
     page, seen = photographed(0.01, 0)
     width = np.full(len(page), 0.5)
-    field = lens_over_field([BlurPlaces(seen, width, width / 50, page)], SHAPE)
+    field = lens_over_field([BlurSamples(seen, width, width / 50, page)], SHAPE)
     assert abs(field.growth.value) < 4 * field.growth.std
     assert abs(field.k1.value - 0.01) < 4 * field.k1.std
     assert field.centre == (599.5, 399.5)

@@ -54,7 +54,7 @@ def test_what_a_photograph_says_of_itself():
     assert (plane.f_number, plane.source, plane.saturation) == (5.6, "a.png", 255.0)
     assert plane.values[0, 0] == pytest.approx(0.503, abs=1e-3)
     assert [(r.code, r.text) for r in plane.remarks] == [
-        ("tone-assumed", "8 bits and no tone curve stated: sRGB assumed (--tone)")
+        ("tone-assumed", "8 bits and no tone curve specified: sRGB assumed (--tone)")
     ]
     assert LinearImage.of(photograph).remarks == ()
     # tone curves come after demosaicing
@@ -72,7 +72,7 @@ def test_a_plane_goes_through_unchanged():
     assert LinearImage.of(plane) is plane
     assert region_of(plane, (2, 4, 20, 30)).corner == (2, 4)
     for options in ({"channel": "G"}, {"cfa": "RGGB"}, {"tone": "srgb"}):
-        with pytest.raises(ArgumentError, match="those of the LinearImage already"):
+        with pytest.raises(ArgumentError, match="already specified by the LinearImage"):
             LinearImage.of(plane, **options)
 
 
@@ -88,7 +88,7 @@ def test_what_is_refused():
             LinearImage(**arguments)
     for options, words in (
         ({"tone": None}, "tone must be 'auto', 'linear', 'srgb', a gamma or a table"),
-        ({"roi": (0, 0, 31, 20)}, "roi must lie inside the picture of 30 x 40 px"),
+        ({"roi": (0, 0, 31, 20)}, "roi must lie inside the image of 30 x 40 px"),
         ({"roi": (0, 0, "a", 20)}, "four whole numbers"),
         ({"channel": "G"}, "give cfa if it is a mosaic"),
     ):

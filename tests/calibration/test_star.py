@@ -138,4 +138,4 @@ def test_refusals():
         star_mtf(picture, contrast=1.5)
     with pytest.raises(FitError) as error:
         star_mtf(picture, star=STAR, projection=lambda p: p + 500)
-    assert "outside the picture" in str(error.value)
+    assert "outside the image" in str(error.value)

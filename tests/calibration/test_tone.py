@@ -63,7 +63,7 @@ def test_measured_from_patches():
         ({"light": light[::-1]}, "must be monotone"),
         ({"light": light[:4]}, "one light each"),
         ({"patches": patches[:2], "light": light[:2]}, "at least 3 patches"),
-        ({"patches": [*patches[:-1], (340, 0, 30, 30)]}, "inside the picture of 360 x 40"),
+        ({"patches": [*patches[:-1], (340, 0, 30, 30)]}, "inside the image of 360 x 40"),
         ({"patches": [*patches[:-1], patches[0]]}, "same code"),
         ({"light": -light}, "not negative"),
         ({"image": picture / 2}, "whole numbers"),

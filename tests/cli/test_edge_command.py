@@ -115,9 +115,9 @@ def test_many_edges_in_one_run(edge, photograph, tmp_path):
     ("text", "words"),
     [
         ("a,b\n", "no column x"),
-        ("x,y,width,height\n1,2,3\n", "line 2 is no region"),
-        ("x,y,width,height\n", "no region is in it"),
-        ("name,x,y,width,height\na,0,0,20,20\na,0,0,20,20\n", "the name a is there twice"),
+        ("x,y,width,height\n1,2,3\n", "line 2 is not a region"),
+        ("x,y,width,height\n", "it contains no region"),
+        ("name,x,y,width,height\na,0,0,20,20\na,0,0,20,20\n", "the name a occurs twice"),
     ],
 )
 def test_a_file_that_names_no_regions(edge, photograph, tmp_path, text, words):
@@ -136,17 +136,17 @@ BAD = [
     (("none.tif",), "none.tif: no such file"),
     (("text.tif",), "neither TIFF, PNG, JPEG, OpenEXR nor camera raw"),
     (("cut.tif",), "more than its 3000 bytes can hold: damaged"),
-    (("chart.tif", "--roi", 100, 0, 80, 160), "--roi must lie inside the picture of 150 x 200 px"),
+    (("chart.tif", "--roi", 100, 0, 80, 160), "--roi must lie inside the image of 150 x 200 px"),
     (("chart.tif", "--roi", 0, 0, 10, 60), "at least 16 x 16 px"),
     (("chart.tif", "--roi", 1, 2, 3), "requires 4 arguments"),
     (("chart.tif", "--roi", "1,2,3"), "requires 4 arguments"),
     (("chart.tif", *ROI, "--model", "defocus"), "--wavelength must be given for the defocus model"),
     (("chart.tif", *ROI, "--model", "lens"), "'lens' is not one of"),
-    (("chart.tif", *ROI, "--channel", "R"), "asks for a colour of a grey image"),
+    (("chart.tif", *ROI, "--channel", "R"), "must not be 'R' for a grey image"),
     (("chart.tif", *ROI, "--half-width", 0.7), "--half-width must lie in (0, 0.5] px"),
     (("chart.tif", *ROI, "-o", "chart.tif"), "is the input itself"),
     (("chart.tif", *ROI, "-o", "a.bmp"), "must end in"),
-    (("flat.tif",), "all one value"),
+    (("flat.tif",), "only one value"),
     (("white.tif",), "saturated"),
 ]
 

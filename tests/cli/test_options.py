@@ -28,8 +28,8 @@ COMMANDS = typer.main.get_command(app).commands
         ("edge", "roi must be at least 16 x 16 px, got 10 x 60", "--roi must be at least 16 x 16 px, got 10 x 60"),
         (
             "edge",
-            "channel 'R' asks for a colour of a grey image: give cfa if it is a mosaic",
-            "--channel 'R' asks for a colour of a grey image: give --cfa if it is a mosaic",
+            "channel must not be 'R' for a grey image: give cfa if it is a mosaic",
+            "--channel must not be 'R' for a grey image: give --cfa if it is a mosaic",
         ),
         ("edge", "wavelength must be given for the defocus model, m", "--wavelength must be given for the defocus model"),
         (

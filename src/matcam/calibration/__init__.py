@@ -1,4 +1,4 @@
-"""Measure a camera: from photographs of edges and charts to its lens, its pixel and their uncertainty."""
+"""Camera calibration: lens, pixel and sensor with their uncertainties, from photographs of edges and charts."""
 
 import lazy_loader
 

@@ -1,4 +1,4 @@
-"""The calibration of a camera: every measurement of every photograph, in one fit per colour, judged and with its errors."""
+"""Calibration of a camera: one fit per colour to all measurements of all photographs, with standard deviations."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from matcam.calibration.camera.camera_fit import CameraFit, CameraRequest, fit_camera
 from matcam.calibration.camera.evidence import EdgeTable, Evidence, Finding, PicturePlan
 from matcam.calibration.camera.lateral_colour import LateralColour, lateral_colour, lateral_remark
-from matcam.calibration.camera.processed_pictures import doubt_of
+from matcam.calibration.camera.processed_pictures import processing_std
 from matcam.calibration.chart.chart import Chart
 from matcam.calibration.chart.chart_file import read_chart
 from matcam.calibration.photograph.linear_image import CHANNELS, LinearImage, as_photograph
@@ -34,21 +34,23 @@ from matcam.files.photographs import Photograph, open_photograph
 if TYPE_CHECKING:
     import xarray as xr
 
-_REFERENCE = "G"  # the colour with the most sites
+_REFERENCE = "G"
+"""Colour with which the image size of the other colours is compared. It has the most sites in a mosaic."""
 Picture = str | Path | ArrayLike | Photograph | LinearImage
+"""Image as an argument of `calibrate`: file, array, `Photograph` or `LinearImage`."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Calibration(Summarised):
-    """Camera for every colour, and how it was found.
+    """Calibrated camera for every colour, with the fits and remarks.
 
     Attributes:
         channels: fits by channel: "R", "G", "B", "Y" or "grey".
-        failed: pictures that could not be used, and why.
-        remarks: what was assumed, and what a photographer should know.
-        pictures: names of the pictures that were used.
-        lateral_colour: by how much red and blue are larger than green, by channel. Default: {}, not known.
-        shape: height and width of the pictures, px. Default: None, they differ, or there are none.
+        failed: reasons by name for images that could not be used.
+        remarks: assumptions, and advice to the photographer.
+        pictures: names of the images that were used.
+        lateral_colour: size of the red and of the blue image relative to green, by channel. Default: {}, not known.
+        shape: height and width of the images, px. Default: None, they differ, or there are none.
 
     Example:
         >>> f = np.linspace(0.05, 0.5, 10)
@@ -68,29 +70,29 @@ class Calibration(Summarised):
 
     @property
     def channel(self) -> str:
-        """Return the channel that represents the camera.
+        """Channel that represents the camera.
 
-        It is green, luminance or grey, whichever there is, or else the first.
+        It is green, luminance or grey if available, otherwise the first channel.
         """
         return next((c for c in ("G", "Y", "grey") if c in self.channels), next(iter(self.channels)))
 
     @property
     def camera(self) -> Camera:
-        """Return the camera of `channel`."""
+        """Camera of `channel`."""
         return self.channels[self.channel].camera
 
     @property
     def cameras(self) -> dict[str, Camera]:
-        """Return the cameras by channel."""
+        """Cameras by channel."""
         return {name: found.camera for name, found in self.channels.items()}
 
     def edges_dataset(self) -> xr.Dataset:
-        """Return the measured edges of all channels in one data set.
+        """Convert the measured edges of all channels to one data set.
 
         Returns:
-            Place, direction, blur and MTF50 of each, with units. For pictures of one shape also the image height, its distance
-            from their middle, and the plane: an edge whose normal lies within 45 degrees of the radius shows the "meridional"
-            MTF, any other the "sagittal" one.
+            Position, direction, blur and MTF50 of each edge, with units. For images of one shape, also the image height
+            (distance from the middle) and the plane: the MTF is "meridional" if the normal of the edge is within 45 degrees
+            of the radius, otherwise "sagittal".
         """
         import xarray as xr
 
@@ -119,7 +121,7 @@ class Calibration(Summarised):
 
     def _summary(self) -> Summary:
         sections = {f"Channel {name}": fit.quantities() for name, fit in self.channels.items()}
-        sections["Pictures that failed"] = [Quantity(name, why) for name, why in self.failed.items()]
+        sections["Images that failed"] = [Quantity(name, why) for name, why in self.failed.items()]
         lines = [f"{name}: {fit.headline}." for name, fit in self.channels.items() if not fit.consistent]
         remarks = (*self.remarks, *(r for fit in self.channels.values() for r in fit.remarks if r not in self.remarks))
         return Summary(
@@ -130,10 +132,10 @@ class Calibration(Summarised):
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the result as `matcam calibrate --json` prints it.
+        """Return the result as a JSON object, which `matcam calibrate --json` prints.
 
         Returns:
-            The fit of every channel, pictures, failures, and the remarks' texts.
+            The fit of every channel, images, failures, and the texts of the remarks.
         """
         return plain(
             {
@@ -162,41 +164,41 @@ def calibrate(
     cfa: str | None = None,
     accept_sharpened: bool = False,
 ) -> Calibration:
-    """Find a camera from pictures of slanted edges and other targets.
+    """Calibrate a camera with images of slanted edges and other targets.
 
-    A picture that cannot be used is left out, and listed in `failed`.
+    Images that cannot be used are skipped, and listed in `failed`.
 
     Args:
-        pictures: files (8 or 16 bit TIFF, PNG, JPEG; OpenEXR; camera raw), arrays (height, width[, 3]) of linear values, or
-            `Photograph`s, or `LinearImage`s, each of one colour. All by one camera.
-        samples: measurements of gratings, stars, dots. Default: none.
-        chart: what the pictures show, or its file, which `matcam chart` writes. Default: None, slanted edges only. With it
-            gratings, stars and dots are measured, too.
-        model: lens (no unit): "gaussian" (the paper's sigma_mtf), "halo" (Gaussian core and veiling glare), "diffraction",
-            "defocus" (diffraction and defocus), "measured" (the edges' own mean curve, divided by the pixel).
-            Default: "gaussian".
-        half_width: half the side of a pixel's sensitive area, in (0, 0.5] px. Default: 0.5. None fits it together with a
-            Gaussian core, which takes many edges, and is refused where either is not known to 10 %.
-        wavelength: of the light, m, one or by channel. Default: None. "diffraction" and "defocus" need it; with
-            `half_width=None` it takes diffraction into account.
-        pixel_pitch: distance between pixels, m. Default: None. Needed with `wavelength`.
-        f_numbers: f-number of each picture, or one for all (no unit). Default: None, the files' own.
-        tone: tone curve of pictures that are not linear by nature (no unit): "linear", "srgb", a gamma, or a table of linear
-            values by code. Default: "auto", 8-bit files are taken for sRGB, others for linear, and `remarks` says so.
-        channels: of "R", "G", "B", "Y" (luminance), "grey" (no unit). Default: None, all there are.
-        cfa: colours of the first 2 x 2 px, row by row, of mosaics whose files do not say so: "RGGB", "BGGR", "GRBG" or "GBRG".
-            The sites of each colour are samples as they are. Default: None, the files' own, or no mosaic (no unit).
-        accept_sharpened: measure edges that overshoot as sharpened ones do, and pictures that were denoised or compressed: lens
-            and software together (no unit). Default: False.
+        pictures: files (8 or 16 bit TIFF, PNG, JPEG; OpenEXR; camera raw), arrays (height, width[, 3]) of linear values,
+            `Photograph`s, or `LinearImage`s of one colour each. All must be taken with one camera.
+        samples: measurements of gratings, stars and dots. Default: none.
+        chart: description of the chart in the images, or its file, which `matcam chart` writes. With a chart, gratings, stars
+            and dots are also measured. Default: None, slanted edges only.
+        model: lens model (no unit): "gaussian" (the sigma_mtf of the paper), "halo" (Gaussian core and veiling glare),
+            "diffraction", "defocus" (diffraction and defocus), "measured" (mean MTF of the edges, divided by that of the
+            pixel). Default: "gaussian".
+        half_width: half the side of the sensitive area of a pixel, in (0, 0.5] px. None fits it together with a Gaussian
+            core, which requires many edges, and fails if either is not determined to 10 %. Default: 0.5.
+        wavelength: wavelength of the light, m, one value or a mapping by channel. It is required by "diffraction" and
+            "defocus". With `half_width=None`, diffraction is included if it is given. Default: None.
+        pixel_pitch: pixel pitch, m; required with `wavelength`. Default: None.
+        f_numbers: f-number of each image, or one for all (no unit). Default: None, those of the files.
+        tone: tone curve of images whose format is not linear (no unit): "linear", "srgb", a gamma, or a table of linear values
+            by code. Default: "auto": 8-bit files are assumed to be sRGB, others linear, which `remarks` reports.
+        channels: channels out of "R", "G", "B", "Y" (luminance), "grey" (no unit). Default: None, all available ones.
+        cfa: colours of the first 2 x 2 px, row by row, of mosaics whose files do not specify them: "RGGB", "BGGR", "GRBG" or
+            "GBRG" (no unit). Mosaics are not demosaiced. Default: None, those of the files, or no mosaic.
+        accept_sharpened: accept sharpened edges, and images that were denoised or compressed; the result is the MTF of lens
+            and processing (no unit). Default: False.
 
     Returns:
-        A camera for every colour with its uncertainty, how well it explains the edges, and remarks.
+        A camera for every colour with its uncertainty, the agreement with the edges, and remarks.
 
     Raises:
-        ArgumentError: if an argument is out of range, or the pictures are of different cameras.
-        FitError: if measurements contradict one another, or do not determine what was asked; if there are edges only, fewer
-            than 8 or all in one direction, or more than 30 % of them sharpened or saturated.
-        MatcamError: the error of the first bad picture, if there is no good one.
+        ArgumentError: if an argument is out of range, or the images are of different cameras.
+        FitError: if measurements contradict one another, or do not determine the requested parameters. Without other targets,
+            also if there are fewer than 8 edges, all edges have one direction, or more than 30 % are sharpened or saturated.
+        MatcamError: the error of the first image, if no image can be used.
 
     Source:
         docs/model.md 7; docs/calibrate.md.
@@ -228,7 +230,7 @@ def calibrate(
     for number, (picture, f_number) in enumerate(
         zip(pictures, _checked_f_numbers(f_numbers, len(pictures)), strict=True)
     ):
-        measured.add(picture, f"picture {number + 1}", f_number, plan)
+        measured.add(picture, f"image {number + 1}", f_number, plan)
     measured.check()
     findings = measured.findings + [Finding(s.channel, s.source, s.f_number, None, (s,)) for s in samples]
     request = CameraRequest(model, half_width, wavelength, pixel_pitch)
@@ -238,7 +240,7 @@ def calibrate(
         measured.remarks += evidence.check(channel, accept_sharpened=accept_sharpened)
         fit = fit_camera(evidence, channel, request)
         if fit.names[0].endswith("sigma_px"):
-            fit = fit.with_wider_errors(doubt_of(evidence.software, float(fit.values[0])))
+            fit = fit.with_wider_errors(processing_std(evidence.software, float(fit.values[0])))
         fit = replace(fit, camera=fit.camera.with_field(evidence.field()))
         measured.remarks += fit.remarks
         fits[channel] = fit.with_provenance(measured.provenance(f"channel {channel}: {fit.headline}"))
@@ -250,7 +252,7 @@ def calibrate(
 
 
 def _lateral_colours(fits: Mapping[str, CameraFit], shape: tuple[int, int]) -> dict[str, LateralColour]:
-    """Compare the size of the other colours with green in pictures of one shape that have enough edges."""
+    """Compare the size of the other colours with green in images of one shape that have enough edges."""
     green = fits[_REFERENCE].edges if _REFERENCE in fits else None
     if green is None:
         return {}
@@ -261,15 +263,15 @@ def _lateral_colours(fits: Mapping[str, CameraFit], shape: tuple[int, int]) -> d
 
 @dataclass
 class _Pictures:
-    """Measurements of all pictures, and the pictures that failed.
+    """Measurements of all images, and the images that failed.
 
     Attributes:
-        findings: one for each colour of each picture.
-        remarks: on all pictures.
-        used: names of the pictures that were used.
-        failed: why others were not, by name.
-        errors: the same, as errors.
-        cameras: first picture of every camera, by the camera's name.
+        findings: measurements of each colour of each image.
+        remarks: remarks on all images.
+        used: names of the images that were used.
+        failed: reasons by name for the images that were not used.
+        errors: errors of the images that were not used.
+        cameras: first image of every camera, by the name of the camera.
     """
 
     findings: list[Finding] = field(default_factory=list)
@@ -280,10 +282,7 @@ class _Pictures:
     cameras: dict[str, str] = field(default_factory=dict)
 
     def add(self, picture: Any, name: str, f_number: float | None, plan: PicturePlan) -> None:
-        """Measure a picture, or record its error.
-
-        `name` is used for a picture that is not a file.
-        """
+        """Measure an image, or record its error. `name`: name of an image that is not a file."""
         if isinstance(picture, str | Path):
             name = str(picture)
         elif isinstance(picture, LinearImage):
@@ -312,21 +311,21 @@ class _Pictures:
             self.remarks += [Remark(remark.code, f"{short}: {remark.text}") for remark in remarks]
 
     def check(self) -> None:
-        """Raise an error if the pictures cannot give one camera.
+        """Raise an error if the images do not determine one camera.
 
-        ArgumentError: they are of different cameras. If none could be used, the error of the first picture is raised.
+        ArgumentError if they are of different cameras. If no image could be used, the error of the first is raised.
         """
         if len(self.cameras) > 1:
             listed = ", ".join(f"{camera} ({file})" for camera, file in self.cameras.items())
             raise ArgumentError(f"pictures are of different cameras: {listed}: calibrate one at a time")
         if self.errors and not self.used:
             count, first = len(self.errors), self.errors[0]
-            raise first if count == 1 else FitError(f"none of {count} pictures can be used; the first: {first}")
+            raise first if count == 1 else FitError(f"none of {count} images can be used; the first: {first}")
 
     def provenance(self, summary: str) -> Provenance:
-        """Return the provenance of a profile that is made from these pictures."""
+        """Create the provenance of a profile from these images."""
         return Provenance(
-            source=f"{len(self.used)} pictures ({', '.join(self.used)}), {summary}",
+            source=f"{len(self.used)} images ({', '.join(self.used)}), {summary}",
             created=datetime.datetime.now(datetime.UTC).date().isoformat(),
             software=f"matcam {metadata.version('matcam')}",
             notes="; ".join(texts(self.remarks)),
@@ -334,13 +333,10 @@ class _Pictures:
 
 
 def _checked_f_numbers(f_numbers: Any, count: int) -> list[float | None]:
-    """Return one f-number for each picture.
-
-    None selects the f-number in the file.
-    """
+    """List one f-number for each image; None selects the f-number in the file."""
     if f_numbers is None:
         return [None] * count
     numbers = np.asarray(checks.within("f_numbers", f_numbers, 0.3, 200.0), dtype=float)
     if numbers.shape not in ((), (count,)):
-        raise ArgumentError(f"f_numbers must be one, or one for each of the {count} pictures, got {numbers.size}")
+        raise ArgumentError(f"f_numbers must be one, or one for each of the {count} images, got {numbers.size}")
     return list(np.broadcast_to(numbers, count).tolist())

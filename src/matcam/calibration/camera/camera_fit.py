@@ -1,8 +1,8 @@
-"""The camera of one colour: lens and pixel, fitted to all measurements of the colour and checked.
+"""Fit of the camera of one colour: lens and pixel, fitted to all measurements of the colour.
 
-A lens of the family asked for is fitted to everything together. The edges' own mean MTF, which is free of a model, then judges
-the result, or becomes the lens itself ("measured"). A pixel that was fitted with the lens comes back with the lens as a curve,
-because core and diffraction together are no family of their own.
+A lens model is fitted to all measurements jointly. The result is compared with the model-free mean MTF of the edges, which
+can also be used as the lens itself ("measured"). If the pixel is fitted as well and diffraction is included, the lens is
+returned as a tabulated MTF, because the product of core and diffraction is not one of the lens models.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from matcam.calibration.camera.consensus import strangers_remarks
+from matcam.calibration.camera.consensus import disagreement_remarks
 from matcam.calibration.camera.evidence import EdgeTable, Evidence, LensAt, MeanCurve
 from matcam.calibration.camera.joint_fit import (
     EdgeMeasurements,
@@ -36,22 +36,31 @@ from matcam.core.programs import kept_program
 from matcam.core.remark import Remark
 from matcam.core.results.summary import Quantity, Summarised, Summary, correlations, parameters
 
-# relative differences of the blur, and standard deviations: a target of a chart is left out if it differs by more from
-# the edges of the chart; other measurements contradict each other
 _STRANGE, _LARGE, _CLEAR = 0.03, 0.1, 5.0
-_LARGEST_STD = 0.1  # relative standard deviation; limit for lens and pixel if both are fitted
-# MTF, and standard deviations: if both are exceeded, the model does not describe the edges
+"""Largest relative differences of the blur of targets, and number of standard deviations that both must exceed.
+
+Targets of a chart that differ from its edges by more than the first value are excluded. Other measurements that differ by
+more than the second value are contradictory.
+"""
+_LARGEST_STD = 0.1
+"""Largest relative standard deviation of lens width and pixel half width if both are fitted."""
 _MISSED, _SIGNIFICANT = 0.005, 4.0
-_SIGMA = 0.5  # px: start of a fit without edges
-_PIXEL = 0.3  # smallest MTF of the pixel by which a curve is divided
-_STD = 0.03  # standard deviation of the lens MTF above which the curve is extrapolated
-_TAIL, _END = 24, 1e-6  # samples of the Gaussian that continues the curve, and the value that is set to 0
+"""Difference of the MTF and number of standard deviations above which the model does not explain the edges."""
+_SIGMA = 0.5
+"""Initial lens width of a fit without edges, px."""
+_PIXEL = 0.3
+"""Smallest MTF of the pixel by which a measured curve is divided."""
+_STD = 0.03
+"""Standard deviation of the lens MTF above which a measured curve is extrapolated."""
+_TAIL, _END = 24, 1e-6
+"""Number of samples of the Gaussian that extrapolates a measured curve; MTF at which it ends."""
 _SAMPLES = 65
+"""Number of samples of a tabulated lens MTF."""
 
 
 @dataclass(frozen=True)
 class CameraRequest:
-    """Requested kind of camera; fields as in `calibrate`."""
+    """Options of the fitted camera; fields as in `calibrate`."""
 
     model: str
     half_width: float | None
@@ -59,9 +68,9 @@ class CameraRequest:
     pixel_pitch: float | None
 
     def lens_at(self, channel: str, f_numbers: list[float | None]) -> LensAt:
-        """Return the lens family to be fitted, as a function of the f-number.
+        """Return the lens model to be fitted, as a function of the f-number.
 
-        ArgumentError if an argument that it needs is missing.
+        ArgumentError if an argument that it requires is missing.
         """
         wavelength = self.wavelength.get(channel) if isinstance(self.wavelength, Mapping) else self.wavelength
         both = wavelength is not None and self.pixel_pitch is not None
@@ -74,7 +83,7 @@ class CameraRequest:
             return lambda _: lens
         if both and any(number is None for number in f_numbers):
             raise ArgumentError(
-                "diffraction needs f-numbers, but not every picture's f-number is known: give f_numbers: give f_numbers"
+                "diffraction requires f-numbers, but the f-number of at least one image is not known: give f_numbers"
             )
         if not both:
             return lambda _: Separable(jnp.zeros(()), jnp.asarray(550e-9), jnp.asarray(5e-6))
@@ -83,20 +92,21 @@ class CameraRequest:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class CameraFit(Summarised):
-    """Camera of one colour, and how well it is known.
+    """Fitted camera of one colour, with its uncertainty.
 
     Attributes:
         camera: lens and pixel, with their uncertainty.
-        names: fitted parameters, as in the profile; "gaussian.sigma_px": the best Gaussian's, beside a measured curve.
+        names: names of the fitted parameters, as in the profile; "gaussian.sigma_px" is the lens width of the best Gaussian
+            that accompanies a measured curve.
         values: (k,) fitted parameters, in the units of their names.
-        covariance: (k, k), wider than the noise's where measurements scatter more than that.
-        chi2: of all samples, under the noise (no unit).
+        covariance: (k, k) covariance of `values`; increased if the measurements scatter more than their noise.
+        chi2: chi-square of all samples for the given noise (no unit).
         degrees: degrees of freedom.
         spread: relative standard deviation of the blur among the edges, beyond their noise (no unit).
         edges: results of every edge; None without edges.
-        curve: the edges' mean MTF, free of a model, and this camera's.
-        measurements: number of measurements by picture and kind.
-        remarks: on targets that were left out. Default: ().
+        curve: model-free mean MTF of the edges, and the MTF of this camera.
+        measurements: number of measurements by image and kind.
+        remarks: remarks on targets that were excluded. Default: ().
 
     Example:
         >>> f = np.linspace(0.05, 0.5, 10)
@@ -121,33 +131,33 @@ class CameraFit(Summarised):
 
     @property
     def std(self) -> np.ndarray:
-        """Return the standard deviations (k,) of `values`."""
+        """Standard deviations (k,) of `values`."""
         return np.sqrt(np.diag(self.covariance))
 
     @property
     def misfit(self) -> float:
-        """Return the largest difference from the edges' mean MTF below Nyquist.
+        """Largest difference from the mean MTF of the edges.
 
-        NaN without edges.
+        Only frequencies below Nyquist are compared. The value is NaN without edges.
         """
         return self.curve.misfit[0]
 
     @property
     def misfit_std(self) -> float:
-        """Return the standard deviation of `misfit`."""
+        """Standard deviation of `misfit`."""
         return self.curve.misfit[1]
 
     @property
     def consistent(self) -> bool:
-        """Check whether the camera explains the edges' mean MTF.
+        """Check that the camera explains the mean MTF of the edges.
 
-        It does not if it misses it by more than 0.005 and 4 standard deviations.
+        The largest difference must not exceed both 0.005 and 4 standard deviations.
         """
         return not (self.misfit > _MISSED and self.misfit > _SIGNIFICANT * self.misfit_std)
 
     @property
     def headline(self) -> str:
-        """Result in one line."""
+        """Summary of the result in one line."""
         pairs = zip(self.names, self.values, self.std, strict=True)
         numbers = ", ".join(f"{name} {value:.4g} ± {std:.2g}" for name, value, std in pairs)
         count = 0 if self.edges is None else self.edges.x.size
@@ -177,10 +187,10 @@ class CameraFit(Summarised):
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the fit as `matcam calibrate --json` prints it.
+        """Return the fit as a JSON object, which `matcam calibrate --json` prints.
 
         Returns:
-            Parameters by name, their covariance, what judges the fit, and the mean MTF.
+            Parameters by name, their covariance, statistics of the fit, and the mean MTF.
         """
         return {
             "parameters": dict(zip(self.names, self.values, strict=True)),
@@ -199,24 +209,24 @@ class CameraFit(Summarised):
         }
 
     def with_provenance(self, provenance: Provenance) -> CameraFit:
-        """Return the fit with a camera that says where it comes from.
+        """Return the fit with the provenance of its camera.
 
         Args:
-            provenance: source, date and software, for the camera's profile.
+            provenance: source, date and software, for the profile of the camera.
 
         Returns:
-            The same fit.
+            The same fit with the provenance.
         """
         return replace(self, camera=replaced(self.camera, "provenance", provenance))
 
     def with_wider_errors(self, std: float) -> CameraFit:
-        """Return the fit with another error of its first parameter.
+        """Return the fit with a larger standard deviation of its first parameter.
 
         Args:
-            std: standard deviation that adds to the parameter's own, in its unit.
+            std: standard deviation that is added in quadrature, in the unit of the parameter.
 
         Returns:
-            The same fit; its camera states the wider error, too.
+            The same fit; the uncertainty of its camera is also increased.
         """
         covariance = self.covariance.copy()
         covariance[0, 0] += std**2
@@ -227,9 +237,9 @@ class CameraFit(Summarised):
 
 
 def fit_camera(evidence: Evidence, channel: str, request: CameraRequest) -> CameraFit:
-    """Fit one camera to all evidence on a colour.
+    """Fit one camera to all measurements of a colour.
 
-    FitError if measurements contradict each other, or do not determine what is asked.
+    FitError if measurements contradict each other, or do not determine the requested parameters.
     """
     f_numbers = evidence.f_numbers
     lens_at = request.lens_at(channel, f_numbers)
@@ -238,7 +248,7 @@ def fit_camera(evidence: Evidence, channel: str, request: CameraRequest) -> Came
     start = np.asarray(lens.start(jnp.asarray(np.log(_SIGMA if table is None else np.median(table.sigma)))))
     precision = np.array([0.0, 0.0, KURTOSIS**-2]) if separable else np.zeros(start.size)
     half = float(request.half_width or 0.5)
-    fitted, strangers = _without_strangers(
+    fitted, disagreeing = _without_disagreeing(
         measurements, lambda some: fit_jointly(some, start, lens.longest, precision, half), channel
     )
     covariance = fitted.observed_covariance()
@@ -271,47 +281,46 @@ def fit_camera(evidence: Evidence, channel: str, request: CameraRequest) -> Came
         spread=0.0 if table is None else table.spread,
         edges=table,
         curve=curve,
-        measurements={name: n for name, n in Counter(measurements.groups).items() if name not in strangers},
-        remarks=strangers_remarks(strangers, channel),
+        measurements={name: n for name, n in Counter(measurements.groups).items() if name not in disagreeing},
+        remarks=disagreement_remarks(disagreeing, channel),
     )
 
 
-def _without_strangers(
+def _without_disagreeing(
     measurements: Measurements, fit: Callable[[Measurements], JointFit], channel: str
 ) -> tuple[JointFit, dict[str, float]]:
-    """Fit without the targets that the edges of their chart contradict, and list these with the difference of their
-    blur.
+    """Fit without the targets that contradict the edges of their chart, and list these with the difference of their blur.
 
-    FitError where edges do not decide which measurements are wrong; channel: for its message.
+    FitError for a contradiction without edges that determine which measurements are wrong. `channel`: name for the message.
     """
-    groups, replaceable, strangers = measurements.groups, measurements.replaceable, dict[str, float]()
+    groups, replaceable, disagreeing = measurements.groups, measurements.replaceable, dict[str, float]()
     while True:
-        fitted = fit(measurements.without(strangers))
-        candidates = replaceable - strangers.keys()
+        fitted = fit(measurements.without(disagreeing))
+        candidates = replaceable - disagreeing.keys()
         off = fitted.differences(groups, set(groups) - candidates)
         more = {k: d for k, (d, std) in off.items() if k in candidates and abs(d) > max(_STRANGE, _CLEAR * std)}
         if not more:
             off = fitted.differences(groups, groups)
             name, (difference, std) = max(off.items(), key=lambda one: abs(one[1][0]), default=("", (0.0, 0.0)))
             if abs(difference) < max(_LARGE, _CLEAR * std):
-                return fitted, strangers
+                return fitted, disagreeing
             if name not in candidates:
                 others = [other for other in off if other != name]
-                text = f"{name} sees a blur {difference:+.0%} against that of {', '.join(others[:2])}"
+                text = f"the blur of {name} differs by {difference:+.0%} from that of {', '.join(others[:2])}"
                 text += f" and {len(others) - 2} others" if len(others) > 2 else ""
                 raise FitError(f"contradictory measurements, channel {channel}: {text}")
             more = {name: difference}
-        strangers |= more
+        disagreeing |= more
 
 
 class _FittedLens:
     """Fitted lens with parameters and covariance.
 
     Attributes:
-        lens: the family.
-        parameters: (k,) as the family takes them.
-        covariance: (k, k) of `parameters`.
-        values: (k,) in the units of the family's names.
+        lens: the lens model.
+        parameters: (k,) parameters in the form of the fit.
+        covariance: (k, k) covariance of `parameters`.
+        values: (k,) parameters in the units of their names.
         errors: (k, k) covariance of `values`.
         half: half width of the pixel, px.
     """
@@ -325,27 +334,27 @@ class _FittedLens:
 
 
 def _within_the_pitch(parameters: np.ndarray, covariance: np.ndarray) -> np.ndarray:
-    """Return the best parameters with a pixel no wider than the pitch."""
+    """Compute the most probable parameters with a pixel that is not wider than the pitch."""
     over = parameters[1] - 0.5
     return parameters - covariance[:, 1] / covariance[1, 1] * over if over > 0 else parameters
 
 
 def _refuse_unseparated(found: _FittedLens, table: EdgeTable | None) -> None:
-    """Raise FitError if lens or pixel is not known to 10 %."""
+    """Raise FitError if lens or pixel is not determined to 10 %."""
     relative = np.sqrt(np.diag(found.errors)) / np.abs(found.values)
-    names = ("the lens's sigma", "the pixel's half width")
+    names = ("the lens width", "the half width of the pixel")
     worst = int(np.argmax(relative[:2]))
     if relative[worst] > _LARGEST_STD:
         count = 0 if table is None else table.x.size
         raise FitError(
-            f"lens and pixel cannot be separated: {count} edges know {names[worst]} to {relative[worst]:.0%} "
+            f"lens and pixel cannot be separated: {count} edges determine {names[worst]} to {relative[worst]:.0%} "
             f"({found.values[worst]:.2f} px; at most {_LARGEST_STD:.0%} is accepted): give the fill (half_width, "
             "--half-width), or more edges of a sharper lens at several known apertures"
         )
 
 
 def _mean_curve(found: _FittedLens, edges: EdgeMeasurements | None, table: EdgeTable | None) -> MeanCurve:
-    """Return the mean MTF of the edges and of the fitted camera.
+    """Compute the mean MTF of the edges and of the fitted camera.
 
     The standard deviation follows from the scatter of the edges.
     """
@@ -358,7 +367,7 @@ def _mean_curve(found: _FittedLens, edges: EdgeMeasurements | None, table: EdgeT
     weight = table.weights
     mean, expected = (weight * table.mtf).sum(0), (weight * models).sum(0)
     count = table.x.size
-    # about the model, because edges see different pixels under different angles
+    # The scatter is that about the model, because the MTF of the pixel depends on the angle of an edge.
     apart = table.mtf - models - (mean - expected)
     scatter = np.sqrt((weight**2 * apart**2).sum(0) * count / max(count - 1, 1))
     stated = np.sqrt((weight**2 * table.mtf_std**2).sum(0))
@@ -367,14 +376,14 @@ def _mean_curve(found: _FittedLens, edges: EdgeMeasurements | None, table: EdgeT
 
 @kept_program
 def _edge_curves(edges: Any, theta: jax.Array, half: jax.Array) -> jax.Array:
-    """Return the camera's signed MTF at each edge, (edges, frequencies)."""
+    """Evaluate the signed MTF of the camera for each edge, (edges, frequencies)."""
     return jax.lax.map(lambda e: e[0].mtf(theta, FREQUENCIES, e[1], half), (edges.lens, jnp.asarray(edges.angle)))
 
 
 def _measured_camera(found: _FittedLens, table: EdgeTable, curve: MeanCurve) -> Camera:
-    """Return a lens with the mean MTF of the edges, divided by that of the pixel.
+    """Create a camera whose lens has the mean MTF of the edges, divided by that of the pixel.
 
-    Where the standard deviation is too large, the curve continues as that of the fitted Gaussian.
+    Beyond the frequency at which the standard deviation is too large, the curve is extrapolated by the fitted Gaussian.
     """
     mean, std = curve.mtf, curve.mtf_std
     c, s = np.abs(np.cos(table.angle))[:, None], np.abs(np.sin(table.angle))[:, None]
@@ -384,7 +393,7 @@ def _measured_camera(found: _FittedLens, table: EdgeTable, curve: MeanCurve) -> 
     last = int(np.argmin(known)) - 1 if not known.all() else FREQUENCIES.size - 1
     if last < 8:
         raise FitError(
-            f"the measured curve ends at {FREQUENCIES[max(last, 0)]:.2f} cycles/px: too few edges are above the noise"
+            f"the measured curve ends at {FREQUENCIES[max(last, 0)]:.2f} cycles/px, because the noise is too large: add edges"
         )
     f, mtf, error = FREQUENCIES[: last + 1], (mean / box)[: last + 1], (std / box)[: last + 1]
     mtf = np.minimum(mtf / mtf[0], 1.0)
@@ -405,9 +414,9 @@ def _measured_camera(found: _FittedLens, table: EdgeTable, curve: MeanCurve) -> 
 
 
 def _separated_camera(found: _FittedLens) -> Camera:
-    """Return core and pixel as a camera.
+    """Create a camera from core and pixel.
 
-    If the lens has an f-number, core and diffraction are combined in one curve.
+    If the lens has an f-number, core and diffraction are combined in one tabulated MTF.
     """
     lens, theta = found.lens, jnp.asarray(found.parameters)
     assert isinstance(lens, Separable)
@@ -428,5 +437,5 @@ def _separated_camera(found: _FittedLens) -> Camera:
 
 
 def _uncertainty(names: tuple[str, ...], covariance: np.ndarray) -> Uncertainty:
-    """Return the uncertainty of named values, with a symmetric covariance."""
+    """Create the uncertainty of named values with a symmetrised covariance."""
     return Uncertainty(names, (covariance + covariance.T) / 2)

@@ -1,8 +1,8 @@
-"""Selection of the edges that agree with each other, and the check that they are enough.
+"""Selection of the edges that agree with each other, and the check that there are enough of them.
 
-Any picture has edges, for example of a printed page or a shadow. A single such edge does not determine a camera. Edges
-whose blur differs from that of all others, or whose levels are impossible, are left out. The remaining edges must be
-enough to check their agreement.
+Any image contains edges, for example of a printed page or a shadow. A single such edge does not determine a camera. Edges
+whose blur differs from that of the others, or whose levels are impossible, are excluded. Enough edges must remain to
+verify that they agree.
 """
 
 from __future__ import annotations
@@ -18,15 +18,19 @@ from matcam.core.remark import Remark
 from matcam.numerics.normal import robust_std
 
 FEWEST_EDGES = 8
-_APART = np.radians(20.0)  # smallest angle between two directions
-# share of sharpened, crushed or saturated edges above which the others are not representative of the lens
+"""Smallest number of edges for a camera. Fewer are not sufficient to verify that they agree."""
+_APART = np.radians(20.0)
+"""Smallest angle between the directions of two edges of a camera, rad."""
 _PROCESSED = 0.3
-_FAR, _LEAST = 5.0, 0.5  # standard deviations of ln sigma: the blur may vary by a half over the field
-_IMPOSSIBLE = 0.5  # share of the step: a dark level below minus this value is impossible
+"""Share of sharpened, crushed or saturated edges above which the others are assumed to be processed as well."""
+_FAR, _LEAST = 5.0, 0.5
+"""Deviation of ln sigma above which an edge is excluded: standard deviations, and absolute variation over the field."""
+_IMPOSSIBLE = 0.5
+"""Negative dark level, relative to the step, beyond which an edge is excluded."""
 
 
 def in_consensus(stacks: Sequence[EdgeStack]) -> list[EdgeStack]:
-    """Return the stacks, with a problem for each edge that agrees with no other edge."""
+    """Mark the edges that do not agree with the others as problems."""
     good = [stack.good for stack in stacks]
     counts = [which.size for which in good]
     if not sum(counts):
@@ -42,16 +46,16 @@ def in_consensus(stacks: Sequence[EdgeStack]) -> list[EdgeStack]:
         problems = list(stack.problems)
         for i, blurred, wrong in zip(which, off, impossible, strict=True):
             if blurred or wrong:
-                text = "its dark level is impossible" if wrong else "its blur is not that of the other edges"
+                text = "its dark level is negative" if wrong else "its blur differs from that of the other edges"
                 problems[i] = Remark("no-consensus", text)
         result.append(replace(stack, problems=tuple(problems)))
     return result
 
 
 def refuse_too_few(stacks: Sequence[EdgeStack], channel: str, *, accept_sharpened: bool) -> None:
-    """Raise FitError if edges are the only measurements and too few, too parallel, or mostly processed.
+    """Raise FitError if the edges are too few, too parallel, or often processed.
 
-    If `accept_sharpened` is true, sharpened edges are counted as good.
+    It applies if edges are the only measurements. `accept_sharpened`: whether sharpened edges count as good.
     """
     codes = [problem.code if problem else "" for stack in stacks for problem in stack.problems]
     good, processed = codes.count(""), codes.count("saturated")
@@ -60,27 +64,26 @@ def refuse_too_few(stacks: Sequence[EdgeStack], channel: str, *, accept_sharpene
     if processed > _PROCESSED * (good + processed):
         raise FitError(
             f"channel {channel}: {processed} of {good + processed} edges are sharpened, crushed or saturated: this is a "
-            "processed or overexposed picture, whose MTF is not the lens's: use camera raw, and expose less"
+            "processed or overexposed image, whose MTF is not that of the lens: use camera raw, and expose less"
         )
     if good < FEWEST_EDGES:
         raise FitError(
-            f"channel {channel}: {good} good edges are too few for a camera, it takes {FEWEST_EDGES} in two directions: "
+            f"channel {channel}: {good} good edges are too few for a camera, {FEWEST_EDGES} in two directions are needed: "
             "photograph a chart of slanted squares (matcam chart), or measure one edge with matcam edge"
         )
     angle = np.concatenate([stack.angle[stack.good] for stack in stacks])
     off = widest_angle(angle)
     if off < _APART:
         raise FitError(
-            f"channel {channel}: all {good} edges lie within {np.degrees(off):.0f} degrees: a camera takes edges in two "
+            f"channel {channel}: all {good} edges lie within {np.degrees(off):.0f} degrees: a camera requires edges in two "
             "directions"
         )
 
 
 def widest_angle(angle: np.ndarray) -> float:
-    """Return the largest angle between any two of n axes, rad, at most a quarter turn.
+    """Compute the largest angle between any two of n axes, rad, at most pi / 2.
 
-    Not all pairs are compared, which would take a second for 4,000 edges: the axis at the largest angle to a given one
-    is next to the perpendicular.
+    It is not necessary to compare all pairs: the axis at the largest angle to a given one is next to the perpendicular.
     """
     turned = np.sort(angle % np.pi)
     beyond = np.searchsorted(turned, (angle + np.pi / 2) % np.pi)
@@ -92,23 +95,23 @@ def _relative_std(stack: EdgeStack, which: np.ndarray) -> np.ndarray:
     return np.sqrt(stack.parametric.covariance[which, 0, 0]) / stack.parametric.values[which, 0]
 
 
-def strangers_remarks(strangers: Mapping[str, float], channel: str) -> tuple[Remark, ...]:
-    """Describe the targets that were left out, one remark for each kind of target.
+def disagreement_remarks(disagreeing: Mapping[str, float], channel: str) -> tuple[Remark, ...]:
+    """Describe the targets that were excluded, with one remark for each kind of target.
 
-    strangers: relative difference of the blur by name, which ends in the kind in brackets.
+    `disagreeing`: relative difference of the blur by name; a name ends with the kind in brackets.
     """
     kinds: dict[str, dict[str, float]] = {}
-    for name, off in strangers.items():
+    for name, off in disagreeing.items():
         kinds.setdefault(name.rpartition(" (")[2].rstrip(")"), {})[name] = off
     remarks = []
     for kind, names in kinds.items():
         low, high = (_as_share(end) for end in (min(names.values()), max(names.values())))
         first = next(iter(names))
         if len(names) == 1:
-            text = f"{first} sees a blur {low} against that of the edges, and is left out"
+            text = f"the blur of {first} differs by {low} from that of the edges: it was excluded"
         else:
-            text = f"{len(names)} targets of one kind ({kind}) see blurs from {low} to {high} against that of the edges"
-            text += f", and are left out: {first} and {len(names) - 1} more"
+            text = f"the blurs of {len(names)} targets of one kind ({kind}) differ by {low} to {high} from that of the edges"
+            text += f": {first} and {len(names) - 1} more were excluded"
         remarks.append(Remark("target-disagrees", f"{channel}: {text}"))
     return tuple(remarks)
 

@@ -1,4 +1,4 @@
-"""The measurements for a camera: those of each photograph by colour, and all of one colour."""
+"""Collection of the measurements for a camera: for each photograph by colour, and for one colour of all photographs."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 
 from matcam.calibration.camera.consensus import in_consensus, refuse_too_few
 from matcam.calibration.camera.joint_fit import Measurements, edge_measurements, value_measurements
-from matcam.calibration.camera.lens_over_field import BlurPlaces, lens_over_field
+from matcam.calibration.camera.lens_over_field import BlurSamples, lens_over_field
 from matcam.calibration.camera.processed_pictures import Processed, processed
 from matcam.calibration.chart.chart import Chart, Dots, Grating, Star
 from matcam.calibration.chart.marks import balanced
@@ -31,26 +31,28 @@ from matcam.core.remark import Remark
 from matcam.files.photographs import Photograph
 
 LensAt = Callable[[float | None], LensModel]
-"""The family of lenses in a picture taken at an f-number, None if that is not known."""
+"""Lens model of an image as a function of its f-number, which is None if it is not known."""
 
-_MARGIN = 6  # px about a grating or star, where its blur is
-_LEAST_STD = 1e-4  # of an MTF value: no edge outweighs the others by more
+_MARGIN = 6
+"""Margin around a grating or star that includes its blur, px."""
+_LEAST_STD = 1e-4
+"""Smallest standard deviation of an MTF value in a mean. It limits the weight of a single edge."""
 
 
 class EdgeTable(NamedTuple):
     """Results of n edges over the field.
 
     Attributes:
-        x: (n,) px, of the middle.
-        y: (n,) px.
+        x: (n,) x of the middle, px.
+        y: (n,) y of the middle, px.
         angle: (n,) direction of the normal towards the bright side, rad.
-        sigma: (n,) standard deviation of each edge's own Gaussian lens, px.
-        sigma_std: (n,) its standard deviation, px.
-        mtf50: (n,) cycles/px, free of a model.
-        mtf50_std: (n,) its standard deviation, cycles/px.
-        mtf: (n, 81) MTF at `free_fit.FREQUENCIES`, free of a model.
-        mtf_std: (n, 81) its standard deviation.
-        source: (n,) names of pictures.
+        sigma: (n,) lens width from the Gaussian fit of each edge, px.
+        sigma_std: (n,) standard deviation of `sigma`, px.
+        mtf50: (n,) model-free MTF50, cycles/px.
+        mtf50_std: (n,) standard deviation of `mtf50`, cycles/px.
+        mtf: (n, 81) model-free MTF at `free_curve.FREQUENCIES`.
+        mtf_std: (n, 81) standard deviation of `mtf`.
+        source: (n,) names of the images.
 
     Example:
         >>> one, mtf = np.ones(4), np.full((4, 81), 0.5)
@@ -83,10 +85,10 @@ class EdgeTable(NamedTuple):
     def over_field(self, middle: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
         """Compute distances from the middle, and find meridional edges.
 
-        An edge whose normal lies within 45 degrees of the radius shows the meridional MTF, any other the sagittal one.
+        The MTF of an edge is meridional if its normal is within 45 degrees of the radius, otherwise sagittal.
 
         Args:
-            middle: (x, y) of the middle of the picture, px.
+            middle: (x, y) of the middle of the image, px.
 
         Returns:
             Distances (n,), px, and a mask (n,) of the meridional edges.
@@ -95,27 +97,27 @@ class EdgeTable(NamedTuple):
         return np.hypot(x, y), np.abs(np.cos(self.angle - np.arctan2(y, x))) > np.sqrt(0.5)
 
     def of_source(self, source: str) -> EdgeTable:
-        """Return the edges of one picture.
+        """Select the edges of one image.
 
         Args:
-            source: name of the picture.
+            source: name of the image.
         """
         return EdgeTable(*(column[self.source == source] for column in self))
 
     @property
     def weights(self) -> np.ndarray:
-        """Return the weights (n, 81) of the edges in their mean MTF.
+        """Weights (n, 81) of the edges in their mean MTF.
 
-        They go by the variances, and their sum is 1.
+        They are inverse variances, normalised to a sum of 1.
         """
         weight = 1 / np.maximum(self.mtf_std, _LEAST_STD) ** 2
         return weight / weight.sum(0)
 
     @property
     def spread(self) -> float:
-        """Return the relative standard deviation of sigma beyond its noise.
+        """Relative standard deviation of sigma beyond its noise.
 
-        It is 0 where noise explains the scatter of the edges.
+        It is 0 if noise explains the scatter of the edges.
         """
         if self.x.size < 3:
             return 0.0
@@ -127,13 +129,13 @@ class EdgeTable(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class MeanCurve:
-    """Mean MTF of all edges, and a camera's.
+    """Mean MTF of all edges, and the MTF of a camera.
 
     Attributes:
-        frequency: (81,) cycles/px.
-        mtf: (81,) mean of the edges, free of a model; NaN without edges.
-        mtf_std: (81,) its standard deviation; NaN without edges.
-        camera_mtf: (81,) mean of the camera's in the edges' directions; along the rows without edges.
+        frequency: (81,) frequencies, cycles/px.
+        mtf: (81,) model-free mean of the edges; NaN without edges.
+        mtf_std: (81,) standard deviation of `mtf`; NaN without edges.
+        camera_mtf: (81,) mean MTF of the camera in the directions of the edges; along the rows without edges.
 
     Example:
         >>> f = np.linspace(0, 1, 5)
@@ -149,7 +151,7 @@ class MeanCurve:
 
     @property
     def misfit(self) -> tuple[float, float]:
-        """Return the largest difference below Nyquist, and its standard deviation.
+        """Largest difference below Nyquist, and its standard deviation.
 
         Both are NaN without edges.
         """
@@ -160,17 +162,17 @@ class MeanCurve:
 
 
 class Finding(NamedTuple):
-    """Measurements of one colour from one picture or from the caller.
+    """Measurements of one colour, from one image or provided by the caller.
 
     Attributes:
         channel: "R", "G", "B", "Y" or "grey".
-        source: name of the picture.
-        f_number: f-number of the picture; None if it is not known.
-        edges: its edges; None if there are none.
-        samples: MTF values of its other targets.
-        dots: places of its grids' dots, page and picture.
-        shape: height and width of the picture, px; None: there is no picture.
-        software: what software did to the picture; None: there is no picture.
+        source: name of the image.
+        f_number: f-number of the image; None if it is not known.
+        edges: measured edges; None if there are none.
+        samples: MTF values of other targets.
+        dots: positions of dots on the page and in the image.
+        shape: height and width of the image, px; None if there is no image.
+        software: processing of the image; None if there is no image.
     """
 
     channel: str
@@ -178,7 +180,7 @@ class Finding(NamedTuple):
     f_number: float | None
     edges: EdgeStack | None
     samples: tuple[MTFSamples, ...]
-    dots: tuple[BlurPlaces, ...] = ()
+    dots: tuple[BlurSamples, ...] = ()
     shape: tuple[int, int] | None = None
     software: Processed | None = None
 
@@ -197,14 +199,14 @@ class PicturePlan:
     def measure(
         self, picture: Photograph | LinearImage, name: str, f_number: float | None
     ) -> tuple[list[Finding], list[Remark]]:
-        """Measure a picture by colour, and return the findings and remarks.
+        """Measure each colour of an image; return the measurements and remarks.
 
-        FitError if nothing in it can be measured, or the chart is not in it.
+        FitError if nothing can be measured, or the chart is not found.
         """
         mosaic = (self.cfa or picture.cfa) is not None
         if isinstance(picture, LinearImage):
             if self.cfa is not None:
-                raise ArgumentError("cfa is that of the LinearImage already: leave it out")
+                raise ArgumentError("cfa is already specified by the LinearImage: omit it")
             planes: Iterable[LinearImage] = [replace(picture, source=name, f_number=f_number)]
             values, mosaic = (smoothed(picture.values) if mosaic else picture.values), False
         else:
@@ -218,7 +220,7 @@ class PicturePlan:
             refuse_unnamed_mosaic(plane)
             remarks = remarks or list(plane.remarks)
             if self.chart is not None and registration is None:
-                # The colours matter only for the blur: all pixels of a mosaic are used to find the chart.
+                # All pixels of a mosaic are used to find the chart, because its position hardly depends on the colour.
                 seen = balanced(values) if mosaic else plane.values
                 registration = register_chart(seen, self.chart)
                 edges = described_edges(seen, self.chart, registration)
@@ -227,14 +229,16 @@ class PicturePlan:
             remarks += [Remark(r.code, f"{plane.channel}: {r.text}") for r in software.remarks]
             result: EdgeStack | None = None
             samples: tuple[MTFSamples, ...] = ()
-            dots: tuple[BlurPlaces, ...] = ()
+            dots: tuple[BlurSamples, ...] = ()
             if self.chart is not None:
                 targets = measure_targets(plane, self.chart, registration=registration, half_width=self.half_width)
                 samples = targets.samples
-                dots = dot_places(self.chart, targets)
+                dots = dot_positions(self.chart, targets)
                 assumed = any(remark.code == "tone-assumed" for remark in plane.remarks)
-                said = [targets.printed.remark(assumed=assumed)] if targets.printed is not None else []
-                remarks += [Remark(r.code, f"{plane.channel}: {r.text}") for r in (*targets.problems, *said) if r]
+                printed_remarks = [targets.printed.remark(assumed=assumed)] if targets.printed is not None else []
+                remarks += [
+                    Remark(r.code, f"{plane.channel}: {r.text}") for r in (*targets.problems, *printed_remarks) if r
+                ]
             if edges is not None:
                 try:
                     result = plane_edge_stack(plane, edges, self.half_width, accept_sharpened=self.accept_sharpened)
@@ -250,7 +254,7 @@ class PicturePlan:
 
 
 def _without_waves(plane: LinearImage, chart: Chart | None, registration: Projection) -> LinearImage:
-    """Return a plane without gratings and stars: their finest waves would raise the noise estimate."""
+    """Remove gratings and stars from a plane, because their finest waves would increase the noise estimate."""
     values, turn = plane.values.copy(), np.linspace(0, 2 * np.pi, 33)
     rim = np.stack([np.cos(turn), np.sin(turn)], axis=-1)
     for element in chart.elements if chart is not None else ():
@@ -262,7 +266,7 @@ def _without_waves(plane: LinearImage, chart: Chart | None, registration: Projec
 
 
 def _nothing_measured(chart: Chart, registration: Projection) -> FitError:
-    """Explain why a chart that was found could not be measured."""
+    """Create the error for a chart that was found, but could not be measured."""
     width, height = chart.page
     ends = registration(np.array([[0.0, height / 2], [width, height / 2]]))
     across = float(np.hypot(*(ends[1] - ends[0])))
@@ -272,8 +276,8 @@ def _nothing_measured(chart: Chart, registration: Projection) -> FitError:
     )
 
 
-def dot_places(chart: Chart, targets: Targets) -> tuple[BlurPlaces, ...]:
-    """Return the positions of all measured dots in the picture and on the page, from the registration."""
+def dot_positions(chart: Chart, targets: Targets) -> tuple[BlurSamples, ...]:
+    """List the positions of all measured dots in the image and on the page, assigned with the registration."""
     printed = [np.array(one.centres, dtype=float) for one in chart.elements if isinstance(one, Dots)]
     if not printed or not targets.grids:
         return ()
@@ -283,19 +287,16 @@ def dot_places(chart: Chart, targets: Targets) -> tuple[BlurPlaces, ...]:
     for grid in targets.grids:
         seen = np.column_stack([grid.x, grid.y])
         places.append((seen, grid.sigma, grid.sigma_std, page[expected.query(seen)[1]]))
-    return (BlurPlaces(*(np.concatenate(column) for column in zip(*places, strict=True))),)
+    return (BlurSamples(*(np.concatenate(column) for column in zip(*places, strict=True))),)
 
 
 def _group(samples: MTFSamples) -> str:
-    """Return the name of a target with its kind."""
+    """Format the name of a target with its kind."""
     return f"{samples.source} ({samples.kind})" if samples.source else samples.kind
 
 
 class Evidence:
-    """All findings on one colour.
-
-    Edges come first, as in the joint fit.
-    """
+    """All measurements of one colour. Edges are listed first, as in the joint fit."""
 
     def __init__(self, findings: Iterable[Finding]) -> None:
         self._findings = findings = tuple(findings)
@@ -306,23 +307,23 @@ class Evidence:
 
     @property
     def f_numbers(self) -> list[float | None]:
-        """Return the f-number of every measurement's picture."""
+        """F-number of the image of every measurement."""
         return [f_number for _, _, f_number in self._stacks] + [s.f_number for s in self._samples]
 
     def check(self, channel: str, *, accept_sharpened: bool) -> list[Remark]:
-        """Return remarks on edges that were left out.
+        """List remarks on edges that were excluded.
 
-        FitError if edges are the only measurements and too few for a camera.
+        FitError if edges are the only measurements, and insufficient for a camera.
         """
         edges = [stack for stack, _, _ in self._stacks]
         if edges and not self._samples:
             refuse_too_few(edges, channel, accept_sharpened=accept_sharpened)
         lost = sum(problem is not None and problem.code == "no-consensus" for e in edges for problem in e.problems)
-        text = f"{channel}: {lost} edges disagree with all others, and are left out"
+        text = f"{channel}: {lost} edges disagree with the others and were excluded"
         return [Remark("no-consensus", text)] if lost else []
 
     def measurements(self, lens_at: LensAt) -> Measurements:
-        """Return all measurements in the form of the joint fit."""
+        """Convert all measurements to the form of the joint fit."""
         groups = [f"{source} (edges)" for edges, source, _ in self._stacks for _ in edges.good]
         groups += [_group(samples) for samples in self._samples]
         return Measurements(
@@ -333,30 +334,30 @@ class Evidence:
         )
 
     def _replaceable(self) -> frozenset[str]:
-        """Return the groups of targets in pictures that also have edges, which are more reliable."""
+        """List the groups of targets in images that also have edges, which are more reliable."""
         seen = {source for edges, source, _ in self._stacks if edges.good.size}
         own = [s for f in self._findings if f.shape is not None and f.source in seen for s in f.samples]
         return frozenset(_group(s) for s in own)
 
     @property
     def software(self) -> list[Processed]:
-        """Return the processing that was found in the pictures."""
+        """Processing that was found in the images."""
         return [f.software for f in self._findings if f.software is not None]
 
     def field(self) -> LensField | None:
-        """Return the change of the lens over the field from edges and dots, or None if it is unknown."""
+        """Estimate the change of the lens over the field from edges and dots; None if it is unknown."""
         shapes = {f.shape for f in self._findings if f.shape is not None}
         if len(shapes) != 1:
             return None
         places, edges = [one for f in self._findings for one in f.dots], self.table()
-        # Pictures with other apertures have another blur.
+        # Each image is a group of its own, because the blur depends on the aperture.
         if edges is not None:
             pictures = map(edges.of_source, dict.fromkeys(edges.source.tolist()))
-            places += [BlurPlaces(np.column_stack([of.x, of.y]), of.sigma, of.sigma_std) for of in pictures]
+            places += [BlurSamples(np.column_stack([of.x, of.y]), of.sigma, of.sigma_std) for of in pictures]
         return lens_over_field(places, *shapes)
 
     def table(self) -> EdgeTable | None:
-        """Return all edges without problems; None if there are no edges."""
+        """Collect all edges without problems; None if there are no edges."""
         tables = []
         for edges, source, _ in self._stacks:
             fit, good = edges.parametric, edges.good

@@ -1,9 +1,9 @@
-"""The joint fit: one camera for many measurements, and whether they agree with one another.
+"""Joint fit of one camera to many measurements, and the test of their agreement.
 
-Edges enter with their samples, all other targets with MTF values and covariance. Every edge has its own levels,
-illumination and position. They are eliminated edge by edge (Schur's complement), so that the fit is one of the few
-parameters that are common to all. It goes by Fisher scoring: an edge adds its information and its score, which also say
-whether the measurements agree. The variance of a pixel is its model's (docs/model.md 8).
+Edges contribute their cells, and all other targets contribute MTF values with covariance. Every edge has its own levels,
+illumination and position. They are eliminated for each edge (Schur complement), so that only the few common parameters
+remain. The fit uses Fisher scoring: each measurement adds its information and its score, from which the agreement of the
+measurements is also tested. The variance of a pixel follows from the model (docs/model.md 8).
 """
 
 from __future__ import annotations
@@ -25,12 +25,17 @@ from matcam.core.jax import AnyArray, jax, jnp
 from matcam.core.programs import kept_program
 from matcam.numerics.linalg import FLOOR, least_eigenvalue, scaled_inverse
 
-# largest number of steps; standard deviations; increase of chi2 that a step may cause
 _ROUNDS, _DONE, _WORSE = 40, 1e-3, 1.05
-_AT_ONCE = 16  # number of edges in one block
+"""Fit: largest number of steps; step below which it has converged, standard deviations; largest ratio of chi-squares.
+
+A step that increases chi-square by a larger ratio is halved.
+"""
+_AT_ONCE = 16
+"""Number of edges that are processed together. It limits the memory."""
 
 
-_DOUBT = 1e-3  # probability below which noise does not explain the scatter
+_IMPROBABLE = 1e-3
+"""Probability below which noise does not explain the scatter of the measurements."""
 
 
 class EdgeMeasurements(NamedTuple):
@@ -39,13 +44,13 @@ class EdgeMeasurements(NamedTuple):
     All arrays have a leading axis of n.
 
     Attributes:
-        cells: samples.
-        angle: rad, of the normal.
-        noise: of the pixels.
-        excess: by how much an edge's own fit found its variance above the noise's (no unit).
+        cells: cells of the edges.
+        angle: direction of the normal, rad.
+        noise: noise of the pixels.
+        excess: factor by which the fit of each edge has increased its variances (no unit).
         linear: (n, LINEAR) levels, light and shift: `State.linear`.
-        used: (n, LINEAR) which of them are free.
-        lens: family of lenses; its arrays have leading axes, too.
+        used: (n, LINEAR) 1 for free linear parameters, else 0.
+        lens: lens model, whose arrays have a leading axis of n.
     """
 
     cells: EdgeCells
@@ -58,16 +63,16 @@ class EdgeMeasurements(NamedTuple):
 
 
 class ValueMeasurements(NamedTuple):
-    """Set of n sets of m MTF values.
+    """Set of n targets with m MTF values each.
 
-    Shorter sets are filled up with values of no weight.
+    Shorter sets are padded with values of weight 0.
 
     Attributes:
-        frequency: (n, m) cycles/px.
-        direction: (n, m) rad.
-        mtf: (n, m).
+        frequency: (n, m) frequencies, cycles/px.
+        direction: (n, m) directions, rad.
+        mtf: (n, m) MTF.
         weight: (n, m, m) inverse covariances.
-        lens: family of lenses; its arrays have leading axes, too.
+        lens: lens model, whose arrays have a leading axis of n.
     """
 
     frequency: AnyArray
@@ -81,10 +86,10 @@ class Measurements(NamedTuple):
     """All measurements of one colour.
 
     Attributes:
-        edges: None where there are none.
-        values: None where there are none.
-        groups: picture and kind of every measurement, edges first.
-        replaceable: groups that may be left out: targets of a described chart whose edges are measured, too.
+        edges: edges; None if there are none.
+        values: MTF values of other targets; None if there are none.
+        groups: image and kind of every measurement, edges first.
+        replaceable: groups that may be excluded: targets of a described chart whose edges are also measured.
     """
 
     edges: EdgeMeasurements | None
@@ -93,7 +98,7 @@ class Measurements(NamedTuple):
     replaceable: frozenset[str] = frozenset()
 
     def without(self, names: Collection[str]) -> Measurements:
-        """Return the measurements with weight 0 for some groups."""
+        """Set the weight of given groups to 0."""
         if self.values is None or not names:
             return self
         out = np.array([group in names for group in self.groups[len(self.groups) - len(self.values.mtf) :]])
@@ -102,12 +107,12 @@ class Measurements(NamedTuple):
 
 
 class Shares(NamedTuple):
-    """Share of each of n measurements in the fit.
+    """Contribution of each of n measurements to the fit.
 
     Attributes:
-        information: (n, k, k).
-        score: (n, k).
-        chi2: (n,).
+        information: (n, k, k) information matrix.
+        score: (n, k) score.
+        chi2: (n,) chi-square.
         degrees: (n,) degrees of freedom.
     """
 
@@ -120,13 +125,13 @@ class Shares(NamedTuple):
 class JointFit(NamedTuple):
     """Most probable parameters and the agreement of the measurements.
 
-    The first parameter is the logarithm of the blur's scale: contradictions are looked for in it.
+    The first parameter is the logarithm of the scale of the blur. Agreement is tested for this parameter.
 
     Attributes:
-        parameters: (k,).
-        covariance: (k, k) from the measurements' own noise, and the prior.
-        shares: one for every measurement, edges first.
-        precision: (k,) of the prior.
+        parameters: (k,) fitted parameters.
+        covariance: (k, k) covariance from the noise of the measurements and the prior.
+        shares: contribution of every measurement, edges first.
+        precision: (k,) precision of the prior.
     """
 
     parameters: np.ndarray
@@ -135,10 +140,7 @@ class JointFit(NamedTuple):
     precision: np.ndarray
 
     def excess(self) -> tuple[float, float]:
-        """Return the scatter of the blur between measurements.
-
-        It is chi2 per degree of freedom, and the probability that noise makes as much.
-        """
+        """Compute the scatter of the blur between measurements: chi-square per degree of freedom, and its p-value."""
         from scipy.special import chdtrc
 
         information, score = self.shares.information[:, 0, 0], self.shares.score[:, 0]
@@ -148,42 +150,43 @@ class JointFit(NamedTuple):
         return chi2 / degrees, float(chdtrc(degrees, chi2))
 
     def observed_covariance(self) -> np.ndarray:
-        """Return the parameters' covariance (k, k), from the scatter of the measurements.
+        """Compute the covariance of the parameters (k, k) from the scatter of the measurements.
 
-        It is that of the noise if noise explains the scatter. The sandwich estimator treats each measurement as one draw.
+        If noise explains the scatter, it is the covariance from the noise. Otherwise the sandwich estimator is used, which
+        treats the measurements as independent draws.
         """
         _, probability = self.excess()
         count = len(self.shares.score)
-        if probability > _DOUBT or count < 4:
+        if probability > _IMPROBABLE or count < 4:
             return self.covariance
         score = self.shares.score - self.shares.score.mean(0)
         spread = score.T @ score * count / (count - 1)
         wide = self.covariance @ (spread + np.diag(self.precision)) @ self.covariance
-        # the result is never smaller than that of the noise
+        # The result is never smaller than the covariance from the noise.
         ratio = np.sqrt(np.maximum(np.diag(wide) / np.diag(self.covariance), 1.0))
         grown = wide if (ratio > 1).all() else self.covariance * np.outer(ratio, ratio)
         return (grown + grown.T) / 2
 
     def differences(self, groups: Sequence[str], trusted: Collection[str]) -> dict[str, tuple[float, float]]:
-        """Compute how much more blur each group sees than the other trusted ones, relative, and its standard deviation.
+        """Compute the relative difference of the blur of each group from the other trusted ones, with standard deviation.
 
-        groups: picture and kind of every measurement.
+        `groups`: image and kind of every measurement. `trusted`: names of the groups to compare with.
         """
         names = list(dict.fromkeys(groups))
-        # the scatter between groups, which they cause themselves, is no excuse: each is judged by its members
+        # The uncertainty of a group follows from its members only, because a contradiction adds to the scatter of groups.
         members = (np.array([group == name for group in groups]) for name in names)
         shift, error = (np.array(column) for column in zip(*map(self._of_group, members), strict=True))
         found = {}
         for i, name in enumerate(names):
-            rest = np.array([other in trusted and other != name for other in names])
-            if rest.any():
-                weight = error[rest] ** -2
-                middle, std = weight @ shift[rest] / weight.sum(), weight.sum() ** -0.5
+            others = np.array([other in trusted and other != name for other in names])
+            if others.any():
+                weight = error[others] ** -2
+                middle, std = weight @ shift[others] / weight.sum(), weight.sum() ** -0.5
                 found[name] = float(shift[i] - middle), float(np.hypot(error[i], std))
         return found
 
     def _of_group(self, members: np.ndarray) -> tuple[float, float]:
-        """Return the difference of the blur of a group, and its standard deviation from noise and the scatter in the group."""
+        """Compute the difference of the blur of a group from the fit, with the standard deviation from noise and scatter."""
         information = np.maximum(self.shares.information[members, 0, 0], 1e-300)
         score, total = self.shares.score[members, 0], float(information.sum())
         shift = float(score.sum()) / total
@@ -196,9 +199,9 @@ def fit_jointly(
 ) -> JointFit:
     """Fit the most probable parameters to all measurements.
 
-    start: (k,) parameters. longest: (k,) steps that are not exceeded. prior: (k,) precision of a prior about 0.
-    half_width: px, of the pixel where it is not among the parameters. FitError if the measurements do not determine the
-    parameters, or no end is found.
+    `start`: (k,) initial parameters. `longest`: (k,) largest steps. `prior`: (k,) precision of a prior centred on 0.
+    `half_width`: half width of the pixel if it is not a parameter, px. FitError if the measurements do not determine the
+    parameters, or the fit does not converge.
     """
     theta = np.asarray(start, dtype=np.float64)
     edges, values = measurements.edges, measurements.values
@@ -231,9 +234,9 @@ def fit_jointly(
 
 
 def edge_measurements(stacks: Sequence[tuple[EdgeStack, LensModel]]) -> EdgeMeasurements | None:
-    """Return the edges of several stacks, each with its lens.
+    """Combine the edges of several stacks, each with its lens model.
 
-    Edges with problems are left out. None if there are no stacks.
+    Edges with problems are excluded. The result is None if there are no stacks.
     """
     parts = []
     for result, lens in stacks:
@@ -255,14 +258,14 @@ def edge_measurements(stacks: Sequence[tuple[EdgeStack, LensModel]]) -> EdgeMeas
 
 
 def value_measurements(sets: Sequence[tuple[MTFSamples, LensModel]]) -> ValueMeasurements | None:
-    """Return sets of MTF values, each with its lens, or None if there are none."""
+    """Combine sets of MTF values, each with its lens model; None if there are none."""
     if not sets:
         return None
     most = program_size(max(samples.frequency.size for samples, _ in sets))
     weights = []
     for samples, _ in sets:
         std = samples.mtf_std
-        # A covariance with fewer independent errors than values has no inverse: directions without errors are left out.
+        # A covariance with fewer independent errors than values is singular: the pseudoinverse omits its null space.
         inverse = np.linalg.pinv(samples.covariance / np.outer(std, std), rcond=1e-6, hermitian=True)
         weights.append(np.pad(inverse / np.outer(std, std), (0, most - std.size)))
     frequency, direction, mtf = (
@@ -275,10 +278,7 @@ def value_measurements(sets: Sequence[tuple[MTFSamples, LensModel]]) -> ValueMea
 def _after_step(
     theta: np.ndarray, edges: EdgeMeasurements | None, step: np.ndarray, response: tuple[np.ndarray, np.ndarray] | None
 ) -> tuple[np.ndarray, EdgeMeasurements | None]:
-    """Return the parameters and the edges after a step.
-
-    The parameters of each edge respond to the step.
-    """
+    """Apply a step to the common parameters, and the corresponding change to the parameters of each edge."""
     if edges is not None and response is not None:
         edges = edges._replace(linear=edges.linear + response[0] - np.einsum("eij,j->ei", response[1], step))
     return theta + step, edges
@@ -286,7 +286,7 @@ def _after_step(
 
 @kept_program(returns=tuple[Shares, tuple[jax.Array, jax.Array]])
 def _edge_shares(edges: EdgeMeasurements, theta: Any, half_width: Any) -> tuple[Shares, tuple[jax.Array, jax.Array]]:
-    """Return the shares of the edges, and the response of the parameters of each edge to the common parameters."""
+    """Compute the contributions of the edges, and the response of the parameters of each edge to the common ones."""
 
     def one(edge: EdgeMeasurements) -> Any:
         profile = edge.lens.profile(jnp.asarray(edge.angle), half_width)
@@ -309,7 +309,7 @@ def _edge_shares(edges: EdgeMeasurements, theta: Any, half_width: Any) -> tuple[
 
 @kept_program(returns=Shares)
 def _value_shares(values: ValueMeasurements, theta: Any, half_width: Any) -> Shares:
-    """Return the shares of MTF values."""
+    """Compute the contributions of MTF values."""
 
     def one(some: ValueMeasurements) -> Shares:
         f, direction = jnp.asarray(some.frequency), jnp.asarray(some.direction)
@@ -328,7 +328,7 @@ def _value_shares(values: ValueMeasurements, theta: Any, half_width: Any) -> Sha
 
 
 def _inverse(information: np.ndarray) -> np.ndarray:
-    """Return the inverse of an information matrix; FitError if it has none."""
+    """Invert an information matrix; FitError if it is singular."""
     if not np.isfinite(information).all() or (np.diag(information) <= 0).any():
         raise FitError("the measurements do not determine the camera: one of its parameters has no effect on them")
     if least_eigenvalue(information) < FLOOR:
@@ -339,12 +339,12 @@ def _inverse(information: np.ndarray) -> np.ndarray:
 
 
 def _stack_lenses(lenses: Sequence[LensModel]) -> LensModel:
-    """Return lenses of one family as one with a leading axis."""
+    """Stack lens models of one class to one model with a leading axis."""
     return jax.tree.map(lambda *a: np.stack([np.asarray(x) for x in a]), *lenses)
 
 
 def _with_empty_edges(edges: EdgeMeasurements) -> EdgeMeasurements:
-    """Add empty edges up to a number that is used by other calls, so that one compiled program serves them all."""
+    """Pad with empty edges to one of few sizes, so that one compiled program serves many calls."""
     more = program_size(len(edges.angle)) - len(edges.angle)
     full = jax.tree.map(lambda a: np.concatenate([a, np.repeat(a[:1], more, axis=0)]), edges)
     if not more:

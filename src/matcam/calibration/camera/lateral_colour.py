@@ -1,7 +1,7 @@
 """Lateral colour: the difference in image size between two colours, from edges that were measured in both.
 
-An edge determines its position along its normal only. Between colours it moves by a shift, and by a magnification that
-may change with the squared distance from the centre of the picture.
+An edge determines a displacement along its normal only. The displacement between two colours is modelled as a shift and
+a magnification, which may change with the squared distance from the centre of the image.
 """
 
 from __future__ import annotations
@@ -15,21 +15,25 @@ from matcam.calibration.camera.evidence import EdgeTable
 from matcam.core.remark import Remark
 from matcam.numerics.normal import robust_fit
 
-_SAME = 2.0  # px: largest distance between the centres of one edge in two colours
-_ALIKE = np.radians(3.0)  # largest angle between their normals
-_FEWEST, _MANY = 12, 24  # fewest edges for a magnification, and for one that changes over the field
-_REMARKABLE, _SURE = 0.1, 5.0  # px in the corners, and standard deviations
+_SAME = 2.0
+"""Largest distance between the centres of one edge in two colours, px."""
+_SAME_DIRECTION = np.radians(3.0)
+"""Largest angle between the normals of one edge in two colours, rad."""
+_FEWEST, _MANY = 12, 24
+"""Smallest number of edges for a constant magnification, and for one that changes over the field."""
+_REMARKABLE, _SURE = 0.1, 5.0
+"""Displacement in the corners, px, and number of standard deviations, above which a remark is given."""
 
 
 class LateralColour(NamedTuple):
     """Size of the image in one colour relative to another.
 
     Attributes:
-        corner: how far further out this colour lies in the picture's corners, px.
-        corner_std: its standard deviation, px.
-        scale: the same over half the diagonal, at the middle (no unit).
-        scale_std: its standard deviation.
-        edges: how many edges say so (no unit).
+        corner: outward displacement of this colour in the corners of the image, px.
+        corner_std: standard deviation of `corner`, px.
+        scale: relative difference in magnification at the middle of the image (no unit).
+        scale_std: standard deviation of `scale`.
+        edges: number of edges that were used (no unit).
 
     Example:
         >>> lateral = matcam.calibration.LateralColour(0.4, 0.02, 2e-4, 1e-5, 60)
@@ -45,9 +49,9 @@ class LateralColour(NamedTuple):
 
 
 def lateral_colour(of: EdgeTable, reference: EdgeTable, shape: tuple[int, int]) -> LateralColour | None:
-    """Compare the edges of one colour with those of another, or return None if too few are seen in both.
+    """Compare the edges of one colour with those of another; None if too few were measured in both.
 
-    shape: height and width of the pictures, px.
+    `shape`: height and width of the images, px.
     """
     middle, unit = (np.array(shape[::-1]) - 1) / 2, float(np.hypot(*shape) / 2)
     places, moved, normals = [], [], []
@@ -56,7 +60,7 @@ def lateral_colour(of: EdgeTable, reference: EdgeTable, shape: tuple[int, int]) 
         here, there = (np.column_stack([edges.x, edges.y]) for edges in (mine, theirs))
         far, nearest = cKDTree(there).query(here)
         angle = theirs.angle[nearest]
-        same = (far < _SAME) & (np.abs(np.angle(np.exp(1j * (mine.angle - angle)))) < _ALIKE)
+        same = (far < _SAME) & (np.abs(np.angle(np.exp(1j * (mine.angle - angle)))) < _SAME_DIRECTION)
         normal = np.column_stack([np.cos(angle), np.sin(angle)])[same]
         places.append(there[nearest][same])
         normals.append(normal)
@@ -81,7 +85,7 @@ def lateral_colour(of: EdgeTable, reference: EdgeTable, shape: tuple[int, int]) 
 
 
 def lateral_remark(found: LateralColour, channel: str, reference: str) -> Remark | None:
-    """Return a remark if two colours differ in size by more than 0.1 px and 5 standard deviations, else None."""
+    """Create a remark if two colours differ by more than 0.1 px and 5 standard deviations in the corners, else None."""
     if abs(found.corner) < max(_REMARKABLE, _SURE * found.corner_std):
         return None
     where = "further out" if found.corner > 0 else "further in"

@@ -1,7 +1,7 @@
-"""The change of the lens over the field, from the positions of dots and the blur of all edges.
+"""Change of the lens over the field, from the positions of dots and from the blur of edges and dots.
 
-Dots are on a plane page: a deviation from the pinhole projection of the plane is the distortion of the lens. The blur
-of edges and dots is modelled as a constant, or as a quadratic function of the distance from the centre of the picture.
+The dots are on a plane page. Their deviation from the pinhole projection of the plane is the distortion of the lens. The
+blur is modelled as a quadratic function of the distance from the centre of the image.
 """
 
 from __future__ import annotations
@@ -18,20 +18,21 @@ from matcam.core.errors import FitError
 from matcam.numerics.normal import robust_fit
 
 _UNKNOWN = 0.01
-"""Standard deviation of k1 where no dots have been measured."""
-_FEWEST = 12  # in widths of the lens
+"""Standard deviation of k1 if no dots were measured."""
+_FEWEST = 12
+"""Smallest number of edges or dots of a group for the change of the blur over the field."""
 _MODEL = 0.02
-"""Standard deviation of k1 from the approximation of the distortion by one coefficient about the centre of the picture."""
+"""Relative standard deviation of k1, because one coefficient about the image centre only approximates the distortion."""
 
 
-class BlurPlaces(NamedTuple):
-    """Width of the lens at n positions in the picture.
+class BlurSamples(NamedTuple):
+    """Lens width at n positions in the image.
 
     Attributes:
-        seen: (n, 2) positions, px.
-        sigma: (n,) width of the lens, px.
-        sigma_std: (n,) its standard deviation, px.
-        printed: (n, 2) positions of dots on the page, in any unit. Default: None, not dots.
+        seen: (n, 2) positions in the image, px.
+        sigma: (n,) lens width, px.
+        sigma_std: (n,) standard deviation of `sigma`, px.
+        printed: (n, 2) positions of dots on the page, in any unit. Default: None, the positions are not those of dots.
     """
 
     seen: np.ndarray
@@ -40,13 +41,13 @@ class BlurPlaces(NamedTuple):
     printed: np.ndarray | None = None
 
 
-def lens_over_field(places: Sequence[BlurPlaces], shape: tuple[int, int]) -> LensField | None:
-    """Return distortion and growth of the blur over the field, or None if neither was measured.
+def lens_over_field(places: Sequence[BlurSamples], shape: tuple[int, int]) -> LensField | None:
+    """Estimate the distortion and the growth of the blur over the field; None if neither was measured.
 
     Args:
-        places: edges or dots of each picture, each group with one width of its own; the blur of groups of fewer than 12
-            is left out.
-        shape: height and width of the pictures, px.
+        places: edges or dots of each image; each group has its own mean width. The blur of groups with fewer than 12
+            positions is not used.
+        shape: height and width of the images, px.
     """
     middle, unit = ((shape[1] - 1) / 2, (shape[0] - 1) / 2), float(np.hypot(*shape) / 2)
     found = []
@@ -67,14 +68,14 @@ def lens_over_field(places: Sequence[BlurPlaces], shape: tuple[int, int]) -> Len
     return LensField(middle, unit, k1, growth=growth or Coefficient(), holds_at=holds_at)
 
 
-def _growth(groups: Sequence[BlurPlaces], middle: np.ndarray, unit: float) -> tuple[Coefficient | None, float]:
-    """Return the growth of the blur with rho^2, and the distance from the centre that it refers to, px."""
+def _growth(groups: Sequence[BlurSamples], middle: np.ndarray, unit: float) -> tuple[Coefficient | None, float]:
+    """Estimate the relative growth of the blur with rho^2, and the distance from the centre to which it refers, px."""
     if not groups:
         return None, 0.0
     member = np.repeat(np.eye(len(groups)), [len(one.seen) for one in groups], axis=0)
     rho2 = np.concatenate([(((one.seen - middle) / unit) ** 2).sum(1) for one in groups])
     relative = np.concatenate([one.sigma / np.median(one.sigma) for one in groups])
-    # Equal edges get equal standard deviations: that of a single edge would favour those that look sharp by chance.
+    # All edges of a group get the same standard deviation. Individual ones would favour edges that are sharp by chance.
     std = member @ [float(np.median(one.sigma_std / one.sigma)) for one in groups]
     fit = robust_fit(np.column_stack([rho2, member]), relative, std)
     slope, *levels = (float(p) for p in fit.parameters)

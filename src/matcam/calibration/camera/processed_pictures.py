@@ -1,6 +1,7 @@
 """Detection of photographs whose processing prevents the measurement of the lens.
 
-The noise of all even areas of a picture is a better test than the few pixels next to one edge (`flat_noise.py`).
+All even areas of an image are used, because their noise is a better test than the few pixels next to one edge
+(`flat_noise.py`).
 """
 
 from __future__ import annotations
@@ -11,71 +12,76 @@ from typing import NamedTuple
 import numpy as np
 from scipy import ndimage
 
-from matcam.calibration.photograph.flat_noise import BENT_DOUBT, LEAST_NOISE, FlatNoise, flat_noise, smoothing_doubt
+from matcam.calibration.photograph.flat_noise import (
+    LEAST_NOISE,
+    TONE_CURVE_UNCERTAINTY,
+    FlatNoise,
+    flat_noise,
+    smoothing_uncertainty,
+)
 from matcam.calibration.photograph.linear_image import LinearImage
 from matcam.core.errors import FitError
 from matcam.core.remark import Remark
 
-_LARGEST = 1500  # px: so large a part of a picture is enough
-# px, px, share of the range: an area is even if the smoothed light varies by less over a window
+_LARGEST = 1500
+"""Largest side of the central area that is tested, px. It limits the computing time."""
 _SMOOTH, _WINDOW, _EVEN = 2.0, 9, 0.06
-_PIXEL = 1 / 12  # px^2
+"""Even areas: smoothing, px; size of a window, px; largest variation in it, relative to the range of the image."""
+_PIXEL = 1 / 12
+"""Variance of a fully sensitive pixel, px^2."""
 
 
 class Processed(NamedTuple):
-    """Processing that was found in a picture.
+    """Processing that was found in an image.
 
     Attributes:
-        remarks: what was seen.
-        noise: of the even parts.
+        remarks: remarks on the processing.
+        noise: noise of the even areas; None if no processing was found.
     """
 
     remarks: tuple[Remark, ...]
     noise: FlatNoise | None
 
     def share(self, sigma: float) -> float:
-        """Return the relative standard deviation of the blur from the processing.
-
-        sigma: px, of the lens.
-        """
+        """Estimate the relative standard deviation of the blur by the processing; `sigma`: lens width, px."""
         if self.noise is None:
             return 0.0
         blur = np.hypot(sigma, np.sqrt(_PIXEL))
         far = self.noise.denoised or self.noise.compressed
         if far or self.noise.smoothed:
-            return smoothing_doubt(float(blur), denoised=far)
-        return BENT_DOUBT if self.noise.bent else 0.0
+            return smoothing_uncertainty(float(blur), denoised=far)
+        return TONE_CURVE_UNCERTAINTY if self.noise.tone_curve_suspected else 0.0
 
 
 def processed(plane: LinearImage, *, accept: bool) -> Processed:
-    """Detect the processing of a picture.
+    """Detect the processing of an image.
 
-    FitError if the MTF is not that of the lens. If `accept` is true, the MTF of lens and software together is accepted.
-    Camera raw is never processed.
+    FitError if the MTF is not that of the lens. `accept`: whether the combined MTF of lens and processing is accepted.
+    Mosaics are assumed to be unprocessed.
     """
     if plane.cfa is not None:
         return Processed((), None)
     noise = picture_noise(plane.values)
     if noise.denoised or noise.compressed:
         what = "compressed as JPEG, and may have been denoised" if noise.compressed else "denoised"
-        text = f"this is a processed picture; its MTF is not the lens's: {noise.correlation}: it was {what}"
+        text = f"this is a processed image, whose MTF is not that of the lens: {noise.correlation}: it was {what}"
         if not accept:
             raise FitError(
-                f"{text}: use camera raw, or accept the MTF of lens and software together (accept_sharpened)"
+                f"{text}: use camera raw, or accept the MTF of lens and processing together (accept_sharpened)"
             )
         remark = Remark("processed", text)
     elif noise.smoothed:
         remark = Remark("demosaiced", f"{noise.correlation}: demosaiced, which blurs; use camera raw")
-    elif noise.bent:
-        text = f"the noise of dark pixels is {noise.tilt:.1f} times that of bright ones: "
-        remark = Remark("tone-curve", f"{text}a tone curve that was not undone (--tone)?")
+    elif noise.tone_curve_suspected:
+        text = f"the noise variance of dark pixels is {noise.tilt:.1f} times that of bright ones: "
+        remark = Remark("tone-curve", f"{text}a tone curve may have been applied (--tone)")
     else:
         return Processed((), None)
     return Processed((remark,), noise)
 
 
 def picture_noise(values: np.ndarray) -> FlatNoise:
-    """Return the noise in the even areas of a picture; values: (height, width)."""
+    """Measure the noise in the even areas of an image; `values`: (height, width)."""
     top, left = (max(size - _LARGEST, 0) // 2 for size in values.shape)
     middle = values[top : top + _LARGEST, left : left + _LARGEST]
     known = np.isfinite(middle)
@@ -87,7 +93,7 @@ def picture_noise(values: np.ndarray) -> FlatNoise:
     return flat_noise(middle, even & dark, even & ~dark, least=LEAST_NOISE * (high - low))
 
 
-def doubt_of(pictures: Iterable[Processed], sigma: float) -> float:
-    """Return the standard deviation of the lens width from the processing of the pictures, px; sigma: px, of the lens."""
+def processing_std(pictures: Iterable[Processed], sigma: float) -> float:
+    """Estimate the standard deviation of the lens width by the processing of the images, px; `sigma`: lens width, px."""
     share = max((one.share(sigma) for one in pictures), default=0.0)
     return share * (sigma + _PIXEL / sigma)

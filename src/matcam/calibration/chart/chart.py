@@ -1,8 +1,7 @@
 """Charts to photograph: the printed elements with their positions and levels.
 
-Positions and lengths are in mm on the page, x right and y down from its upper left corner. Levels are linear
-reflectances relative to the bare paper, which is 1. The cosine of a pattern's phase is 1 where the pattern is
-brightest.
+Positions and lengths are in mm on the page, with x to the right and y down from its upper left corner. Levels are linear
+reflectances relative to the bare paper, which is 1. At the brightest points of a pattern, the cosine of its phase is 1.
 """
 
 from __future__ import annotations
@@ -15,8 +14,10 @@ import numpy as np
 from matcam.core.errors import ArgumentError
 
 Point = tuple[float, float]
+"""Position or size (x, y) on the page, mm."""
 
 PROFILES = ("sine", "bars", "lines")
+"""Profiles of gratings."""
 
 
 @dataclass(frozen=True)
@@ -25,12 +26,12 @@ class Chart:
 
     Attributes:
         page: width and height of the page, mm.
-        fiducials: marks by which the chart is found in a photograph: none, or at least four, one of them with two rings.
+        fiducials: marks for finding the chart in a photograph: none, or at least four, of which one has two rings.
         elements: targets, from upper left to lower right.
         ink: linear level of the fiducials, relative to the paper (no unit).
 
     Raises:
-        ArgumentError: if an element's values contradict one another, or the fiducials cannot be found.
+        ArgumentError: if the values of an element contradict one another, or the fiducials are insufficient.
 
     Example:
         >>> chart = matcam.targets.design_chart(["star"], pixels_across=1500)
@@ -52,8 +53,8 @@ class Chart:
         marks = sum(fiducial.rings == 2 for fiducial in self.fiducials)
         if self.fiducials and (len(self.fiducials) < 4 or marks != 1):
             raise ArgumentError(
-                f"fiducials: at least 4 are needed, one of them with 2 rings; there are {len(self.fiducials)}, "
-                f"{marks} of them so"
+                f"fiducials: at least 4 are needed, exactly one with 2 rings; there are {len(self.fiducials)}, "
+                f"{marks} of them with 2 rings"
             )
 
 
@@ -62,7 +63,7 @@ class Square:
     """Slanted square on paper, whose sides are four edges.
 
     Attributes:
-        corners: mm, one after the other round the square.
+        corners: corners in cyclic order, mm.
         level: linear level of the square, relative to the paper (no unit).
 
     Example:
@@ -80,15 +81,15 @@ class Grating:
     """Rectangle filled with parallel bars or with a sine.
 
     Attributes:
-        profile: "sine"; "bars": a square wave; "lines": bright lines, `duty` of a period wide.
-        centre: mm.
-        size: mm, across the bars and along them.
-        angle: direction across the bars, which is that of the frequency, to the page's x axis, rad.
-        period: mm.
+        profile: "sine"; "bars", a square wave; or "lines", bright lines whose width is `duty` of a period.
+        centre: centre of the rectangle, mm.
+        size: size of the rectangle across and along the bars, mm.
+        angle: angle from the x axis of the page to the direction across the bars, rad.
+        period: period, mm.
         phase: phase at the centre, rad.
         dark: lowest linear level (no unit).
         bright: highest linear level (no unit).
-        duty: bright share of a period (no unit). Default: 0.5, which only lines may change.
+        duty: bright share of a period (no unit); values other than 0.5 require the profile "lines". Default: 0.5.
 
     Example:
         >>> bars = matcam.targets.design_chart(["bars"], pixels_across=1500).elements[-1]
@@ -108,7 +109,7 @@ class Grating:
 
     @property
     def corners(self) -> np.ndarray:
-        """Return the rectangle's corners, (4, 2) mm."""
+        """Corners of the rectangle, (4, 2) mm."""
         across = np.array([np.cos(self.angle), np.sin(self.angle)]) * self.size[0] / 2
         along = np.array([-np.sin(self.angle), np.cos(self.angle)]) * self.size[1] / 2
         return np.array(self.centre) + np.array(
@@ -121,12 +122,13 @@ class Grating:
         return (self.bright - self.dark) / (self.bright + self.dark)
 
     def harmonic(self, order: int) -> float:
-        """Return the signed amplitude of a harmonic, over the print's mean.
+        """Compute the signed, relative amplitude of a harmonic of the print.
 
-        A perfect camera records it. A square wave has (4 / pi) contrast / order, alternating in sign, and no even orders.
+        The amplitude is relative to the mean. For a square wave it is (4 / pi) contrast / order with alternating sign for odd
+        orders, and 0 for even orders.
 
         Args:
-            order: 1 for the grating's own frequency.
+            order: order of the harmonic; 1 for the fundamental.
 
         Returns:
             The amplitude (no unit).
@@ -142,13 +144,13 @@ class Grating:
 class Star:
     """Sinusoidal Siemens star.
 
-    Between two radii its level is mean + amplitude cos(cycles * azimuth + phase).
+    Its level between two radii is mean + amplitude cos(cycles * azimuth + phase).
 
     Attributes:
-        centre: mm.
+        centre: centre, mm.
         inner: inner radius, mm.
         outer: outer radius, mm.
-        cycles: periods in a full turn.
+        cycles: number of periods in a full turn.
         phase: phase at azimuth 0, rad.
         dark: lowest linear level (no unit).
         bright: highest linear level (no unit).
@@ -178,8 +180,8 @@ class Dots:
     """Round dots on a square lattice.
 
     Attributes:
-        centres: mm.
-        radius: mm.
+        centres: centres of the dots, mm.
+        radius: radius of a dot, mm.
         pitch: distance between neighbours, mm.
         level: linear level of the dots, relative to the paper around them (no unit).
 
@@ -197,10 +199,10 @@ class Dots:
 
 @dataclass(frozen=True)
 class Patch:
-    """Rectangle of one level: a step of the tone curve.
+    """Tone patch: a rectangle of one level.
 
     Attributes:
-        corners: mm, one after the other round the rectangle.
+        corners: corners in cyclic order, mm.
         level: linear level, relative to the paper (no unit).
 
     Example:
@@ -215,15 +217,14 @@ class Patch:
 
 @dataclass(frozen=True)
 class Fiducial:
-    """Mark that is used to find the chart.
+    """Mark for finding the chart: a dark disc inside concentric dark rings.
 
-    It is a dark disc inside dark rings.
-    Rings and the gaps between them are as wide as the disc's radius.
+    Rings and gaps have the width of the disc radius.
 
     Attributes:
-        centre: mm.
-        radius: radius of the disc, mm: ring n lies between 2n and 2n + 1 radii.
-        rings: 1, or 2 for the mark that tells which way is up.
+        centre: centre, mm.
+        radius: radius of the disc, mm; ring n lies between 2n and 2n + 1 radii.
+        rings: number of rings: 1, or 2 for the mark that determines the orientation.
 
     Example:
         >>> chart = matcam.targets.design_chart(["star"], pixels_across=1500)
@@ -237,6 +238,7 @@ class Fiducial:
 
 
 Element = Square | Grating | Star | Dots | Patch
+"""Element that can be printed on a chart."""
 
 
 def _problems(element: Element) -> Iterator[str]:

@@ -1,4 +1,4 @@
-"""The description of a chart: a JSON file beside the page, which lists the printed elements and their positions.
+"""Description of a chart: a JSON file that lists the printed elements and their positions.
 
     {
       "format": "matcam chart",  "version": 1,  "software": "matcam 0.1.0",
@@ -15,7 +15,8 @@
       ]
     }
 
-Places are in mm on the page, x right and y down from the upper left corner. Levels are linear, relative to the bare paper.
+Positions are in mm on the page, with x to the right and y down from the upper left corner. Levels are linear reflectances
+relative to the bare paper.
 """
 
 from __future__ import annotations
@@ -35,7 +36,9 @@ from matcam.core.io import write_json
 from matcam.core.readers.texts import checked_version, first_problem, read_json
 
 FORMAT, VERSION = "matcam chart", 1
+"""Name and version of the file format."""
 _WHAT = "the description of a chart"
+"""Name of the file in error messages."""
 
 
 def read_chart(path: str | Path) -> Chart:
@@ -48,7 +51,7 @@ def read_chart(path: str | Path) -> Chart:
         The chart: its page, fiducials and elements.
 
     Raises:
-        FileFormatError: if the file is not a chart's description; the message names the file and the field.
+        FileFormatError: if the file is not the description of a chart; the message contains the file and the field.
 
     Source:
         docs/targets.md; the format is at the head of this module, its schema in docs/chart-v1.schema.json.
@@ -79,7 +82,7 @@ def write_chart(path: str | Path, chart: Chart, *, force: bool = False) -> None:
 
     Args:
         path: file to write.
-        chart: the page and what is printed on it.
+        chart: chart to describe.
         force: replace an existing file. Default: False.
 
     Raises:
@@ -112,7 +115,7 @@ def _document(chart: Chart) -> dict[str, Any]:
 
 
 def is_description_of(path: Path, chart: Chart) -> bool:
-    """Check whether a file exists and describes this chart, whatever version of the software wrote it."""
+    """Check whether a file exists and describes this chart, regardless of the version of the software."""
     if not path.is_file():
         return False
     try:
@@ -129,11 +132,12 @@ def description_path(page: str | Path) -> Path:
 
 
 def chart_schema() -> dict[str, Any]:
-    """Return the JSON Schema of a chart's description."""
+    """Return the JSON Schema of the description of a chart."""
     schema: dict[str, Any] = _Document.model_json_schema()
     return schema
 
 
+# Types of the fields in the file.
 _Positive = Annotated[FiniteFloat, Field(gt=0)]
 _Level = Annotated[FiniteFloat, Field(ge=0, le=1)]
 _Point = Annotated[list[FiniteFloat], Field(min_length=2, max_length=2)]
@@ -161,26 +165,29 @@ _FIELDS: dict[str, tuple[str, Any]] = {
 }
 """Name in the file and type of every field of elements and fiducials."""
 _NAMES = {there: here for here, (there, _) in _FIELDS.items()}
+"""Names in Python of the fields in the file."""
 
 
 class _Strict(BaseModel):
-    # no docstring: pydantic would put it into the published schema
+    # A docstring would become part of the published schema.
     model_config = ConfigDict(extra="forbid", strict=True)
 
 
 def _model(name: str, types: dict[str, Any]) -> Any:
-    """Make the model of an object, all of whose fields must be there."""
+    """Create the model of an object whose fields are all required."""
     given: dict[str, Any] = {field: (kind, ...) for field, kind in types.items()}
     return create_model(f"_{name}", __base__=_Strict, **given)
 
 
 def _model_of(printed: type, **more: Any) -> Any:
-    """Make the model of an element or a fiducial."""
+    """Create the model of an element or a fiducial."""
     return _model(printed.__name__, more | dict(_FIELDS[field.name] for field in fields(printed)))
 
 
 _CLASSES: dict[str, type] = {one.__name__.lower(): one for one in get_args(Element)}
+"""Classes of elements by their kind in the file."""
 _ELEMENTS: Any = tuple(_model_of(one, kind=Literal[kind]) for kind, one in _CLASSES.items())
+"""Pydantic models of all kinds of elements."""
 _Document = _model(
     "Document",
     {
@@ -196,12 +203,12 @@ _Document = _model(
 
 
 def _with_units(thing: Element | Fiducial) -> dict[str, Any]:
-    """Return the fields of an element under their names in the file."""
+    """Rename the fields of an element to those of the file."""
     return {_FIELDS[name][0]: value for name, value in vars(thing).items()}
 
 
 def _without_units(document: dict[str, Any]) -> dict[str, Any]:
-    """Return the fields of an element under their names in Python, lists as tuples."""
+    """Rename the fields of an element to those of Python, and convert lists to tuples."""
     return {_NAMES[name]: _tuples(value) for name, value in document.items()}
 
 

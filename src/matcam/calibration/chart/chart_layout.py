@@ -1,4 +1,4 @@
-"""The layout of a chart: panels on a page, whose elements are sized in pixels of the camera."""
+"""Layout of a chart: panels on a page, whose elements are sized in pixels of the camera."""
 
 from __future__ import annotations
 
@@ -12,24 +12,41 @@ from matcam.core import checks
 from matcam.core.errors import ArgumentError
 
 KINDS = ("squares", "bars", "sines", "lines", "star", "dots")
-PAGES = {"a4": (297.0, 210.0), "a3": (420.0, 297.0), "letter": (279.4, 215.9)}  # mm, landscape
+"""Kinds of panels."""
+PAGES = {"a4": (297.0, 210.0), "a3": (420.0, 297.0), "letter": (279.4, 215.9)}
+"""Width and height of the named pages in landscape orientation, mm."""
 
-_INK = 0.05  # linear levels
+_INK = 0.05
+"""Linear level of fiducials and dots."""
 _DARK, _BRIGHT, _SINE_BRIGHT = 0.25, 1.0, 0.95
+"""Linear levels of squares, gratings and stars: dark; bright; bright of a sine, which must not exceed the paper."""
 _SLANT = math.radians(5)
+"""Angle of squares and dots to the page, rad. The edges then sample all phases of the pixel grid (ISO 12233)."""
 _SLANTED = np.array([[np.cos(_SLANT), -np.sin(_SLANT)], [np.sin(_SLANT), np.cos(_SLANT)]])
-_FREQUENCIES = (0.05, 0.08, 0.11, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.45)  # cycles per pixel of the intended camera
-# for gratings: their pixels sample all phases, and no harmonic coincides with that of the pixel grid
+"""Rotation matrix of squares and dots."""
+_FREQUENCIES = (0.05, 0.08, 0.11, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.45)
+"""Frequencies of the gratings, cycles per pixel of the intended camera."""
 _TILT = math.radians(7)
-# px: side of a square and of a grating; a grating with the paper around it, relative to the grating
+"""Angle of gratings to the page, rad.
+
+The pixels then sample all phases, and no harmonic coincides with a frequency of the pixel grid.
+"""
 _SQUARE, _PATCH, _GAP = 80.0, 76.0, 1.4
-_SPACING = 1.6  # distance between neighbouring squares, in sides
-_SMALLEST = 0.5  # relative size to which a square or grating shrinks in a small panel; its errors are then larger
-_DOT, _PITCH = 1.3, 14.0  # px: radius and distance of dots; half way between them the blur of a neighbour is negligible
-_LINES = 0.25  # bright share of a period
+"""Side of a square and of a grating, px; size of a grating with the paper around it, relative to the grating."""
+_SPACING = 1.6
+"""Distance between the centres of neighbouring squares, relative to their side."""
+_SMALLEST = 0.5
+"""Smallest relative size of squares and gratings in small panels. Their measurements are then less accurate."""
+_DOT, _PITCH = 1.3, 14.0
+"""Radius and distance of dots, px. Half way between two dots, their blur is negligible."""
+_LINES = 0.25
+"""Bright share of a period of lines."""
 _STEPS = (0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.6, 0.75, 0.9)
+"""Linear levels of the tone patches."""
 _CYCLES = (144, 108, 72, 48, 36, 24)
-_LARGEST = 200_000  # elements of a page: a larger number is a mistake
+"""Numbers of cycles of a star, in order of preference."""
+_LARGEST = 200_000
+"""Largest number of elements of a panel. A larger number is a mistake."""
 
 
 def design_chart(
@@ -40,22 +57,21 @@ def design_chart(
 ) -> Chart:
     """Design a chart with one panel for each kind of target.
 
-    Eleven tone patches and eight fiducials are added. Sizes follow from the camera's pixels: bars, lines and dots are as fine,
-    squares as large, as these need them.
+    Eleven tone patches and eight fiducials are added. All sizes are derived from the pixel size of the camera on the page.
 
     Args:
-        kinds: panels, each named once: "squares" (slanted by 5 degrees), "bars", "sines" and "lines" (gratings of 0.05 to 0.45
-            cycles/px in two directions), "star" (a sinusoidal Siemens star), "dots".
+        kinds: panels without repetition: "squares" (slanted by 5 degrees), "bars", "sines" and "lines" (gratings of 0.05 to
+            0.45 cycles/px in two directions), "star" (a sinusoidal Siemens star), "dots".
             Default: squares, bars, star and dots.
-        page: width and height, mm, or "a4", "a3", "letter" (landscape). Default: "a4". Larger pages hold more cells.
-        pixels_across: how many of the camera's pixels the page's width will fill, px. Default: 3000. Give what your camera
-            will see, or targets are too fine or too coarse for it.
+        page: width and height, mm, or "a4", "a3", "letter" (landscape). Larger pages contain more elements. Default: "a4".
+        pixels_across: width of the page in the intended images, px. If it is wrong, the targets are too fine or too coarse.
+            Default: 3000.
 
     Returns:
         The chart, to be printed with `matcam chart` and written with `write_chart`.
 
     Raises:
-        ArgumentError: if a kind or a page is unknown, or something does not fit on the page.
+        ArgumentError: if a kind or a page is unknown, or a panel is too small for its elements.
 
     Source:
         docs/targets.md; ISO 12233 for slanted edges and the Siemens star.
@@ -74,7 +90,7 @@ def design_chart(
         raise ArgumentError(f"page must be one of {', '.join(PAGES)}, or (width, height) in mm, got {size!r:.60}")
     width, height = (float(checks.within("page", side, 50, 5000, "mm")) for side in size)
     pixel = width / float(checks.within("pixels_across", pixels_across, 300, 100_000))
-    # fiducials with a radius below 2.6 px are not found if the lens blurs by 1 px
+    # Fiducials with a radius below 2.6 px are not found with a lens width of 1 px.
     margin = max(0.045 * min(width, height), 17 * pixel)
     radius = margin / 6.5
     fiducials = tuple(_fiducials(width, height, margin, radius))
@@ -100,7 +116,7 @@ def design_chart(
 
 
 def _shorter_side(columns: int, count: int, room: Point) -> float:
-    """Return the shorter side of a panel in a layout of that many columns, mm."""
+    """Compute the shorter side of a panel in a layout with a number of columns, mm."""
     rows = math.ceil(count / columns)
     return min(room[0] / columns, room[1] / rows)
 
@@ -109,7 +125,7 @@ def _fiducials(width: float, height: float, margin: float, radius: float) -> Ite
     """Yield the fiducials along the border of the page.
 
     The one with two rings is in the upper left corner. The positions between the corners are not symmetric, so that
-    neither a mirror image nor a rotated view looks like the page in perspective.
+    mirrored and rotated views are not mistaken for a view in perspective.
     """
     near, far = (margin, margin), (width - margin, height - margin)
     places = [near, (0.4 * width, near[1]), (far[0], near[1]), (far[0], 0.4 * height), far, (0.6 * width, far[1])]
@@ -118,7 +134,7 @@ def _fiducials(width: float, height: float, margin: float, radius: float) -> Ite
 
 
 def _patches(left: float, top: float, width: float, height: float) -> Iterator[Patch]:
-    """Yield the steps of the tone curve, side by side."""
+    """Yield the tone patches, side by side."""
     step = width / len(_STEPS)
     for i, level in enumerate(_STEPS):
         x, gap = left + i * step, 0.05 * step
@@ -128,10 +144,7 @@ def _patches(left: float, top: float, width: float, height: float) -> Iterator[P
 
 
 def _places(corner: Point, size: Point, pitch: float) -> Iterator[tuple[int, int, float, float]]:
-    """Yield row, column and centre of as many cells as fit.
-
-    All have the same pitch, and are centred in the panel.
-    """
+    """Yield row, column and centre of the cells of a regular grid that fills the panel and is centred in it."""
     columns, rows = (int(side / pitch + 1e-9) for side in size)
     if columns * rows > _LARGEST:
         raise ArgumentError(f"{columns * rows} elements on one page are too many: fewer pixels_across")
@@ -142,10 +155,9 @@ def _places(corner: Point, size: Point, pitch: float) -> Iterator[tuple[int, int
 
 
 def _fitting_side(size: Point, usual: float, pitch: float, least: int) -> float:
-    """Return the side of the squares in a panel: the usual one if enough squares fit, else the largest with which two
-    fit.
+    """Compute the side of the squares in a panel: `usual` if at least `least` squares fit, else one with which two fit.
 
-    `pitch`: distance between neighbours, in sides.
+    `pitch`: distance between neighbours relative to the side.
     """
     if math.prod(int(side / (pitch * usual)) for side in size) >= least:
         return usual
@@ -170,22 +182,22 @@ def _gratings(profile: str) -> Callable[[Point, Point, float], Iterator[Grating]
         side = _fitting_side(size, _PATCH * pixel, _GAP, 2)
         places = list(_places(corner, size, _GAP * side))
         count = min(len(places) // 2, len(_FREQUENCIES))
-        # a single one is placed at the frequency that is most sensitive to blur
+        # A single pair of gratings has a medium frequency, which is sensitive to blur.
         first = 0 if count > 1 else len(_FREQUENCIES) // 2 - 1
         chosen = [_FREQUENCIES[i] for i in np.linspace(first, len(_FREQUENCIES) - 1, count).round().astype(int)]
         wanted = [(f, angle) for f in chosen for angle in (_TILT, _TILT + math.pi / 2)]
         for (_, _, x, y), (frequency, angle) in zip(places, wanted, strict=False):
             period = pixel / frequency
-            across = max(1, round(side / period)) * period  # a whole number of periods: the mean is that of one period
+            across = max(1, round(side / period)) * period  # with whole periods, the mean is that of one period
             yield Grating(profile, (x, y), (across, side), angle, period, 0.0, _DARK, bright, duty)
 
     return panel
 
 
 def _star(corner: Point, size: Point, pixel: float) -> Iterator[Star]:
-    """Put one star into a panel, if there is room."""
+    """Place one star into a panel, if it is large enough."""
     outer = min(size) / 2
-    # as many cycles as are wide enough at the rim: the more there are, the better a ring approximates a plane wave
+    # Use the largest number of cycles that are wide enough at the rim: with more cycles, a ring is closer to a plane wave.
     for cycles in _CYCLES:
         if cycles / (2 * math.pi * outer / pixel) < 0.07 or (cycles == _CYCLES[-1] and outer > 40 * pixel):
             centre = (corner[0] + size[0] / 2, corner[1] + size[1] / 2)
@@ -195,7 +207,7 @@ def _star(corner: Point, size: Point, pixel: float) -> Iterator[Star]:
 
 def _dots(corner: Point, size: Point, pixel: float) -> Iterator[Dots]:
     """Fill a panel with dots, if at least nine fit."""
-    # rotated a little, so that the pixels sample the dots at different phases
+    # The lattice is rotated, so that the pixels sample the dots at different phases.
     middle = np.array(corner) + np.array(size) / 2
     inner = tuple(s / (np.cos(_SLANT) + np.sin(_SLANT) * max(size) / min(size)) for s in size)
     points = [
@@ -210,3 +222,4 @@ _PANELS: dict[str, Callable[[Point, Point, float], Iterator[Element]]] = {
     "squares": _squares, "bars": _gratings("bars"), "sines": _gratings("sine"), "lines": _gratings("lines"),
     "star": _star, "dots": _dots,
 }  # fmt: skip
+"""Functions by kind that fill a panel: (upper left corner, size, size of a camera pixel, all mm) -> elements."""

@@ -1,9 +1,9 @@
-"""The fiducials of a chart in a picture, dark discs in concentric dark rings: their detection, and which mark is which.
+"""Detection of the fiducials of a chart (dark discs in concentric dark rings), and their assignment to the description.
 
-Four marks fix a pinhole's view, and a fifth must agree. All fours of marks are tried against all fours of fiducials that
-follow one another in the same turn, through lenses of several barrel distortions. The mark with two rings, where it is to be
-seen, says where to begin; without it every beginning is tried. Where only four marks are to be seen, any four fit: what is
-printed between them decides.
+Four marks determine a pinhole view, and a fifth must agree. All quadruples of marks are compared with all quadruples of
+fiducials in the same cyclic order, for several barrel distortions. If the mark with two rings is visible, it is the first
+of a quadruple; otherwise all starting points are tested. If only four marks are visible, any quadruple is consistent, and
+the printed elements between them are compared with the image.
 """
 
 from __future__ import annotations
@@ -20,20 +20,32 @@ from matcam.calibration.chart.chart import Chart, Patch, Square
 from matcam.calibration.photograph.linear_image import smoothed
 from matcam.core.arrays import FloatArray
 
-_DARK = (0.6, 0.78, 0.45)  # of the paper around: where small discs run into their rings, another level parts them
-_CONCENTRIC = 0.35  # radii of the disc
-_RING, _SECOND = (2.5, 9.0), (4.5, 16.0)  # areas of the rings over the disc's: 5 and 9, in all sorts of light and blur
-_SMALLEST, _LARGEST = 4, 0.01  # px; of the picture: area of a disc
-_BARREL = (0.0, 0.06, 0.13, -0.03)  # relative to the undistorted radius: r (1 + d r^2), r in half diagonals
-# relative to the size of the chart in the picture: tolerance for a mark in the view that four others define
+_DARK = (0.6, 0.78, 0.45)
+"""Levels relative to the paper below which a pixel is dark. Several are tested, because blur may merge disc and ring."""
+_CONCENTRIC = 0.35
+"""Largest distance between the centres of a disc and its rings, relative to the radius of the disc."""
+_RING, _SECOND = (2.5, 9.0), (4.5, 16.0)
+"""Smallest and largest area of the first and the second ring relative to the disc. The nominal values are 5 and 9."""
+_SMALLEST, _LARGEST = 4, 0.01
+"""Smallest area of a disc, px^2, and largest area relative to the image."""
+_BARREL = (0.0, 0.06, 0.13, -0.03)
+"""Coefficients d of the undistorted radius r (1 + d r^2) that are tested, r in half diagonals."""
 _NEAR = 0.03
-_CLOSE = 0.005  # relative to the size of the chart: mean distance below which no other lens is tried
-_MOST_MARKS = (24, 9)  # number of discs of equal size that are tried with a known first mark, and without
-_CANDIDATES = 40  # number of views of equal rank that are compared with the picture
-_ALIKE = 2.5  # ratio of the sizes of discs in one picture
-_CLEAR = 0.5  # share of the expected steps between dark and bright, if only four marks are found
-_LEVEL = 0.5  # squares and patches darker than this are compared
-_MOST_PLACES = 150
+"""Largest distance of a mark from its expected position, relative to the size of the chart in the image."""
+_CLOSE = 0.005
+"""Mean distance below which no other distortion is tested, relative to the size of the chart in the image."""
+_MOST_MARKS = (24, 9)
+"""Largest number of marks of similar size that are tested, with and without a known first mark. It limits the time."""
+_CANDIDATES = 40
+"""Largest number of views with equally many marks that are compared with the image."""
+_SIMILAR_SIZE = 2.5
+"""Largest ratio of the sizes of discs in one image."""
+_CLEAR = 0.5
+"""Smallest agreement with the printed elements if only four marks are found."""
+_LEVEL = 0.5
+"""Level below which squares and patches are used for the comparison with the image."""
+_MOST_ELEMENTS = 150
+"""Approximate largest number of squares and patches in the comparison with the image."""
 
 
 class Mark(NamedTuple):
@@ -55,12 +67,12 @@ def balanced(mosaic: ArrayLike) -> FloatArray:
 
 
 def find_marks(picture: FloatArray, enough: int) -> list[Mark]:
-    """Find all concentric dark discs and rings in a picture (height, width) with NaN for missing data.
+    """Find all concentric dark discs and rings in an image (height, width), NaN for missing pixels.
 
     The search stops at `enough` marks if one of them has two rings.
     """
     smooth = smoothed(picture)
-    # the paper's level nearby: the brightest there is, of means that noise does not reach
+    # The level of the paper is the local maximum of means, which noise hardly affects.
     cell = max(4, round(min(picture.shape) / 60))
     coarse = ndimage.uniform_filter(smooth, 3)[::cell, ::cell]
     paper = ndimage.uniform_filter(ndimage.maximum_filter(coarse, 9), 5)
@@ -77,7 +89,7 @@ def find_marks(picture: FloatArray, enough: int) -> list[Mark]:
 
 
 def _marks_below(share: FloatArray, dark: float) -> list[Mark]:
-    """Find the discs and rings that are darker than a share of the paper."""
+    """Find the discs and rings that are darker than a given share of the paper level."""
     label, count = ndimage.label(share < dark, np.ones((3, 3)))
     if not count:
         return []
@@ -99,7 +111,7 @@ def _marks_below(share: FloatArray, dark: float) -> list[Mark]:
             continue
         ring = near[first][np.argmin(sizes[first])]
         second = (sizes > max(_SECOND[0], 1.3 * area[ring] / area[i])) & (sizes < _SECOND[1])
-        # the position of the disc is that of all dark pixels, rings included
+        # The position of a mark is the centroid of the disc and its first ring.
         parts = [i, ring]
         weight = area[parts] / area[parts].sum()
         found.append(Mark(float(x[parts] @ weight), float(y[parts] @ weight), 1 + int(second.any()), float(radius)))
@@ -107,11 +119,11 @@ def _marks_below(share: FloatArray, dark: float) -> list[Mark]:
 
 
 class Match(NamedTuple):
-    """Pairs of a fiducial of the chart and a mark in the picture.
+    """Pairs of a fiducial of the chart and a mark in the image.
 
     Attributes:
         pairs: indices of fiducial and mark.
-        sure: whether more than four marks agree, or the picture shows what is printed between four.
+        sure: whether more than four marks agree, or the image agrees with the printed elements.
     """
 
     pairs: list[tuple[int, int]]
@@ -122,11 +134,11 @@ class _Views(NamedTuple):
     """Pinhole views of the page, and the marks that they explain.
 
     Attributes:
-        matrix: (n, 3, 3) from mm to undistorted px from the picture's middle.
-        barrel: (n,) of the lens.
-        nearest: (n, fiducials) nearest mark, -1 where none is near.
-        explained: (n,) marks that are where the view puts a fiducial.
-        off: (n,) mean distance of these, relative to the chart's size.
+        matrix: (n, 3, 3) homographies from mm to undistorted px from the middle of the image.
+        barrel: (n,) distortion coefficients.
+        nearest: (n, fiducials) index of the nearest mark; -1 if none is near.
+        explained: (n,) number of marks at the expected positions of fiducials.
+        off: (n,) mean distance of these marks relative to the size of the chart.
     """
 
     matrix: FloatArray
@@ -136,29 +148,29 @@ class _Views(NamedTuple):
     off: FloatArray
 
     def agree(self, marks: int) -> bool:
-        """Check whether a view explains so many marks closely."""
+        """Check whether a view explains at least `marks` marks accurately."""
         return bool((self.off[self.explained >= marks] < _CLOSE).any())
 
     def subset(self, which: np.ndarray) -> _Views:
-        """Return some of the views."""
+        """Select a subset of the views."""
         return _Views(*(column[which] for column in self))
 
 
 def match_marks(chart: Chart, marks: list[Mark], smooth: FloatArray) -> Match:
-    """Return the match with most marks that agrees best with the picture.
+    """Find the match with the most marks that agrees best with the image.
 
-    `smooth`: (height, width) picture without gaps or noise.
+    `smooth`: (height, width) image with little noise, without missing pixels.
     """
-    alike_marks = _most_alike(marks)
+    similar_marks = _similar_marks(marks)
     places = np.array([fiducial.centre for fiducial in chart.fiducials])
     middle = (np.array(smooth.shape[::-1]) - 1) / 2
     unit = float(np.hypot(*smooth.shape)) / 2
-    tops = [i for i, j in enumerate(alike_marks[: _MOST_MARKS[0]]) if marks[j].rings == 2]
+    tops = [i for i, j in enumerate(similar_marks[: _MOST_MARKS[0]]) if marks[j].rings == 2]
     first = next(i for i, fiducial in enumerate(chart.fiducials) if fiducial.rings == 2)
     best, top, marks_used = None, 0, list[int]()
-    # First with the mark that has two rings, if there is one; if that fails or explains few marks, without it.
+    # The mark with two rings is used first, if there is one. If that explains few marks, the search is repeated without it.
     for pinned in (True, False) if tops else (False,):
-        marks_used = alike_marks[: _MOST_MARKS[0 if pinned else 1]]
+        marks_used = similar_marks[: _MOST_MARKS[0 if pinned else 1]]
         seen = np.array([marks[j][:2] for j in marks_used])
         quads = _quads(places, [first] if pinned else list(range(len(places))))
         found: list[_Views] = []
@@ -175,29 +187,29 @@ def match_marks(chart: Chart, marks: list[Mark], smooth: FloatArray) -> Match:
             break
     if best is None or not top:
         return Match([], False)
-    alike = best if top < 5 else best.subset(np.arange(len(best.off))[:_CANDIDATES])
+    candidates = best if top < 5 else best.subset(np.arange(len(best.off))[:_CANDIDATES])
     scores = np.array(
-        [_shown(chart, *view, smooth, middle, unit) for view in zip(alike.matrix, alike.barrel, strict=True)]
+        [_shown(chart, *view, smooth, middle, unit) for view in zip(candidates.matrix, candidates.barrel, strict=True)]
     )
-    # The picture decides between matches of four marks; with more marks it only decides between close ones.
-    chosen = int(np.argmin(alike.off - (scores if top < 5 else 0.01 * scores)))
-    pairs = [(i, marks_used[int(j)]) for i, j in enumerate(alike.nearest[chosen]) if j >= 0]
+    # The image selects among matches of four marks. With more marks, it only selects among nearly equal matches.
+    chosen = int(np.argmin(candidates.off - (scores if top < 5 else 0.01 * scores)))
+    pairs = [(i, marks_used[int(j)]) for i, j in enumerate(candidates.nearest[chosen]) if j >= 0]
     # Marks that are not explained while fiducials are missing may be those of another chart.
     astray = top < len(places) and len(marks) > top + 1
     return Match(pairs, bool(scores[chosen] > _CLEAR) if top < 5 or astray else True)
 
 
-def _most_alike(marks: list[Mark]) -> list[int]:
-    """Return the indices of marks that may be of one chart: the largest group of similar size first."""
+def _similar_marks(marks: list[Mark]) -> list[int]:
+    """Sort marks by similarity of size to the largest group of similar marks; return their indices."""
     radii = np.array([mark.radius for mark in marks])
-    near = np.array([(np.maximum(radii / r, r / radii) < _ALIKE).sum() for r in radii])
+    near = np.array([(np.maximum(radii / r, r / radii) < _SIMILAR_SIZE).sum() for r in radii])
     middle = radii[near == near.max()]
     off = np.abs(np.log(radii / np.median(middle))) - 0.5 * np.array([mark.rings == 2 for mark in marks])
     return [int(i) for i in np.argsort(off, kind="stable")]
 
 
 def _quads(places: FloatArray, begin: list[int]) -> np.ndarray:
-    """Return quadruples of points in cyclic order (n, 4); the first of each is one of `begin`."""
+    """List quadruples of points in cyclic order (n, 4); the first of each is one of `begin`."""
     rows = [(start, *three) for start in begin for three in itertools.combinations(_in_turn(places, start), 3)]
     return np.array(rows, dtype=int).reshape(-1, 4)
 
@@ -205,14 +217,13 @@ def _quads(places: FloatArray, begin: list[int]) -> np.ndarray:
 def _views(
     places: FloatArray, quads: np.ndarray, seen: FloatArray, starts: list[int], barrel: float, *, pinned: bool
 ) -> _Views:
-    """Return the views that quadruples of marks and of fiducials define.
+    """Compute the views that quadruples of marks and of fiducials define.
 
-    If `pinned`, the first point of a quadruple is known; else each needs to be tried from one of its starting points
-    only.
+    If `pinned`, the first point of a quadruple is known. Otherwise each quadruple of marks is used with one starting point.
     """
     fours = _quads(seen, starts)
     if not pinned:
-        # the quadruples of marks are kept, those of the page are rotated
+        # Only the quadruples of the page occur with all starting points.
         fours = fours[fours[:, 0] == fours.min(1)]
     to_page, to_picture = _bases(places[quads]), _bases(seen[fours])
     to_page, to_picture = (maps[np.isfinite(maps).all((1, 2))] for maps in (to_page, to_picture))
@@ -226,7 +237,7 @@ def _views(
     size = np.ptp(expected, axis=1).max(1)
     nearest, least = off.argmin(2), off.min(2) / np.maximum(size, 1e-9)[:, None]
     nearest = np.where(least < _NEAR, nearest, -1)
-    # each mark belongs to one fiducial only
+    # Each mark may be assigned to one fiducial only.
     ordered = np.sort(nearest, axis=1)
     twice = ((np.diff(ordered, axis=1) == 0) & (ordered[:, 1:] >= 0)).any(1)
     count = np.where(twice, 0, (nearest >= 0).sum(1))
@@ -235,7 +246,7 @@ def _views(
 
 
 def _best(found: list[_Views]) -> _Views:
-    """Return the views that explain most marks, at least four, the closest first: one for each match."""
+    """Select the most accurate view of each match with the most marks, at least four, in order of accuracy."""
     views = _Views(*(np.concatenate(column) for column in zip(*found, strict=True)))
     views = views.subset(views.explained == max(int(views.explained.max(initial=0)), 4))
     views = views.subset(np.argsort(views.off, kind="stable"))
@@ -243,9 +254,9 @@ def _best(found: list[_Views]) -> _Views:
 
 
 def _shown(chart: Chart, view: FloatArray, barrel: float, smooth: FloatArray, middle: FloatArray, unit: float) -> float:
-    """Return the agreement of a view with the picture: 1 if all dark elements are on bright paper, about 0 by chance."""
+    """Compute the agreement of a view with the image: 1 if all dark elements are on bright paper, about 0 by chance."""
     dark = [e for e in chart.elements if isinstance(e, Square | Patch) and e.level < _LEVEL]
-    dark = dark[:: max(1, len(dark) // _MOST_PLACES)]
+    dark = dark[:: max(1, len(dark) // _MOST_ELEMENTS)]
     if not dark:
         return 0.0
     corners = np.array([element.corners for element in dark])
@@ -272,14 +283,14 @@ def _shown(chart: Chart, view: FloatArray, barrel: float, smooth: FloatArray, mi
 
 
 def _in_turn(points: FloatArray, start: int) -> list[int]:
-    """Return the indices of the other points in cyclic order from `start` on."""
+    """Sort the indices of the other points in cyclic order from `start` on."""
     turn = np.arctan2(*(points - points.mean(0)).T[::-1])
     after = np.mod(turn - turn[start], 2 * np.pi)
     return [int(i) for i in np.argsort(after) if i != start]
 
 
 def _bases(points: FloatArray) -> FloatArray:
-    """Return the maps (n, 3, 3) from the projective basis to four points each (n, 4, 2); NaN if three are collinear."""
+    """Compute the maps (n, 3, 3) from the projective basis to four points (n, 4, 2); NaN if three are collinear."""
     whole = np.concatenate([points, np.ones((*points.shape[:2], 1))], axis=2).transpose(0, 2, 1)
     first = whole[:, :, :3]
     size = np.ptp(points, axis=1).prod(1)

@@ -1,8 +1,8 @@
-"""The levels of a chart as they were printed, from the patches of the chart.
+"""Printed levels of a chart, measured with its tone patches.
 
-A patch over the paper beside it is a level as it was printed: illumination and vignetting cancel. Printers make greys
-too dark or too bright, and the deviation is smooth: ln(printed) as a function of ln(described) is nearly linear, and is
-interpolated. Contrasts of stars and gratings follow from it.
+The printed level of a patch is the ratio of the patch and the paper next to it, in which illumination and vignetting
+cancel. Printed greys are darker or brighter than described, but the deviation is smooth: ln(printed) is a nearly linear
+function of ln(described), which is interpolated. The contrasts of stars and gratings follow from this function.
 """
 
 from __future__ import annotations
@@ -18,28 +18,39 @@ from matcam.core import checks
 from matcam.core.arrays import FloatArray
 from matcam.core.remark import Remark
 
-_FEWEST = 4  # patches
-_CLEAR = 3.0  # px from the border of a patch, which is affected by blur
-_INSIDE = (0.3, 0.6)  # share of half the size of a patch: smallest margin, and largest margin if the patch is small
-# in the same unit: distance from the border at which the paper begins; the brighter of two pairs of sides is used
+_FEWEST = 4
+"""Smallest number of patches."""
+_CLEAR = 3.0
+"""Distance from the border of a patch within which blur affects the level, px."""
+_INSIDE = (0.3, 0.6)
+"""Smallest and largest margin that is excluded at the border of a patch, relative to half its size."""
 _BESIDE = (0.2, 0.45)
-_PAPER = 0.15  # in the same unit: width of the paper area
-_GRID = 16  # number of positions along each side
-_KNOWN = 24  # fewest pixels of a patch, and of the paper next to it
-_UNEVEN = 0.05  # share of the level of a patch: largest difference between its quarters, beyond noise
-_OFF = 0.12  # largest distance of ln(printed) from the straight line through most patches
-_CONTRAST_STD = 0.004  # relative: standard deviation from light that changes between patch and paper
-_MIDDLE, _REMARKABLE = 0.3, 0.05  # level, and change of its logarithm
+"""Smallest and largest distance from the border of a patch at which the paper begins, relative to half its size."""
+_PAPER = 0.15
+"""Width of the paper area next to a patch, relative to half the size of the patch."""
+_GRID = 16
+"""Number of sampled positions along each side of a patch."""
+_KNOWN = 24
+"""Smallest number of pixels of a patch, and of the paper next to it."""
+_UNEVEN = 0.05
+"""Largest variation of a patch relative to its level beyond noise, and of the paper on both sides of it."""
+_OFF = 0.12
+"""Largest deviation of ln(printed) from a straight line, relative to ln(printed), for a patch that is not covered."""
+_CONTRAST_STD = 0.004
+"""Relative standard deviation of a contrast, because the light differs between patch and paper."""
+_MIDDLE, _REMARKABLE = 0.3, 0.05
+"""Described level that is compared with the print, and change of its logarithm above which a remark is given."""
 _TURN = 2 * np.pi * np.arange(256) / 256
+"""Phases at which the first harmonic of a sine is computed, rad."""
 
 
 @dataclass(frozen=True, eq=False)
 class PrintedLevels:
-    """Levels of patches as they were printed.
+    """Printed levels of the patches of a chart.
 
     Attributes:
-        described: (n,) levels of the chart's description, rising.
-        printed: (n,) levels in the photograph, over the paper's.
+        described: (n,) levels of the description, ascending.
+        printed: (n,) levels in the photograph, relative to the paper.
         std: (n,) relative standard deviations of `printed`.
     """
 
@@ -48,7 +59,7 @@ class PrintedLevels:
     std: FloatArray
 
     def __call__(self, level: FloatArray | float) -> FloatArray:
-        """Return the printed levels for described levels (no unit)."""
+        """Interpolate the printed levels for described levels (no unit)."""
         at, known = np.log(np.append(self.described, 1.0)), np.log(np.append(self.printed, 1.0))
         wanted = np.log(np.maximum(np.asarray(level, float), 1e-4))
         curve = PchipInterpolator(at, known, extrapolate=False)
@@ -57,27 +68,27 @@ class PrintedLevels:
         return np.minimum(np.exp(inside + slope * np.minimum(wanted - at[0], 0.0)), 1.0)
 
     def remark(self, *, assumed: bool = False) -> Remark | None:
-        """Return a remark if the print differs from the description, else None.
+        """Create a remark if the print differs from the description, else None.
 
-        `assumed`: the tone curve was not stated, and may be wrong instead.
+        `assumed`: whether the tone curve is an assumption, which may be wrong instead.
         """
         was, became = _MIDDLE, float(self(_MIDDLE))
         if abs(np.log(became / was)) < _REMARKABLE:
             return None
         either = ", or the tone curve is not as assumed (--tone)" if assumed else ""
-        text = f"the print differs from the description{either}: level {was:g} became {became:.2f}; contrasts follow from the "
-        text += "tone patches"
+        text = f"the print differs from the description{either}: level {was:g} became {became:.2f}; the contrasts were "
+        text += "measured with the tone patches"
         return Remark("printed-levels", text)
 
     @property
     def contrast_std(self) -> float:
-        """Return the relative standard deviation of a printed contrast."""
+        """Relative standard deviation of a printed contrast."""
         return float(np.hypot(_CONTRAST_STD, np.median(self.std)))
 
     def of(self, element: Element) -> Element:
         """Return a target with its printed levels.
 
-        Those of a sine follow from its first harmonic, which is measured; the dark level may then be below 0.
+        The levels of a sine are those of the first harmonic of the print; the dark level may then be negative.
         """
         if isinstance(element, Grating) and element.profile != "sine":
             return replace(element, dark=float(self(element.dark)), bright=float(self(element.bright)))
@@ -92,7 +103,7 @@ class PrintedLevels:
 def printed_levels(values: FloatArray, chart: Chart, projection: Projection) -> PrintedLevels | None:
     """Measure the levels of the patches of a chart, or return None if too few are visible.
 
-    `values`: (height, width) linear, NaN for missing data. `projection`: from the page, mm, to the picture, px.
+    `values`: (height, width) linear, NaN for missing data. `projection`: from the page, mm, to the image, px.
     """
     rows = []
     for patch in checks.instance("chart", chart, Chart).elements:
@@ -103,18 +114,18 @@ def printed_levels(values: FloatArray, chart: Chart, projection: Projection) -> 
     if len(rows) < _FEWEST:
         return None
     level, printed, std = np.array(sorted(rows)).T
-    # The levels of a print change smoothly: a patch far from the line was covered, or not lit like its paper.
+    # The levels of a print change smoothly: a patch far from the line was covered, or lit differently from its paper.
     x, y = np.log(level), np.log(printed)
     slope = float(np.median(y[x < 0] / x[x < 0]))
-    bend = np.abs(y - slope * x) < _OFF * np.maximum(np.abs(slope * x), 0.3)
-    good = bend & (np.append(True, np.diff(printed) > 0))
+    close = np.abs(y - slope * x) < _OFF * np.maximum(np.abs(slope * x), 0.3)
+    good = close & (np.append(True, np.diff(printed) > 0))
     if good.sum() < _FEWEST:
         return None
     return PrintedLevels(level[good], printed[good], std[good])
 
 
 def _over_paper(values: FloatArray, patch: Patch, projection: Projection) -> tuple[float, float] | None:
-    """Return the level of a patch relative to the paper, and its relative standard deviation, or None if it is not even."""
+    """Measure the level of a patch relative to the paper, with its relative standard deviation; None if it is not even."""
     corners = np.array(patch.corners)
     centre, across, along = corners.mean(0), (corners[1] - corners[0]) / 2, (corners[3] - corners[0]) / 2
     line = np.linspace(-1, 1, _GRID)
@@ -140,11 +151,11 @@ def _over_paper(values: FloatArray, patch: Patch, projection: Projection) -> tup
     uneven = [abs(part[0] - own[0]) - 3 * part[1] for part in parts if part is not None]
     if max(uneven, default=0.0) > _UNEVEN * own[0]:
         return None
-    # the paper beyond a shorter side is as far away as that beyond a longer one
+    # The distance to the paper is the same beyond the shorter and the longer sides.
     ratio = float(np.hypot(*across) / np.hypot(*along))
-    reach = 1 + np.clip(_CLEAR / shortest, *_BESIDE) + np.linspace(0, _PAPER, _GRID // 2)
-    beside_u = 1 + (reach - 1) * min(1.0, 1 / ratio)
-    beside_v = 1 + (reach - 1) * min(1.0, ratio)
+    distance = 1 + np.clip(_CLEAR / shortest, *_BESIDE) + np.linspace(0, _PAPER, _GRID // 2)
+    beside_u = 1 + (distance - 1) * min(1.0, 1 / ratio)
+    beside_v = 1 + (distance - 1) * min(1.0, ratio)
     pairs = [
         (level(beside_u, inner), level(-beside_u, inner)), (level(inner, beside_v), level(inner, -beside_v)),
     ]  # fmt: skip

@@ -1,8 +1,8 @@
-"""The registration of a photograph: the map from the page of a chart to the picture.
+"""Registration of a photograph: the map from the page of a chart to the image.
 
-Fiducials are found first, and any four of them locate the chart. A pinhole camera with distortion, and a page that may
-be curved, are then fitted to the positions of the fiducials and of the sides of the squares. The accuracy only needs to
-suffice for each estimator to find its target: the estimators determine their geometry to 0.01 px.
+The fiducials are searched first; four of them are sufficient to locate the chart. A pinhole camera with distortion, and
+optionally a curved page, are then fitted to the positions of the fiducials and of the sides of the squares. The accuracy
+must only be sufficient for each estimator to find its target; the estimators refine their geometry to 0.01 px.
 """
 
 from __future__ import annotations
@@ -23,32 +23,39 @@ from matcam.core.arrays import FloatArray
 from matcam.core.errors import ArgumentError, FitError
 
 Projection = Callable[[FloatArray], FloatArray]
-"""A map from places on the page (n, 2), mm, to places in the picture (n, 2), px: a `Registration`, or anything like it."""
+"""Map from positions on the page (n, 2), mm, to positions in the image (n, 2), px: a `Registration` or any function."""
 
-_FEWEST_PLACES = 12
-_WORST = 3.0  # px in a picture of 1000 px: largest root mean square residual
-_MARK_STD, _SIDE_STD = 0.2, 0.3  # px: residual of a pinhole model of a curved page, for marks and for sides
-_MANY_SIDES = 100  # number of side positions above which more do not outweigh the fiducials
-_CURL = 0.02  # height of the border of a page relative to the height of the camera: typical of pages on a table
-_FEWEST_SIDES = 0.3  # share of all side positions
-_ROUNDS = 2  # number of searches for sides
+_FEWEST_POSITIONS = 12
+"""Smallest number of positions for an estimate of the distortion, which has nine parameters."""
+_WORST = 3.0
+"""Largest root mean square residual in an image of up to 1000 px, px. It increases with larger images."""
+_MARK_STD, _SIDE_STD = 0.2, 0.3
+"""Standard deviations of the positions of marks and of sides about the model of a curved page, px."""
+_MANY_SIDES = 100
+"""Number of side positions whose total weight is not exceeded, so that they do not outweigh the fiducials."""
+_CURL = 0.02
+"""Prior standard deviation of the curvature: height relative to the camera distance, typical of pages on a table."""
+_FEWEST_SIDES = 0.3
+"""Smallest share of the side positions that must be found."""
+_ROUNDS = 2
+"""Number of searches for sides, each starting from the improved registration."""
 
 
 @dataclass(frozen=True, eq=False)
 class Registration:
     """Map from points of a chart's page to positions in a photograph.
 
-    Calling it with points (n, 2) on the page returns their places (n, 2), with pixel centres on whole numbers.
+    Calling it with points (n, 2) on the page returns their positions (n, 2), with pixel centres on whole numbers.
 
     Attributes:
-        homography: (3, 3) matrix from mm to px from the picture's middle, before distortion.
-        distortion: a and b of the distorted radius r (1 + a r^2 + b r^4), r in half diagonals of the picture (no unit).
-        shape: height and width of the picture, px.
-        residual: root mean square distance that the fit leaves at the fiducials, px.
+        homography: (3, 3) matrix from mm to px from the middle of the image, before distortion.
+        distortion: a and b of the distorted radius r (1 + a r^2 + b r^4), r in half diagonals of the image (no unit).
+        shape: height and width of the image, px.
+        residual: root mean square residual of the fiducials, px.
         found: number of fiducials found.
-        curl: shape of a page that is not plane: heights by x^2, xy and y^2 over the eye's, and the eye's foot (x, y),
-            all in widths of the page from its middle (no unit). Default: plane.
-        page: width and height of the page, mm. Default: not needed for a plane page.
+        curl: shape of a curved page: coefficients of x^2, xy and y^2 for the height relative to that of the camera, and
+            the foot point (x, y) of the camera, all in widths of the page from its middle (no unit). Default: plane.
+        page: width and height of the page, mm. Default: (1, 1), not required for a plane page.
 
     Example:
         >>> homography = np.diag([2.0, 2.0, 1.0])  # 2 px per mm, squarely
@@ -66,22 +73,22 @@ class Registration:
     page: tuple[float, float] = (1.0, 1.0)
 
     def __call__(self, points: FloatArray) -> FloatArray:
-        """Project points on the page to the picture.
+        """Project points on the page to the image.
 
         Args:
-            points: (n, 2) places on the page, mm.
+            points: (n, 2) positions on the page, mm.
 
         Returns:
-            (n, 2) places in the picture, px.
+            (n, 2) positions in the image, px.
         """
         parameters = np.concatenate([self.homography.ravel()[:8], self.distortion, self.curl])
         return _project(parameters, np.asarray(points, float), self.shape, self.page)
 
     def scale(self, point: tuple[float, float]) -> float:
-        """Return the scale of the picture at a point of the page.
+        """Compute the scale of the image at a point of the page.
 
         Args:
-            point: place on the page, mm.
+            point: position on the page, mm.
 
         Returns:
             The scale, px per mm.
@@ -96,15 +103,15 @@ def register_chart(image: ArrayLike | LinearImage, chart: Chart, *, mosaic: bool
     """Find a chart in a photograph.
 
     Args:
-        image: a `LinearImage`, or an array (height, width) of linear values, any unit; NaN where there are no data.
-        chart: what the photograph shows.
-        mosaic: make the four colours of every 2 x 2 px equally bright first. Default: False. Set it for raw mosaics.
+        image: a `LinearImage`, or an array (height, width) of linear values, any unit; NaN for missing pixels.
+        chart: description of the chart.
+        mosaic: scale the four planes of a mosaic to the same brightness first; required for raw mosaics. Default: False.
 
     Returns:
-        The map from the page to the picture.
+        The map from the page to the image.
 
     Raises:
-        FitError: if too few fiducials are found, or they do not lie as on the chart.
+        FitError: if too few fiducials are found, or their positions do not match the chart.
         ArgumentError: if the chart has no fiducials.
 
     Source:
@@ -130,14 +137,14 @@ def register_chart(image: ArrayLike | LinearImage, chart: Chart, *, mosaic: bool
     marks = find_marks(picture, len(chart.fiducials))
     if len(marks) < 4:
         raise FitError(
-            f"no chart of this description in the picture: {len(marks)} of its {len(chart.fiducials)} fiducials found; 4 are "
+            f"no chart of this description in the image: {len(marks)} of its {len(chart.fiducials)} fiducials found; 4 are "
             "needed"
         )
     smooth = smoothed(picture)
     match = match_marks(chart, marks, smooth)
     if not match.sure:
         raise FitError(
-            f"no chart of this description in the picture: {len(marks)} fiducials found, but not where it has them"
+            f"no chart of this description in the image: {len(marks)} fiducials found, but at other positions"
         )
     places = np.array([chart.fiducials[i].centre for i, _ in match.pairs])
     seen = np.array([marks[j][:2] for _, j in match.pairs])
@@ -145,7 +152,7 @@ def register_chart(image: ArrayLike | LinearImage, chart: Chart, *, mosaic: bool
     found = _registration_through(places, seen, shape, chart.page)
     for _ in range(_ROUNDS):
         sides = seen_sides(smooth, chart, found)
-        # if most squares are hidden, other structures may be found instead
+        # If most squares are hidden, other structures may be found instead.
         if sides is None or sides.found.mean() < _FEWEST_SIDES:
             break
         found = _registration_through(places, seen, shape, chart.page, sides)
@@ -153,25 +160,27 @@ def register_chart(image: ArrayLike | LinearImage, chart: Chart, *, mosaic: bool
 
 
 def radial_distortion(places: FloatArray, seen: FloatArray, shape: tuple[int, ...]) -> tuple[float, float]:
-    """Return a of the distorted radius r (1 + a r^2), and its standard deviation from the scatter.
+    """Fit the coefficient a of the distorted radius r (1 + a r^2), with the standard deviation from the scatter.
 
     Args:
-        places: (n, 2) on a plane page, any unit.
-        seen: (n, 2) in the picture, px.
-        shape: height and width of the picture, px; r counts in its half diagonal.
+        places: (n, 2) positions on a plane page, any unit.
+        seen: (n, 2) positions in the image, px.
+        shape: height and width of the image, px. The unit of r is half the diagonal.
 
     Raises:
-        FitError: fewer than 12 places, or they do not determine a pinhole's view.
+        FitError: there are fewer than 12 positions, or they do not determine the pose of the page.
     """
-    if len(places) < _FEWEST_PLACES:
-        raise FitError(f"{len(places)} places do not determine the distortion; at least {_FEWEST_PLACES} are needed")
+    if len(places) < _FEWEST_POSITIONS:
+        raise FitError(
+            f"{len(places)} positions do not determine the distortion; at least {_FEWEST_POSITIONS} are needed"
+        )
     middle, spread = places.mean(0), max(float(np.ptp(places, axis=0).max()), 1e-300)
     at, used = (places - middle) / spread, np.ones(len(places), bool)
     for _ in range(3):
         try:
             start = np.append(_homography(at[used], _from_middle(seen[used], shape)).ravel()[:8], 0.0)
         except np.linalg.LinAlgError:
-            raise FitError("the places do not determine the pose of the page: give dots that span it") from None
+            raise FitError("the positions do not determine the pose of the page: give dots that span it") from None
         size = np.append(np.maximum(np.abs(start[:8]), 1e-6), 0.01)
 
         def off(p: FloatArray, at: FloatArray = at, size: FloatArray = size) -> FloatArray:
@@ -180,7 +189,7 @@ def radial_distortion(places: FloatArray, seen: FloatArray, shape: tuple[int, ..
         fit = least_squares(lambda p: off(p)[used].ravel(), start / size, x_scale="jac")  # noqa: B023
         left = np.hypot(*off(fit.x).T)
         good = left < 4 * max(float(np.median(left[used])), 1e-9)
-        if good.sum() < _FEWEST_PLACES or np.array_equal(good, used):
+        if good.sum() < _FEWEST_POSITIONS or np.array_equal(good, used):
             break
         used = good
     variance = 2 * fit.cost / max(fit.fun.size - fit.x.size, 1)
@@ -189,18 +198,15 @@ def radial_distortion(places: FloatArray, seen: FloatArray, shape: tuple[int, ..
 
 
 def check_projection_given(name: str, element: Element | None, projection: Projection | None) -> None:
-    """Raise ArgumentError if only one of element and projection is given.
-
-    name: the argument for the element.
-    """
+    """Raise ArgumentError if only one of element and projection is given. `name`: name of the element argument."""
     if (element is None) != (projection is None):
         raise ArgumentError(f"{name} and projection must be given together, or neither")
 
 
 def pixel_box(points: FloatArray, shape: tuple[int, int], margin: int) -> tuple[int, int, int, int]:
-    """Return the region (x, y, width, height) that contains points, px.
+    """Compute the region (x, y, width, height) that contains points, px.
 
-    `points`: (n, 2) px. `shape`: (height, width) of the picture. `margin`: px around the points.
+    `points`: (n, 2) px. `shape`: (height, width) of the image. `margin`: px around the points.
     """
     low = np.maximum(np.floor(points.min(0)).astype(int) - margin, 0)
     high = np.minimum(np.ceil(points.max(0)).astype(int) + margin + 1, shape[::-1])
@@ -212,10 +218,10 @@ def _registration_through(
 ) -> Registration:
     """Fit the camera and the curvature of the page to the positions of points, mm and px.
 
-    `sides`: further positions, known across the side only. FitError if no camera agrees with them.
+    `sides`: further positions, of which only the component across the side is known. FitError if the fit is not consistent.
     """
     start = np.append(_homography(places, _from_middle(seen, shape)).ravel()[:8], np.zeros(7))
-    # parameters that are not determined stay near 0: distortion, curvature, and the viewpoint
+    # Priors keep undetermined parameters near 0: distortion, curvature, and the foot point of the camera.
     prior = np.concatenate([[0.1, 0.1], np.full(3, _CURL), [1.0, 1.0]])
     size = np.append(np.maximum(np.abs(start[:8]), 1e-6), prior)
     along = None
@@ -232,13 +238,15 @@ def _registration_through(
             parts.append(off / along[3])
         return np.concatenate(parts)
 
-    # a position on a side that is partly covered may be anywhere: distant ones have less weight
+    # The robust loss reduces the weight of wrong positions on sides that are partly covered.
     fit = least_squares(residual, start / size, x_scale="jac", loss="soft_l1", f_scale=3.0)
     whole = fit.x * size
     left = np.hypot(*(_project(whole, places, shape, page) - seen).T)
     rms = float(np.sqrt((left**2).mean()))
     if rms > _WORST * max(1.0, max(shape) / 1000):
-        raise FitError(f"the fiducials disagree with the chart: {rms:.1f} px off; is this the right description?")
+        raise FitError(
+            f"the fiducials deviate by {rms:.1f} px from the chart: check that the description is the right one"
+        )
     return Registration(
         np.append(whole[:8], 1.0).reshape(3, 3), (float(whole[8]), float(whole[9])), (shape[0], shape[1]), rms,
         len(places), tuple(float(v) for v in whole[10:]), page,
@@ -248,7 +256,7 @@ def _registration_through(
 def _project(
     parameters: FloatArray, points: FloatArray, shape: tuple[int, int], page: tuple[float, float] = (1.0, 1.0)
 ) -> FloatArray:
-    """Project points on the page (mm) to the picture (px).
+    """Project points on the page (mm) to the image (px).
 
     `parameters`: eight of the homography, two of the distortion, and optionally five of the curvature: three of a quadratic
     height relative to that of the camera, and the camera's foot point, all in widths of the page from its centre.
@@ -257,23 +265,23 @@ def _project(
         xx, xy, yy, foot_x, foot_y = parameters[10:15]
         x, y = ((points - np.array(page) / 2) / page[0]).T
         height = xx * x * x + xy * x * y + yy * y * y
-        # a raised point is seen where the ray through it meets the plane
+        # A raised point appears at the intersection of its ray with the plane.
         points = points + page[0] * np.stack([height * (x - foot_x), height * (y - foot_y)], axis=-1)
     h = np.append(parameters[:8], 1.0).reshape(3, 3)
     u, v, w = h @ np.stack([points[:, 0], points[:, 1], np.ones(len(points))])
     u, v = u / w, v / w
     square = (u * u + v * v) / ((shape[0] ** 2 + shape[1] ** 2) / 4)
-    bent = 1 + parameters[8] * square + parameters[9] * square * square
-    return np.stack([u * bent + (shape[1] - 1) / 2, v * bent + (shape[0] - 1) / 2], axis=-1)
+    distortion_factor = 1 + parameters[8] * square + parameters[9] * square * square
+    return np.stack([u * distortion_factor + (shape[1] - 1) / 2, v * distortion_factor + (shape[0] - 1) / 2], axis=-1)
 
 
 def _from_middle(points: FloatArray, shape: tuple[int, ...]) -> FloatArray:
-    """Return px relative to the centre of the picture."""
+    """Convert pixel positions to positions relative to the centre of the image."""
     return points - (np.array(shape[1::-1]) - 1) / 2
 
 
 def _homography(source: FloatArray, target: FloatArray) -> FloatArray:
-    """Return the homography (3, 3) from points (n >= 4, 2) to points by least squares.
+    """Fit the homography (3, 3) between two sets of points (n >= 4, 2) by least squares.
 
     Its last entry is 1. LinAlgError if the points do not determine it.
     """

@@ -1,4 +1,4 @@
-"""The positions of the sides of a chart's squares in a picture, within a few px of the first registration."""
+"""Search for the sides of the squares of a chart in an image, starting from a first registration."""
 
 from __future__ import annotations
 
@@ -11,21 +11,26 @@ from scipy import ndimage
 from matcam.calibration.chart.chart import Chart, Square
 from matcam.core.arrays import FloatArray
 
-_ALONG = np.linspace(-0.32, 0.32, 9)  # of a side, from its middle: places where it is looked for
-_REACH, _FARTHEST = 0.22, 30  # of the shorter side in the picture; px
-_STEP = 0.5  # px between samples
-_LEAST = 0.35  # share of the described step that must be found, in any print and light
-_CORE = 3.0  # px around the steepest point that are used for the position
+_ALONG = np.linspace(-0.32, 0.32, 9)
+"""Positions at which a side is searched, relative to its length, from its middle."""
+_SEARCH_RANGE, _FARTHEST = 0.22, 30
+"""Largest distance from the expected position: relative to the size of a square in the image, and px."""
+_STEP = 0.5
+"""Distance of the samples of a profile, px."""
+_LEAST = 0.35
+"""Smallest step relative to the described one. Print and light may reduce it."""
+_CORE = 3.0
+"""Distance from the steepest point within which the gradient determines the position, px."""
 
 
 class Sides(NamedTuple):
     """Measured sides of n squares, each at m positions.
 
     Attributes:
-        page: (n, m, 2) places on the page, mm.
-        seen: (n, m, 2) where the step across the side was found, px; NaN where it was not.
-        normal: (n, m, 2) unit vectors outwards, towards the bright side.
-        length: (n,) px.
+        page: (n, m, 2) positions on the page, mm.
+        seen: (n, m, 2) measured positions of the side in the image, px; NaN if it was not found.
+        normal: (n, m, 2) outward unit vectors, towards the bright side.
+        length: (n,) length in the image, px.
     """
 
     page: FloatArray
@@ -35,14 +40,14 @@ class Sides(NamedTuple):
 
     @property
     def found(self) -> np.ndarray:
-        """Return a mask (n, m) of the positions at which a side was found."""
+        """Mask (n, m) of the positions at which a side was found."""
         return np.asarray(np.isfinite(self.seen).all(2))
 
 
 def seen_sides(smooth: FloatArray, chart: Chart, projection: Callable[[FloatArray], FloatArray]) -> Sides | None:
-    """Find the sides of all squares, or return None for a chart without squares.
+    """Find the sides of all squares; None for a chart without squares.
 
-    `smooth`: (height, width) picture from `smoothed`. `projection`: from the page, mm, to the picture, px.
+    `smooth`: (height, width) image from `smoothed`. `projection`: from the page, mm, to the image, px.
     """
     squares = [element for element in chart.elements if isinstance(element, Square)]
     if not squares:
@@ -61,8 +66,8 @@ def seen_sides(smooth: FloatArray, chart: Chart, projection: Callable[[FloatArra
     normal *= -np.sign(inwards)[..., None]
     length = np.hypot(*(at[:, -1] - at[:, 0]).T) / np.ptp(_ALONG)
     depth = 2 * np.abs(inwards).min(1)
-    reach = min(float(np.median(np.minimum(depth, length))) * _REACH, _FARTHEST)
-    steps = np.arange(-np.ceil(reach / _STEP), np.ceil(reach / _STEP) + 1) * _STEP
+    search_range = min(float(np.median(np.minimum(depth, length))) * _SEARCH_RANGE, _FARTHEST)
+    steps = np.arange(-np.ceil(search_range / _STEP), np.ceil(search_range / _STEP) + 1) * _STEP
     places = at[:, :, None] + normal[:, :, None] * steps[:, None]
     profile = ndimage.map_coordinates(
         smooth, places[..., ::-1].transpose(3, 0, 1, 2), order=1, mode="constant", cval=np.nan
@@ -73,7 +78,7 @@ def seen_sides(smooth: FloatArray, chart: Chart, projection: Callable[[FloatArra
 
 
 def _steepest(profile: FloatArray, steps: FloatArray, level: FloatArray) -> FloatArray:
-    """Return the positions of the steepest rise of profiles (n, m, k), px; NaN if no rise is as high as that of a side."""
+    """Find the steepest rise of profiles (n, m, k), px; NaN if the rise is smaller than that of a side."""
     slope = np.diff(profile, axis=2)
     between = (steps[1:] + steps[:-1]) / 2
     best = np.nan_to_num(slope, nan=-np.inf).argmax(2)

@@ -1,6 +1,6 @@
-"""The slanted edge (ISO 12233): a camera's MTF from one picture of one edge, or from many side by side, with error bars.
+"""Slanted edges (ISO 12233): the MTF of a camera from one edge or from many edges, with standard deviations.
 
-A thousand edges run through one compiled program, ten of them at once, over and over; fewer run one by one.
+Fewer than 500 edges are measured one by one. More edges are measured by a compiled program, ten at a time.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ from matcam.calibration.edge.maximum_likelihood import UNKNOWN_NOISE, Noise
 from matcam.calibration.edge.measurement import EdgeFits, edge_fits, fits_program, lens_fit
 from matcam.calibration.edge.processing import with_traces
 from matcam.calibration.edge.profiles import Gaussian, LensModel, check_light, lens_model
-from matcam.calibration.edge.rows import EdgeRegions, RegionFrame, edge_regions, refusals, what_is_seen
+from matcam.calibration.edge.rows import EdgeRegions, RegionFrame, describe_content, edge_regions, refusals
 from matcam.calibration.edge.start import in_even_rows
 from matcam.calibration.photograph.linear_image import SMALLEST, LinearImage, flaw, region_of
 from matcam.calibration.photograph.tone import Tone
-from matcam.calibration.photograph.uneven_light import REACH, LightField, light_field
+from matcam.calibration.photograph.uneven_light import EXCLUDED_WIDTHS, LightField, light_field
 from matcam.calibration.photograph.unnamed_mosaic import refuse_unnamed_mosaic
 from matcam.core import checks
 from matcam.core.arrays import changed, tuple_map, xp
@@ -34,16 +34,20 @@ from matcam.core.remark import Remark
 from matcam.files.photographs import Photograph
 
 AT_ONCE = 10
-"""Number of edges that are processed together: their data fit into the processor's cache."""
+"""Number of edges that are processed together. Their data fit into the cache of the processor."""
 _MANY = 500
-"""Number of edges above which a faster program is worth its compile time, which is four times as long."""
+"""Number of edges from which the compiled program is used. For fewer edges, its compile time exceeds its gain."""
 Fit = Callable[[EdgeRegions], EdgeFits]
-"""Fit the edges of n regions; arrays of its result have a leading axis of n."""
+"""Function that fits the edges of n regions. The arrays of its result have a leading axis of n."""
 _WIDEST = 0.1
-"""Largest blur relative to the region's width with which a flat side remains to measure the illumination."""
+"""Largest standard deviation of the blur, as a share of the region width, at which the illumination is estimated.
+
+With a wider blur, too little of the two flat sides remains.
+"""
 _BRIGHTEST = 0.2
-"""Relative standard deviation of the light over a region above which it is a pattern of the scene."""
-_WHOLE = 0.5  # px: half width of a pixel that is sensitive over its whole area
+"""Relative standard deviation of the estimated light above which it is attributed to a pattern of the scene."""
+_WHOLE = 0.5
+"""Half width of a pixel that is sensitive over its whole area, px."""
 
 
 @dataclass(frozen=True)
@@ -51,10 +55,10 @@ class EdgeSettings:
     """Settings for the measurement of edges.
 
     Attributes:
-        lens: family of the parametric estimate.
-        noise: of the pixels; NaN where it is to be estimated.
-        half_width: px, of the pixel.
-        accept_sharpened: whether sharpened pictures are measured all the same.
+        lens: lens model of the parametric estimate.
+        noise: noise of the pixels; NaN if it is estimated from the image.
+        half_width: half width of the pixel, px.
+        accept_sharpened: whether sharpened images are measured.
     """
 
     lens: LensModel = field(default_factory=Gaussian)
@@ -80,36 +84,39 @@ def edge_mtf(
 ) -> EdgeMTF:
     """Measure the MTF of lens and pixel across one slanted edge.
 
-    It is measured along the edge's normal, free of a model and as a lens model.
-    The edge may be bent by a few px, and the light may vary over the region. It may lie at any angle whose pixels see it in
-    different phases: not along the grid, nor at 45 degrees. Method, accuracy and their tests stand in `docs/edge.md`.
+    The MTF applies to the direction of the edge normal. It is estimated without a model and with a lens model. The edge may
+    deviate from a straight line by a few px, and the light may vary over the region. The edge must not be parallel to the
+    pixel grid or to its diagonals, because the pixels must sample it at different phases. `docs/edge.md` describes the
+    method, its accuracy and the tests.
 
     Args:
-        image: `LinearImage`, `Photograph`, or array (height, width) or (height, width, 3) for R, G, B; NaN where there are no
-            data.
-        roi: region (x, y, width, height) that holds one edge, px. At least 16 x 16 px; better 80 across the edge and 160 along
-            it. Default: None, all of the image.
-        model: lens of the parametric estimate (no unit): "gaussian"; "diffraction"; "defocus", diffraction and defocus; or
-            "halo", a Gaussian with veiling glare. Change it where the result says that the model is wrong. Default: "gaussian".
-        wavelength: wavelength of the light, m; needed by "diffraction" and "defocus". Default: None.
-        pixel_pitch: distance of pixels, m; needed by "diffraction" and "defocus". Default: None.
-        half_width: half the side of a pixel's sensitive area, (0, 0.5] px. The free estimate hardly depends on it.
+        image: `LinearImage`, `Photograph`, or array (height, width) or (height, width, 3) for R, G, B; NaN marks missing
+            pixels.
+        roi: region (x, y, width, height) that contains one edge, px. The minimum is 16 x 16 px; 80 px across the edge and
+            160 px along it are recommended. Default: None, the whole image.
+        model: lens model of the parametric estimate (no unit): "gaussian"; "diffraction"; "defocus", diffraction and defocus;
+            or "halo", a Gaussian with veiling glare. Choose another model if the result reports that it does not explain the
+            edge. Default: "gaussian".
+        wavelength: wavelength of the light, m; required by "diffraction" and "defocus". Default: None.
+        pixel_pitch: pixel pitch, m; required by "diffraction" and "defocus". Default: None.
+        half_width: half the side of the sensitive area of a pixel, (0, 0.5] px. The model-free estimate hardly depends on it.
             Default: 0.5.
-        cfa: colours of the image's first 2 x 2 px, row by row, if it is a mosaic: "RGGB", ... (no unit). The sites of `channel`
-            are samples as they are; nothing is demosaiced. Default: None, no mosaic.
+        cfa: colours of the first 2 x 2 px of the image, row by row, if it is a mosaic: "RGGB", ... (no unit). The sites of
+            `channel` are used without demosaicing. Default: None, no mosaic.
         channel: "R", "G", "B" of a mosaic or a colour image, or "Y" for its luminance (no unit). Default: None, luminance.
-        tone: what the codes are, as in `LinearImage.of` (no unit). Default: "auto", as in `calibrate`: 8 bits of a
-            photograph's file are taken for sRGB, and `remarks` says so; arrays, 16 bits and camera raw for linear.
-        gain: system gain: a pixel's variance is gain * value + read_noise^2, in the linear image's units (counts of
+        tone: tone curve of the codes, as in `LinearImage.of` (no unit). Default: "auto", as in `calibrate`: photographs of
+            8 bits are assumed to be sRGB, which `remarks` reports; arrays, 16-bit files and camera raw are assumed to be
+            linear.
+        gain: system gain: the variance of a pixel is gain * value + read_noise^2, in the units of the linear image (counts of
             photo-electrons have gain 1). Default: None, both are estimated.
-        read_noise: standard deviation of the read noise, in the linear image's units. Default: None, both are estimated.
-        accept_sharpened: measure a sharpened picture all the same: lens and sharpening together (no unit). Default: False.
+        read_noise: standard deviation of the read noise, in the units of the linear image. Default: None, both are estimated.
+        accept_sharpened: measure a sharpened image; the result is the MTF of lens and sharpening (no unit). Default: False.
 
     Returns:
         Both estimates with their standard deviations.
 
     Raises:
-        ArgumentError: an argument is bad.
+        ArgumentError: an argument is invalid.
         FitError: the region contains no edge that can be measured; the message gives the reason.
 
     Source:
@@ -147,27 +154,27 @@ def edge_mtf_stack(
     read_noise: float | None = None,
     accept_sharpened: bool = False,
 ) -> EdgeStack:
-    """Measure the MTF across the edges of many equal regions.
+    """Measure the MTF across the edges of many regions of one shape.
 
-    A thousand edges or more run through one compiled program, which is several times faster than `edge_mtf` one at a time. All
-    edges lie alike: all nearer to vertical, or all nearer to horizontal.
+    For 500 edges or more, a compiled program is used, which is several times faster than calls of `edge_mtf`. Either all edges
+    must be nearer to vertical, or all must be nearer to horizontal.
 
     Args:
         images: regions, each with one edge: array (n, height, width) of linear values, or `LinearImage`s of one shape without a
             mosaic. Sides are at least 16 px.
-        model: lens of the parametric estimate, as in `edge_mtf` (no unit). Default: "gaussian".
-        wavelength: wavelength of the light, m; needed by "diffraction" and "defocus". Default: None.
-        pixel_pitch: distance of pixels, m; needed by "diffraction" and "defocus". Default: None.
-        half_width: half the side of a pixel's sensitive area, (0, 0.5] px. Default: 0.5.
-        gain: system gain, as in `edge_mtf`. Default: None, estimated edge by edge.
-        read_noise: standard deviation of the read noise, in the images' units. Default: None, estimated edge by edge.
-        accept_sharpened: measure sharpened pictures all the same (no unit). Default: False.
+        model: lens model of the parametric estimate, as in `edge_mtf` (no unit). Default: "gaussian".
+        wavelength: wavelength of the light, m; required by "diffraction" and "defocus". Default: None.
+        pixel_pitch: pixel pitch, m; required by "diffraction" and "defocus". Default: None.
+        half_width: half the side of the sensitive area of a pixel, (0, 0.5] px. Default: 0.5.
+        gain: system gain, as in `edge_mtf`. Default: None, estimated for each edge.
+        read_noise: standard deviation of the read noise, in the units of the images. Default: None, estimated for each edge.
+        accept_sharpened: measure sharpened images (no unit). Default: False.
 
     Returns:
-        The results; an edge that cannot be measured is NaN, and `problems` says why.
+        The results. The values of an edge that cannot be measured are NaN, and `problems` gives the reason.
 
     Raises:
-        ArgumentError: an argument is bad, or the edges do not lie alike.
+        ArgumentError: an argument is invalid, or the edges do not have similar directions.
 
     Source:
         ISO 12233; docs/model.md 7.
@@ -199,9 +206,9 @@ def edge_stack(
     """Measure the edges in regions of one shape.
 
     Args:
-        regions: at most `AT_ONCE` regions in each item, and what is known beforehand to be wrong with each of them.
-        settings: how edges are measured.
-        even_light: divide uneven light out of the regions, and look for traces of software. Default: False.
+        regions: at most `AT_ONCE` regions in each item, and for each of them a problem that is already known, or None.
+        settings: settings of the measurement.
+        even_light: divide uneven light out of the regions, and search for traces of image processing. Default: False.
     """
     fit = _compiled_fits if len(regions) * AT_ONCE >= _MANY else _fits
     chunks: list[EdgeFits] = []
@@ -234,7 +241,7 @@ def edge_stack(
 
 
 def _placed(rows: EdgeRegions, x: ArrayLike, y: ArrayLike) -> EdgeRegions:
-    """Move regions by the places of their first pixels in the photograph, px."""
+    """Shift the frames of regions by the positions of their first pixels in the photograph, px."""
     return rows._replace(frame=rows.frame._replace(x=rows.frame.x + np.asarray(x), y=rows.frame.y + np.asarray(y)))
 
 
@@ -256,14 +263,14 @@ def _fits(rows: EdgeRegions, settings: EdgeSettings) -> EdgeFits:
 
 
 def _compiled_fits(rows: EdgeRegions, settings: EdgeSettings) -> EdgeFits:
-    """Fit the edges of at most `AT_ONCE` regions side by side, as `_fits` does."""
+    """Fit the edges of at most `AT_ONCE` regions in parallel; the result is that of `_fits`."""
     count, half = len(rows.value), np.float64(settings.half_width)
-    # always as many at once, so that one compiled program serves every stack; what is repeated is thrown away
+    # The number of edges is constant, so that one compiled program serves every stack; repeated edges are discarded.
     value, y, start = (
         np.concatenate([a, np.repeat(a[:1], AT_ONCE - count, axis=0)]) for a in (rows.value, rows.y, rows.start)
     )
     fits = fits_program()(value, y, start, settings.noise, half, rows.step, rows.turns)
-    # one after the other: programs that are queued on a processor compete for its threads
+    # The programs run one after the other, because queued programs compete for the threads of the processor.
     return tuple_map(lambda a: np.array(a)[:count], fits)
 
 
@@ -275,7 +282,7 @@ def _in_even_light(rows: EdgeRegions, fits: EdgeFits) -> tuple[EdgeRegions, list
         fits: their edges, NumPy arrays with a leading axis of n.
 
     Returns:
-        The regions in even light, and the light of each; None where two levels in light of third order explain it.
+        The regions in even light, and the light of each region; None if two levels in light of third order explain it.
     """
     value, fields = np.array(rows.value), list[LightField | None]()
     widths = np.asarray(line_width(fits.free.shape))
@@ -288,12 +295,12 @@ def _in_even_light(rows: EdgeRegions, fits: EdgeFits) -> tuple[EdgeRegions, list
             gain, read = (float(np.asarray(part)[i]) for part in fits.noise)
             glare = bool(fits.free.even[i, GLARE] != 0)
             if (fits.free.even[i, GHOSTS] != 0).any():  # a ghost is not uneven light
-                blur = max(blur, float(shape.apart[i]) / REACH + blur)
-            # light along the edge is divided out of the rows in any case
+                blur = max(blur, float(shape.apart[i]) / EXCLUDED_WIDTHS + blur)
+            # The light along the edge is divided out of the rows in all cases.
             own = Rows(region, rows.y[i], rows.start[i], rows.step)
             by_row = np.asarray(in_even_rows(aligned_rows(own, curve), half_length(own)).light)[:, None]
             field = light_field(region / by_row, x, y, distance, (gain, read), blur=blur, glare=glare)
-            if field is not None and field.amplitude and (field.amplitude > _BRIGHTEST or what_is_seen(region)):
+            if field is not None and field.amplitude and (field.amplitude > _BRIGHTEST or describe_content(region)):
                 field = None
             if field is not None and field.amplitude:
                 value[i] = (region / by_row - field.addend) / field.factor
@@ -302,10 +309,7 @@ def _in_even_light(rows: EdgeRegions, fits: EdgeFits) -> tuple[EdgeRegions, list
 
 
 def _stacked(images: ArrayLike | Sequence[LinearImage]) -> tuple[np.ndarray, np.ndarray]:
-    """Return regions (n, height, width) and their positions.
-
-    A position (n, 2) is that of the first pixel in the photograph.
-    """
+    """Return regions (n, height, width) and the positions (n, 2) of their first pixels in the photograph, px."""
     planes = list(images) if isinstance(images, list | tuple) else []
     if planes and all(isinstance(plane, LinearImage) for plane in planes):
         if len({plane.shape for plane in planes}) > 1 or any(plane.cfa is not None for plane in planes):
@@ -344,6 +348,6 @@ def _settings(
         for name, number in (("gain", gain), ("read_noise", read_noise)):
             checks.scalar(name, checks.within(name, number, 0, np.inf, open_high=True))
         if not (gain > 0 or read_noise > 0):
-            raise ArgumentError("gain and read_noise must not both be 0: no picture is without noise")
+            raise ArgumentError("gain and read_noise must not both be 0: no image is without noise")
         noise = Noise(np.float64(gain), np.float64(read_noise))
     return EdgeSettings(lens_model(model, wavelength, pixel_pitch), noise, float(half_width), accept_sharpened)

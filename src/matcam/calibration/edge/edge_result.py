@@ -1,4 +1,4 @@
-"""Results of slanted edges: both estimates of one edge, or of a stack of them, with their standard deviations."""
+"""Results of slanted edges: both estimates of one edge or of a stack, with standard deviations."""
 
 from __future__ import annotations
 
@@ -37,48 +37,54 @@ _NAMES = {
     "core_mtf_std": "standard deviation of core_mtf", "parametric_mtf": "MTF of the fitted model",
     "parametric_mtf_std": "standard deviation of parametric_mtf",
 }  # fmt: skip
+"""Descriptions of the variables of `EdgeMTF.dataset`."""
 _LENGTH = 512
-_ROUGH = 0.03  # px, roughness above which an edge gets a remark
+"""Multiple to which the number of points of a curve is padded, so that one compiled program serves most calls."""
+_ROUGH = 0.03
+"""Roughness above which a remark is given, px."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class EdgeMTF(Summarised, EdgeValues[float]):
     """MTF of lens and pixel across one edge.
 
-    It is estimated twice: free of a model, and as a lens model (`parametric`). The standard deviations are those of
-    repeated pictures with this noise.
+    It is estimated without a model and with a lens model (`parametric`). The standard deviations describe the scatter of
+    repeated images with the same noise, and the remaining systematic effects that `remarks` lists.
 
     Attributes:
         frequency: frequencies (81,) along the normal, 0 to 1.25 cycles/px.
-        mtf: MTF of lens and pixel (81,), free of a model (no unit).
-        mtf_std: its standard deviation (81,).
-        mtf50: lowest frequency where the MTF is one half, cycles/px; NaN if there is none.
-        mtf50_std: its standard deviation, cycles/px.
-        core_mtf: MTF without its glare (81,); the same where no glare was found (no unit).
-        core_mtf_std: its standard deviation (81,).
-        core_mtf50: lowest frequency where that is one half, cycles/px.
-        core_mtf50_std: its standard deviation, cycles/px.
-        glare_fraction: share of the light that is spread widely; 0 where none was found, at 5 sigma (no unit).
-        glare_fraction_std: its standard deviation (no unit).
-        glare_radius: standard deviation of the glare as a Gaussian, px; NaN where none was found.
-        angle: direction of the edge's normal, towards its bright side, to the picture's rows, rad; x right, y down, (-pi, pi].
-        angle_std: its standard deviation, rad.
-        bow: how far the edge's middle lies from the chord of its ends, towards the bright side, px.
-        place: (x, y) of the edge's middle, px, pixel centres of the picture on whole numbers.
-        dark: level of the dark side, in the picture's (linear) units.
-        bright: level of the bright side, in the picture's units.
-        light: relative change of the light per px, along the picture's rows and columns, 1/px.
-        gain: system gain: a pixel's variance is gain * value + read_noise^2; given, or estimated from neighbours.
-        read_noise: standard deviation of the read noise, in the picture's units; given, or estimated.
-        excess: factor by which variances were raised because the picture scatters more than its noise; 1 if not.
-        outliers: how many pixels were left out because they stand out from their likes (no unit).
-        roughness: standard deviation of the edge's place in single rows, beyond noise, px; its blur is part of `mtf_std`.
-        misfit: what neither lens nor light explains near the edge, in units of the step; part of `mtf_std`.
-        overshoot: overshoot of the ESF beyond its levels, relative to the step; a lens has none, sharpening has (no unit).
-        overshoot_std: its standard deviation (no unit).
-        parametric: the fit of a family of lenses, a `ParametricEdge`.
-        fits: everything that was fitted, about the middle of the region.
-        given: remarks on the picture itself, as on its tone curve (no unit). Default: (), none.
+        mtf: MTF of lens and pixel (81,), without a model (no unit).
+        mtf_std: standard deviation of `mtf` (81,).
+        mtf50: lowest frequency at which the MTF is one half, cycles/px; NaN if there is none.
+        mtf50_std: standard deviation of `mtf50`, cycles/px.
+        core_mtf: MTF without glare (81,); equal to `mtf` if no glare was found (no unit).
+        core_mtf_std: standard deviation of `core_mtf` (81,).
+        core_mtf50: lowest frequency at which `core_mtf` is one half, cycles/px.
+        core_mtf50_std: standard deviation of `core_mtf50`, cycles/px.
+        glare_fraction: share of the light in glare; 0 if no glare was found at 5 sigma (no unit).
+        glare_fraction_std: standard deviation of `glare_fraction` (no unit).
+        glare_radius: standard deviation of the glare, modelled as a Gaussian, px; NaN if none was found.
+        angle: angle from the rows of the image to the normal of the edge, which points to the bright side, rad; x right,
+            y down, (-pi, pi].
+        angle_std: standard deviation of `angle`, rad.
+        bow: distance of the middle of the edge from the chord of its ends, towards the bright side, px.
+        place: (x, y) of the middle of the edge, px; pixel centres of the image are whole numbers.
+        dark: level of the dark side, in the (linear) units of the image.
+        bright: level of the bright side, in the units of the image.
+        light: relative change of the light along the rows and columns of the image, 1/px.
+        gain: system gain, given or estimated: the variance of a pixel is gain * value + read_noise^2.
+        read_noise: standard deviation of the read noise, given or estimated, in the units of the image.
+        excess: factor by which variances were increased because the pixels scatter more than their noise; otherwise 1.
+        outliers: number of pixels that were excluded as outliers (no unit).
+        roughness: standard deviation of the position of the edge in single rows beyond noise, px; `mtf_std` includes its
+            blur.
+        misfit: residual near the edge that neither lens nor light explains, in units of the step; included in `mtf_std`.
+        overshoot: overshoot of the ESF beyond its levels, relative to the step; sharpening causes it, a lens does not
+            (no unit).
+        overshoot_std: standard deviation of `overshoot` (no unit).
+        parametric: fit of a lens model, a `ParametricEdge`.
+        fits: all fitted quantities, relative to the middle of the region.
+        given: remarks on the image, for example on its tone curve (no unit). Default: (), none.
 
     Example:
         >>> y, x = np.mgrid[-80:80, -40:40]
@@ -96,7 +102,7 @@ class EdgeMTF(Summarised, EdgeValues[float]):
     given: tuple[Remark, ...] = ()
 
     def esf(self, distance: ArrayLike) -> SampledCurve:
-        """Return the edge response, 0 to 1.
+        """Evaluate the edge spread function, 0 to 1.
 
         Args:
             distance: distance from the edge, positive on the bright side, px, any shape.
@@ -107,7 +113,7 @@ class EdgeMTF(Summarised, EdgeValues[float]):
         return self._curve(free_curve.edge_response, distance)
 
     def lsf(self, distance: ArrayLike) -> SampledCurve:
-        """Return the line response, 1/px.
+        """Evaluate the line spread function, 1/px.
 
         Args:
             distance: distance from the edge, positive on the bright side, px, any shape.
@@ -119,37 +125,37 @@ class EdgeMTF(Summarised, EdgeValues[float]):
 
     @property
     def glare_found(self) -> bool:
-        """Check whether glare was found."""
+        """Check for glare."""
         return self.glare_fraction != 0
 
     @property
     def remarks(self) -> tuple[Remark, ...]:
-        """Return remarks on this edge."""
+        """Remarks on this edge."""
         remarks = list(self.given)
-        # where the levels are uncertain, a lens may seem to overshoot them
+        # If the levels are uncertain, a lens may seem to overshoot them.
         narrow = any(remark.code == "narrow-region" for remark in self.given)
         if self.overshoot > SHARPENED and not narrow:
-            text = f"the edge overshoots by {self.overshoot:.1%}: a sharpened picture; this is not the lens alone"
+            text = f"the edge overshoots by {self.overshoot:.1%}: the image is sharpened, and the MTF includes the sharpening"
             remarks.append(Remark("sharpened", text))
         if self.excess > 1:
             raised = np.sqrt(self.excess)
-            text = f"the picture scatters more than its noise: errors were raised by {raised:.1f}"
+            text = f"the pixels scatter more than their noise: standard deviations were increased by a factor of {raised:.1f}"
             remarks.append(Remark("scatter", text))
         if self.misfit > MISFIT:
-            text = f"neither a lens nor smooth light explains {self.misfit:.2%} of the step: a ghost, a shadow or dirt"
-            remarks.append(Remark("unexplained", f"{text}? Errors were raised for it"))
+            text = f"neither a lens nor smooth light explains {self.misfit:.2%} of the step: there may be a ghost, a shadow or "
+            remarks.append(Remark("unexplained", f"{text}dirt; standard deviations were increased"))
         if self.roughness > _ROUGH:
-            text = f"the edge itself is rough by {self.roughness:.2f} px, which blurs it: errors were raised for it"
+            text = f"the edge itself is rough by {self.roughness:.2f} px, which blurs it: standard deviations were increased"
             remarks.append(Remark("rough-edge", text))
         if self.outliers:
-            remarks.append(Remark("outliers", f"{self.outliers} pixels stand out (hot, dead, dust): left out"))
+            remarks.append(Remark("outliers", f"{self.outliers} outlying pixels (hot, dead, dust) were excluded"))
         return tuple(remarks)
 
     def dataset(self) -> xr.Dataset:
-        """Return the MTFs over `frequency`.
+        """Convert the MTFs to a data set over `frequency`.
 
         Returns:
-            A Dataset with units, and the other numbers as attributes.
+            A Dataset with units, and the other values as attributes.
         """
         import xarray as xr
 
@@ -174,7 +180,7 @@ class EdgeMTF(Summarised, EdgeValues[float]):
         return named(data, _NAMES)
 
     def columns(self) -> dict[str, np.ndarray]:
-        """Return frequencies and MTFs (81,) as `matcam edge` writes them.
+        """List frequencies and MTFs (81,), the columns that `matcam edge` writes.
 
         Returns:
             Arrays by name.
@@ -189,7 +195,7 @@ class EdgeMTF(Summarised, EdgeValues[float]):
         """Return the result as a JSON object, which `matcam edge --json` prints.
 
         Returns:
-            Numbers by name, units in the names, angles in degrees.
+            Values by name, units in the names, angles in degrees.
         """
         return plain(
             {
@@ -244,7 +250,7 @@ class EdgeMTF(Summarised, EdgeValues[float]):
 
     @cached_property
     def samples(self) -> EdgeSamples:
-        """Return the picture's own edge response, sorted by distance."""
+        """Measured edge response, sorted by distance."""
         cells, fit, shift = self.fits.cells, self.fits.parametric, self.fits.state.linear[SHIFT]
         used = np.asarray(cells.pixels) > 0
         levels = np.asarray(self.fits.free.levels)
@@ -263,7 +269,7 @@ class EdgeMTF(Summarised, EdgeValues[float]):
 
     def _curve(self, function: Any, distance: ArrayLike) -> SampledCurve:
         at = checks.number("distance", np.asarray(distance))
-        # always a multiple of some length, so that one compiled program serves most calls
+        # The padded length is a multiple of `_LENGTH`, so that one compiled program serves most calls.
         padded = np.pad(np.asarray(at).ravel(), (0, -at.size % _LENGTH))
         found = function(self.fits.free, padded)
         return SampledCurve(*(np.asarray(a)[: at.size].reshape(at.shape) for a in found))
@@ -273,40 +279,40 @@ class EdgeMTF(Summarised, EdgeValues[float]):
 class EdgeStack(Summarised, EdgeValues[np.ndarray]):
     """Results of n edges.
 
-    Numbers of an edge that cannot be measured are NaN. `stack[i]` is the `EdgeMTF` of one edge, which explains every attribute.
+    Values of an edge that cannot be measured are NaN. `stack[i]` is the `EdgeMTF` of one edge, which explains every attribute.
 
     Attributes:
-        frequency: frequencies (81,) along the normal, cycles/px: the same for all.
-        mtf: MTF of lens and pixel (n, 81), free of a model (no unit).
-        mtf_std: its standard deviation (n, 81).
-        mtf50: lowest frequency where the MTF is one half (n,), cycles/px.
-        mtf50_std: its standard deviation (n,), cycles/px.
-        core_mtf: MTF without its glare (n, 81) (no unit).
-        core_mtf_std: its standard deviation (n, 81).
-        core_mtf50: lowest frequency where that is one half (n,), cycles/px.
-        core_mtf50_std: its standard deviation (n,), cycles/px.
-        glare_fraction: share of the light that is spread widely (n,) (no unit).
-        glare_fraction_std: its standard deviation (n,).
-        glare_radius: standard deviation of the glare as a Gaussian (n,), px.
-        angle: direction of the edge's normal to the picture's rows (n,), rad.
-        angle_std: its standard deviation (n,), rad.
-        bow: how far the edge's middle lies from the chord of its ends (n,), px.
-        place: (x, y) of the edge's middle, (n,) each, px.
-        dark: level of the dark side (n,), in the picture's units.
-        bright: level of the bright side (n,), in the picture's units.
+        frequency: frequencies (81,) along the normal, cycles/px; the same for all edges.
+        mtf: MTF of lens and pixel (n, 81), without a model (no unit).
+        mtf_std: standard deviation of `mtf` (n, 81).
+        mtf50: lowest frequency at which the MTF is one half (n,), cycles/px.
+        mtf50_std: standard deviation of `mtf50` (n,), cycles/px.
+        core_mtf: MTF without glare (n, 81) (no unit).
+        core_mtf_std: standard deviation of `core_mtf` (n, 81).
+        core_mtf50: lowest frequency at which `core_mtf` is one half (n,), cycles/px.
+        core_mtf50_std: standard deviation of `core_mtf50` (n,), cycles/px.
+        glare_fraction: share of the light in glare (n,) (no unit).
+        glare_fraction_std: standard deviation of `glare_fraction` (n,).
+        glare_radius: standard deviation of the glare, modelled as a Gaussian (n,), px.
+        angle: angle from the rows of the image to the normal of the edge (n,), rad.
+        angle_std: standard deviation of `angle` (n,), rad.
+        bow: distance of the middle of the edge from the chord of its ends (n,), px.
+        place: (x, y) of the middle of the edge, (n,) each, px.
+        dark: level of the dark side (n,), in the units of the image.
+        bright: level of the bright side (n,), in the units of the image.
         light: relative change of the light along rows and columns, (n,) each, 1/px.
-        gain: system gain (n,), in the picture's units.
-        read_noise: standard deviation of the read noise (n,), in the picture's units.
-        excess: factor by which variances were raised (n,) (no unit).
-        outliers: how many pixels were left out (n,) (no unit).
-        roughness: standard deviation of the edge's place in single rows, beyond noise (n,), px.
-        misfit: what neither lens nor light explains near the edge, in units of the step (n,).
+        gain: system gain (n,), in the units of the image.
+        read_noise: standard deviation of the read noise (n,), in the units of the image.
+        excess: factor by which variances were increased (n,) (no unit).
+        outliers: number of pixels that were excluded (n,) (no unit).
+        roughness: standard deviation of the position of the edge in single rows beyond noise (n,), px.
+        misfit: residual near the edge that neither lens nor light explains, in units of the step (n,).
         overshoot: overshoot of the ESF, relative to the step (n,) (no unit).
-        overshoot_std: its standard deviation (n,).
-        problems: for each edge why it cannot be measured, None where it can.
-        parametric: the fits of a family of lenses, a `ParametricStack`.
-        fits: everything that was fitted, as the joint fit of many edges takes it.
-        given: for each edge what its picture shows of software: denoising, a tone curve, crushed blacks. Default: (), nothing.
+        overshoot_std: standard deviation of `overshoot` (n,).
+        problems: for each edge the reason why it cannot be measured, or None.
+        parametric: fits of a lens model, a `ParametricStack`.
+        fits: all fitted quantities, in the form that the joint fit of many edges requires.
+        given: for each edge remarks on processing: denoising, a tone curve, crushed blacks. Default: (), none.
 
     Example:
         >>> y, x = np.mgrid[-80:80, -40:40]
@@ -325,12 +331,12 @@ class EdgeStack(Summarised, EdgeValues[np.ndarray]):
 
     @property
     def good(self) -> np.ndarray:
-        """Return the indices of the edges that could be measured."""
+        """Indices of the edges that could be measured."""
         return np.flatnonzero([problem is None for problem in self.problems])
 
     @property
     def glare_found(self) -> np.ndarray:
-        """Return a mask (n,) of the edges with glare."""
+        """Mask (n,) of the edges with glare."""
         return self.glare_fraction != 0
 
     def _summary(self) -> Summary:
@@ -345,7 +351,7 @@ class EdgeStack(Summarised, EdgeValues[np.ndarray]):
         """Return the results as a JSON object.
 
         Returns:
-            "edges": `EdgeMTF.to_dict` of each; "problems": why it cannot be measured, null where it can.
+            "edges": `EdgeMTF.to_dict` of each edge; "problems": the reason why each cannot be measured, or null.
         """
         return {
             "edges": [edge.to_dict() for edge in self],
@@ -369,10 +375,7 @@ class EdgeStack(Summarised, EdgeValues[np.ndarray]):
 def stack_result(
     fits: EdgeFits, frame: RegionFrame, lens: LensModel, half_width: float, problems: tuple[Remark | None, ...]
 ) -> EdgeStack:
-    """Return the fits of a stack in the coordinates of the picture.
-
-    All arrays of `fits` are NumPy arrays.
-    """
+    """Convert the fits of a stack to results in the coordinates of the image. All arrays of `fits` are NumPy arrays."""
     free = fits.free
     glare = free.even[..., GLARE]
     curve = np.moveaxis(np.asarray(fits.curve), -1, 0)
@@ -389,7 +392,7 @@ def stack_result(
         "glare_radius": np.where(glare != 0, free.shape.radius, np.nan),
         "angle": np.arctan2(ny, nx),
         "angle_std": np.asarray(fits.slope_std) / (1 + slope**2),
-        # the centre is below the chord by the even powers of the curve at its ends, measured along x
+        # Along x, the distance of the centre from the chord is the sum of the even powers of the curve at its ends.
         "bow": -(curve[2] * half**2 + curve[4] * half**4) / np.hypot(1, slope),
         "dark": levels[0],
         "bright": levels[1],
@@ -414,7 +417,7 @@ def stack_result(
 
 
 def _of_one(value: Any, index: int) -> Any:
-    """Return the part of an attribute of the stack that belongs to one edge."""
+    """Select the part of an attribute of a stack that belongs to one edge."""
     if isinstance(value, tuple) and value and isinstance(value[0], np.ndarray):
         return tuple(_of_one(part, index) for part in value)
     if isinstance(value, np.ndarray):

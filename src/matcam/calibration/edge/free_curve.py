@@ -1,18 +1,20 @@
-"""The edge response without a model: a free core, a diffraction tail and glare, as closed forms (docs/model.md 7).
+"""Model-free edge response: a flexible core, a diffraction tail and glare, in closed form (docs/model.md 7).
 
     E(d) = P(d) + sum of c_k [B_k(d) - P(d)] + sum of o_k O_k(d)
 
-P is the best Gaussian lens through the exact pixel; its deviation from the edge is free. Lengths are in units of s, the
-standard deviation of P's line spread function, so that one setting serves every blur:
+P, the pilot, is the best Gaussian lens combined with the exact pixel response; the deviation from it is free. Lengths
+are in units of s, the standard deviation of the line spread function of P, so that one setting serves every blur:
 
-- core: pairs of Gaussian bumps of the line spread function, 0.6 s wide and 0.6 s apart, to 3.9 s on both sides. Their even
-  combinations B_k carry the MTF, their odd ones O_k a lens that is not symmetric (coma). The last O_k moves the edge.
-- ghosts: three more pairs of bumps, 0.7 s wide and 0.6 s apart, at a distance that is found, used where there is one;
-- tail: a Cauchy line spread function, which falls as 1/d^2 as that of every lens with an edge to its pupil does;
-- glare: a wide Gaussian, used where it is found.
+- core: pairs of Gaussian basis functions of the line spread function, 0.6 s wide and 0.6 s apart, up to 3.9 s on both
+  sides. Their even combinations B_k determine the MTF, and their odd ones O_k the asymmetry of the lens (coma). The
+  last O_k shifts the edge.
+- ghosts: three more pairs of basis functions, 0.7 s wide and 0.6 s apart, at a distance that is searched. They are used
+  only if a ghost is found.
+- tail: a Cauchy line spread function, which decreases as 1/d^2, as for every lens with a sharply bounded pupil.
+- glare: a wide Gaussian, used only if glare is found.
 
-All are Gaussian or rational, so that ESF, LSF and MTF are closed forms at any distance and frequency, and the spread of
-a cell's distances is one more blur. Neither bins nor windows are used.
+All terms are Gaussian or rational. ESF, LSF and MTF are therefore closed forms at any distance and frequency, and the
+variance of the distances in a cell acts as additional blur. Neither bins nor windows are used.
 """
 
 from __future__ import annotations
@@ -29,34 +31,42 @@ if TYPE_CHECKING:
     from matcam.core.jax import AnyArray, jax
 
 PAIRS = 7
-PLACES = 0.6 * (np.arange(PAIRS) + 0.5)
-"""Places of the bumps, in s."""
+"""Number of pairs of basis functions in the core. With a spacing of 0.6 s they extend to 3.9 s on both sides."""
+CENTRES = 0.6 * (np.arange(PAIRS) + 0.5)
+"""Centres of the basis functions of the core, in units of s."""
 GHOSTS = np.arange(PAIRS, PAIRS + 3)
-"""Indices of the ghosts' strengths, among the even ones and the odd ones."""
+"""Indices of the ghost coefficients, both among the even and among the odd coefficients."""
 GHOST_STEP, GHOST_WIDTH = 0.6, 0.7
-"""Distance and width of the ghosts' bumps, in s."""
+"""Distance and standard deviation of the basis functions of a ghost, in units of s."""
 EVEN = PAIRS + GHOSTS.size + 2
-"""Strengths that shape the MTF: the core's, the ghosts', the tail's, the glare's."""
+"""Number of even coefficients, which determine the MTF: those of core, ghosts, tail and glare."""
 GLARE = EVEN - 1
-"""Index of the glare in the even strengths."""
+"""Index of the glare among the even coefficients."""
 ODD = PAIRS + GHOSTS.size + 1
+"""Number of odd coefficients: those of core and ghosts, and the shift of the edge."""
 FREQUENCIES = np.arange(81) / 64
 """Frequencies at which an MTF is tabulated, cycles/px."""
-_WIDTH = 0.6  # s
-_TAIL = 1.5  # s, half width at half maximum of the Cauchy
-_FINE = 11  # samples within an interval of `FREQUENCIES`: over 1.6e-3 cycles/px a curve deviates from a straight line by 1e-6
+_WIDTH = 0.6
+"""Standard deviation of the basis functions of the core, in units of s. It equals their distance."""
+_TAIL = 1.5
+"""Half width at half maximum of the Cauchy line spread function of the tail, in units of s."""
+_FINE = 11
+"""Number of samples in an interval of `FREQUENCIES` for the interpolation of MTF50.
+
+Over one tenth of an interval (1.6e-3 cycles/px), an MTF deviates from a straight line by 1e-6.
+"""
 
 
 class EdgeSamples(NamedTuple):
-    """Measured edge response of a picture.
+    """Measured edge response of an image.
 
-    Values are means over n cells of pixels at nearly one distance from the edge.
+    Values are means over n cells, each with pixels at similar distances from the edge.
 
     Attributes:
         distance: distance from the edge (n,), px, negative on the dark side.
-        value: 0 on the dark side, 1 on the bright one, light made even (n,) (no unit).
+        value: edge response corrected for uneven light, 0 on the dark and 1 on the bright side (n,) (no unit).
         std: standard deviation of `value` (n,).
-        parametric: what the parametric fit expects of the same cells (n,) (no unit).
+        parametric: prediction of the parametric fit for the same cells (n,) (no unit).
 
     Example:
         >>> y, x = np.mgrid[-80:80, -40:40]
@@ -75,11 +85,11 @@ class CoreShape(NamedTuple):
     """Parameters of the basis: scalars.
 
     Attributes:
-        sigma: px, of the pilot P.
-        angle: rad, of the edge's normal to the grid.
-        half_width: px, of the pixel.
-        radius: px, standard deviation of the glare.
-        apart: px, of the nearer ghosts from the edge.
+        sigma: lens width of the pilot P, px.
+        angle: angle between the edge normal and the grid, rad.
+        half_width: half width of the pixel, px.
+        radius: standard deviation of the glare, px.
+        apart: distance of the nearest ghost basis function from the edge, px.
     """
 
     sigma: jax.Array
@@ -101,11 +111,11 @@ class FreeCurve(NamedTuple):
     """Fitted edge response.
 
     Attributes:
-        shape: of the basis.
-        even: (EVEN,) strengths, relative to the step; ghosts and glare are 0 where none was found.
-        odd: (ODD,).
-        levels: (SHIFT,) dark, bright, and the light: `State.linear` of the fit.
-        covariance: (EVEN + ODD + 1,) squared, of the even strengths, the odd ones, and ln of the glare's radius.
+        shape: parameters of the basis.
+        even: (EVEN,) even coefficients, relative to the step; those of ghosts and glare are 0 if none was found.
+        odd: (ODD,) odd coefficients, relative to the step.
+        levels: (SHIFT,) dark and bright level, and the light: `State.linear` of the fit.
+        covariance: square matrix of size EVEN + ODD + 1 for the even and odd coefficients and ln of the glare radius.
     """
 
     shape: CoreShape
@@ -116,49 +126,46 @@ class FreeCurve(NamedTuple):
 
 
 class SampledCurve(NamedTuple):
-    """Curve and its standard deviation, of one shape."""
+    """Sampled curve and its standard deviation, arrays of the same shape."""
 
     value: AnyArray
     std: AnyArray
 
 
 def line_width(shape: CoreShape) -> jax.Array:
-    """Return the unit of length s, px.
+    """Compute the unit of length s, px: the standard deviation of the line spread function of the pilot.
 
-    The variance of a square along any direction is that along its side.
+    The variance of a square is the same in all directions.
     """
     return xp.sqrt(shape.sigma**2 + shape.half_width**2 / 3)
 
 
 def edge_basis(shape: CoreShape, distance: jax.Array, spread: jax.Array) -> Basis:
-    """Return the basis as edge responses at `distance` px.
+    """Evaluate the basis as edge responses at `distance`, px.
 
-    spread: px^2, of the distances in each cell.
+    `spread`: variance of the distances in each cell, px^2.
     """
     places, width = _bumps(shape)
     blurred = xp.sqrt(shape.sigma**2 + spread)
     pilot, line, _ = edge_and_slopes(distance, shape.angle, shape.half_width, blurred)
     wide = xp.sqrt(width[:, None] ** 2 + spread)
     right, left = (_step((distance - sign * places[:, None]) / wide) for sign in (1, -1))
-    reach = _TAIL * line_width(shape)
-    # this function is not Gaussian: the spread is included through its second derivative
-    bend = -2 * distance * reach / (xp.pi * (distance**2 + reach**2) ** 2)
-    tail = 0.5 + xp.arctan(distance / reach) / xp.pi + spread / 2 * bend
+    tail_width = _TAIL * line_width(shape)
+    # The Cauchy function is not Gaussian: the variance of the distances enters through its second derivative.
+    curvature = -2 * distance * tail_width / (xp.pi * (distance**2 + tail_width**2) ** 2)
+    tail = 0.5 + xp.arctan(distance / tail_width) / xp.pi + spread / 2 * curvature
     moved = line_width(shape) * line
     even = xp.concatenate([(right + left) / 2, tail[None], glare_edge(shape.radius, distance, spread)[None]])
     return Basis(pilot, even, xp.concatenate([(left - right) / 2, moved[None]]))
 
 
 def glare_edge(radius: jax.Array, distance: jax.Array, spread: jax.Array) -> jax.Array:
-    """Return the edge response of a Gaussian glare."""
+    """Evaluate the edge response of Gaussian glare."""
     return _step(distance / xp.sqrt(radius**2 + spread))
 
 
 def transfer_basis(shape: CoreShape, f: jax.Array) -> Basis:
-    """Return the Fourier transforms of the basis at f cycles/px.
-
-    They are the real part of P and B_k, and the imaginary part of O_k.
-    """
+    """Evaluate the Fourier transforms of the basis at f cycles/px: the real parts of P and B_k, the imaginary part of O_k."""
     places, width = _bumps(shape)
     gauss = lambda std: xp.exp(-2 * (xp.pi * std * f) ** 2)  # noqa: E731
     box = 2 * shape.half_width * f
@@ -171,16 +178,13 @@ def transfer_basis(shape: CoreShape, f: jax.Array) -> Basis:
 
 
 def edge_response(curve: FreeCurve, distance: jax.Array) -> SampledCurve:
-    """Return the ESF at px from the edge.
-
-    It goes from 0 on the dark side to 1 on the bright one.
-    """
+    """Evaluate the ESF at a distance in px: from 0 on the dark side to 1 on the bright side."""
     basis = edge_basis(curve.shape, distance, xp.zeros(()))
     return _combined(curve, basis.pilot, basis.even - basis.pilot, basis.odd)
 
 
 def line_response(curve: FreeCurve, distance: jax.Array) -> SampledCurve:
-    """Return the LSF at px from the edge, 1/px."""
+    """Evaluate the LSF, 1/px, at a distance in px."""
     width = line_width(curve.shape)
     slopes = slope_along(lambda d: tuple(edge_basis(curve.shape, d, xp.zeros(()))), distance, width)
     pilot, even, odd = (slope / width for slope in slopes)
@@ -188,9 +192,9 @@ def line_response(curve: FreeCurve, distance: jax.Array) -> SampledCurve:
 
 
 def transfer(curve: FreeCurve, f: jax.Array) -> tuple[SampledCurve, SampledCurve]:
-    """Return the MTF along the normal, with and without glare.
+    """Evaluate the MTF along the normal, with and without glare.
 
-    f: cycles/px. Noise increases the modulus of a number: the power of the noise is subtracted.
+    `f`: cycles/px. Noise increases the modulus of a complex number; therefore the noise power is subtracted.
     """
     basis = transfer_basis(curve.shape, f)
     towards = basis.even - basis.pilot
@@ -205,37 +209,36 @@ def transfer(curve: FreeCurve, f: jax.Array) -> tuple[SampledCurve, SampledCurve
 
 
 class Ghost(NamedTuple):
-    """Second, weaker step that one side of an edge has and the other has not: numbers, or (n,).
+    """Ghost: a second, weaker step on one side of an edge. Values of one edge, or (n,).
 
     Attributes:
-        share: of the step.
-        std: its standard deviation.
-        place: px from the edge.
-        bright: whether it lies on the bright side.
+        share: height relative to the step of the edge.
+        std: standard deviation of `share`.
+        position: distance from the edge, px.
+        bright: whether the ghost lies on the bright side.
     """
 
     share: np.ndarray
     std: np.ndarray
-    place: np.ndarray
+    position: np.ndarray
     bright: np.ndarray
 
 
 def ghost_of(curve: FreeCurve) -> Ghost:
-    """Return the ghost of a fitted curve, or of n curves; its share is 0 if none was found."""
+    """Compute the ghost of a fitted curve or of n curves; its share is 0 if none was found."""
     odd, at = -np.asarray(curve.odd)[..., GHOSTS], EVEN + GHOSTS
     share, covariance = odd.sum(-1), np.asarray(curve.covariance)[..., at[:, None], at]
     step = GHOST_STEP * np.asarray(line_width(curve.shape))[..., None] * np.arange(GHOSTS.size)
     weight = np.maximum(odd * np.sign(share)[..., None], 0.0)
-    place = np.asarray(curve.shape.apart) + (weight * step).sum(-1) / np.maximum(weight.sum(-1), 1e-300)
-    return Ghost(np.abs(share), np.sqrt(np.maximum(covariance.sum((-1, -2)), 0.0)), place, share > 0)
+    position = np.asarray(curve.shape.apart) + (weight * step).sum(-1) / np.maximum(weight.sum(-1), 1e-300)
+    return Ghost(np.abs(share), np.sqrt(np.maximum(covariance.sum((-1, -2)), 0.0)), position, share > 0)
 
 
 def half_frequency(value: AnyArray, response: Callable[[jax.Array], SampledCurve]) -> SampledCurve:
-    """Return the lowest frequency at which an MTF is one half.
+    """Find the lowest frequency at which an MTF is one half, cycles/px; NaN if there is none.
 
-    It is in cycles/px, and NaN where there is none. value: the MTF at `FREQUENCIES`. response: value and standard
-    deviation at any frequencies. The interval in which the MTF falls through one half is divided once more, so finely
-    that linear interpolation is accurate enough.
+    `value`: MTF at `FREQUENCIES`. `response`: function that evaluates the MTF and its standard deviation at any
+    frequencies. The interval that contains the crossing is sampled more finely, and interpolated linearly.
     """
     below = changed(value < 0.5, 0, False)
     i = xp.argmax(below)
@@ -250,31 +253,31 @@ def half_frequency(value: AnyArray, response: Callable[[jax.Array], SampledCurve
 
 
 def _bumps(shape: CoreShape) -> tuple[jax.Array, jax.Array]:
-    """Return the places of the right-hand bumps, and their widths, px."""
+    """Compute the centres of the basis functions on the bright side, and their standard deviations, px."""
     s = line_width(shape)
     ghosts = shape.apart + GHOST_STEP * s * xp.arange(GHOSTS.size)
     widths = xp.concatenate([xp.full(PAIRS, _WIDTH), xp.full(GHOSTS.size, GHOST_WIDTH)])
-    return xp.concatenate([xp.asarray(PLACES) * s, ghosts]), widths * s
+    return xp.concatenate([xp.asarray(CENTRES) * s, ghosts]), widths * s
 
 
 def _step(t: jax.Array) -> jax.Array:
-    """Return the integral of a normal density."""
+    """Evaluate the normal distribution function."""
     return (1 + special.erf(t / xp.sqrt(2.0))) / 2
 
 
 def _combined(curve: FreeCurve, pilot: jax.Array, even: jax.Array, odd: jax.Array) -> SampledCurve:
-    """Return a curve from its columns, with its standard deviation."""
+    """Combine the columns of a curve, and compute the standard deviation."""
     columns = xp.concatenate([even, odd, xp.zeros((1, pilot.size))])
     return SampledCurve(pilot + curve.even @ even + curve.odd @ odd, _std(curve, columns))
 
 
 def _std(curve: FreeCurve, columns: jax.Array) -> jax.Array:
-    """Return the standard deviation of a sum of columns."""
+    """Compute the standard deviation of a linear combination of columns."""
     return xp.sqrt(xp.maximum(xp.sum(columns * (curve.covariance @ columns), 0), 0.0))
 
 
 def _modulus(even: SampledCurve, odd: SampledCurve) -> SampledCurve:
-    """Return the modulus of a noisy complex number, without its noise."""
+    """Compute the modulus of a noisy complex number, with the noise power subtracted."""
     power = even.value**2 - even.std**2 + odd.value**2 - odd.std**2
     size = xp.sqrt(xp.maximum(power, 0.0))
     safe = xp.where(size > 0, size, 1.0)

@@ -1,15 +1,17 @@
-"""The free curve fitted to the cells: one linear solve, veiling glare if there is any, and the covariance from noise.
+"""Fit of the model-free edge response to the cells: a linear least-squares problem with priors, optional ghost and glare.
 
-Normal priors keep what the cells do not determine near the pilot: 10 % of the step on a strength in the middle of the
-core, less at a distance, because lenses differ most from Gaussians in the core. The covariance is that of the estimator
-under noise, A^-1 X W V W X' A^-1 with A = X W X' + prior, not the wider posterior covariance: it is the scatter of
-repeated pictures. The bias of the priors was tested, and is given in docs/edge.md.
+Normal priors keep coefficients that the cells do not determine near the pilot. The prior standard deviation is 10 % of
+the step for the centre of the core, and decreases with the distance, because lenses deviate most from Gaussians in the
+core. The covariance is that of the estimator under noise, A^-1 X W V W X' A^-1 with A = X W X' + prior. It describes the
+scatter of repeated images, and is smaller than the posterior covariance. docs/edge.md gives the measured bias of the
+priors.
 
-A ghost is a second, weaker edge. Pairs of bumps are tried at a row of distances on the residual of the free curve; if
-they raise the likelihood enough, they are added to the fit. So is a wing of the lens beyond the core.
+A ghost is a second, weaker edge. Its basis functions are tested at several distances on the residual of the free curve.
+They are added to the fit if they increase the likelihood enough. Wings of the lens beyond the core are fitted in the
+same way.
 
-Glare is a wide Gaussian. A row of radii is tried on the residual of the free curve; if one raises the likelihood by 5
-sigma, glare with a refined radius is added. To fit glare that is absent would halve the accuracy of every MTF50.
+Glare is a wide Gaussian. Several radii are tested on the residual of the free curve. If the likelihood increases by
+5 sigma, glare with a refined radius is added. A fit of glare that is absent would halve the accuracy of every MTF50.
 """
 
 from __future__ import annotations
@@ -19,13 +21,13 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from matcam.calibration.edge.free_curve import (
+    CENTRES,
     EVEN,
     GHOST_STEP,
     GHOST_WIDTH,
     GHOSTS,
     GLARE,
     ODD,
-    PLACES,
     CoreShape,
     FreeCurve,
     edge_basis,
@@ -41,48 +43,69 @@ if TYPE_CHECKING:
     from matcam.core.jax import jax
 
 FOUND = 25.0
-"""Rise of 2 ln likelihood (5 sigma) above which glare is accepted."""
+"""Increase of 2 ln likelihood above which glare is accepted: 5 sigma for one parameter."""
 GHOST_FOUND = 24.0
-"""Rise of 2 ln likelihood above which a ghost is accepted: by chance once in 2,000 at one position."""
-_PRIOR, _REACH = 0.1, 1.6  # relative to the step, prior of the strengths of the core; falls off as a Gaussian of 1.6 s
-_PRIOR_ODD = 0.03  # relative to the step, largest value
-_PRIOR_TAIL = 0.3  # relative to the step
-_PRIOR_GLARE = 0.1  # relative to the step
-_PRIOR_GHOST = 0.3  # relative to the step
-# s, and s and px (the larger of both): range in which ghosts are searched
+"""Increase of 2 ln likelihood above which a ghost is accepted. By chance it occurs once in 2,000 at one position."""
+_PRIOR, _PRIOR_RANGE = 0.1, 1.6
+"""Prior standard deviation of the coefficients of the core, relative to the step, and its decrease with distance.
+
+The prior decreases as a Gaussian with a standard deviation of 1.6 s, because lenses deviate most from Gaussians in the core.
+"""
+_PRIOR_ODD = 0.03
+"""Largest prior standard deviation of the odd coefficients of the core, relative to the step."""
+_PRIOR_TAIL = 0.3
+"""Prior standard deviation of the coefficient of the tail, relative to the step."""
+_PRIOR_GLARE = 0.1
+"""Prior standard deviation of the share of glare."""
+_PRIOR_GHOST = 0.3
+"""Prior standard deviation of the coefficients of a ghost, relative to the step."""
 _FIRST_GHOST, _LAST_GHOST, _FURTHEST = 2.2, 6.0, 8.0
-_GHOST_PLACES, _GHOST_ROOM = 24, 0.3  # relative to the width of the region
-_MISFIT = 2e-4  # relative to the step: deviation that bumps of 0.6 s cannot describe; matters only in pictures with less noise
+"""Range of distances in which ghosts are searched: from 2.2 s to 6 s or 8 px, whichever is larger."""
+_GHOST_DISTANCES, _GHOST_ROOM = 24, 0.3
+"""Number of distances at which a ghost is tested, and the largest distance relative to the width of the region."""
+_MISFIT = 2e-4
+"""Standard deviation of the approximation by basis functions of 0.6 s, relative to the step.
+
+It affects only images with less noise.
+"""
 VEIL = 0.25
-"""Radius in units of a region's width beyond which glare looks like uneven light, or like another edge."""
+"""Radius, relative to the width of a region, beyond which glare resembles uneven light or another edge."""
 _VEIL_COST = 4.0
-"""Rise of 2 ln likelihood that such glare must bring more than the light that looks like it: light is more frequent."""
-_LEAST_COST = 10.8  # 2 ln likelihood that a parameter of the light must bring at least: once in 1,000 by chance
+"""Additional increase of 2 ln likelihood that glare with a radius beyond `VEIL` requires.
+
+Uneven light, which it resembles, is more frequent.
+"""
+_LEAST_COST = 10.8
+"""Smallest increase of 2 ln likelihood that a parameter of the light requires. By chance it occurs once in 1,000."""
 _LEVELS = SHIFT
+"""Number of columns for the levels and the light."""
 _COLUMN = _LEVELS + GLARE
-"""Index of the glare among the columns, which are 0 there until it is searched."""
-_PRIOR_RADIUS = 1.0  # of ln radius
-_NARROWEST, _NARROWEST_OF_SCALE, _WIDEST = 4.0, 3.0, 110.0  # px, s, px: radii that are tried
+"""Index of the column of the glare. The column is 0 until glare is tested."""
+_PRIOR_RADIUS = 1.0
+"""Prior standard deviation of ln of the glare radius."""
+_NARROWEST, _NARROWEST_OF_SCALE, _WIDEST = 4.0, 3.0, 110.0
+"""Range of the radii that are tested: from 4 px or 3 s, whichever is larger, to 110 px."""
 _CANDIDATES, _REFINEMENTS = 9, 3
+"""Number of radii that are tested, and number of refinements of the best one, each halving the interval."""
 
 
 class LinearFit(NamedTuple):
-    """Linear problem about given levels, without glare, and its solution: n cells, p columns.
+    """Linear problem at given levels, without glare, and its solution: n cells, p columns.
 
     Attributes:
-        shape: of the basis.
-        cells: about the pilot's edge.
-        pilot: (n,) P.
-        step: (n,) bright less dark, in this light.
-        levels: (LINEAR,) `State.linear` about which the columns stand.
-        used: (LINEAR,) which of them are free.
-        weight: (n,).
-        variance: (n,) of a pixel.
-        residual: (n,) before the fit.
-        columns: (p, n) levels and light, even strengths, odd strengths; 0 for those that are not free.
-        normal: (p, p) what the cells alone say.
+        shape: parameters of the basis.
+        cells: cells with distances from the edge of the pilot.
+        pilot: (n,) edge response P.
+        step: (n,) bright minus dark level in the light of each cell.
+        levels: (LINEAR,) `State.linear` at which the problem is linearised.
+        used: (LINEAR,) 1 for free parameters, else 0.
+        weight: (n,) weights.
+        variance: (n,) variance of a pixel.
+        residual: (n,) residual before the fit.
+        columns: (p, n) columns of levels and light, even and odd coefficients; 0 for parameters that are not free.
+        normal: (p, p) normal matrix of the cells, without the prior.
         inverse: (p, p) A^-1.
-        strength: (p,).
+        strength: (p,) fitted coefficients.
     """
 
     shape: CoreShape
@@ -101,26 +124,26 @@ class LinearFit(NamedTuple):
 
     @property
     def left(self) -> jax.Array:
-        """Return the residual after the fit (n,)."""
+        """Residual after the fit (n,)."""
         return self.residual - self.strength @ self.columns
 
     @property
     def chi2(self) -> jax.Array:
-        """Return chi2 of the cells, under the noise."""
+        """Chi-square of the cells for the given noise."""
         return (self.cells.pixels / self.variance * self.left**2).sum()
 
     @property
     def degrees(self) -> jax.Array:
-        """Return the degrees of freedom: cells less what the fit has taken up."""
+        """Degrees of freedom: number of cells minus the effective number of fitted parameters."""
         return xp.maximum((self.cells.pixels > 0).sum() - xp.trace(self.inverse @ self.normal), 1.0)
 
     @property
     def noisy(self) -> jax.Array:
-        """Return weight^2 times the variance of a cell (n,)."""
+        """Squared weight times the variance of each cell (n,)."""
         return self.weight**2 * self.variance / xp.maximum(self.cells.pixels, 1.0)
 
     def solved(self, columns: jax.Array) -> LinearFit:
-        """Return the solution for some columns."""
+        """Solve the problem with other columns."""
         normal = (columns * self.weight) @ columns.T
         inverse = lifted_inverse(normal + xp.diag(_PRECISIONS))
         strength = inverse @ (columns @ (self.weight * self.residual))
@@ -128,12 +151,12 @@ class LinearFit(NamedTuple):
 
 
 class Structure(NamedTuple):
-    """Result of the free curve for the residuals of another fit.
+    """Test of another model by the free curve, which is applied to the residuals of that model.
 
     Attributes:
-        found: rise of 2 ln likelihood.
-        mean: of the same quantity, if the other model were right.
-        variance: of the same quantity, if the other model were right.
+        found: increase of 2 ln likelihood.
+        mean: expectation of `found` if the other model is correct.
+        variance: variance of `found` if the other model is correct.
     """
 
     found: jax.Array
@@ -144,9 +167,9 @@ class Structure(NamedTuple):
 def linear_fit(
     cells: EdgeCells, at: EdgeModel, noise: Noise, shape: CoreShape, ghost: jax.Array | float = 0.0
 ) -> LinearFit:
-    """Fit the free curve, and choose how much the light may vary.
+    """Fit the free curve, and select the polynomial orders of the light.
 
-    at: Gaussian model about which the curve is fitted, in light of all orders. ghost: 1 where there is one, or 0.
+    `at`: Gaussian model at which the problem is linearised, in light of all orders. `ghost`: 1 with a ghost, else 0.
     """
     state, unknown = at.state, xp.zeros(())
     cells = cells._replace(distance=cells.distance + state.linear[SHIFT])
@@ -175,20 +198,21 @@ def linear_fit(
         fit = fit.solved(fit.columns)
         return changed(linear, slice(_LEVELS), linear[:_LEVELS] + fit.strength[:_LEVELS]), fit
 
-    # light is a factor: if the pilot has an error in it, the second pass starts from the corrected light
+    # The light is a factor: the second pass starts from the light that the first pass has corrected.
     return last_of(corrected, state.linear * used, np.arange(2))
 
 
 def ghost_found(fit: LinearFit, known: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Check for a ghost, and return its most probable position, px from the edge.
+    """Test for a ghost, and find its most probable distance from the edge, px.
 
-    `known`: whether the noise is known; else it follows from the residual. Structure of glare is not a ghost.
+    `known`: whether the noise is known; else it follows from the residual. Glare is fitted first, so that it is not
+    mistaken for a ghost.
     """
     log_radius, rise = glare_candidate(fit)
     beside = fit.solved(changed(fit.columns, _COLUMN, xp.where(rise > FOUND, _column(fit, log_radius), 0.0)))
     first = _FIRST_GHOST * line_width(fit.shape)
     last = xp.minimum(xp.maximum(_LAST_GHOST * line_width(fit.shape), _FURTHEST), _GHOST_ROOM * _width(fit.cells))
-    places = xp.linspace(first, last, _GHOST_PLACES)
+    places = xp.linspace(first, last, _GHOST_DISTANCES)
 
     columns = _ghosts(beside, places)
     weighted = columns * beside.weight
@@ -202,7 +226,7 @@ def ghost_found(fit: LinearFit, known: jax.Array) -> tuple[jax.Array, jax.Array]
 
 
 def _ghosts(fit: LinearFit, places: jax.Array) -> jax.Array:
-    """Compute the effects of ghosts of full strength, even and odd pairs, at each position (places, 6, n)."""
+    """Compute the columns of ghosts with coefficient 1, even and odd pairs, at each distance (distances, 6, n)."""
     s = line_width(fit.shape)
     at = (places[:, None] + GHOST_STEP * s * xp.arange(GHOSTS.size))[..., None]
     right, left = (glare_edge(GHOST_WIDTH * s, fit.cells.distance - sign * at, fit.cells.spread) for sign in (1, -1))
@@ -210,7 +234,7 @@ def _ghosts(fit: LinearFit, places: jax.Array) -> jax.Array:
 
 
 def _width(cells: EdgeCells) -> jax.Array:
-    """Return the width of the region across the edge, px."""
+    """Compute the width of the region across the edge, px."""
     distance = xp.where(cells.pixels > 0, cells.distance, 0.0)
     return distance.max() - distance.min()
 
@@ -218,7 +242,7 @@ def _width(cells: EdgeCells) -> jax.Array:
 def structure(fit: LinearFit, tested: EdgeModel) -> Structure:
     """Apply the free curve to the residuals of another model: the quadratic form s' A^-1 s of the scores and its moments.
 
-    Under noise the covariance of the scores is the information minus the part that the tested fit has absorbed.
+    Under noise, the covariance of the scores is the information minus the part that the tested fit has absorbed.
     """
     score = fit.columns @ (fit.weight * (fit.cells.value - tested.value))
     shared = (fit.columns * fit.weight) @ tested.design.T
@@ -230,8 +254,8 @@ def structure(fit: LinearFit, tested: EdgeModel) -> Structure:
 def _chosen_light(full: LinearFit) -> jax.Array:
     """Select the linear parameters (LINEAR,) that are free.
 
-    The selection is the one of `LIGHTS` that Schwarz's criterion (1978) prefers, with glare or without: uneven light
-    and glare look alike, and neither may be taken for the other.
+    The selection is the entry of `LIGHTS` that minimises the Bayesian information criterion (Schwarz 1978). Each entry
+    is tested with and without glare, because uneven light and glare resemble each other.
     """
     radii, cells, weight = _radii(full.shape), full.cells, full.weight
     unlikely = xp.where(xp.exp(radii) > VEIL * _width(cells), _VEIL_COST, 0.0)
@@ -248,12 +272,12 @@ def _chosen_light(full: LinearFit) -> jax.Array:
     unit = xp.where(size > 0, 1 / xp.sqrt(xp.where(size > 0, size, 1.0)), 0.0)
 
     def judged(used: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Return chi2, and its decrease by glare."""
+        """Compute chi-square, and its decrease by glare."""
         free = xp.concatenate([used[:_LEVELS], xp.ones(EVEN + ODD)])
-        # parameters that are not free are 0: in everything linear this adds to the residual
+        # Parameters that are not free are 0, which changes the residual linearly.
         given = xp.concatenate([(full.levels * (1 - used))[:_LEVELS], xp.zeros(EVEN + ODD)])
         towards = normal @ given
-        # in units in which the diagonal is 1; a parameter that is not free is decoupled
+        # The units make the diagonal 1. A parameter that is not free is decoupled.
         precise = (normal + xp.diag(_PRECISIONS)) * free * free[:, None] * unit * unit[:, None]
         root = linalg.cholesky(precise + xp.diag(xp.where(free * unit > 0, FLOOR, 1.0)))
         mine, shared = (score + towards) * free * unit, cross * free * unit
@@ -267,7 +291,7 @@ def _chosen_light(full: LinearFit) -> jax.Array:
 
     lights = xp.asarray(LIGHTS) + 0 * before  # an array of JAX if the cells are
     chi2, rise = each(judged, lights)
-    # structure that neither light nor glare explains counts as noise
+    # Structure that neither light nor glare explains counts as noise.
     scatter = xp.maximum(xp.min(chi2 - rise) / degrees, 1.0)
     chi2, rise = chi2 / scatter, rise / scatter
     cost = (
@@ -279,13 +303,13 @@ def _chosen_light(full: LinearFit) -> jax.Array:
 
 
 def curve_without_glare(fit: LinearFit) -> FreeCurve:
-    """Return the curve as it is."""
+    """Convert a fit without glare to a curve, with its covariance."""
     covariance = fit.inverse @ ((fit.columns * fit.noisy) @ fit.columns.T) @ fit.inverse
     return _per_step(fit, fit.strength, xp.pad(covariance, ((0, 1), (0, 1))), xp.ones(()))
 
 
 def glare_candidate(fit: LinearFit) -> tuple[jax.Array, jax.Array]:
-    """Return ln of the most probable radius of glare, px, and the rise of 2 ln likelihood by it."""
+    """Find the most probable glare: ln of its radius, px, and the increase of 2 ln likelihood."""
     radii = _radii(fit.shape)
     rises = _rises(fit, radii)
     best = xp.argmax(rises)
@@ -293,22 +317,24 @@ def glare_candidate(fit: LinearFit) -> tuple[jax.Array, jax.Array]:
 
 
 def curve_with_glare(fit: LinearFit, log_radius: jax.Array) -> FreeCurve:
-    """Return the curve with glare near a candidate, whose radius is one more parameter."""
+    """Fit the curve with glare, starting from a candidate radius that becomes a further parameter."""
 
     def refine(at: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
         middle, width = at
         nearby = middle + width / 2 * xp.array([-1.0, 0.0, 1.0])
         three = _rises(fit, nearby)
-        bend = three[0] - 2 * three[1] + three[2]
-        vertex = middle + width / 2 * xp.clip((three[0] - three[2]) / xp.where(bend < 0, 2 * bend, -1.0), -1, 1)
-        better = xp.where(bend < 0, vertex, nearby[xp.argmax(three)])
+        curvature = three[0] - 2 * three[1] + three[2]
+        vertex = middle + width / 2 * xp.clip(
+            (three[0] - three[2]) / xp.where(curvature < 0, 2 * curvature, -1.0), -1, 1
+        )
+        better = xp.where(curvature < 0, vertex, nearby[xp.argmax(three)])
         return xp.clip(better, radii[0], radii[-1]), width / 2
 
     radii = _radii(fit.shape)
     log_radius, _ = repeated(_REFINEMENTS, refine, (log_radius, radii[1] - radii[0]))
     glaring = fit.solved(changed(fit.columns, _COLUMN, _column(fit, log_radius)))
     slope = slope_along(lambda r: _column(fit, r), log_radius, 1.0)
-    # already at the optimum: the step only provides the covariance of the radius
+    # The radius is already optimal: the additional column only provides its covariance.
     full = xp.concatenate([glaring.columns, glaring.strength[_COLUMN] * slope[None]])
     inverse = lifted_inverse((full * fit.weight) @ full.T + xp.diag(xp.append(_PRECISIONS, _PRIOR_RADIUS**-2)))
     covariance = inverse @ ((full * fit.noisy) @ full.T) @ inverse
@@ -316,9 +342,9 @@ def curve_with_glare(fit: LinearFit, log_radius: jax.Array) -> FreeCurve:
 
 
 def _per_step(fit: LinearFit, strength: jax.Array, covariance: jax.Array, radius: jax.Array) -> FreeCurve:
-    """Return the curve relative to the fitted step.
+    """Convert fitted coefficients to a curve relative to the fitted step, whose uncertainty is included.
 
-    The step's own error is included. covariance: (p + 1,) squared, ln radius last.
+    `covariance`: square matrix of size p + 1; ln of the glare radius is last.
     """
     before = fit.levels[1] - fit.levels[0]
     now = before + strength[1] - strength[0]
@@ -334,9 +360,9 @@ def _per_step(fit: LinearFit, strength: jax.Array, covariance: jax.Array, radius
 
 
 def _rises(fit: LinearFit, log_radii: jax.Array) -> jax.Array:
-    """Return the rise of 2 ln likelihood by glare of each radius.
+    """Compute the increase of 2 ln likelihood by glare of each radius.
 
-    All other parameters are refitted. Negative strengths are excluded.
+    All other parameters are refitted. Negative shares are excluded.
     """
     columns = _column(fit, log_radii[:, None])
     weighted = columns * fit.weight
@@ -346,21 +372,21 @@ def _rises(fit: LinearFit, log_radii: jax.Array) -> jax.Array:
 
 
 def _column(fit: LinearFit, log_radius: jax.Array) -> jax.Array:
-    """Return the change from glare of full strength."""
+    """Compute the column of glare with a share of 1."""
     return (glare_edge(xp.exp(log_radius), fit.cells.distance, fit.cells.spread) - fit.pilot) * fit.step
 
 
 def _radii(shape: CoreShape) -> jax.Array:
-    """Return ln of the radii that are tried, px."""
+    """Compute ln of the radii that are tested, px."""
     narrowest = xp.maximum(_NARROWEST, _NARROWEST_OF_SCALE * line_width(shape))
     return xp.linspace(xp.log(narrowest), xp.log(_WIDEST), _CANDIDATES)
 
 
 def _lights() -> np.ndarray:
-    """Return the models of the light, from the fewest to the most parameters (6, LINEAR).
+    """List the models of the light in ascending order of their number of parameters (6, LINEAR).
 
-    The factor has order 1, 2 or 3, the added light order 0, 1 or 2. A level on both sides and the shift of the edge are
-    always free.
+    The multiplying light has order 1, 2 or 3, and the added light order 0, 1 or 2. The two levels and the shift of the
+    edge are always free.
     """
     factor, addend = {1: 2, 2: 4, 3: 7}, {0: 0, 1: 2, 2: 4}
     lights = []
@@ -375,14 +401,12 @@ LIGHTS = _lights()
 
 
 def _precisions() -> np.ndarray:
-    """Return the precisions of the priors (p,).
-
-    Levels, light and the position of the edge have none.
-    """
-    core, ghosts = _PRIOR * np.exp(-((PLACES / _REACH) ** 2) / 2), np.full(GHOSTS.size, _PRIOR_GHOST)
+    """Compute the precisions of the priors (p,); levels, light and the position of the edge have no prior."""
+    core, ghosts = _PRIOR * np.exp(-((CENTRES / _PRIOR_RANGE) ** 2) / 2), np.full(GHOSTS.size, _PRIOR_GHOST)
     odd = np.minimum(core, _PRIOR_ODD)
     even = np.concatenate([core, ghosts, [_PRIOR_TAIL, _PRIOR_GLARE]])
     return np.concatenate([np.zeros(_LEVELS), even**-2, odd**-2, ghosts**-2, [0.0]])
 
 
 _PRECISIONS = _precisions()
+"""Precisions of the priors of all columns (p,)."""

@@ -1,12 +1,12 @@
-"""The curve of the edge, the distance of every pixel from it, and the cells of pixels at nearly one distance.
+"""Geometry of an edge: its curve, the distance of each pixel from the curve, and cells of pixels at similar distances.
 
-The edge is a curve x0(y), a polynomial of order 5, in the region's own coordinates: px from the region's centre, x along the
+The edge is a curve x0(y), a polynomial of order 5, in the coordinates of the region: px from its centre, x along the
 rows, y down. The bright side lies at larger x.
 
-A cell holds the pixels of one aligned column whose rows put the edge into the same eighth of a px. It stores their
-exact mean distance AND the spread of their distances, so that no correction for a bin width is needed. A model's mean
-over the cell is the model at the mean distance, blurred by the spread (with an error of 1e-6 of the step). Far from the
-edge, where nothing varies quickly, half a column is one cell.
+A cell contains the pixels of one aligned column in whose rows the edge crosses the same eighth of a px. It stores their
+mean distance and the variance of their distances, so that no correction for a bin width is needed. The mean of a model
+over the cell is the model at the mean distance, blurred by this variance (with an error of 1e-6 of the step). Far from
+the edge the response varies slowly, and half a column is one cell.
 """
 
 from __future__ import annotations
@@ -23,21 +23,23 @@ if TYPE_CHECKING:
 LEGENDRE = np.array(
     [np.pad(np.polynomial.legendre.leg2poly(one)[: k + 1], (0, 10 - k)) for k, one in enumerate(np.eye(11))]
 )
-"""Coefficients of the powers of t in Legendre's polynomials of orders 0 to 10."""
+"""Coefficients of the powers of t in the Legendre polynomials of orders 0 to 10."""
 CURVE = 6
-"""Number of coefficients of the curve of an edge: the distortion of a lens bends a long edge."""
-_PHASES = 8  # cells to a px
-_NEAR = 7  # px on both sides of the edge in which columns are split by phase
+"""Number of coefficients of the curve of an edge. Lens distortion curves the image of a straight edge."""
+_PHASES = 8
+"""Number of cells per px near the edge. The distances in a cell then differ by at most an eighth of a px."""
+_NEAR = 7
+"""Distance on both sides of the edge within which columns are split by phase, px."""
 
 
 class Rows(NamedTuple):
     """Region as rows of samples.
 
     Attributes:
-        value: (rows, columns); NaN where there is none.
-        y: (rows,) px.
-        start: (rows,) px, x of the first sample in each row.
-        step: px between samples of a row.
+        value: (rows, columns) values; NaN for missing samples.
+        y: (rows,) position of each row, px.
+        start: (rows,) x of the first sample in each row, px.
+        step: distance of neighbouring samples of a row, px.
     """
 
     value: AnyArray
@@ -50,12 +52,12 @@ class AlignedRows(NamedTuple):
     """Rows whose middle sample is the nearest to the edge.
 
     Attributes:
-        value: (rows, columns); 0 where there is none.
-        valid: (rows, columns) 1 or 0.
-        x: (rows, columns) px.
-        y: (rows,) px.
-        step: px between samples of a row.
-        light: (rows,) by which each row was divided, because its light is not that of a straight line over the rows.
+        value: (rows, columns) values; 0 for missing samples.
+        valid: (rows, columns) 1 for samples with data, else 0.
+        x: (rows, columns) positions, px.
+        y: (rows,) positions, px.
+        step: distance of neighbouring samples of a row, px.
+        light: (rows,) divisors of the rows: the light relative to a straight line over the rows.
     """
 
     value: jax.Array
@@ -67,27 +69,27 @@ class AlignedRows(NamedTuple):
 
     @property
     def near(self) -> slice:
-        """Return the columns that are split by phase."""
-        middle, reach = self.value.shape[1] // 2, _NEAR // self.step
-        return slice(max(middle - reach, 0), middle + reach + 1)
+        """Columns that are split by phase."""
+        middle, half = self.value.shape[1] // 2, _NEAR // self.step
+        return slice(max(middle - half, 0), middle + half + 1)
 
     @property
     def length(self) -> jax.Array:
-        """Return the unit of the light's terms, px: the largest |y|, also of empty rows."""
+        """Unit of length of the light terms, px: the largest |y|, empty rows included."""
         return xp.maximum(xp.max(xp.abs(self.y)), 1.0)
 
 
 class PhasedRows(NamedTuple):
     """Aligned rows with distances to a curve, and phases.
 
-    A row's phase says where between two samples the edge crosses it.
+    The phase of a row is the position of the edge between two samples.
 
     Attributes:
         rows: the aligned rows.
-        curve: (CURVE,) the edge.
-        distance: (rows, columns) px.
-        member: (phases, rows) 1 or 0.
-        phase: (rows,) index of the row's phase.
+        curve: (CURVE,) coefficients of the edge.
+        distance: (rows, columns) distances from the edge, px.
+        member: (phases, rows) 1 if the row has the phase, else 0.
+        phase: (rows,) index of the phase of each row.
     """
 
     rows: AlignedRows
@@ -102,11 +104,11 @@ class EdgeCells(NamedTuple):
 
     Attributes:
         pixels: (n,) number of pixels; 0 if the cell is empty (its means are then meaningless).
-        value: (n,).
-        distance: (n,) px from the edge, along its normal.
-        spread: (n,) px^2, variance of the distances in the cell.
-        dim: (n,) 1 over what the rows were divided by.
-        terms: (TERMS, n) of the light: see `light`.
+        value: (n,) mean value.
+        distance: (n,) mean distance from the edge along its normal, px.
+        spread: (n,) variance of the distances in the cell, px^2.
+        dim: (n,) mean of the inverse divisors of the rows.
+        terms: (TERMS, n) light terms, as in `light_terms`.
     """
 
     pixels: jax.Array
@@ -117,45 +119,45 @@ class EdgeCells(NamedTuple):
     terms: jax.Array
 
 
-def edge_place(curve: jax.Array, y: AnyArray) -> jax.Array:
-    """Return x0 at y, px. curve: (CURVE,) coefficients of 1, y, y^2, ..."""
+def edge_position(curve: jax.Array, y: AnyArray) -> jax.Array:
+    """Evaluate x0 at y, px. `curve`: (CURVE,) coefficients of 1, y, y^2, ..."""
     return xp.asarray(xp.polyval(curve[::-1], y))
 
 
 def edge_slope(curve: jax.Array, y: AnyArray) -> jax.Array:
-    """Return dx0/dy at y."""
-    return edge_place(curve[1:] * xp.arange(1, CURVE), y)
+    """Evaluate dx0/dy at y."""
+    return edge_position(curve[1:] * xp.arange(1, CURVE), y)
 
 
 def edge_distance(curve: jax.Array, x: AnyArray, y: AnyArray) -> jax.Array:
-    """Return the distance to the curve, px, to second order.
+    """Compute the distance to the curve, px, to second order.
 
-    It is positive on the bright side. For a parabola of second derivative k and local slope t, with e the distance
-    along the row, the distance is that of a straight edge, e c with c = 1 / sqrt(1 + t^2), less what the curve bends
-    away below the foot of the normal, k e^2 t^2 c^5 / 2.
+    It is positive on the bright side. Consider a parabola with second derivative k and local slope t, and let e be the
+    distance along the row. The distance is that of a straight edge, e c with c = 1 / sqrt(1 + t^2), minus the
+    correction for curvature k e^2 t^2 c^5 / 2.
     """
     slope = edge_slope(curve, y)
-    bend = edge_place(curve[2:] * xp.array([k * (k - 1) for k in range(2, CURVE)]), y)
+    curvature = edge_position(curve[2:] * xp.array([k * (k - 1) for k in range(2, CURVE)]), y)
     c = 1 / xp.sqrt(1 + slope**2)
-    along = x - edge_place(curve, y)
-    return xp.asarray(along * c - bend / 2 * (along * slope) ** 2 * c**5)
+    along = x - edge_position(curve, y)
+    return xp.asarray(along * c - curvature / 2 * (along * slope) ** 2 * c**5)
 
 
 def half_length(rows: Rows) -> jax.Array:
-    """Return the largest |y| of a row that is not empty, px."""
+    """Compute the largest |y| of the rows that are not empty, px."""
     return xp.maximum(xp.max(xp.where(xp.isfinite(rows.value).any(1), xp.abs(rows.y), 0.0)), 1.0)
 
 
 def to_mean_slope(length: jax.Array) -> jax.Array:
-    """Return the vector by which the coefficients of a curve (CURVE,) give its mean slope.
+    """Return the vector (CURVE,) whose product with the coefficients of a curve is its mean slope.
 
-    The mean slope is that of the best straight line from -length to length.
+    The mean slope is that of the least-squares line from -length to length.
     """
     return xp.array([0.0, 1.0, 0.0, 3 / 5, 0.0, 3 / 7]) * length ** xp.array([0.0, 0.0, 0.0, 2.0, 0.0, 4.0])
 
 
 def legendre(t: AnyArray, terms: int) -> jax.Array:
-    """Return Legendre's polynomials of t (n,), which lies within -1 and 1, (terms, n)."""
+    """Evaluate the Legendre polynomials (terms, n) of t (n,), which lies in [-1, 1]."""
     return xp.asarray(LEGENDRE[:terms, :terms] @ xp.asarray(t) ** np.arange(terms)[:, None])
 
 
@@ -163,7 +165,7 @@ def aligned_rows(rows: Rows, curve: jax.Array) -> AlignedRows:
     """Shift rows so that the edge is in the middle column."""
     width = rows.value.shape[1]
     half = width // 2
-    first = as_index(xp.round((edge_place(curve, rows.y) - rows.start) / rows.step)) - half
+    first = as_index(xp.round((edge_position(curve, rows.y) - rows.start) / rows.step)) - half
     first = xp.clip(first, -width - half, 2 * width)
     padded = xp.pad(rows.value, ((0, 0), (width + half, width + 2 * half + 1)), constant_values=xp.nan)
     value = xp.take_along_axis(padded, (first + width + half)[:, None] + np.arange(2 * half + 1), axis=1)
@@ -176,7 +178,7 @@ def aligned_rows(rows: Rows, curve: jax.Array) -> AlignedRows:
 def phased_rows(rows: AlignedRows, curve: jax.Array) -> PhasedRows:
     """Return the distances of all pixels from a curve, and the phases of all rows."""
     middle = rows.value.shape[1] // 2
-    offset = (rows.x[:, middle] - edge_place(curve, rows.y)) / rows.step + 0.5
+    offset = (rows.x[:, middle] - edge_position(curve, rows.y)) / rows.step + 0.5
     count = _PHASES * rows.step
     phase = as_index(xp.clip(xp.floor(offset * count), 0, count - 1))
     member = (phase == xp.arange(count)[:, None]).astype(float)
@@ -194,26 +196,26 @@ def edge_cells(phased: PhasedRows) -> EdgeCells:
         quantities = [apart, apart**2, dim, *light_terms(x, y, apart, aligned.length)]
         return [valid, aligned.value[:, part], *(valid * q for q in quantities)]
 
-    # one product for all channels: many small ones take three times as long
+    # One matrix product for all channels is three times as fast as many small ones.
     width = near.stop - near.start
     inside = channels(near)
     summed = (phased.member @ xp.concatenate(inside, 1)).reshape(-1, len(inside), width).swapaxes(0, 1)
-    # two cells per column far from the edge, upper and lower rows, to resolve light that varies along the edge
+    # Far from the edge, a column has one cell for the upper and one for the lower rows, to resolve light along the edge.
     half = aligned.y.size // 2
     far = zip(channels(slice(None, near.start)), channels(slice(near.stop, None)), strict=True)
     outside = [[part.sum(0) for side in both for part in (side[:half], side[half:])] for both in far]
     sums = (xp.concatenate([i.ravel(), *o]) for i, o in zip(summed, outside, strict=True))
     count = next(sums)
-    # an empty cell is at distance 0, where every model is finite; it has weight 0
+    # An empty cell has weight 0, and is placed at distance 0, where every model is finite.
     value, mean, square, dim, *terms = (total / xp.where(count > 0, count, 1.0) for total in sums)
     dim = xp.where(count > 0, dim, 1.0)
     return EdgeCells(count, value, mean, xp.maximum(square - mean**2, 0.0), dim, xp.stack(terms))
 
 
 def light_terms(x: AnyArray, y: AnyArray, distance: AnyArray, length: AnyArray) -> list[jax.Array]:
-    """Return the terms of the light in a region: TERMS arrays.
+    """Compute the polynomial terms of the light in a region: TERMS arrays.
 
-    They are x and y (px), then products of the distance d from the edge and y, each in units of `length`, to third
+    They are x and y (px), then products of the distance d from the edge and y, each in units of `length`, up to third
     order. Terms in y alone have been divided out of the rows, or are negligible.
     """
     d, v = distance / length, y / length
@@ -221,4 +223,4 @@ def light_terms(x: AnyArray, y: AnyArray, distance: AnyArray, length: AnyArray) 
 
 
 TERMS = 7
-"""Number of terms of the light."""
+"""Number of polynomial terms of the light: all up to third order that are not functions of y alone, and y itself."""

@@ -1,16 +1,16 @@
-"""Maximum likelihood for an edge of known profile: the profile's parameters, the levels, uneven light, the edge's curve.
+"""Maximum likelihood fit of an edge: parameters of its profile, levels, uneven light, and its curve.
 
-A pixel is modelled as  [dark (1 - E(d)) + bright E(d)] (1 + sum of m_k t_k) + sum of a_k t_k,  E the edge response at
-distance d, t_k the terms of the light in two dimensions: m_k of a lamp or a lens's vignetting, which multiply the scene, a_k
-of flare or haze, which add to it. `State.used` says which of them are free. A pixel's
-variance is the MODEL's, gain * value + read^2, held fixed within a step (iteratively reweighted least squares: the fixed
-point is the maximum of the Poisson likelihood where variance and mean are one, and nothing is biased by noise in weights,
-docs/model.md 8).
+A pixel is modelled as  [dark (1 - E(d)) + bright E(d)] (1 + sum of m_k t_k) + sum of a_k t_k.  E is the edge response at
+distance d, and t_k are the polynomial terms of the light in two dimensions. The coefficients m_k describe light that
+multiplies the scene (uneven illumination, vignetting), and a_k light that is added (flare, haze). `State.used` marks the
+free coefficients. The variance of a pixel is gain * value + read^2 with the value of the model. It is held fixed within
+a step (iteratively reweighted least squares). For Poisson noise the fixed point is the maximum of the likelihood, and
+noise in the weights causes no bias (docs/model.md 8).
 
-Fisher scoring uses a fixed number of steps: every step is the same small program, so that a thousand edges run in
-parallel under `vmap`. A search with a stopping rule (Optimistix) would wait for the slowest edge. Profile and levels
-are fitted to the cells, the curve to the pixels near the edge. The curve's shift is fitted along with the profile, its
-slope and bow are orthogonal to everything else by symmetry, so that the two fits may alternate.
+Fisher scoring uses a fixed number of steps. Every step is the same small program, so that many edges run in parallel
+under `vmap`; with a stopping rule, all would wait for the slowest edge. Profile and levels are fitted to the cells, and
+the curve to the pixels near the edge. The shift of the curve is fitted together with the profile. By symmetry, its slope
+and bow are uncorrelated with all other parameters, so that the two fits can alternate.
 """
 
 from __future__ import annotations
@@ -37,36 +37,37 @@ if TYPE_CHECKING:
     from matcam.core.jax import AnyArray, jax
 
 ADDED = 4
-"""Number of terms of the light that may be added to the scene: the first terms."""
+"""Number of light terms that may be added to the scene. They are the first of the `TERMS` terms."""
 SHIFT = 2 + TERMS + ADDED
-"""Index of the shift of the edge in the linear parameters, the last of them."""
+"""Index of the shift of the edge, the last of the linear parameters."""
 LINEAR = SHIFT + 1
-"""Number of parameters that every profile has: dark, bright, multiplied light, added light, shift."""
+"""Number of linear parameters: dark and bright level, multiplying light, added light, shift."""
 
 Profile = Callable[[EdgeCells, "jax.Array"], tuple["jax.Array", "jax.Array", "jax.Array"]]
-"""(cells, parameters (k,)) -> means over the cells of E, of dE/dd, and of dE/dparameters (k, n)."""
+"""Edge profile: (cells, parameters (k,)) -> means over the cells of E, of dE/dd, and of dE/dparameters (k, n)."""
 
 
 class Noise(NamedTuple):
-    """Noise of a pixel, in the picture's own units.
+    """Noise of a pixel, in the units of the image.
 
     Attributes:
-        gain: system gain; NaN: to be estimated.
-        read: standard deviation of the read noise; NaN: to be estimated.
+        gain: system gain; NaN if it is to be estimated.
+        read: standard deviation of the read noise; NaN if it is to be estimated.
     """
 
     gain: AnyArray | np.float64
     read: AnyArray | np.float64
 
     def variance(self, value: AnyArray, dim: AnyArray | float = 1.0) -> jax.Array:
-        """Return the variance of a pixel with the expected value `value`.
+        """Compute the variance of a pixel with the expected value `value`.
 
-        `dim`: factor that made the light even.
+        `dim`: factor that was applied to correct for uneven light.
         """
         return xp.asarray(self.gain * xp.maximum(value, 0.0) * dim + (self.read * dim) ** 2)
 
 
 UNKNOWN_NOISE = Noise(np.float64(np.nan), np.float64(np.nan))
+"""Noise whose parameters are estimated from the image."""
 
 
 class State(NamedTuple):
@@ -74,8 +75,8 @@ class State(NamedTuple):
 
     Attributes:
         linear: (LINEAR,) dark, bright, m_k (of x and y in 1/px), a_k, shift in px (added to every distance).
-        profile: (k,) the profile's own.
-        used: (LINEAR,) 1 where a linear parameter is free, 0 where it stays.
+        profile: (k,) parameters of the profile.
+        used: (LINEAR,) 1 for free linear parameters, 0 for fixed ones.
     """
 
     linear: jax.Array
@@ -87,11 +88,11 @@ class EdgeModel(NamedTuple):
     """Model of all cells, and its derivatives.
 
     Attributes:
-        state: the parameters.
-        value: (n,).
-        edge: (n,) E.
-        light: (n,) by which the scene is multiplied.
-        design: (LINEAR + k, n) derivatives by the parameters; 0 for those that are not free.
+        state: parameters.
+        value: (n,) model values.
+        edge: (n,) edge response E.
+        light: (n,) factor that multiplies the scene.
+        design: (LINEAR + k, n) derivatives with respect to the parameters; 0 for fixed ones.
     """
 
     state: State
@@ -109,16 +110,13 @@ class Light(NamedTuple):
 
 
 def light_of(linear: jax.Array, terms: jax.Array) -> Light:
-    """Return the light for its terms `terms` (TERMS, ...).
-
-    `linear`: as in `State`.
-    """
+    """Evaluate the light from its terms `terms` (TERMS, ...) and the parameters `linear` of `State`."""
     factor = 1 + xp.tensordot(linear[2 : 2 + TERMS], terms, 1)
     return Light(factor, xp.tensordot(linear[2 + TERMS : SHIFT], terms[:ADDED], 1))
 
 
 def edge_model(cells: EdgeCells, state: State, profile: Profile) -> EdgeModel:
-    """Return the model values of the cells."""
+    """Evaluate the model of the cells, and its derivatives."""
     dark, bright, shift = state.linear[0], state.linear[1], state.linear[SHIFT]
     edge, line, slopes = profile(cells._replace(distance=cells.distance + shift), state.profile)
     light = light_of(state.linear, cells.terms)
@@ -131,9 +129,9 @@ def edge_model(cells: EdgeCells, state: State, profile: Profile) -> EdgeModel:
 
 
 def scoring_step(cells: EdgeCells, state: State, profile: Profile, noise: Noise, longest: jax.Array) -> State:
-    """Return the parameters after a step of Fisher scoring.
+    """Update the parameters by a step of Fisher scoring.
 
-    longest: (k,) largest change of the profile's parameters.
+    `longest`: (k,) largest change of the parameters of the profile.
     """
     at = edge_model(cells, state, profile)
     weight = cells.pixels / noise.variance(at.value, cells.dim)
@@ -147,13 +145,14 @@ def scoring_step(cells: EdgeCells, state: State, profile: Profile, noise: Noise,
 
 
 class CurveStep(NamedTuple):
-    """Step of the curve of the edge from the pixels near it.
+    """Update of the curve of an edge from the pixels near it.
 
     Attributes:
         curve: (CURVE,) coefficients.
-        covariance: (CURVE, CURVE) of them, for these levels and this profile.
+        covariance: (CURVE, CURVE) covariance of `curve` at fixed levels and profile.
         residual: standard deviation of the pixels about their model.
-        roughness: px, standard deviation of the edge's place in single rows, beyond the noise; 0 where noise makes as much.
+        roughness: standard deviation of the position of the edge in single rows beyond the noise, px; 0 if it is not
+            significant.
     """
 
     curve: jax.Array
@@ -162,19 +161,23 @@ class CurveStep(NamedTuple):
     roughness: jax.Array
 
 
-_CLEAR = 4.0  # standard deviations above which an edge is rough
-_STIFF = 0.3  # px: standard deviation of the prior for a change of the higher orders of a curve
-_BOWS = 3  # orders of a straight edge with a bow; higher orders describe an S, dirt or a torn border
-_BENT = 16.3  # smallest rise of 2 ln likelihood for all higher orders together: by chance once in 1,000
+_CLEAR = 4.0
+"""Significance above which an edge is reported as rough, standard deviations."""
+_STIFF = 0.3
+"""Prior standard deviation of a change of the higher orders of a curve, px."""
+_BOWS = 3
+"""Number of coefficients of a straight edge with a bow. Higher orders describe an S shape, dirt or a torn border."""
+_HIGHER_ORDERS = 16.3
+"""Smallest increase of 2 ln likelihood by the three higher orders together. By chance it occurs once in 1,000."""
 
 
 def curve_step(phased: PhasedRows, cells: EdgeCells, at: EdgeModel, noise: Noise, length: jax.Array) -> CurveStep:
-    """Return the curve after a step of Fisher scoring, from single pixels.
+    """Update the curve by a step of Fisher scoring on single pixels.
 
-    A pixel's model is its cell's, moved along the slope: within a cell the distances differ by a sixteenth of a px, and
-    the residual of second order is even in the distance, and does not affect the position. The orders beyond the bow
-    are free if they are significant: if they are fitted to the noise of few rows, the edge seems sharper or more
-    blurred than it is.
+    The model of a pixel is that of its cell, extrapolated linearly in the distance. Distances in a cell differ from the
+    mean by at most a sixteenth of a px; the neglected second-order term is even in the distance, and does not bias the
+    position. The orders beyond the bow are free only if they are significant. Otherwise they would fit the noise of a
+    few rows, and bias the blur.
     """
     aligned, curve, state = phased.rows, phased.curve, at.state
     near = aligned.near
@@ -189,7 +192,7 @@ def curve_step(phased: PhasedRows, cells: EdgeCells, at: EdgeModel, noise: Noise
     scene = of_row((at.value - of_cell.addend) / at.light)
     expected = scene * light.factor + light.addend + slope * (distance - of_row(cells.distance))
     weight = aligned.valid[:, near] / noise.variance(expected, 1 / aligned.light[:, None])
-    # moving the curve by +1 px along x moves the bright side by c px
+    # A shift of the curve by 1 px along x changes the distance by c px.
     tilt = 1 / xp.sqrt(1 + edge_slope(curve, aligned.y) ** 2)
     by_row = -slope * tilt[:, None]
     information = (weight * by_row**2).sum(1)
@@ -203,7 +206,7 @@ def curve_step(phased: PhasedRows, cells: EdgeCells, at: EdgeModel, noise: Noise
     change = xp.clip(change, -1.0, 1.0)
     rms = xp.sqrt((residual**2).sum() / xp.maximum(aligned.valid[:, near].sum(), 1.0))
     by = xp.stack([to_coefficients(unit, length) for unit in xp.eye(CURVE)])
-    # the position in each row, relative to the new curve
+    # Position of the edge in each row relative to the new curve.
     shift = score / xp.where(information > 0, information, 1.0) - powers.T @ change
     count = xp.maximum((information > 0).sum() - orders, 1.0)
     weight = information / xp.maximum(information.sum(), 1e-300) * ((information > 0).sum() / count)
@@ -216,16 +219,16 @@ def curve_step(phased: PhasedRows, cells: EdgeCells, at: EdgeModel, noise: Noise
 def _of_seen_orders(
     normal: jax.Array, score: jax.Array, strengths: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Return the covariance of the strengths of a curve, their change, and the number of free ones.
+    """Compute the covariance of the Legendre coefficients of a curve, their change, and the number of free ones.
 
-    The strengths beyond the bow are 0 if noise explains them. `normal`: (CURVE, CURVE) information. `score`: (CURVE,)
-    of the present `strengths`.
+    The coefficients beyond the bow are 0 if noise explains them. `normal`: (CURVE, CURVE) information. `score`: (CURVE,)
+    score at the present coefficients `strengths`.
     """
     free = linalg.inv(normal)
     change = free @ score
     beyond = (strengths + change)[_BOWS:]
-    seen = beyond @ linalg.solve(free[_BOWS:, _BOWS:], beyond) > _BENT
-    # towards a curve without them
+    seen = beyond @ linalg.solve(free[_BOWS:, _BOWS:], beyond) > _HIGHER_ORDERS
+    # Change towards a curve without the higher orders.
     without = xp.where(xp.arange(CURVE) < _BOWS, 0.0, -strengths)
     bow = xp.pad(linalg.inv(normal[:_BOWS, :_BOWS]), (0, CURVE - _BOWS))
     bowed = without + bow @ (score - normal @ without)

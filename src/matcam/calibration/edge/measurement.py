@@ -1,4 +1,4 @@
-"""Both estimates from rows of samples: one program for every edge, for a single one or for thousands."""
+"""The measurement of an edge: model-free and parametric estimate from rows of samples, for one edge or for many."""
 
 from __future__ import annotations
 
@@ -41,26 +41,30 @@ from matcam.numerics.linalg import lifted_inverse
 if TYPE_CHECKING:
     from matcam.core.jax import AnyArray, jax
 
-_START = -0.5  # ln px: sigma 0.6
+_START = -0.5
+"""Initial ln of the lens width in px: a lens width of 0.6 px."""
 _STEPS, _MODEL_STEPS = 3, 12
-_LAST_LIGHT = 3  # index in `LIGHTS` of the model of the light in the last fits of profile and position
-_EXPECTED = 1.4  # chi2 per degree of freedom of about 200 cells: 4 sigma
+"""Number of steps of Fisher scoring for the Gaussian lens in each turn, and for another lens model."""
+_LAST_LIGHT = 3
+"""Index in `LIGHTS` of the light model in the last turn of the fits of profile and position."""
+_EXPECTED = 1.4
+"""Chi-square per degree of freedom above which the variances are scaled: 4 sigma for about 200 cells."""
 
 
 class LensFit(NamedTuple):
-    """Maximum likelihood fit of a family of lenses.
+    """Maximum likelihood fit of a lens model.
 
     Attributes:
-        state: the parameters.
-        covariance: (LINEAR + k,) squared.
-        chi2: of the cells, under the noise.
-        degrees: cells less parameters.
-        structure: what the free curve finds in the residuals.
-        numbers: (k,) the lens's parameters, in the units of their names.
-        numbers_covariance: (k, k).
-        expected: (n,) values of the cells.
-        mtf: at `FREQUENCIES`.
-        mtf50: cycles/px.
+        state: fitted parameters.
+        covariance: square matrix of size LINEAR + k.
+        chi2: chi-square of the cells for the given noise.
+        degrees: degrees of freedom: number of cells minus number of parameters.
+        structure: test of the residuals by the free curve.
+        numbers: (k,) parameters of the lens, in the units of their names.
+        numbers_covariance: (k, k) covariance of `numbers`.
+        expected: (n,) model values of the cells.
+        mtf: MTF at `FREQUENCIES`.
+        mtf50: MTF50, cycles/px.
     """
 
     state: State
@@ -78,29 +82,29 @@ class LensFit(NamedTuple):
 class EdgeFits(NamedTuple):
     """Both estimates of one edge.
 
-    Lengths are px from the region's centre, values the picture's units.
+    Positions are in px from the centre of the region, values in the units of the image.
 
     Attributes:
-        curve: (CURVE,) where the edge runs.
-        slope: dx/dy of the straight line through it.
-        slope_std: its standard deviation.
-        angle: rad, of the normal to the grid.
-        crossing: how many rows the edge crosses, away from the borders.
-        noise: given, or estimated.
+        curve: (CURVE,) coefficients of the edge.
+        slope: dx/dy of the least-squares line through the edge.
+        slope_std: standard deviation of `slope`.
+        angle: angle between the normal and the grid, rad.
+        crossing: number of rows that the edge crosses, away from the borders.
+        noise: given or estimated noise.
         residual: standard deviation of single pixels about the fit, near the edge.
-        parametric: fit of a family of lenses.
-        free: the curve without a model.
-        mtf: at `FREQUENCIES`.
-        mtf50: cycles/px.
-        core_mtf: the MTF without glare.
-        core_mtf50: cycles/px.
+        parametric: fit of a lens model.
+        free: model-free curve.
+        mtf: MTF at `FREQUENCIES`.
+        mtf50: MTF50, cycles/px.
+        core_mtf: MTF without glare.
+        core_mtf50: MTF50 without glare, cycles/px.
         overshoot: largest excess of the ESF over its levels.
         cells: means of the pixels.
-        state: of the Gaussian fit, about which everything stands.
-        excess: factor by which variances were raised, because cells scatter more than the noise.
-        outliers: pixels that were left out.
-        roughness: px, standard deviation of the edge's place in single rows, beyond the noise.
-        misfit: standard deviation of cells about the free curve, beyond the noise, in units of the step.
+        state: parameters of the Gaussian fit, at which the free curve is linearised.
+        excess: factor by which variances were increased, because cells scatter more than the noise.
+        outliers: number of pixels that were excluded.
+        roughness: standard deviation of the position of the edge in single rows beyond the noise, px.
+        misfit: standard deviation of cells about the free curve beyond the noise, in units of the step.
     """
 
     curve: jax.Array
@@ -138,8 +142,8 @@ def edge_fits(
 ) -> EdgeFits:
     """Compute both estimates for the edge in one region.
 
-    value, y, start, step: as in `geometry.Rows`. The parametric estimate is Gaussian. noise: NaN where it is to be
-    estimated. turns: of profile and curve, each fitted while the other stays.
+    `value`, `y`, `start`, `step`: as in `geometry.Rows`. The parametric estimate uses a Gaussian lens. `noise`: NaN where
+    it is to be estimated. `turns`: number of alternating fits of the profile and of the curve.
     """
     rows, half = Rows(value, y, start, step), xp.asarray(half_width)
     length = geometry.half_length(rows)
@@ -167,7 +171,7 @@ def edge_fits(
 
     even = free_fit.LIGHTS[0]
     levels = xp.append(xp.stack([side.mean() for side in side_levels(aligned)]), np.zeros(even.size - 2))
-    # the last turn sees light of most orders: what it takes from the levels, the curve must not
+    # The last turn includes most orders of the light, so that uneven light does not bias the curve.
     uses = free_fit.LIGHTS[np.where(np.arange(turns) < turns - 1, 0, _LAST_LIGHT)]
     curve, cells, at, moved = last_of(turn, (first_curve, State(levels, xp.array([_START]), even)), uses)
     slope, one = to_slope @ curve, xp.ones(())
@@ -175,31 +179,31 @@ def edge_fits(
     shape = CoreShape(xp.exp(at.state.profile[0]), seen.angle, half, radius=one, apart=one)
 
     def with_ghost(fit: free_fit.LinearFit, place: jax.Array) -> free_fit.LinearFit:
-        """Fit the free curve again, with the ghost: if nobody knows of it, it passes for light."""
+        """Repeat the fit of the free curve with the ghost, which is otherwise fitted as uneven light."""
         return free_fit.linear_fit(cells, at, noise, fit.shape._replace(apart=place), 1.0)
 
     linear = free_fit.linear_fit(cells, at, noise, shape)
     ghost, place = free_fit.ghost_found(linear, known)
     linear = either(ghost, with_ghost, lambda fit, _: fit, linear, place)
-    # the Gaussian lens, in the light that was chosen
+    # Fit the Gaussian lens in the selected light.
     chosen = at.state._replace(linear=at.state.linear * linear.used, used=linear.used)
     model = edge_model(cells, _climb(cells, chosen, seen, noise, _STEPS), seen.profile)
-    # glare is judged by what is left with it
+    # If the noise is unknown, the significance of glare follows from the residual with glare.
     log_radius, rise = free_fit.glare_candidate(linear)
     left = (linear.weight * linear.left**2).sum() - rise
     glares = rise > free_fit.FOUND * xp.where(known, 1.0, xp.maximum(left / linear.degrees, 1.0))
     plain = lambda fit, _: free_fit.curve_without_glare(fit)  # noqa: E731
     free = either(glares, free_fit.curve_with_glare, plain, linear, log_radius)
-    # noise that was estimated from neighbours may not be all: then the cells' scatter about the free curve speaks
+    # Noise that was estimated from neighbours may be incomplete: the scatter about the free curve then scales the variances.
     scatter = (linear.chi2 - xp.where(glares, rise, 0.0)) / linear.degrees
     excess = xp.where(scatter < _EXPECTED, 1.0, scatter)
     free = free._replace(covariance=free.covariance * excess)
     misfit = misfit_of(linear, free, excess)
-    doubt = Unexplained(moved.roughness, misfit)
+    unexplained = Unexplained(moved.roughness, misfit)
 
     def transfer(f: jax.Array) -> tuple[SampledCurve, SampledCurve]:
         total, core = free_curve.transfer(free, f)
-        return doubt.of(total, f), doubt.of(core, f)
+        return unexplained.of(total, f), unexplained.of(core, f)
 
     mtf, core = transfer(xp.asarray(FREQUENCIES))
     return EdgeFits(
@@ -210,7 +214,7 @@ def edge_fits(
         crossing=crossing,
         noise=noise,
         residual=moved.residual,
-        parametric=_lens_fit(cells, model, noise, free_fit.structure(linear, model), seen, excess, doubt),
+        parametric=_lens_fit(cells, model, noise, free_fit.structure(linear, model), seen, excess, unexplained),
         free=free,
         mtf=mtf,
         mtf50=free_curve.half_frequency(mtf.value, lambda f: transfer(f)[0]),
@@ -229,7 +233,7 @@ def edge_fits(
 @compiled_by_jax
 @checks.trusted()
 def lens_fit(found: EdgeFits, half_width: AnyArray | np.float64, lens: LensModel) -> LensFit:
-    """Return the parametric estimate by another family of lenses."""
+    """Compute the parametric estimate for another lens model."""
     seen = LensAtEdge(lens, found.angle, xp.asarray(half_width))
     first = found.state._replace(profile=lens.start(found.state.profile[0]))
     fitted = _climb(found.cells, first, seen, found.noise, _MODEL_STEPS)
@@ -237,16 +241,16 @@ def lens_fit(found: EdgeFits, half_width: AnyArray | np.float64, lens: LensModel
     at = edge_model(found.cells, found.state, seen._replace(lens=Gaussian()).profile)
     ghost = (found.free.even[GHOSTS] != 0).any()
     fit = free_fit.linear_fit(found.cells, at, found.noise, found.free.shape, ghost)
-    doubt = Unexplained(found.roughness, found.misfit)
-    return _lens_fit(found.cells, tested, found.noise, free_fit.structure(fit, tested), seen, found.excess, doubt)
+    unexplained = Unexplained(found.roughness, found.misfit)
+    return _lens_fit(found.cells, tested, found.noise, free_fit.structure(fit, tested), seen, found.excess, unexplained)
 
 
 @cache
 def fits_program() -> Callable[..., EdgeFits]:
-    """Return `edge_fits` of many regions, side by side, as a compiled program.
+    """Return `edge_fits` for many regions in parallel, as a compiled program.
 
-    Its arguments are those of `edge_fits`, regions (n, rows, columns), and y and start (n, rows). A command keeps the
-    program: to trace it takes seconds.
+    Its arguments are those of `edge_fits`, with regions (n, rows, columns), and y and start (n, rows). A command caches the
+    program on disk, because tracing takes seconds.
     """
     from matcam.core.jax import jit_plainly, program_folder
     from matcam.core.programs import kept_program
@@ -268,17 +272,17 @@ def _fits_of_stack(
 
 
 def _climb(cells: EdgeCells, state: State, seen: LensAtEdge, noise: Noise, steps: int) -> State:
-    """Return the parameters after some steps of Fisher scoring."""
+    """Update the parameters by several steps of Fisher scoring."""
     longest = xp.array(seen.lens.longest)
     step = partial(scoring_step, cells, profile=seen.profile, noise=noise, longest=longest)
     return repeated(steps, step, state)
 
 
 def _overshoot(free: FreeCurve) -> SampledCurve:
-    """Return the largest excess of the ESF over its levels."""
-    reach = xp.linspace(1.0, 6.0, 11) * free_curve.line_width(free.shape)
-    response = free_curve.edge_response(free, xp.concatenate([-reach[::-1], reach]))
-    excess = xp.concatenate([-response.value[: reach.size], response.value[reach.size :] - 1])
+    """Compute the largest excess of the ESF over its levels."""
+    distance = xp.linspace(1.0, 6.0, 11) * free_curve.line_width(free.shape)
+    response = free_curve.edge_response(free, xp.concatenate([-distance[::-1], distance]))
+    excess = xp.concatenate([-response.value[: distance.size], response.value[distance.size :] - 1])
     most = xp.argmax(excess)
     return SampledCurve(excess[most], response.std[most])
 
@@ -290,9 +294,9 @@ def _lens_fit(
     structure: free_fit.Structure,
     seen: LensAtEdge,
     excess: jax.Array,
-    doubt: Unexplained,
+    unexplained: Unexplained,
 ) -> LensFit:
-    """Compute all results from a fitted family of lenses."""
+    """Compute all results of a fitted lens model."""
     parameters = at.state.profile
     weight = cells.pixels / noise.variance(at.value, cells.dim)
     covariance = excess * lifted_inverse((at.design * weight) @ at.design.T)
@@ -301,7 +305,7 @@ def _lens_fit(
     def response(f: jax.Array) -> SampledCurve:
         value, slopes = _with_slopes(lambda p: seen.mtf(p, f), parameters)
         std = xp.sqrt(xp.maximum((slopes @ lens_covariance * slopes).sum(-1), 0.0))
-        return doubt.of(SampledCurve(value, std), f)
+        return unexplained.of(SampledCurve(value, std), f)
 
     numbers, by = _with_slopes(seen.lens.numbers, parameters)
     mtf = response(xp.asarray(FREQUENCIES))
@@ -320,5 +324,5 @@ def _lens_fit(
 
 
 def _with_slopes(function, at: jax.Array):  # type: ignore[no-untyped-def]
-    """Return a function's value and its derivatives."""
+    """Evaluate a function and its derivatives."""
     return function(at), jacobian(function, at)

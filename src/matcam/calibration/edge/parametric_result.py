@@ -1,4 +1,4 @@
-"""Values of an edge, or of a stack of edges, and their parametric estimate as a result, with standard deviations."""
+"""Result classes of the parametric estimate of one edge or of a stack, and the values that all edge results share."""
 
 from __future__ import annotations
 
@@ -20,15 +20,16 @@ from matcam.core.results.summary import Quantity, Summarised, Summary, correlati
 if TYPE_CHECKING:
     from matcam.core.jax import AnyArray
 
-_WRONG = 1e-3  # probability below which a model is rejected
+_WRONG = 1e-3
+"""Probability of the residuals under a lens model below which the model is rejected."""
 
 Number = TypeVar("Number", float, np.ndarray)
-"""A float of one edge; an array (n,) of a stack."""
+"""Type of a value: a float for one edge, an array (n,) for a stack."""
 
 
 @dataclass(frozen=True, eq=False)
 class EdgeValues(Generic[Number]):
-    """Values of one edge, or of a stack of edges; `EdgeMTF` explains each."""
+    """Values of one edge or of a stack of edges; `EdgeMTF` explains each."""
 
     frequency: np.ndarray
     mtf: np.ndarray
@@ -61,7 +62,7 @@ class EdgeValues(Generic[Number]):
 
 @dataclass(frozen=True, eq=False)
 class _LensNumbers(Generic[Number]):
-    """Parametric estimate of one edge, or of a stack of edges."""
+    """Parametric estimate of one edge or of a stack of edges."""
 
     model: str
     names: tuple[str, ...]
@@ -81,22 +82,22 @@ class _LensNumbers(Generic[Number]):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ParametricEdge(Summarised, _LensNumbers[float]):
-    """Maximum likelihood fit of a family of lenses.
+    """Maximum likelihood fit of a lens model.
 
     Attributes:
-        model: name of the family (no unit).
-        names: names of the fitted parameters, as camera profiles have them: "optics.sigma_px" (no unit).
+        model: name of the lens model (no unit).
+        names: names of the fitted parameters in camera profiles: "optics.sigma_px" (no unit).
         values: fitted parameters (k,), in the units of their names.
-        covariance: their covariance (k, k).
-        mtf: total MTF (81,) at the result's `frequency`, signed (no unit).
-        mtf_std: its standard deviation (81,).
-        mtf50: lowest frequency at which it is one half, cycles/px.
-        mtf50_std: its standard deviation, cycles/px.
-        chi2: misfit of the cells, under the noise (no unit).
+        covariance: covariance of `values` (k, k).
+        mtf: total MTF (81,) at the `frequency` of the result, signed (no unit).
+        mtf_std: standard deviation of `mtf` (81,).
+        mtf50: lowest frequency at which `mtf` is one half, cycles/px.
+        mtf50_std: standard deviation of `mtf50`, cycles/px.
+        chi2: chi-square of the cells for the given noise (no unit).
         degrees: degrees of freedom (no unit).
-        misfit_probability: how often the right model would leave as much structure in its residuals (no unit).
-        lens: the family itself.
-        fitted: fitted parameters (k,), in the forms of the fit.
+        misfit_probability: probability of at least this much structure in the residuals if the model is correct (no unit).
+        lens: the lens model.
+        fitted: fitted parameters (k,), in the parameterisation of the fit.
         half_width: half width of the pixel, px.
 
     Example:
@@ -109,12 +110,15 @@ class ParametricEdge(Summarised, _LensNumbers[float]):
 
     @property
     def consistent(self) -> bool:
-        """Check whether the model explains the edge, at 0.1 %."""
+        """Check that the model explains the edge.
+
+        The significance level is 0.1 %.
+        """
         return bool(self.misfit_probability > _WRONG)
 
     @property
     def camera(self) -> Camera:
-        """Return the fitted camera, with its covariance."""
+        """Fitted camera, with its covariance."""
         return Camera(
             self.lens.optics(xp.asarray(self.fitted)),
             BoxPixel(self.half_width),
@@ -147,7 +151,7 @@ class ParametricEdge(Summarised, _LensNumbers[float]):
         """Return the fit as a JSON object.
 
         Returns:
-            Numbers by name, units in the names.
+            Values by name, units in the names.
         """
         return plain(
             {
@@ -169,19 +173,20 @@ class ParametricStack(_LensNumbers[np.ndarray]):
     """Parametric estimates of a stack.
 
     Attributes:
-        model: name of the family (no unit).
+        model: name of the lens model (no unit).
         names: names of the fitted parameters (no unit).
         values: fitted parameters (n, k), in the units of their names.
-        covariance: their covariances (n, k, k).
+        covariance: covariances of `values` (n, k, k).
         mtf: total MTF (n, 81), signed (no unit).
-        mtf_std: its standard deviation (n, 81).
-        mtf50: lowest frequency at which it is one half (n,), cycles/px.
-        mtf50_std: its standard deviation (n,), cycles/px.
-        chi2: misfit of the cells, under the noise (n,) (no unit).
+        mtf_std: standard deviation of `mtf` (n, 81).
+        mtf50: lowest frequency at which `mtf` is one half (n,), cycles/px.
+        mtf50_std: standard deviation of `mtf50` (n,), cycles/px.
+        chi2: chi-square of the cells for the given noise (n,) (no unit).
         degrees: degrees of freedom (n,) (no unit).
-        misfit_probability: how often the right model would leave as much structure in its residuals (n,) (no unit).
-        lens: the family itself.
-        fitted: fitted parameters (n, k), in the forms of the fit.
+        misfit_probability: probability of at least this much structure in the residuals if the model is correct (n,)
+            (no unit).
+        lens: the lens model.
+        fitted: fitted parameters (n, k), in the parameterisation of the fit.
         half_width: half width of the pixel, px.
 
     Example:
@@ -193,17 +198,20 @@ class ParametricStack(_LensNumbers[np.ndarray]):
 
     @property
     def consistent(self) -> np.ndarray:
-        """Check whether the model explains each edge, at 0.1 % (n,)."""
+        """Mask (n,) of the edges that the model explains.
+
+        The significance level is 0.1 %.
+        """
         return self.misfit_probability > _WRONG
 
 
 def parametric_stack(
     fit: LensFit, free: tuple[SampledCurve, SampledCurve], bad: np.ndarray, lens: LensModel, half_width: float
 ) -> ParametricStack:
-    """Return the fits of a stack as a result.
+    """Convert the fits of a stack to results.
 
-    All arrays are NumPy's. Numbers of bad edges (n,) become NaN. free: MTF and MTF50 without a model; if the model is
-    wrong, its difference from them is added to its errors.
+    All arrays are NumPy arrays. `bad`: mask (n,) of edges whose values become NaN. `free`: MTF and MTF50 without a model.
+    If the model is rejected, its difference from them is added to its standard deviations.
     """
     probability = _misfit_probability(*map(np.asarray, fit.structure))
     wrong = ~(probability > _WRONG)
@@ -234,15 +242,14 @@ def parametric_stack(
 
 
 def with_nan(values: AnyArray | np.float64, bad: np.ndarray) -> np.ndarray:
-    """Return the values of a stack, NaN for bad edges (n,)."""
+    """Replace the values of bad edges (n,) by NaN."""
     return np.where(bad.reshape(-1, *[1] * (np.ndim(values) - 1)), np.nan, values)
 
 
 def _misfit_probability(found: np.ndarray, mean: np.ndarray, variance: np.ndarray) -> np.ndarray:
-    """Return the probability that a quadratic form exceeds `found`.
+    """Compute the probability that a quadratic form of normal variables exceeds `found`.
 
-    It is a form of normal variables with this mean and variance, approximated by a scaled chi-square (Satterthwaite
-    1946).
+    Its distribution is approximated by a scaled chi-square with the same mean and variance (Satterthwaite 1946).
     """
     from scipy.special import chdtrc  # imported here because no other function needs it
 

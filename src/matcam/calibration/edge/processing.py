@@ -1,9 +1,9 @@
-"""Traces of processing in a picture of an edge, and their effect on an MTF.
+"""Traces of processing in an image of an edge, and their effect on an MTF.
 
-A lens cannot be measured behind a denoiser, but the traces of the denoiser can be found: in the noise of the flat sides
-(`flat_noise.py`), in levels that many pixels share, in an overshoot. Each trace is named with its possible effect on
-the MTF, and adds to the stated errors: as an unknown relative scale of frequency, which only leaves an MTF of 1 at
-frequency 0 unchanged.
+A lens cannot be measured in a denoised image, but the processing leaves traces: in the noise of the flat sides
+(`flat_noise.py`), in values that many pixels share, and in an overshoot. Each trace is reported with its possible effect
+on the MTF. It increases the standard deviations, in the form of an unknown relative scale of frequency, which leaves the
+MTF of 1 at frequency 0 unchanged.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ from matcam.calibration.edge.maximum_likelihood import ADDED, SHIFT, light_of
 from matcam.calibration.edge.rows import CLEAR, SHARPENED, EdgeRegions, clearance
 from matcam.calibration.edge.wider_errors import widened, with_core_as_total
 from matcam.calibration.photograph.flat_noise import (
-    BENT_DOUBT,
     LEAST_NOISE,
+    TONE_CURVE_UNCERTAINTY,
     FlatNoise,
     crushed_share,
     flat_noise,
-    smoothing_doubt,
+    smoothing_uncertainty,
 )
 from matcam.calibration.photograph.linear_filters import (
     AMOUNT,
@@ -39,7 +39,7 @@ from matcam.calibration.photograph.linear_filters import (
     correlations,
     edge_gain,
     effect_on_half,
-    filter_doubt,
+    filter_uncertainty,
     mask_gain,
     needed_gain,
 )
@@ -48,49 +48,49 @@ from matcam.core.arrays import FloatArray, tuple_map
 from matcam.core.remark import Remark
 from matcam.numerics.crossing import first_fall
 
-_REACH, _MORE = 3.0, 2.0  # multiple of the blur, and px: beyond both a side is flat
+_FLAT_WIDTHS, _FLAT_MARGIN = 3.0, 2.0
+"""Distance from the edge beyond which a side is assumed to be flat: multiple of the blur, plus px."""
 _GAMMA = 2.2
+"""Exponent of the tone curve that is assumed if dark pixels are too noisy. It approximates sRGB (IEC 61966-2-1)."""
 _SIDE, _SAMPLES = 40.0, 801
-"""Distance to both sides of an edge at which its response is sampled, px; number of samples, 0.1 px apart."""
+"""Largest distance from the edge at which its response is sampled, px; number of samples, 0.1 px apart."""
 _TRANSFORM = 4096
-"""Samples of the transform of a line spread function, whose frequencies are then 2.4e-3 cycles/px apart."""
-_TONE_BEND, _TONE_PROBABILITIES, _RAISED = 0.3, (0.02, 0.5), 1.15
-"""Standard deviation of the curvature of a tone curve; its probabilities if the noise of the dark side is photon noise,
-and if it is higher; and the ratio above which it is higher.
-"""
+"""Number of samples of the Fourier transform of a line spread function. The frequencies are 2.4e-3 cycles/px apart."""
+_TONE_CURVATURE, _TONE_PROBABILITIES, _RAISED = 0.3, (0.02, 0.5), 1.15
+"""Prior of a tone curve: standard deviation of its curvature; its probabilities if the noise of the dark side is photon
+noise, and if it is higher; factor above photon noise from which it is higher."""
 _SURE_TONE, _NO_TONE = 0.99, 0.01
 """Probabilities of a tone curve above which it is reported, and below which its effect is not computed."""
-_PER_OVERSHOOT = 12.0  # of MTF50, per overshoot of an unsharp mask
-_OVERSHOOT, _SURE = 0.003, 3.5  # relative to the step; standard deviations of both signs of sharpening together
-_CRUSHED = 0.01  # of MTF50, smallest value
-_MOST_LEVELS = 2000
-"""Number of different values above which a picture does not have coarse codes."""
+_PER_OVERSHOOT = 12.0
+"""Relative increase of MTF50 per overshoot of an unsharp mask."""
+_OVERSHOOT, _SURE = 0.003, 3.5
+"""Thresholds of sharpening: overshoot relative to the step; combined significance of overshoot and noise, in sigma."""
+_CRUSHED, _LEAST_REPORTED, _SURE_GLARE = 0.01, 1e-3, 0.005
+"""Relative errors of MTF50: smallest one by crushed blacks; smallest that is reported; smallest reported for glare."""
 _PER_LEVEL = 0.2
 """Relative error of MTF50 per distance of two levels in units of the step: rms of 12 to 512 levels without noise."""
-_NEAR_LEVELS = 4
-"""Number of levels on both sides of that of a flat side whose smallest distance is used: a picture without noise lacks
-some levels.
-"""
-_SMALL_DOUBT = 1e-3
-"""Relative error of MTF50 below which it is not reported."""
-_TAILS, _FADING = 0.08, 0.6  # of MTF50, if the blur extends to the border; widths of the blur over which it falls to 0
-_SURER = 0.1  # share of it for a lens model
-_SURE_GLARE = 0.005
-"""Relative error of MTF50 below which an uncertain glare is not reported."""
-_PER_STEP = 1.5
-"""Relative error of MTF50 by a step of the light across the edge, in units of the step: penumbrae of tests/oracle."""
-_BY_GLARE = 0.72  # of MTF50 per share of glare, at an MTF of one half
-_PER_BORDER, _HARMLESS, _MOST_BY_BLOCKS = 0.006, 3.0, 0.05  # of MTF50 per strength of the JPEG block borders
-_GHOST, _SURE_GHOST = 0.01, 4.0  # relative to the step, and standard deviations, above which a ghost is reported
+_MOST_LEVELS, _NEAR_LEVELS = 2000, 4
+"""Number of different values above which codes are not coarse; number of levels on both sides of that of a flat side that
+are searched for the smallest distance, because an image without noise lacks some levels."""
+_TAILS, _FADING = 0.08, 0.6
+"""Blur that extends to the border of the region: relative error of MTF50; widths of the blur over which it vanishes."""
+_SURER = 0.1
+"""Error of the parametric estimate relative to that of the model-free one. A lens model determines the tails."""
+_PER_STEP, _BY_GLARE = 1.5, 0.72
+"""Relative error of MTF50 per step of the light across the edge (penumbrae of tests/oracle), and per share of glare."""
+_PER_BORDER, _HARMLESS, _MOST_BY_BLOCKS = 0.006, 3.0, 0.05
+"""JPEG block borders: relative error of MTF50 per strength; strength without effect; largest relative error."""
+_GHOST, _SURE_GHOST = 0.01, 4.0
+"""Height relative to the step, and number of standard deviations, above which a ghost is reported."""
 
 
 class Trace(NamedTuple):
-    """Trace of software or light in a picture, and its effect on the MTF.
+    """Trace of image processing or uneven light, and its effect on the MTF.
 
     Attributes:
-        share: standard deviation of MTF50 by it, relative.
-        remark: what was seen; None: not enough to be said.
-        of: what it concerns: "lens", everything; "free", the free estimate alone; "glare", what contains glare.
+        share: relative standard deviation of MTF50 that it causes.
+        remark: description of the trace; None if it is too small to be reported.
+        of: affected estimates: "lens", all; "free", the model-free ones; "glare", those that include glare.
     """
 
     share: float
@@ -100,15 +100,15 @@ class Trace(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class _EdgeRegion:
-    """A measured edge and the pixels that it was measured in.
+    """Measured edge with its pixels.
 
     Attributes:
-        edge: the result.
-        value: (rows, columns), in even light; NaN where there is none.
-        distance: (rows, columns) px from the edge.
+        edge: result of the measurement.
+        value: (rows, columns) values corrected for uneven light; NaN for missing pixels.
+        distance: (rows, columns) distances from the edge, px.
         mosaic: whether the pixels are the sites of one colour.
-        clear: how far the edge stands off the borders, in standard deviations of its blur.
-        light: uneven light that was found; None: there is none.
+        clear: distance of the edge from the borders, in standard deviations of its blur.
+        light: uneven light that was found; None if there is none.
     """
 
     edge: EdgeMTF
@@ -125,62 +125,59 @@ class _EdgeRegion:
 
     @cached_property
     def sides(self) -> tuple[np.ndarray, np.ndarray]:
-        """Flat parts, dark and bright, bool."""
-        there, reach = np.isfinite(self.value), _REACH * self.blur + _MORE
-        return there & (self.distance < -reach), there & (self.distance > reach)
+        there, margin = np.isfinite(self.value), _FLAT_WIDTHS * self.blur + _FLAT_MARGIN
+        return there & (self.distance < -margin), there & (self.distance > margin)
 
     @cached_property
     def noise(self) -> FlatNoise:
-        """Noise of the flat parts."""
         least = LEAST_NOISE * abs(self.edge.bright - self.edge.dark)
         return flat_noise(self.value, *self.sides, lines=not self.mosaic, least=least)
 
     @cached_property
     def correlations(self) -> Correlations | None:
-        """Correlations of the noise; None where nothing is known: a mosaic is filtered after it has been filled in."""
-        if self.mosaic or not np.isfinite(self.noise.alike_std):
+        """Correlations of the noise; None if they are unknown. A mosaic has not been filtered yet."""
+        if self.mosaic or not np.isfinite(self.noise.neighbour_ratio_std):
             return None
         return correlations(np.where(np.isfinite(self.value), self.value, 0.0), self.sides)
 
     @cached_property
     def bare(self) -> BareEdge:
-        """The edge's cells, free of a lens."""
+        """Cells of the edge without a lens model."""
         fits = self.edge.fits
         cells, used = fits.cells, fits.cells.pixels > 0
         terms, levels, free = cells.terms[:, used], fits.free.levels, fits.state.used
         light = light_of(levels, terms)
         variance = fits.noise.variance(fits.parametric.expected[used], cells.dim[used])
         value = cells.value[used] - light.addend
-        bent = value / light.factor * terms[free[2 : SHIFT - ADDED] > 0]
+        light_columns = value / light.factor * terms[free[2 : SHIFT - ADDED] > 0]
         return BareEdge(
             distance=np.asarray(cells.distance[used] + fits.state.linear[SHIFT]),
             spread=np.asarray(cells.spread[used]),
             value=np.asarray(value),
             std=np.asarray(np.sqrt(fits.excess * variance / cells.pixels[used])),
             step=np.asarray((levels[1] - levels[0]) * light.factor),
-            light=np.concatenate([light.factor[None], bent, terms[:ADDED][free[SHIFT - ADDED : SHIFT] > 0]]),
+            light=np.concatenate([light.factor[None], light_columns, terms[:ADDED][free[SHIFT - ADDED : SHIFT] > 0]]),
             blur=self.blur,
         )
 
     def traces(self) -> list[Trace]:
-        """List everything that is found."""
         smoothed = _smoothed(self)
         raised = []
         if self.clear > CLEAR:
             raised = _sharpened(self) or _slightly_sharpened(self)
         filtered = [] if self.noise.compressed else _filtered(self, smoothed, raised)
         coarse = _coarse(self)
-        toned = _bent(self) or ([] if any(trace.remark for trace in coarse) else _asymmetric(self))
+        toned = _tone_curve(self) or ([] if any(trace.remark for trace in coarse) else _asymmetric(self))
         lit = [] if self.light is None else [Trace(_PER_STEP * self.light.unknown)]
         found = [*smoothed, *raised, *filtered, *_crushed(self), *coarse, *toned, *lit]
         return [*found, *_narrow(self), *_veiled(self), *_ghost(self)]
 
 
 def with_traces(stack: EdgeStack, regions: Iterable[EdgeRegions], lights: Sequence[LightField | None]) -> EdgeStack:
-    """Add the effects of light and processing to the results of a stack: remarks, and larger errors.
+    """Add the effects of uneven light and processing to the results of a stack: remarks and larger standard deviations.
 
-    If glare and light cannot be distinguished, the MTF is that of the lens without glare. `stack`: results of n edges.
-    `regions`: their rows, in even light. `lights`: uneven light of each, or None.
+    If glare and uneven light cannot be distinguished, the MTF is that of the lens without glare. `stack`: results of n
+    edges. `regions`: their rows, corrected for uneven light. `lights`: uneven light of each edge, or None.
     """
     shares = {of: np.zeros(len(stack)) for of in ("lens", "free", "glare")}
     given = list(stack.given or [()] * len(stack))
@@ -204,21 +201,23 @@ def with_traces(stack: EdgeStack, regions: Iterable[EdgeRegions], lights: Sequen
 
 
 def _narrow(region: _EdgeRegion) -> list[Trace]:
-    """Find a blur that reaches the region's border, which leaves the free estimate unsure."""
+    """Test whether the blur extends to the border of the region, which makes the model-free estimate uncertain."""
     share = _TAILS * float(np.clip((CLEAR - region.clear) / _FADING, 0.0, 1.0))
     if not share:
         return []
-    text = f"the blur ({region.blur:.1f} px) reaches the region's border, {region.clear:.1f} of it away, so that the "
-    text += f"levels are unsure: MTF50 free of a model may be wrong by {share:.0%}; take a wider region"
+    text = (
+        f"the blur ({region.blur:.1f} px) extends to the border of the region, {region.clear:.1f} blur widths away, so "
+    )
+    text += f"that the levels are uncertain: the model-free MTF50 may be wrong by {share:.0%}; choose a wider region"
     return [Trace(share, Remark("narrow-region", text), "free")]
 
 
 def _veiled(region: _EdgeRegion) -> list[Trace]:
-    """Estimate the error of MTF50 because uneven light looks like glare."""
+    """Estimate the error of MTF50 by uneven light that resembles glare."""
     edge, light = region.edge, region.light
     glare, seen = edge.glare_fraction, f"glare of {edge.glare_fraction:.1%} over {edge.glare_radius:.0f} px may be"
     if light is not None and light.amplitude > 0:
-        text = f"uneven light of {light.amplitude:.1%}, beyond light of third order, was taken out"
+        text = f"uneven light of {light.amplitude:.1%}, beyond light of third order, was removed"
         if glare > 0:
             text += f"; {seen} its remainder: the MTF is that without glare"
         return [Trace(0.0, Remark("uneven-light", text), "glare")]
@@ -226,22 +225,22 @@ def _veiled(region: _EdgeRegion) -> list[Trace]:
     possible = 1.0 if edge.glare_radius > VEIL * width else 0.0 if light is None else light.possible
     unsure = max(min(glare, possible), 0.0)
     share = _BY_GLARE * unsure
-    text = f"{seen} uneven light{'' if unsure == glare else ' in part'}: MTF50 with it may be too low by {share:.0%}"
+    text = f"{seen} uneven light{'' if unsure == glare else ' in part'}: MTF50 with glare may be too low by {share:.0%}"
     return [Trace(share, Remark("wide-glare", text) if share > _SURE_GLARE else None, "glare")]
 
 
 def _ghost(region: _EdgeRegion) -> list[Trace]:
-    """Find a second, weaker edge, which is part of what was measured."""
+    """Report a second, weaker edge, which is included in the measured MTF."""
     ghost = ghost_of(region.edge.fits.free)
     if ghost.share < max(_GHOST, _SURE_GHOST * ghost.std):
         return []
     side = "bright" if ghost.bright else "dark"
-    text = f"a second edge of {ghost.share:.1%} of the step lies {ghost.place:.1f} px away, on the {side} side"
+    text = f"a second edge of {ghost.share:.1%} of the step lies {ghost.position:.1f} px away, on the {side} side"
     return [Trace(0.0, Remark("ghost", f"{text}: a ghost; it is part of the MTF"))]
 
 
 def _smoothed(region: _EdgeRegion) -> list[Trace]:
-    """Find noise that neighbours share. The wider the blur is, the less a smoothing of so many px changes it."""
+    """Detect correlated noise, and estimate the error of MTF50 by smoothing. It decreases with the blur."""
     noise = region.noise
     if not noise.smoothed:
         return []
@@ -254,28 +253,29 @@ def _smoothed(region: _EdgeRegion) -> list[Trace]:
         more = f"; MTF50 may be wrong by {share:.1%}" if share else ""
         return [Trace(share, Remark("compressed", text + more))]
     if not noise.denoised:
-        text = f"{seen}: a demosaiced picture, or one that was resampled or smoothed, whose MTF is not the lens's"
+        text = f"{seen}: a demosaiced, resampled or smoothed image, whose MTF is not that of the lens"
         return [Trace(0.0, Remark("demosaiced", text))]
-    share = smoothing_doubt(region.blur, denoised=True)
-    text = (
-        f"{seen}, over several px: a denoised picture, whose MTF is not the lens's; MTF50 may be wrong by {share:.0%}"
-    )
+    share = smoothing_uncertainty(region.blur, denoised=True)
+    text = f"{seen} over several px: a denoised image, whose MTF is not that of the lens; MTF50 may be wrong by {share:.0%}"
     return [Trace(share, Remark("denoised", text))]
 
 
-def _bent(region: _EdgeRegion) -> list[Trace]:
-    """Find noise that is larger in the dark."""
-    if not region.noise.bent:
+def _tone_curve(region: _EdgeRegion) -> list[Trace]:
+    """Detect noise that is larger on the dark side, as behind a tone curve."""
+    if not region.noise.tone_curve_suspected:
         return []
     edge = region.edge
     step = edge.bright - edge.dark
-    share = max(BENT_DOUBT, _effect_of_tone(edge, lambda seen: np.maximum(edge.dark + step * seen, 0) ** _GAMMA))
-    text = f"dark pixels err {region.noise.tilt:.1f} times as much as bright ones: a tone curve that was not undone (--tone)"
-    return [Trace(share, Remark("tone-curve", f"{text}? MTF50 may be wrong by {share:.0%}"))]
+    share = max(
+        TONE_CURVE_UNCERTAINTY, _effect_of_tone(edge, lambda seen: np.maximum(edge.dark + step * seen, 0) ** _GAMMA)
+    )
+    text = f"the noise variance of dark pixels is {region.noise.tilt:.1f} times that of bright ones: a tone curve may have "
+    text += f"been applied (--tone); MTF50 may be wrong by {share:.0%}"
+    return [Trace(share, Remark("tone-curve", text))]
 
 
 def _sharpened(region: _EdgeRegion) -> list[Trace]:
-    """Find sharpening by overshoot and noise together."""
+    """Detect sharpening from overshoot and noise together."""
     noise = region.noise
     over, std = region.edge.overshoot, max(region.edge.overshoot_std, 1e-4)
     apart = 0.0 if noise.smoothed else noise.apart
@@ -283,14 +283,14 @@ def _sharpened(region: _EdgeRegion) -> list[Trace]:
     if over < (SHARPENED if noise.compressed else _OVERSHOOT) or (over / std + apart) / np.sqrt(2) < _SURE:
         return []
     share = _PER_OVERSHOOT * over
-    text = f"the edge overshoots by {over:.1%}, as in a sharpened picture: MTF50 may be too high by {share:.0%}"
+    text = f"the edge overshoots by {over:.1%}, as in a sharpened image: MTF50 may be too high by {share:.0%}"
     return [Trace(share, Remark("sharpened", text) if over <= SHARPENED else None)]
 
 
 def _slightly_sharpened(region: _EdgeRegion) -> list[Trace]:
-    """Find an unsharp mask that explains edge and noise together, where no overshoot shows it."""
+    """Detect a weak unsharp mask that explains edge and noise together, although no overshoot is significant."""
     seen = region.correlations
-    # noise that speaks against the mask spares most pictures the fits
+    # For most images the noise already excludes the mask, and the fits of the edge are skipped.
     if seen is None or region.noise.smoothed or (gain := mask_gain(seen)) < 0:
         return []
     gain += edge_gain(region.bare)
@@ -298,33 +298,37 @@ def _slightly_sharpened(region: _EdgeRegion) -> list[Trace]:
         return []
     share = effect_on_half(region.edge.frequency, region.edge.mtf)
     text = (
-        "the noise of neighbouring pixels is anticorrelated and the edge overshoots as behind an unsharp mask of "
-        f"{AMOUNT:.0%} (2 ln likelihood {gain:.0f} more): a sharpened picture? MTF50 may be too high by {share:.1%}"
+        "the noise of neighbouring pixels is anticorrelated and the edge overshoots as after an unsharp mask of "
+        f"{AMOUNT:.0%} (2 ln likelihood higher by {gain:.0f}): the image may be sharpened; MTF50 may be too high by {share:.1%}"
     )
     return [Trace(share, Remark("sharpened", text))]
 
 
 def _filtered(region: _EdgeRegion, smoothed: list[Trace], raised: list[Trace]) -> list[Trace]:
-    """Estimate the error of MTF50 by a linear filter, from the correlation of the noise; other traces of filters count once.
+    """Estimate the error of MTF50 by a linear filter from the correlation of the noise.
 
-    smoothed, raised: traces of smoothing, and of sharpening.
+    `smoothed`, `raised`: traces of smoothing and of sharpening, whose variance is subtracted.
     """
-    doubt = filter_doubt(region.correlations, region.edge.frequency, region.edge.mtf, sharpened=bool(raised))
-    more = float(np.sqrt(max(doubt.share**2 - sum(trace.share**2 for trace in (*smoothed, *raised)), 0.0)))
-    if smoothed or raised or doubt.probability < 0.5:
+    uncertainty = filter_uncertainty(
+        region.correlations, region.edge.frequency, region.edge.mtf, sharpened=bool(raised)
+    )
+    more = float(np.sqrt(max(uncertainty.share**2 - sum(trace.share**2 for trace in (*smoothed, *raised)), 0.0)))
+    if smoothed or raised or uncertainty.probability < 0.5:
         return [Trace(more)]
-    kind, off = ("smooths", "low") if doubt.smooths else ("sharpens or deconvolves", "high")
-    text = f"the noise of neighbours is correlated as behind a filter that {kind} (probability {doubt.probability:.1%})"
-    return [Trace(more, Remark("filtered", f"{text}: MTF50 may be too {off} by {doubt.share:.0%}"))]
+    kind, off = ("smooths", "low") if uncertainty.smooths else ("sharpens or deconvolves", "high")
+    text = f"the noise of neighbours is correlated as after a filter that {kind} (probability {uncertainty.probability:.1%})"
+    return [Trace(more, Remark("filtered", f"{text}: MTF50 may be too {off} by {uncertainty.share:.0%}"))]
 
 
 def _crushed(region: _EdgeRegion) -> list[Trace]:
-    """Find a dark side of one value."""
+    """Detect a dark side whose pixels pile up at the lowest value."""
     piled = crushed_share(*(region.value[side] for side in region.sides))
     if not piled:
         return []
     share = max(_CRUSHED, _effect_of_crushing(region))
-    text = f"blacks are crushed: {piled:.0%} of the dark side has the very lowest value; MTF50 may be too high by {share:.0%}"
+    text = (
+        f"blacks are crushed: {piled:.0%} of the dark side has the lowest value; MTF50 may be too high by {share:.0%}"
+    )
     return [Trace(share, Remark("crushed", text))]
 
 
@@ -342,7 +346,7 @@ def _coarse(region: _EdgeRegion) -> list[Trace]:
     for side, variance in zip(sides, region.noise.variance, strict=True):
         at = int(np.searchsorted(levels, np.median(value[side])))
         apart = float(gaps[max(at - _NEAR_LEVELS, 0) : at + _NEAR_LEVELS].min())
-        # rounding adds its own variance, and noise that extends to a third level can be separated from it
+        # Rounding adds variance. Noise that extends to a third level can be separated from it.
         count = np.sort(np.unique(value[side], return_counts=True)[1])
         beyond = float(np.clip(count[:-2].sum(), 0.5, None) / count.sum())
         noisy = min(max(variance - apart**2 / 12, 0.0), (apart / ndtri(beyond / 2)) ** 2)
@@ -354,23 +358,25 @@ def _coarse(region: _EdgeRegion) -> list[Trace]:
     )
     return [
         Trace(
-            share, Remark("quantised", f"{text}; MTF50 may be wrong by {share:.1%}") if share > _SMALL_DOUBT else None
+            share,
+            Remark("quantised", f"{text}; MTF50 may be wrong by {share:.1%}") if share > _LEAST_REPORTED else None,
         )
     ]
 
 
 def _asymmetric(region: _EdgeRegion) -> list[Trace]:
-    """Estimate the error of MTF50 because an asymmetric edge response may come from a tone curve, not from the lens.
+    """Estimate the error of MTF50 if a tone curve, and not the lens, causes an asymmetric edge response.
 
-    A tone curve v + q v (1 - v) between the levels adds q E (1 - E) to a response E; a symmetric lens does not. The variance of
-    photon noise is proportional to the light. More variance than that on the dark side makes a tone curve more probable.
+    A tone curve v + q v (1 - v) between the levels adds q E (1 - E) to a response E, which a symmetric lens does not. The
+    variance of photon noise is proportional to the light. A larger variance of the dark side makes a tone curve more
+    probable.
     """
     edge, bare, noise = region.edge, region.bare, region.noise
     if ghost_of(edge.fits.free).share > 0:
         return []
     at = bare.distance / np.sqrt(bare.blur**2 + bare.spread)
     response, line = ndtr(at), np.exp(-(at**2) / 2)
-    # levels and light, the edge's place and its width, and a lens that is not Gaussian, are free besides
+    # Further free terms: levels and light, position and width of the edge, and the deviation of the lens from a Gaussian.
     even = np.stack([response, line, at * line, at**3 * line]) * bare.step
     columns = np.concatenate([(bare.step * response * (1 - response))[None], even, bare.light])
     if edge.glare_fraction > 0:
@@ -378,10 +384,10 @@ def _asymmetric(region: _EdgeRegion) -> list[Trace]:
     weight = 1 / np.hypot(bare.std, LEAST_NOISE * bare.step)
     scale = np.linalg.norm(columns * weight, axis=1)
     inverse = np.linalg.pinv((columns * weight / np.maximum(scale, 1e-300)[:, None]).T, rcond=1e-6)
-    bend = float(inverse[0] @ (bare.value * weight)) / scale[0]
+    curvature = float(inverse[0] @ (bare.value * weight)) / scale[0]
     variance = float(inverse[0] @ inverse[0]) / scale[0] ** 2
-    prior = _TONE_BEND**2
-    gain = bend**2 / variance * prior / (prior + variance) / 2
+    prior = _TONE_CURVATURE**2
+    gain = curvature**2 / variance * prior / (prior + variance) / 2
     odds = np.exp(min(gain, 50.0)) / np.sqrt(1 + prior / variance)
     raised = ndtr((noise.tilt - _RAISED * edge.dark / edge.bright) / noise.tilt_std)
     first = float(np.interp(raised, (0.0, 1.0), _TONE_PROBABILITIES)) if np.isfinite(raised) else _TONE_PROBABILITIES[0]
@@ -389,32 +395,33 @@ def _asymmetric(region: _EdgeRegion) -> list[Trace]:
     if probability < _NO_TONE:
         return []
     lowest = float(np.clip(edge.dark / edge.bright, 0.0, 0.9))
-    share = float(np.sqrt(probability)) * _effect_of_tone(edge, lambda seen: _shoulder_undone(seen, lowest, bend))
+    share = float(np.sqrt(probability)) * _effect_of_tone(edge, lambda seen: _shoulder_undone(seen, lowest, curvature))
     text = (
-        "the edge response is not symmetric: coma of the lens, or a tone curve that bends, such as a highlight shoulder"
+        "the edge response is not symmetric: coma of the lens, or a nonlinear tone curve, such as a highlight shoulder"
     )
     remark = Remark("asymmetric", f"{text}; MTF50 may be wrong by {share:.1%}")
-    return [Trace(share, remark if probability >= _SURE_TONE and share >= _SMALL_DOUBT else None)]
+    return [Trace(share, remark if probability >= _SURE_TONE and share >= _LEAST_REPORTED else None)]
 
 
-def _shoulder_undone(response: FloatArray, lowest: float, bend: float) -> FloatArray:
-    """Undo a shoulder tanh(b v) that bends an edge response by `bend`, q of `_asymmetric`.
+def _shoulder_undone(response: FloatArray, lowest: float, curvature: float) -> FloatArray:
+    """Invert a tone curve tanh(b v) with a shoulder.
 
-    lowest: light of the dark side over that of the bright one. A negative bend is a shoulder in the dark.
+    `curvature`: q of `_asymmetric`, which determines b; if it is negative, the shoulder is on the dark side. `lowest`:
+    light of the dark side relative to that of the bright side.
     """
-    if bend < 0:
-        return 1 - _shoulder_undone(1 - response, 0.0, -bend)
+    if curvature < 0:
+        return 1 - _shoulder_undone(1 - response, 0.0, -curvature)
     shoulders = np.linspace(0.05, 3.0, 60)
     ends, middle = np.tanh(shoulders * lowest), np.tanh(shoulders * (1 + lowest) / 2)
-    bends = 4 * ((middle - ends) / (np.tanh(shoulders) - ends) - 0.5)
-    b = float(np.interp(bend, bends, shoulders))
+    curvatures = 4 * ((middle - ends) / (np.tanh(shoulders) - ends) - 0.5)
+    b = float(np.interp(curvature, curvatures, shoulders))
     return np.asarray(np.arctanh(np.tanh(b * lowest) + (np.tanh(b) - np.tanh(b * lowest)) * response) / b)
 
 
 def _effect_of_tone(edge: EdgeMTF, undone: Callable[[FloatArray], FloatArray]) -> float:
-    """Compute by how much a tone curve has changed MTF50, relative, without sign.
+    """Compute the relative change of MTF50 by a tone curve, without sign.
 
-    undone: edge response, from 0 to 1, behind the curve -> light.
+    `undone`: function that converts an edge response (0 to 1) after the tone curve to light.
     """
     distance = np.linspace(-_SIDE, _SIDE, _SAMPLES)
     response = np.clip(edge.esf(distance).value, 0, 1)
@@ -428,7 +435,7 @@ def _effect_of_tone(edge: EdgeMTF, undone: Callable[[FloatArray], FloatArray]) -
 
 
 def _effect_of_crushing(region: _EdgeRegion) -> float:
-    """Return by how much crushed blacks narrow the edge, relative: a Gaussian's own foot, cut or not, is fitted."""
+    """Compute the relative decrease of the edge width by crushed blacks, from Gaussian fits with and without clipping."""
     cells, blur = region.edge.samples, region.blur
     used = np.abs(cells.distance) < 6 * blur + 2
     d, value, weight = cells.distance[used], cells.value[used], 1 / np.maximum(cells.std[used], 1e-3)

@@ -1,12 +1,12 @@
-"""Families of lenses with parameters, and their edge profiles for the fit: E, its slope and derivatives over cells.
+"""Lens models, and their edge profiles for the fit: means over cells of E, its slope and its derivatives.
 
-The edges are the camera's own: closed forms for Gaussians, and for other lenses one fast Fourier transform of the total
-MTF, from which cells are interpolated.
+The edge response is that of the camera model. Gaussian lenses have closed forms. For other lenses, it follows from a
+fast Fourier transform of the total MTF, and is interpolated at the cells.
 
-`Separable` is a lens behind a pixel of unknown size: diffraction x Gaussian core x square pixel (docs/model.md 7). Core
-and pixel differ in the shape of their transforms only, a Gaussian's and a box's fourth cumulants, 2 (half width)^4 / 15
-for the pixel. A lens whose core is not quite Gaussian would be fitted as another pixel. Therefore the core may have an
-excess kurtosis, with a prior about 0 of a stated width; its uncertainty is part of the errors of core and pixel.
+`Separable` is a lens combined with a pixel of unknown size: diffraction x Gaussian core x square pixel (docs/model.md 7).
+Core and pixel can only be distinguished by the shape of their transforms, that is, by the fourth cumulant of the
+pixel, 2 (half width)^4 / 15. If the core is not exactly Gaussian, the estimate of the pixel would be biased. Therefore
+the core may have an excess kurtosis, with a prior centred on 0. Its uncertainty is included in those of core and pixel.
 """
 
 from __future__ import annotations
@@ -31,20 +31,23 @@ from matcam.core.arrays.module import Module
 if TYPE_CHECKING:
     from matcam.core.jax import jax
 
-_PERIOD = 512  # px: period of the table; a 1/d^2 tail then adds 1e-6 of the step
+_PERIOD = 512
+"""Period of the tabulated edge response, px. The periodic continuation of a 1/d^2 tail then adds 1e-6 of the step."""
 _PER_PX = 16
-_NARROWEST = 0.05  # px: smallest standard deviation of a separable core
+"""Number of samples of the tabulated edge response per px."""
+_NARROWEST = 0.05
+"""Smallest standard deviation of the core of `Separable`, px. It keeps the variance of the core positive."""
 KURTOSIS = 0.02
-"""Standard deviation of the prior for the excess kurtosis of the core about 0."""
+"""Prior standard deviation of the excess kurtosis of the core of `Separable`."""
 
 
 class LensModel(Module):
-    """Family of lenses, whose fitted parameters have forms that need no bounds.
+    """Lens model with unbounded fit parameters, such as logarithms of positive quantities.
 
     Attributes:
-        name: the family's name, as `edge_mtf` takes it.
-        names: the parameters' names, as the camera's profile has them: "optics.sigma_px".
-        longest: longest step of each parameter.
+        name: name of the model, as in `edge_mtf`.
+        names: names of the parameters in the camera profile: "optics.sigma_px".
+        longest: largest step of each parameter in the fit.
     """
 
     name: ClassVar[str]
@@ -53,7 +56,7 @@ class LensModel(Module):
 
     @abstractmethod
     def start(self, log_sigma: jax.Array) -> jax.Array:
-        """Return the parameters (k,) near a Gaussian lens of ln sigma px."""
+        """Compute initial parameters (k,) from the lens width of a Gaussian lens; `log_sigma`: ln of the width in px."""
 
     @abstractmethod
     def optics(self, parameters: jax.Array) -> Optics:
@@ -61,10 +64,10 @@ class LensModel(Module):
 
     @abstractmethod
     def numbers(self, parameters: jax.Array) -> jax.Array:
-        """Return the parameters (k,) in the units of their names."""
+        """Convert the parameters (k,) to the units of their names."""
 
     def profile(self, angle: jax.Array, half_width: jax.Array) -> Profile:
-        """Return the edge profile at an angle to the grid."""
+        """Return the edge profile for an angle between normal and grid, rad, and a half width of the pixel, px."""
         return lambda cells, parameters: _tabulated(self, angle, half_width, cells, parameters)
 
     def mtf(self, parameters: jax.Array, f: jax.Array, angle: jax.Array, half_width: jax.Array) -> jax.Array:
@@ -73,12 +76,12 @@ class LensModel(Module):
 
 
 class LensAtEdge(NamedTuple):
-    """Family of lenses as one edge sees it.
+    """Lens model for an edge of given direction.
 
     Attributes:
-        lens: the family.
-        angle: rad, of the edge's normal to the grid.
-        half_width: px, of the pixel.
+        lens: the lens model.
+        angle: angle between the edge normal and the grid, rad.
+        half_width: half width of the pixel, px.
     """
 
     lens: LensModel
@@ -87,7 +90,7 @@ class LensAtEdge(NamedTuple):
 
     @property
     def profile(self) -> Profile:
-        """Return the edge profile."""
+        """Edge profile."""
         return self.lens.profile(self.angle, self.half_width)
 
     def mtf(self, parameters: jax.Array, f: jax.Array) -> jax.Array:
@@ -115,9 +118,9 @@ class Gaussian(LensModel):
         return GaussianOptics(xp.exp(parameters[0]))
 
     def profile(self, angle: jax.Array, half_width: jax.Array) -> Profile:
-        """Return a closed form.
+        """Return the edge profile in closed form.
 
-        The spread of a cell is exactly one more Gaussian blur.
+        The variance of the distances in a cell acts as an additional Gaussian blur.
         """
 
         def profile(cells: EdgeCells, parameters: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
@@ -138,7 +141,7 @@ class GaussianWithHalo(LensModel):
     longest: ClassVar[tuple[float, ...]] = (0.3, 0.03, 0.3)
 
     def start(self, log_sigma: jax.Array) -> jax.Array:
-        """Return a start with little glare, far wider than the core."""
+        """Return initial parameters with little glare, whose radius is much larger than the core."""
         return xp.stack([log_sigma - 0.03, xp.asarray(0.03), xp.maximum(log_sigma + 1.5, xp.log(12.0))])
 
     def numbers(self, parameters: jax.Array) -> jax.Array:
@@ -151,7 +154,7 @@ class GaussianWithHalo(LensModel):
         return HaloOptics(GaussianOptics(sigma), fraction, radius)
 
     def profile(self, angle: jax.Array, half_width: jax.Array) -> Profile:
-        """Return a closed form."""
+        """Return the edge profile in closed form."""
 
         def profile(cells: EdgeCells, parameters: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
             core = _gaussian_edge(cells, angle, half_width, parameters[0])
@@ -174,10 +177,7 @@ class Diffraction(LensModel):
     longest: ClassVar[tuple[float, ...]] = (0.5,)
 
     def start(self, log_sigma: jax.Array) -> jax.Array:
-        """Return the Airy pattern with the same core width.
-
-        Its sigma is 0.45 wavelength f_number.
-        """
+        """Return ln of the f-number whose Airy pattern has the same core width: sigma = 0.45 wavelength f_number."""
         return (log_sigma - xp.log(0.45 * self.wavelength / self.pixel_pitch))[None]
 
     def numbers(self, parameters: jax.Array) -> jax.Array:
@@ -200,15 +200,15 @@ class Defocus(LensModel):
     longest: ClassVar[tuple[float, ...]] = (0.3, 0.5)
 
     def start(self, log_sigma: jax.Array) -> jax.Array:
-        """Return half of the variance of the blur for each.
+        """Return initial parameters that assign half of the variance to diffraction and half to defocus.
 
-        A disc of diameter c has the variance of a Gaussian of c / 4.
+        A disc of diameter c has the standard deviation c / 4.
         """
         sigma = xp.exp(log_sigma) / xp.sqrt(2.0)
         return xp.stack([xp.log(sigma) - xp.log(0.45 * self.wavelength / self.pixel_pitch), 4 * sigma])
 
     def numbers(self, parameters: jax.Array) -> jax.Array:
-        """Return f-number and blur_diameter in px (its sign has no meaning)."""
+        """Return the f-number and blur_diameter in px. The sign of the fit parameter has no effect."""
         return xp.stack([xp.exp(parameters[0]), xp.abs(parameters[1])])
 
     def optics(self, parameters: jax.Array) -> Optics:
@@ -220,13 +220,13 @@ class Defocus(LensModel):
 class Separable(LensModel):
     """Diffraction x Gaussian core x square pixel.
 
-    Parameters: ln of the standard deviation of core and pixel together (px), which every edge determines well; half
+    Parameters: ln of the combined standard deviation of core and pixel (px), which every edge determines well; half
     width of the pixel (px); excess kurtosis of the core.
 
     Attributes:
-        f_number: of the picture; 0: no diffraction.
-        wavelength: m.
-        pixel_pitch: m.
+        f_number: f-number of the image; 0 for no diffraction.
+        wavelength: wavelength, m.
+        pixel_pitch: pixel pitch, m.
     """
 
     f_number: jax.Array
@@ -238,25 +238,25 @@ class Separable(LensModel):
     longest: ClassVar[tuple[float, ...]] = (0.3, 0.08, 0.05)
 
     def start(self, log_sigma: jax.Array) -> jax.Array:
-        """Return a pixel of nearly full width, and a Gaussian core."""
+        """Return initial parameters of a nearly full pixel and a Gaussian core."""
         half = xp.full_like(log_sigma, 0.42)
         return xp.stack([xp.log(xp.exp(2 * log_sigma) + half**2 / 3) / 2, half, xp.zeros_like(half)])
 
     def numbers(self, parameters: jax.Array) -> jax.Array:
-        """Return sigma px, half width px, kurtosis."""
+        """Return sigma (px), half width (px) and kurtosis."""
         return changed(parameters, 0, xp.sqrt(_variance(parameters)))
 
     def optics(self, parameters: jax.Array) -> Optics:
-        """Return the core alone, as a Gaussian."""
+        """Return the core as a Gaussian, without diffraction."""
         return GaussianOptics(xp.sqrt(_variance(parameters)))
 
     def mtf(self, parameters: jax.Array, f: jax.Array, angle: jax.Array, half_width: jax.Array) -> jax.Array:
         """Return the total MTF at f cycles/px, signed.
 
-        The half width is the fitted one, not the argument.
+        The half width is the fitted one; the argument is ignored.
         """
         s2 = (2 * xp.pi * f) ** 2 * _variance(parameters)
-        # Gram and Charlier's first term; a fourth cumulant in the exponent would grow without bound
+        # First term of the Gram-Charlier series. A fourth cumulant in the exponent would be unbounded.
         core = xp.exp(-s2 / 2) * (1 + parameters[2] * s2**2 / 24)
         there = self.f_number > 0
         lens = DiffractionOptics(xp.where(there, self.f_number, 1.0), self.wavelength, self.pixel_pitch)
@@ -266,7 +266,7 @@ class Separable(LensModel):
 
 
 def check_light(wavelength: float | None, pixel_pitch: float | None) -> None:
-    """Raise ArgumentError for a wavelength or a pitch that no camera has, m."""
+    """Raise ArgumentError if a wavelength or a pixel pitch, m, is out of range."""
     if wavelength is not None:
         checks.within("wavelength", wavelength, 1e-9, 1e-3, "m (550 nm is 550e-9)")
     if pixel_pitch is not None:
@@ -275,7 +275,7 @@ def check_light(wavelength: float | None, pixel_pitch: float | None) -> None:
 
 @lru_cache
 def lens_model(name: str, wavelength: float | None, pixel_pitch: float | None) -> LensModel:
-    """Return the family of one of `PARAMETRIC_LENSES`."""
+    """Return the lens model with a name of `PARAMETRIC_LENSES`."""
     if name == "gaussian":
         return Gaussian()
     if name == "halo":
@@ -287,7 +287,7 @@ def lens_model(name: str, wavelength: float | None, pixel_pitch: float | None) -
 def _gaussian_edge(
     cells: EdgeCells, angle: jax.Array, half_width: jax.Array, log_sigma: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Return E, dE/dd and dE/dln(sigma) of a Gaussian lens."""
+    """Evaluate E, dE/dd and dE/dln(sigma) of a Gaussian lens."""
     sigma = xp.exp(log_sigma)
     wide = xp.sqrt(sigma**2 + cells.spread)
     edge, line, by_wide = edge_and_slopes(cells.distance, angle, half_width, wide)
@@ -297,15 +297,12 @@ def _gaussian_edge(
 def _tabulated(
     lens: LensModel, angle: jax.Array, half_width: jax.Array, cells: EdgeCells, parameters: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Return E, dE/dd and dE/dparameters of any lens.
-
-    They come from one table over a period.
-    """
+    """Evaluate E, dE/dd and dE/dparameters of any lens by interpolation in a table over one period."""
     count = _PERIOD * _PER_PX
     f = xp.arange(count // 2 + 1) / _PERIOD
 
     def table(parameters: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Return E less its ramp, and dE/dd, every sixteenth px."""
+        """Tabulate E minus its linear ramp, and dE/dd, at steps of 1/16 px."""
         total = lens.mtf(parameters, f, angle, half_width)
         line = fft.irfft(total, count) * _PER_PX
         wave = xp.where(f > 0, total / (2j * xp.pi * xp.where(f > 0, f, 1.0)), 0.0)
@@ -318,7 +315,7 @@ def _tabulated(
     left, right = left % count, (left + 1) % count
 
     def over_cells(values: jax.Array, slopes: jax.Array) -> jax.Array:
-        """Return the mean over the cell's two points, by cubic Hermite interpolation."""
+        """Average over the two points of each cell, by cubic Hermite interpolation."""
         slopes = slopes / _PER_PX
         a, b = values[left], values[right]
         cubic = a + (b - a) * t**2 * (3 - 2 * t) + t * (1 - t) * (slopes[left] * (1 - t) - slopes[right] * t)
@@ -333,8 +330,5 @@ def _tabulated(
 
 
 def _variance(parameters: jax.Array) -> jax.Array:
-    """Return the variance of the core, px^2.
-
-    That of a square along any direction is a third of the square of its half width.
-    """
+    """Compute the variance of the core, px^2. That of the pixel, half_width^2 / 3 in all directions, is subtracted."""
     return xp.maximum(xp.exp(2 * parameters[0]) - parameters[1] ** 2 / 3, _NARROWEST**2)

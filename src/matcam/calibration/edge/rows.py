@@ -1,7 +1,7 @@
-"""Regions in the form of the edge program, and the checks of the measured edges.
+"""Regions as rows of samples with a nearly vertical edge, and the checks of the measured edges.
 
-A region is rotated so that its edge is nearer to vertical than to horizontal and its bright side is on the right;
-nothing is resampled. For a mosaic, the rows contain the sites of one colour.
+A region is transposed and mirrored so that its edge is nearer to vertical than to horizontal, and its bright side is on
+the right. Nothing is resampled. For a mosaic, the rows contain the sites of one colour.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from scipy import ndimage
 
 from matcam.calibration.edge.free_curve import GLARE, ghost_of, line_width
 from matcam.calibration.edge.free_fit import VEIL
-from matcam.calibration.edge.geometry import edge_place
+from matcam.calibration.edge.geometry import edge_position
 from matcam.calibration.edge.measurement import EdgeFits
 from matcam.calibration.photograph.flat_noise import flat_noise
 from matcam.core.remark import Remark
@@ -23,39 +23,52 @@ if TYPE_CHECKING:
     from matcam.core.jax import AnyArray
 
 _FEW_TURNS, _MANY_TURNS = 2, 8
+"""Number of alternating fits of profile and position, if the rows sample all phases often, and if they do not."""
 _ENOUGH_CYCLES = 4.0
+"""Number of times that the rows must sample every phase for `_FEW_TURNS`. With fewer, the fits converge slowly."""
 _LEAST_ROWS = 10
-_LEAST_CONTRAST = 3.0  # standard deviations of a pixel
-_WIDEST_GAP = 0.55  # px: the MTF50 of a sharp lens is not determined if the edge is sampled more coarsely
+"""Smallest number of rows that an edge must cross."""
+_LEAST_CONTRAST = 3.0
+"""Smallest step of an edge, in standard deviations of a pixel."""
+_WIDEST_GAP = 0.55
+"""Largest distance between sampled phases, px. With coarser sampling, the MTF50 of a sharp lens is not determined."""
 SHARPENED = 0.02
-"""Overshoot, relative to the step, above which an edge is sharpened."""
+"""Overshoot, relative to the step, above which an edge is assumed to be sharpened."""
 MISFIT = 0.002
-"""Misfit, relative to the step, above which it is not that of a lens."""
-_SIGNIFICANT = 5.0  # standard deviations of an overshoot
-_ANYTHING = "a ghost, a second edge, a shadow's border or dirt lies in it"
-# px of smoothing; share of the steepest slope, and standard deviations, above which a slope is a step
+"""Misfit near the edge, relative to the step, above which a remark is given. No lens causes it."""
+_SIGNIFICANT = 5.0
+"""Number of standard deviations that a significant overshoot exceeds."""
+_ANYTHING = "it may contain a ghost, a second edge, the border of a shadow or dirt"
+"""Possible causes of a misfit, for a message about an edge whose content is unknown."""
 _BY, _STEEP, _ABOVE = 1.0, 0.3, 4.0
-_UNLIKE, _ENDS = 1.5, 0.05  # steps in a row; share of the rows
-# variance between neighbours over that 2 px apart that sharpening does not reach; deviations
+"""Search for steps: smoothing, px; smallest slope relative to the steepest one, and in standard deviations."""
+_UNLIKE, _ENDS = 1.5, 0.05
+"""Standard deviation of the number of steps per row above which rows differ; share of rows without the edge at a corner."""
 _REPEATED, _SURE = 1.5, 5.0
-_SECOND = 0.3  # relative to the step: a ghost of a lens is weaker
-_UNEXPLAINED = 0.015  # relative to the step: misfit near the edge
+"""Halftone pattern: ratio of the variances of pixels 1 px and 2 px apart, above that of sharpening; significance, sigma."""
+_SECOND = 0.3
+"""Height of a second edge, relative to the step, above which it is not a ghost of the lens."""
+_UNEXPLAINED = 0.015
+"""Misfit near the edge, relative to the step, above which an edge is rejected."""
 CLEAR = 4.6
 """Smallest distance of an edge from the borders of the region, in widths of its blur; below it the levels are uncertain."""
-_SOME = 0.1  # share of the rows that may be nearer to a border
-_VEILED = 0.15  # relative to the light: more glare, with a misfit, is not that of a lens
-_BLUR = 0.2  # relative to the width of the region: widest standard deviation of the line spread function
+_SOME = 0.1
+"""Share of the rows in which an edge may be nearer to a border."""
+_VEILED = 0.15
+"""Share of glare above which, together with a misfit, the glare is not attributed to the lens."""
+_BLUR = 0.2
+"""Largest standard deviation of the line spread function, relative to the width of the region."""
 
 
 class RegionFrame(NamedTuple):
-    """Position of regions in the picture: numbers, or (n,) of them.
+    """Position and orientation of one region in the image, or of n regions (n,).
 
     Attributes:
-        x: px, of the region's centre.
-        y: px, of the region's centre.
+        x: x of the centre of the region, px.
+        y: y of the centre of the region, px.
         transposed: whether rows and columns were exchanged.
         mirrored: whether left and right were exchanged, after transposing.
-        length: px from the first row to the last.
+        length: distance from the first row to the last, px.
     """
 
     x: np.ndarray | float
@@ -65,7 +78,7 @@ class RegionFrame(NamedTuple):
     length: np.ndarray | float
 
     def in_picture(self, x: np.ndarray | float, y: np.ndarray | float) -> tuple[np.ndarray, np.ndarray]:
-        """Transform a vector of the region to the picture."""
+        """Transform a vector of the region to the image."""
         x = np.where(self.mirrored, -1.0, 1.0) * x
         return np.where(self.transposed, y, x), np.where(self.transposed, x, y)
 
@@ -73,15 +86,15 @@ class RegionFrame(NamedTuple):
 class EdgeRegions(NamedTuple):
     """Rows of samples of n regions.
 
-    They are rotated so that edges are nearly vertical, with the bright side on the right.
+    They are transposed and mirrored so that edges are nearly vertical, with the bright side on the right.
 
     Attributes:
-        value: (n, rows, columns) linear; NaN where there is none.
-        y: (n, rows) px from the region's centre: the row's place.
-        start: (n, rows) px: that of its first sample.
-        step: px between samples.
-        frame: how the regions lie in the picture.
-        turns: how often the fits of the edge's profile and of its place take turns.
+        value: (n, rows, columns) linear values; NaN for missing samples.
+        y: (n, rows) position of each row from the centre of the region, px.
+        start: (n, rows) position of the first sample of each row from the centre of the region, px.
+        step: distance of neighbouring samples, px.
+        frame: position and orientation of the regions in the image.
+        turns: number of alternating fits of the profile and of the position of the edge.
     """
 
     value: np.ndarray
@@ -92,30 +105,30 @@ class EdgeRegions(NamedTuple):
     turns: int
 
     def coordinates(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return x along the rows and y of all samples about the regions' centres, (n, rows, columns) px."""
+        """Compute x and y of all samples relative to the centres of the regions, (n, rows, columns) px."""
         x = self.start[..., None] + self.step * np.arange(self.value.shape[2])
         return x, np.broadcast_to(self.y[..., None], x.shape)
 
     def positions(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return x and y of all samples in the picture, (n, rows, columns) px."""
+        """Compute x and y of all samples in the image, (n, rows, columns) px."""
         frame = RegionFrame(*(np.reshape(column, (-1, 1, 1)) for column in self.frame))
         x, y = frame.in_picture(*self.coordinates())
         return frame.x + x, frame.y + y
 
     def crossings(self, curves: AnyArray) -> np.ndarray:
-        """Compute where edges (n, CURVE) cross the rows (n, rows), px."""
-        return np.asarray(edge_place(np.nan_to_num(np.asarray(curves)).T[..., None], self.y))
+        """Compute the positions at which edges (n, CURVE) cross the rows (n, rows), px."""
+        return np.asarray(edge_position(np.nan_to_num(np.asarray(curves)).T[..., None], self.y))
 
 
 def edge_regions(values: np.ndarray, *, mosaic: bool = False) -> EdgeRegions:
-    """Return regions (n, height, width) as rows.
+    """Convert regions (n, height, width) to rows.
 
-    Their edges lie alike: all nearer to vertical, or all nearer to horizontal. mosaic: most values are NaN because the
-    colour has no site there; n is then 1.
+    Either all edges must be nearer to vertical, or all must be nearer to horizontal. `mosaic`: whether most values are
+    NaN because the colour has no site there; n is then 1.
     """
     across, along = (_difference(values, axis) for axis in (2, 1))
     height, width = values.shape[1:]
-    # the mean gradient follows from the difference between opposite borders
+    # The mean gradient follows from the difference between opposite borders.
     transposed = bool(np.abs(along).sum() * width > np.abs(across).sum() * height)
     mirrored = (along if transposed else across) < 0
     turned = values.swapaxes(1, 2) if transposed else values
@@ -139,17 +152,17 @@ def edge_regions(values: np.ndarray, *, mosaic: bool = False) -> EdgeRegions:
 
 
 def turns_for(cycles: float) -> int:
-    """Return the number of iterations of the fits of profile and position.
+    """Select the number of alternating fits of profile and position.
 
-    `cycles`: how often the rows sample every phase. Below a few times, profile and position converge slowly.
+    `cycles`: number of times that the rows sample every phase. If it is small, profile and position converge slowly.
     """
     return _FEW_TURNS if cycles >= _ENOUGH_CYCLES else _MANY_TURNS
 
 
 def program_size(size: int) -> int:
-    """Return the next size for which a program is compiled.
+    """Round a size up to the next one for which a program is compiled.
 
-    It is 8, 10, 12 or 14 times a power of two, so that nearly equal sizes share one program.
+    It is 8, 10, 12 or 14 times a power of two, so that similar sizes share one program.
     """
     power = 1
     while True:
@@ -160,10 +173,7 @@ def program_size(size: int) -> int:
 
 
 def refusals(found: EdgeFits, region: EdgeRegions, *, accept_sharpened: bool) -> list[Remark | None]:
-    """Explain for each edge of a stack why it was not measured.
-
-    None is returned for an edge that was measured.
-    """
+    """List the reasons for which edges of a stack are rejected; None for an edge that was measured."""
     dark, bright = found.state.linear[:, 0], found.state.linear[:, 1]
     contrast = (bright - dark) / np.maximum(found.residual, 1e-300)
     blur = np.asarray(line_width(found.free.shape))
@@ -179,16 +189,16 @@ def refusals(found: EdgeFits, region: EdgeRegions, *, accept_sharpened: bool) ->
 
     def refusal(i: int) -> Remark | None:
         if lost[i]:
-            return Remark("no-edge", "no edge that crosses the region from one side to the other was found in it")
+            return Remark("no-edge", "no edge was found that crosses the region from one side to the other")
         if contrast[i] < _LEAST_CONTRAST:
-            text = f"no edge was found in the region: its step is {contrast[i]:.1f} times the scatter about it"
-            seen = what_is_seen(region.value[i])
+            text = f"no edge was found in the region: its step is {contrast[i]:.1f} times the scatter of the pixels about it"
+            seen = describe_content(region.value[i])
             return Remark("no-edge", f"{text}; {seen}: choose another region" if seen else text)
         if gap[i] > _WIDEST_GAP:
             return Remark(
                 "phases-missing",
                 f"phases are missing: an edge at {np.degrees(abs(found.angle[i])):.1f} degrees to the grid "
-                f"passes all pixels at the same places ({gap[i]:.2f} px apart): turn the target by a few degrees",
+                f"samples too few phases of the pixels ({gap[i]:.2f} px apart): rotate the target by a few degrees",
             )
         if blur[i] > _BLUR * width:
             return Remark(
@@ -200,17 +210,18 @@ def refusals(found: EdgeFits, region: EdgeRegions, *, accept_sharpened: bool) ->
         if over[i] > least[i] and clear[i] > CLEAR:
             return Remark(
                 "sharpened",
-                f"picture is sharpened: the edge overshoots its levels by {over[i]:.1%}, which no lens does; use the raw "
-                "picture, or accept the MTF of lens and sharpening together (accept_sharpened=True)",
+                f"image is sharpened: the edge overshoots its levels by {over[i]:.1%}, which no lens does; use the raw "
+                "image, or accept the MTF of lens and sharpening together (accept_sharpened=True)",
             )
         if veiled[i]:
-            text = f"glare of {glare[i]:.0%}, as wide as the region, with {found.misfit[i]:.1%} of the step left, is no lens's"
-            why = what_is_seen(region.value[i]) or "a ghost, a second edge or dirt lies in it"
+            text = f"no lens has glare of {glare[i]:.0%}, as wide as the region, with a misfit of {found.misfit[i]:.1%} of "
+            text += "the step"
+            why = describe_content(region.value[i]) or "the region may contain a ghost, a second edge or dirt"
             return Remark("unexplained", f"{text}: {why}: choose another region")
         second = bool(ghost.share[i] > _SECOND)
-        seen = what_is_seen(region.value[i]) if second or found.misfit[i] > MISFIT else ""
+        seen = describe_content(region.value[i]) if second or found.misfit[i] > MISFIT else ""
         if second:
-            text = seen or f"there are 2 edges in it, {ghost.place[i]:.1f} px apart"
+            text = seen or f"there are 2 edges in it, {ghost.position[i]:.1f} px apart"
             return Remark("unexplained", f"the region contains no single edge: {text}: choose another region")
         if seen or found.misfit[i] > _UNEXPLAINED:
             return Remark(
@@ -223,14 +234,14 @@ def refusals(found: EdgeFits, region: EdgeRegions, *, accept_sharpened: bool) ->
     return [refusal(i) for i in range(len(lost))]
 
 
-def what_is_seen(value: np.ndarray) -> str:
-    """Describe the content of a region (rows, columns) without a single edge; the text is empty if it is unknown."""
+def describe_content(value: np.ndarray) -> str:
+    """Describe the content of a region (rows, columns) that does not have a single edge; empty if it is unknown."""
     value = value[np.isfinite(value).any(1)][:, np.isfinite(value).any(0)]
     known = np.isfinite(value)
     middle = float(np.median(value[known]))
     noise = flat_noise(value, known & (value < middle), known & (value >= middle))
-    if noise.alike > _REPEATED and noise.apart > _SURE:
-        return "a pattern of few px lies in it: a screen, or a halftone"
+    if noise.neighbour_ratio > _REPEATED and noise.apart > _SURE:
+        return "it contains a pattern with a period of few px: a screen, or a halftone"
     slope = np.gradient(ndimage.gaussian_filter(np.where(known, value, middle), _BY), axis=1)[:, 2:-2]
     slope = np.where(known[:, 2:-2], slope, 0.0)
     size = np.abs(slope)
@@ -261,7 +272,7 @@ def clearance(found: EdgeFits, region: EdgeRegions) -> np.ndarray:
 
 
 def _largest_gap(region: EdgeRegions, found: EdgeFits) -> np.ndarray:
-    """Return the widest gap between the distances of samples, px (n,)."""
+    """Compute the largest gap between the distances of samples from the edge, px (n,)."""
     place, slopes = region.crossings(found.curve), np.nan_to_num(np.asarray(found.slope))
     offset = (place - region.start) / region.step
     nearest = np.clip(np.rint(offset), 0, region.value.shape[2] - 1).astype(int)
@@ -275,7 +286,7 @@ def _largest_gap(region: EdgeRegions, found: EdgeFits) -> np.ndarray:
 
 
 def _difference(values: np.ndarray, axis: int) -> np.ndarray:
-    """Return the difference (n,) of the borders at both ends."""
+    """Compute the difference (n,) of the means at opposite borders."""
     last, first = (np.take(values, places, axis).reshape(len(values), -1) for places in ((-1, -2), (0, 1)))
     if np.isfinite(values).all():
         return last.mean(1) - first.mean(1)

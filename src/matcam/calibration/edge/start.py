@@ -1,7 +1,7 @@
-"""The first estimate of the edge's curve and of the light of its rows, row by row and without a model of the light.
+"""First estimate of the curve of an edge and of the light of its rows, without a model of the light.
 
-The edge of a row is at the largest difference between the means of some px on both sides. No level is common to all
-rows, so that light that falls by half along the edge, or a shadow across it, does not move the edge.
+In each row, the edge is at the largest difference between the means of some px on both sides. The levels are independent
+between rows. Therefore light that decreases by half along the edge, or a shadow across it, does not shift the edge.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from matcam.calibration.edge.geometry import (
     AlignedRows,
     Rows,
     aligned_rows,
-    edge_place,
+    edge_position,
     half_length,
     legendre,
 )
@@ -25,22 +25,33 @@ from matcam.core.arrays import linalg, repeated, scipy_linalg, xp
 if TYPE_CHECKING:
     from matcam.core.jax import AnyArray, jax
 
-_REACH = 8  # px on both sides of the edge that are used for its position in a row
-_MARGIN = 3  # px to the border within which the edge of a row is ignored
-_WEAK = 0.4  # relative to the median step: a row with a smaller step has no edge
-_ROUNDS = 4  # of the fit of a line
-_OUTLIER = 3.0  # px
-_LIGHT = 10  # highest order of the light of the rows
-_STIFF = 0.02  # px^2 over px^2: precision of the prior for a curve beyond its bow
-_FAINTEST = 0.2  # for the straight line of the light
+_HALF_WINDOW = 8
+"""Distance on both sides of the edge that is used for its position in a row, px."""
+_MARGIN = 3
+"""Distance to the border of the region within which the edge of a row is ignored, in samples.
+
+It is also the smallest number of samples on each side of a step.
+"""
+_WEAK = 0.4
+"""Step of a row, relative to the median step, below which the row is assumed to have no edge."""
+_ROUNDS = 4
+"""Number of iterations of the robust fit of a straight line to the edge."""
+_OUTLIER = 3.0
+"""Distance from the line beyond the mean distance above which a row is an outlier, px."""
+_LIGHT = 10
+"""Highest order of the polynomial that models the light of the rows."""
+_STIFF = 0.02
+"""Precision of the prior for the curve orders above 2 (its bow), relative to the weight of one row."""
+_FAINTEST = 0.2
+"""Smallest relative light of a row. The largest is its inverse."""
 
 
 def find_curve(rows: Rows) -> tuple[jax.Array, jax.Array]:
-    """Return a first curve, and how many rows it crosses.
+    """Estimate a first curve, and count the rows that it crosses.
 
-    The error of the curve is a few hundredths of a px, without a model of the blur. The edge of a row is at the
-    position of a sharp edge with the same sum of light: unlike the centroid of the derivative, this does not amplify
-    noise. It is found first as a straight line through the largest steps, then near that.
+    The error of the curve is a few hundredths of a px, and no model of the blur is needed. The edge of a row is at the
+    position of a sharp edge with the same sum of light. Unlike the centroid of the derivative, this position does not
+    amplify noise. A straight line through the largest steps is fitted first; then the positions near it are refined.
     """
     length = half_length(rows)
     found, weight = _largest_steps(rows)
@@ -48,49 +59,49 @@ def find_curve(rows: Rows) -> tuple[jax.Array, jax.Array]:
 
     def closer(at: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
         line = _polynomial(rows.y, found, at[1], 2, length)
-        off = xp.abs(found - edge_place(line, rows.y))
+        off = xp.abs(found - edge_position(line, rows.y))
         return line, crossing * (off < _OUTLIER + (at[1] * off).sum() / xp.maximum(at[1].sum(), 1))
 
     curve, _ = repeated(_ROUNDS, closer, (xp.zeros(CURVE), crossing))
     aligned = in_even_rows(aligned_rows(rows, curve), length)
-    middle, reach = aligned.value.shape[1] // 2, _REACH // rows.step
-    near = slice(max(middle - reach, 0), middle + reach + 1)
+    middle, half_window = aligned.value.shape[1] // 2, _HALF_WINDOW // rows.step
+    near = slice(max(middle - half_window, 0), middle + half_window + 1)
     low, high = side_levels(aligned)
-    # near a border a row has fewer samples on a side
+    # Near a border of the region, a row has fewer samples on one side.
     span, there = aligned.value[:, near], aligned.valid[:, near]
     x = aligned.x[:, near]
     bright = (there * (span - low[:, None])).sum(1) / (high - low) * rows.step
     last = xp.max(xp.where(there > 0, x, -xp.inf), axis=1)
     found = xp.where(there.sum(1) > 0, last, 0.0) + rows.step / 2 - bright
     margin = _MARGIN * rows.step
-    place = edge_place(curve, rows.y)
+    place = edge_position(curve, rows.y)
     first = xp.min(xp.where(there > 0, x, xp.inf), axis=1)
     gaps = (there.sum(1) - 1) * rows.step < last - first
     whole = (first <= place - margin) & (last >= place + margin) & ~gaps
     off = xp.abs(found - place)
-    weight = (whole & (off < _REACH / 2)).astype(float)
+    weight = (whole & (off < _HALF_WINDOW / 2)).astype(float)
     return _polynomial(rows.y, found, weight, CURVE, length), whole.sum()
 
 
 def side_levels(aligned: AlignedRows) -> tuple[jax.Array, jax.Array]:
-    """Return both levels (rows,) a few px from the edge.
+    """Estimate the dark and the bright level (rows,) a few px from the edge, as linear functions of y.
 
-    They are lines in y. The light changes little over this distance, and the blur is negligible there.
+    The light changes little over this distance, and the blur is negligible there.
     """
     length = xp.max(xp.abs(aligned.y))
 
     def line(mean: jax.Array, count: jax.Array) -> jax.Array:
-        return edge_place(_polynomial(aligned.y, mean, count, 2, length), aligned.y)
+        return edge_position(_polynomial(aligned.y, mean, count, 2, length), aligned.y)
 
     (low, dark), (high, bright) = _sides(aligned)
     return line(low, dark), line(high, bright)
 
 
 def in_even_rows(aligned: AlignedRows, length: jax.Array) -> AlignedRows:
-    """Divide the rows by their light, without the straight line that is part of the fit.
+    """Divide the rows by the nonlinear part of their light. The linear part belongs to the later fit.
 
-    The light is a polynomial over the rows, through the means of both sides. Its order, up to 10, is the one that
-    Schwarz's criterion (1978) prefers; a line leaves the rows as they are.
+    The light is a polynomial over the rows, through the means of both sides. Its order, up to 10, minimises the Bayesian
+    information criterion (Schwarz 1978). If the order is 1, the rows are unchanged.
     """
     (low, dark), (high, bright) = _sides(aligned)
     weight = ((dark > 0) & (bright > 0)).astype(float)
@@ -98,7 +109,7 @@ def in_even_rows(aligned: AlignedRows, length: jax.Array) -> AlignedRows:
     powers = legendre(aligned.y / length, _LIGHT + 1)
     normal = (powers * weight) @ powers.T + 1e-9 * xp.eye(_LIGHT + 1)
     root = linalg.cholesky(normal)
-    # the component of each order that is orthogonal to the lower orders
+    # Component of each order that is orthogonal to the lower orders.
     own = scipy_linalg.solve_triangular(root, powers, lower=True, check_finite=False)
     share = own @ (weight * level)
     count = xp.maximum(weight.sum(), 2.0)
@@ -114,39 +125,39 @@ def in_even_rows(aligned: AlignedRows, length: jax.Array) -> AlignedRows:
 
 
 def _sides(aligned: AlignedRows) -> tuple[tuple[jax.Array, jax.Array], tuple[jax.Array, jax.Array]]:
-    """Return the means (rows,) on both sides, and their numbers of samples."""
-    middle, reach = aligned.value.shape[1] // 2, _REACH // aligned.step
-    outer = 2 * reach
+    """Compute the means (rows,) on both sides, and their numbers of samples."""
+    middle, half_window = aligned.value.shape[1] // 2, _HALF_WINDOW // aligned.step
+    outer = 2 * half_window
 
     def mean(part: slice) -> tuple[jax.Array, jax.Array]:
         count = aligned.valid[:, part].sum(1)
         return (aligned.valid[:, part] * aligned.value[:, part]).sum(1) / xp.maximum(count, 1.0), count
 
-    return mean(slice(max(middle - outer, 0), middle - reach // 2)), mean(
-        slice(middle + reach // 2 + 1, middle + outer + 1)
+    return mean(slice(max(middle - outer, 0), middle - half_window // 2)), mean(
+        slice(middle + half_window // 2 + 1, middle + outer + 1)
     )
 
 
 def _largest_steps(rows: Rows) -> tuple[jax.Array, jax.Array]:
-    """Return the position of the largest upward step of each row (rows,), px, and a weight: 0 if the row has no edge,
-    else 1.
+    """Find the position of the largest upward step of each row (rows,), px, with a weight: 1 if the row has an edge,
+    else 0.
     """
     width = rows.value.shape[1]
-    reach = max(min(_REACH // rows.step, width // 4), _MARGIN)
+    half_window = max(min(_HALF_WINDOW // rows.step, width // 4), _MARGIN)
     there = xp.isfinite(rows.value)
-    # between columns k - 1 and k: the window on the right minus that on the left, clipped at the borders
+    # The step between columns k - 1 and k is the window on the right minus that on the left, clipped at the borders.
 
     def windows(a: jax.Array) -> tuple[jax.Array, jax.Array]:
-        padded = xp.pad(a, ((0, 0), (reach, reach)))
-        total = sum(padded[:, k : k + width + reach + 1] for k in range(reach))
-        return total[:, 1:width], total[:, reach + 1 : reach + width]
+        padded = xp.pad(a, ((0, 0), (half_window, half_window)))
+        total = sum(padded[:, k : k + width + half_window + 1] for k in range(half_window))
+        return total[:, 1:width], total[:, half_window + 1 : half_window + width]
 
     before, after = windows(there.astype(float))
     dark, bright = (
         total / xp.maximum(count, 1.0)
         for total, count in zip(windows(xp.where(there, rows.value, 0.0)), (before, after), strict=True)
     )
-    # means of fewer samples have more noise
+    # Means of fewer samples have more noise.
     sure = 2 / (1 / xp.maximum(before, 1e-9) + 1 / xp.maximum(after, 1e-9))
     enough = (before >= _MARGIN) & (after >= _MARGIN)
     step = xp.where(enough, (bright - dark) * xp.sqrt(sure), -xp.inf)
@@ -161,7 +172,7 @@ def _largest_steps(rows: Rows) -> tuple[jax.Array, jax.Array]:
 
 
 def _polynomial(y: AnyArray, x: AnyArray, weight: jax.Array, terms: int, length: jax.Array) -> jax.Array:
-    """Return coefficients (CURVE,) of a weighted polynomial fit x(y), the last ones 0."""
+    """Fit a polynomial x(y) by weighted least squares; return its coefficients (CURVE,), those beyond `terms` being 0."""
     powers = legendre(y / length, terms)
     stiff = xp.where(xp.arange(terms) < 3, 1e-9, _STIFF)
     found = linalg.solve((powers * weight) @ powers.T + xp.diag(stiff), (powers * weight) @ x)
@@ -169,10 +180,10 @@ def _polynomial(y: AnyArray, x: AnyArray, weight: jax.Array, terms: int, length:
 
 
 def to_coefficients(strengths: jax.Array, length: jax.Array) -> jax.Array:
-    """Return the coefficients (CURVE,) of powers of y from those of Legendre's polynomials of y / length."""
+    """Convert coefficients of Legendre polynomials of y / length to those (CURVE,) of powers of y."""
     return strengths @ LEGENDRE[: strengths.size, :CURVE] / length ** xp.arange(CURVE)
 
 
 def to_strengths(curve: jax.Array, length: jax.Array) -> jax.Array:
-    """Return the strengths (CURVE,) of Legendre's polynomials: what `to_coefficients` takes."""
+    """Convert coefficients of powers of y to those (CURVE,) of Legendre polynomials: the inverse of `to_coefficients`."""
     return (curve * length ** xp.arange(CURVE)) @ np.linalg.inv(LEGENDRE[:CURVE, :CURVE])

@@ -1,9 +1,9 @@
-"""The residual of an edge that no model explains: noise, outlying pixels, and the misfit of the cells.
+"""Noise, outlying pixels and unexplained residuals of an edge.
 
-Pixels that sample the edge at one phase, in one aligned column, should have equal values. A pixel is left out (a hot or
-dead pixel, dust) if it is far from the others of its group, relative to their scatter and to the noise; this needs no
-model of the edge. A ghost, the border of a shadow or dirt leaves residuals in few of many cells, and a rough edge
-blurs: both increase the errors of an MTF.
+Pixels of one aligned column that sample the edge at the same phase should have equal values. A pixel is excluded (a hot
+or dead pixel, dust) if it deviates from the other pixels of its group by much more than their scatter and the noise. No
+model of the edge is needed for this test. A ghost, the border of a shadow or dirt causes residuals in a few of many
+cells, and a rough edge causes blur. Both increase the standard deviation of an MTF.
 """
 
 from __future__ import annotations
@@ -22,18 +22,24 @@ from matcam.core.arrays import repeated, xp
 if TYPE_CHECKING:
     from matcam.core.jax import jax
 
-_FAR = 6.0  # standard deviations: by chance once in 5e8 pixels
+_FAR = 6.0
+"""Deviation above which a pixel is an outlier, standard deviations. By chance it occurs once in 5e8 pixels."""
 _ROUNDS = 2
-_LEVEL_REACH = 6.0  # px from the edge: beyond it there are only levels and noise
-_LEAST_NOISE = 1e-4  # relative to the step: rounding, and the error of any model
+"""Number of iterations of the search for outliers: the first outliers found may hide others in their group."""
+_LEVEL_DISTANCE = 6.0
+"""Distance from the edge beyond which pixels are used to estimate the noise, px."""
+_LEAST_NOISE = 1e-4
+"""Smallest noise relative to the step. It represents rounding and the errors of any model."""
 _SAME, _COARSEST = 1e-9, 0.1
-"""Difference of neighbours, relative to the step, up to which they have one code; largest distance of codes."""
-_ROBUST, _LARGE = 4, 20.0  # number of rounds; multiple of the mean square to which a difference is clipped
-_OTHERS = 3  # smallest number of pixels for a comparison
+"""Difference of neighbours, relative to the step, up to which they have the same code; largest distance of codes."""
+_ROBUST, _LARGE = 4, 20.0
+"""Number of iterations of the robust variance; multiple of the mean square to which a squared difference is clipped."""
+_OTHERS = 3
+"""Number of pixels that a group must exceed for the outlier test."""
 
 
 def without_outliers(aligned: AlignedRows, curve: jax.Array, noise: Noise) -> AlignedRows:
-    """Return rows whose outlying pixels count as missing."""
+    """Mark outlying pixels as missing."""
     phased = phased_rows(aligned, curve)
     member, columns = phased.member, aligned.value.shape[1]
     dark, bright = side_levels(aligned)
@@ -50,7 +56,7 @@ def without_outliers(aligned: AlignedRows, curve: jax.Array, noise: Noise) -> Al
         count, total, apart = summed(xp.ones_like(value), value, phased.distance)
         some = xp.maximum(count, 1.0)
         mean = total / some
-        # within a group the distances differ by an eighth of a px
+        # The distances in a group differ by at most an eighth of a px, which a linear term corrects.
         ends = (count[:, 2:] > 0) & (count[:, :-2] > 0)
         slope = xp.pad(xp.where(ends, (mean[:, 2:] - mean[:, :-2]) / (2 * aligned.step), 0.0), ((0, 0), (1, 1)))
         of = lambda a: a[phased.phase]  # noqa: E731
@@ -67,26 +73,26 @@ def without_outliers(aligned: AlignedRows, curve: jax.Array, noise: Noise) -> Al
 
 
 def estimated_noise(known: Noise, aligned: AlignedRows, distance: jax.Array) -> Noise:
-    """Return the noise, with estimates of its unknown parts.
+    """Estimate the unknown parts of the noise.
 
-    The estimate uses the differences of pixels 2 px apart on both sides of the edge, which have one colour in a mosaic.
+    The estimate uses differences of samples 2 apart on both sides of the edge, which have the same colour in a mosaic.
     """
-    # second differences: light that changes across the edge does not count as noise
+    # Second differences remove light that changes linearly across the edge.
     difference = aligned.value[:, 4:] - 2 * aligned.value[:, 2:-2] + aligned.value[:, :-4]
     all_three = aligned.valid[:, 4:] * aligned.valid[:, 2:-2] * aligned.valid[:, :-4]
     away = distance[:, 2:-2]
-    far = all_three * (xp.abs(away) > xp.minimum(_LEVEL_REACH, 0.3 * aligned.step * aligned.value.shape[1]))
+    far = all_three * (xp.abs(away) > xp.minimum(_LEVEL_DISTANCE, 0.3 * aligned.step * aligned.value.shape[1]))
 
     def side(part: jax.Array) -> tuple[jax.Array, jax.Array]:
         weight = far * part
         count = xp.maximum(weight.sum(), 1.0)
         power = xp.asarray(xp.inf)
-        for _ in range(_ROBUST):  # a single hot pixel does not count as noise
+        for _ in range(_ROBUST):  # single hot pixels have little weight
             power = (weight * xp.minimum(difference**2, _LARGE * power)).sum() / count
         return (weight * aligned.value[:, 2:-2]).sum() / count, power / 6
 
     (low, v_low), (high, v_high) = side(away < 0), side(away > 0)
-    # whole codes: if the noise is below one level, rounding is the noise
+    # If the noise is below one quantisation level, rounding determines the variance.
     step = xp.abs(aligned.value[:, 1:] - aligned.value[:, :-1])
     there = aligned.valid[:, 1:] * aligned.valid[:, :-1] * (step > _SAME * (high - low))
     level = xp.minimum(xp.min(xp.where(there > 0, step, xp.inf)), _COARSEST * xp.abs(high - low))
@@ -99,36 +105,41 @@ def estimated_noise(known: Noise, aligned: AlignedRows, distance: jax.Array) -> 
     )
 
 
-_CORE = 7.0  # px
-_WINDOW, _FEWEST, _TOGETHER = 2.0, 6, 6.0  # px, cells, standard deviations
-_WINDOWS = np.arange(-10.0, 9.0)  # px, where they begin
-_PER_MISFIT = 5.0  # of an MTF, per equal misfit of the cells: ghosts and shadows of tests/oracle/real_edges.py
-_LOW = 0.1  # cycles/px, below which the error of an MTF decreases: at 0 the MTF is 1
+_CORE = 7.0
+"""Distance from the edge within which the misfit of the cells is computed, px."""
+_WINDOW, _FEWEST, _TOGETHER = 2.0, 6, 6.0
+"""Local misfit test: width of a window, px; smallest number of cells in it; standard deviations above which it counts."""
+_WINDOWS = np.arange(-10.0, 9.0)
+"""Distances from the edge at which the windows begin, px."""
+_PER_MISFIT = 5.0
+"""Standard deviation of an MTF per misfit of the cells, from the ghosts and shadows of tests/oracle/real_edges.py."""
+_LOW = 0.1
+"""Frequency below which the standard deviation by the misfit decreases, cycles/px: at frequency 0 the MTF is always 1."""
 
 
 class Unexplained(NamedTuple):
     """Roughness and misfit that noise does not explain, and their effect on an MTF.
 
     Attributes:
-        roughness: px, of the edge. It blurs, as a lens does.
-        misfit: of the cells near the edge, in units of the step.
+        roughness: standard deviation of the position of the edge between rows, px. It blurs the edge, as a lens does.
+        misfit: standard deviation of the cells near the edge beyond noise, in units of the step.
     """
 
     roughness: jax.Array
     misfit: jax.Array
 
     def of(self, curve: SampledCurve, f: jax.Array) -> SampledCurve:
-        """Add the effect to the standard deviation of a curve at f cycles/px."""
+        """Increase the standard deviation of an MTF at f cycles/px by the effect of roughness and misfit."""
         blurred = 2 * (xp.pi * self.roughness * f) ** 2 * xp.abs(curve.value)
         unknown = _PER_MISFIT * self.misfit * xp.minimum(f / _LOW, 1.0)
         return SampledCurve(curve.value, xp.sqrt(curve.std**2 + blurred**2 + unknown**2))
 
 
 def misfit_of(fit: LinearFit, curve: FreeCurve, excess: jax.Array) -> jax.Array:
-    """Return the standard deviation of cells near the edge about the free curve, beyond the noise, in units of the step.
+    """Compute the standard deviation of cells near the edge about the free curve, beyond the noise, in units of the step.
 
-    curve: with its glare, if there is any; fit: without. excess: factor by which all variances were raised; 1 where the cells
-    as a whole scatter no more than their noise.
+    `curve`: free curve, with glare if there is any. `fit`: fit without glare. `excess`: factor that was applied to all
+    variances; 1 if the noise explains the total scatter of the cells.
     """
     distance, there = fit.cells.distance, fit.cells.pixels > 0
     basis = edge_basis(curve.shape, distance, fit.cells.spread)
@@ -138,7 +149,7 @@ def misfit_of(fit: LinearFit, curve: FreeCurve, excess: jax.Array) -> jax.Array:
     left = fit.cells.value - light.addend - light.factor * (dark + (bright - dark) * response)
     core = there & (xp.abs(distance) < _CORE)
     everywhere = (1 - 1 / excess) * xp.where(core, (left / fit.step) ** 2, 0.0).sum()
-    # a ghost affects few of many cells: windows of 2 px count if their chi2 exceeds that of noise by 6 standard deviations
+    # A ghost affects few cells: a window of 2 px counts if its chi-square exceeds its expectation by 6 standard deviations.
     variance = excess / fit.weight
     window = there & (distance >= _WINDOWS[:, None]) & (distance < _WINDOWS[:, None] + _WINDOW)
     count = window.sum(1)

@@ -1,4 +1,4 @@
-"""Larger errors of measured edges, from causes other than the noise of their pixels."""
+"""Increase of the standard deviations of measured edges by causes other than pixel noise."""
 
 from __future__ import annotations
 
@@ -12,17 +12,18 @@ from matcam.calibration.edge.edge_result import EdgeStack
 from matcam.numerics.crossing import first_fall
 
 _LOWEST_BY_GHOST, _FLATTEST = 0.05, 1e-3
-"""Frequency below which the effect of a ghost 10 px away on an MTF decreases, cycles/px; smallest slope of an MTF at
-one half, px.
+"""Frequency below which the effect of a ghost on the MTF decreases, cycles/px; smallest slope of an MTF at one half, px.
+
+The frequency is that of a ghost at a distance of 10 px. The smallest slope prevents a division by zero.
 """
 _JUMP = 1.5
-"""Standard deviations above which the shift of MTF50 from a shifted MTF replaces its standard deviation."""
+"""Number of standard deviations of MTF50 above which its change with a shifted MTF replaces its standard deviation."""
 
 
 def with_core_as_total(stack: EdgeStack, which: np.ndarray) -> EdgeStack:
-    """Use the MTF without glare as the MTF of some edges.
+    """Replace the MTF of selected edges by their MTF without glare.
 
-    `which`: (n,) bool.
+    `which`: mask (n,) of the selected edges.
     """
     names = ("mtf", "mtf_std", "mtf50", "mtf50_std")
     moved: dict[str, Any] = {name: getattr(stack, name).copy() for name in names}
@@ -35,17 +36,17 @@ def with_core_as_total(stack: EdgeStack, which: np.ndarray) -> EdgeStack:
 
 
 def widened(stack: EdgeStack, by_part: Mapping[str, np.ndarray], ghosts: np.ndarray) -> EdgeStack:
-    """Increase errors by frequencies that are unknown, and by ghosts.
+    """Increase the standard deviations by an uncertain scale of frequency and by possible ghosts.
 
     Args:
         stack: results of n edges.
-        by_part: relative errors of frequency (n,): of the "lens", of the "free" estimates besides, and of those with
-            "glare" besides.
-        ghosts: shares (n,) of ghosts far from the edge that may have been fitted as light.
+        by_part: relative standard deviations (n,) of the scale of frequency: "lens" for all estimates, "free" in addition
+            for the model-free estimates, and "glare" in addition for those with glare.
+        ghosts: shares (n,) of distant ghosts that may have been fitted as uneven light.
     """
     lens, shares = stack.parametric, by_part["lens"]
     first, box = lens.values[:, 0], lens.half_width**2 / 3
-    # the scale applies to the blur of lens and pixel together
+    # The scale applies to the combined blur of lens and pixel.
     own = shares * (first + box / first if lens.names[0].endswith("sigma_px") else first)
     covariance = lens.covariance.copy()
     covariance[:, 0, 0] += own**2
@@ -58,15 +59,15 @@ def widened(stack: EdgeStack, by_part: Mapping[str, np.ndarray], ghosts: np.ndar
 
 
 def _by_scale(frequency: np.ndarray, mtf: np.ndarray) -> np.ndarray:
-    """Compute the change of an MTF by a relative change of its frequencies."""
+    """Compute the derivative of an MTF with respect to the logarithm of the frequency, without sign."""
     return np.asarray(frequency * np.abs(np.gradient(mtf, frequency, axis=-1)))
 
 
 def _errors(stack: EdgeStack, name: str, share: np.ndarray, ghosts: np.ndarray) -> dict[str, Any]:
-    """Compute the errors of an MTF and of its MTF50.
+    """Compute the standard deviations of an MTF and of its MTF50.
 
-    The error of MTF50 covers the crossings of the MTF plus and minus a standard deviation: a ghost makes the MTF wavy, and
-    if it is near one half twice, the MTF50 may jump.
+    That of MTF50 covers the frequencies at which the MTF plus and minus one standard deviation is one half. A ghost makes
+    the MTF oscillate; if it is close to one half at two frequencies, MTF50 may change discontinuously.
     """
     f, mtf, half = stack.frequency, getattr(stack, name), getattr(stack, f"{name}50")
     by_scale = _by_scale(f, mtf)
@@ -77,5 +78,5 @@ def _errors(stack: EdgeStack, name: str, share: np.ndarray, ghosts: np.ndarray) 
     ghost = ghosts / np.maximum(slope, _FLATTEST)
     half_std = np.sqrt(getattr(stack, f"{name}50_std") ** 2 + (share * half) ** 2 + ghost**2)
     low, high = (first_fall(f, mtf + sign * std) for sign in (-1, 1))
-    reach = np.fmax(half - low, np.where(np.isnan(high), f[-1], high) - half)
-    return {f"{name}_std": std, f"{name}50_std": np.where(reach > _JUMP * half_std, reach, half_std)}
+    deviation = np.fmax(half - low, np.where(np.isnan(high), f[-1], high) - half)
+    return {f"{name}_std": std, f"{name}50_std": np.where(deviation > _JUMP * half_std, deviation, half_std)}

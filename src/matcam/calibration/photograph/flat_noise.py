@@ -1,7 +1,7 @@
-"""The noise of even areas as a test for denoising, compression, sharpening or a tone curve.
+"""Noise of even areas, as a test for denoising, compression, sharpening or a tone curve.
 
-The noise of a sensor is independent between pixels, and increases with brightness. Denoising, demosaicing and JPEG make
-the noise of neighbours correlated, sharpening makes it anticorrelated, JPEG leaves borders every 8 px, and a tone curve
+The noise of a sensor is independent between pixels, and increases with brightness. Denoising, demosaicing and JPEG
+correlate the noise of neighbours, sharpening anticorrelates it, and JPEG causes block borders every 8 px. A tone curve
 makes the noise of dark pixels larger than that of bright ones. Second differences of neighbours remove light that
 changes smoothly.
 """
@@ -14,40 +14,51 @@ import numpy as np
 
 from matcam.core.arrays import FloatArray
 
-BLOCK = 8  # px: block size of JPEG
-# multiple of the mean square to which a difference is clipped: an edge of dirt is not noise
+BLOCK = 8
+"""Block size of JPEG, px."""
 _ROUNDS, _LARGEST = 5, 9.0
-# the relative standard deviation of a variance of n differences is the root of this over n, because they share pixels
+"""Robust variance: number of iterations; multiple of the mean square to which a squared difference is clipped."""
 _LOSS = 4.0
-_FEWEST = 100  # smallest number of differences
-_ALIKE, _SURE = 0.75, 5.0  # variance between neighbours over that of pixels 2 px apart; standard deviations
-_WIDE, _WIDE_IN_BLOCKS = 0.8, 0.65  # the same, 2 over 3 px apart: demosaicing and JPEG have a shorter range
-_BENT, _SURE_BENT = 1.08, 4.0  # variance of dark over bright pixels; standard deviations
-_EQUAL, _REVERSALS = 0.5, 0.35
-"""Share of equal neighbours above which, and of changes that reverse the one before below which, a side has no noise.
+"""Factor by which shared pixels increase the variance of a variance: its relative value for n differences is 4 / n."""
+_FEWEST = 100
+"""Smallest number of differences for an estimate of the noise."""
+_CORRELATED, _SURE = 0.75, 5.0
+"""Ratio of the variances of pixels 1 px and 2 px apart below which the noise is correlated; standard deviations."""
+_WIDE, _WIDE_IN_BLOCKS = 0.8, 0.65
+"""Ratio of the variances of pixels 2 px and 3 px apart below which an image was denoised, without and with JPEG blocks.
 
-Rounded codes of smooth light change along contours, and a change is followed by one of the same sign. Independent noise of 0.1
-levels reverses 30 to 98 % of its changes, and of 0.2 levels 59 % or more, for light that changes by 0.1 levels/px or less.
+Demosaicing and JPEG correlate pixels over a shorter range.
 """
-_GRID = 1.4  # squared difference across the border of a block over that within
-# the same, above which the noise was removed by the blocks alone: denoised pictures have weaker borders
+_TONE_RATIO, _SURE_TONE = 1.08, 4.0
+"""Ratio of the noise variances of dark and bright pixels above which a tone curve is suspected; standard deviations."""
+_EQUAL, _REVERSALS = 0.5, 0.35
+"""Thresholds of a side without noise: smallest share of equal neighbours; largest share of changes of opposite sign.
+
+Rounded codes of smooth light change along contours, and a change is followed by one of the same sign. Independent noise of
+0.1 levels reverses 30 to 98 % of its changes, and of 0.2 levels 59 % or more, for light that changes by at most 0.1 levels/px.
+"""
+_GRID = 1.4
+"""Ratio of the squared differences across and within blocks of 8 px above which an image was compressed as JPEG."""
 _BLOCKS_ALONE = 4.0
-# px, px^2: errors of MTF50 times the blur, and its square, in tests/oracle/processed_pictures.py
+"""The same ratio above which JPEG alone explains the correlation. Denoised images have weaker block borders."""
 _DENOISED, _DEMOSAICED = 0.2, 0.15
-_MOST = 0.4  # of MTF50
-_PILED, _LEAST_PILE = 2.0, 0.05  # multiple of the share at the next level; share of the dark side at the lowest level
+"""Relative error of MTF50 times the blur, px, and times its square, px^2, from tests/oracle/processed_pictures.py."""
+_MOST = 0.4
+"""Largest relative error of MTF50 by smoothing."""
+_PILED, _LEAST_PILE = 2.0, 0.05
+"""Crushed blacks: share of the lowest level relative to that of the next level; smallest share of the dark side."""
 LEAST_NOISE = 2e-4
-"""Smallest noise of a photograph, relative to the step of its light: a smooth render has less."""
-BENT_DOUBT = 0.03
-"""Smallest relative standard deviation of a blur behind a tone curve that was not undone."""
+"""Smallest noise of a photograph relative to the step of its light. Only rendered images have less."""
+TONE_CURVE_UNCERTAINTY = 0.03
+"""Smallest relative standard deviation of a blur that was measured without inverting a tone curve."""
 
 
-def smoothing_doubt(blur: float, *, denoised: bool) -> float:
-    """Return the relative standard deviation of a blur from smoothing by software.
+def smoothing_uncertainty(blur: float, *, denoised: bool) -> float:
+    """Estimate the relative standard deviation of a blur by smoothing in software.
 
     Args:
-        blur: of lens and pixel, px. The wider it is, the less smoothing over so many px changes it.
-        denoised: whether it reached further than demosaicing.
+        blur: standard deviation of the blur of lens and pixel, px. Smoothing has less effect on a wider blur.
+        denoised: whether the smoothing has a longer range than demosaicing.
     """
     return float(min(_DENOISED / blur if denoised else _DEMOSAICED / blur**2, _MOST))
 
@@ -56,17 +67,17 @@ class FlatNoise(NamedTuple):
     """Noise of even areas.
 
     Attributes:
-        alike: variance between neighbours over that of pixels 2 px apart; 1 for independent noise.
-        alike_std: its standard deviation; infinite where nothing is known.
-        wide: variance of pixels 2 px apart over that of pixels 3 px apart; 1 for independent noise.
-        tilt: variance of the dark side over that of the bright one; NaN where nothing is known.
-        tilt_std: its standard deviation.
-        grid: squared difference across borders every 8 px over that elsewhere; 1 for independent noise.
-        variance: of dark and bright side.
+        neighbour_ratio: ratio of the variances of pixels 1 px and 2 px apart; 1 for independent noise.
+        neighbour_ratio_std: standard deviation of `neighbour_ratio`; infinite if it is unknown.
+        wide: ratio of the variances of pixels 2 px and 3 px apart; 1 for independent noise.
+        tilt: ratio of the variances of the dark and the bright side; NaN if it is unknown.
+        tilt_std: standard deviation of `tilt`.
+        grid: ratio of the squared differences across borders every 8 px and elsewhere; 1 for independent noise.
+        variance: variances of the dark and of the bright side.
     """
 
-    alike: float
-    alike_std: float
+    neighbour_ratio: float
+    neighbour_ratio_std: float
     wide: float
     tilt: float
     tilt_std: float
@@ -76,49 +87,49 @@ class FlatNoise(NamedTuple):
     @property
     def smoothed(self) -> bool:
         """Check whether the noise of neighbours is correlated."""
-        return self.alike < _ALIKE and 1 - self.alike > _SURE * self.alike_std
+        return self.neighbour_ratio < _CORRELATED and 1 - self.neighbour_ratio > _SURE * self.neighbour_ratio_std
 
     @property
     def denoised(self) -> bool:
-        """Check whether the noise of more distant pixels is correlated, too."""
+        """Check whether the noise of more distant pixels is also correlated."""
         wide = _WIDE_IN_BLOCKS if self.grid > _GRID else _WIDE
         return self.smoothed and self.wide < wide and self.grid < _BLOCKS_ALONE
 
     @property
     def compressed(self) -> bool:
-        """Check whether JPEG blocks were found."""
+        """Check for JPEG blocks."""
         return self.smoothed and self.grid > _GRID
 
     @property
-    def bent(self) -> bool:
-        """Check whether the noise of dark pixels is larger than that of bright ones, as under a tone curve."""
-        return not self.smoothed and self.tilt > _BENT and self.tilt - 1 > _SURE_BENT * self.tilt_std
+    def tone_curve_suspected(self) -> bool:
+        """Check whether the noise of dark pixels is larger than that of bright ones, as after a tone curve."""
+        return not self.smoothed and self.tilt > _TONE_RATIO and self.tilt - 1 > _SURE_TONE * self.tilt_std
 
     @property
     def correlation(self) -> str:
-        """Describe the correlation of neighbours."""
-        return f"the noise of neighbouring pixels is correlated ({self.alike:.2f} of independent noise)"
+        """Description of the correlation of neighbours."""
+        return f"the noise of neighbouring pixels is correlated ({self.neighbour_ratio:.2f} of independent noise)"
 
     @property
     def apart(self) -> float:
-        """Return the significance of a negative correlation of neighbours, as from sharpening, in standard deviations."""
-        return (self.alike - 1) / self.alike_std
+        """Significance of a negative correlation of neighbours, as caused by sharpening, in standard deviations."""
+        return (self.neighbour_ratio - 1) / self.neighbour_ratio_std
 
 
 def flat_noise(
     value: FloatArray, dark: np.ndarray, bright: np.ndarray, *, lines: bool = True, least: float = 0.0
 ) -> FlatNoise:
-    """Return the noise of a picture (height, width).
+    """Measure the noise of an image (height, width).
 
-    dark, bright: masks of its flat areas, bool. `lines`: whether columns are neighbours, too, and all pixels are
-    present. `least`: standard deviation below which no noise is assumed, as in a smooth render.
+    `dark`, `bright`: masks of its flat areas. `lines`: whether all pixels are present, so that differences along columns
+    are used as well. `least`: standard deviation below which the image is assumed to have no noise.
     """
     sides = [dark & np.isfinite(value), bright & np.isfinite(value)]
     value = np.where(sides[0] | sides[1], value, 0.0)
     views = [(value, sides), *([(value.T, [side.T for side in sides])] if lines else [])]
 
     def at(lag: int) -> tuple[FloatArray, FloatArray]:
-        """Return the variances and counts of all directions and sides."""
+        """Compute the variances and counts of all directions and sides."""
         found = np.array([_variance(v, side, lag) for v, of in views for side in of])
         return found[:, 0], found[:, 1]
 
@@ -136,8 +147,10 @@ def flat_noise(
     if not good.any():
         return result
     weight = fewer * good
-    alike = ratio(near, two)
-    result = result._replace(alike=alike, alike_std=float(alike * np.sqrt(_LOSS / weight.sum())))
+    neighbour_ratio = ratio(near, two)
+    result = result._replace(
+        neighbour_ratio=neighbour_ratio, neighbour_ratio_std=float(neighbour_ratio * np.sqrt(_LOSS / weight.sum()))
+    )
     if min(n) > _FEWEST and variance[1] > 0:
         tilt = float(variance[0] / variance[1])
         result = result._replace(tilt=tilt, tilt_std=float(max(tilt, 1.0) * np.sqrt(_LOSS / n[0] + _LOSS / n[1])))
@@ -164,7 +177,7 @@ def crushed_share(dark: FloatArray, bright: FloatArray) -> float:
 
 
 def _variance(value: FloatArray, there: np.ndarray, lag: int) -> tuple[float, float]:
-    """Return the variance of pixels `lag` apart along the rows, and the number of differences."""
+    """Compute the noise variance from pixels `lag` apart along the rows, and the number of differences."""
     both = there[:, 2 * lag :] & there[:, lag:-lag] & there[:, : -2 * lag]
     squared = (value[:, 2 * lag :] - 2 * value[:, lag:-lag] + value[:, : -2 * lag])[both] ** 2
     if squared.size < 2:
@@ -186,7 +199,7 @@ def _is_rounded_light(value: FloatArray, there: np.ndarray) -> bool:
 
 
 def _grid(value: FloatArray, sides: list[np.ndarray]) -> float:
-    """Return the squared difference of neighbours across the most probable block borders relative to the other differences."""
+    """Compute the ratio of the squared differences of neighbours across the most probable block borders and elsewhere."""
     total, count = np.zeros(BLOCK), np.zeros(BLOCK)
     for there in sides:
         both = there[:, 1:] & there[:, :-1]

@@ -1,13 +1,14 @@
-"""Linear filters that were applied to a picture, from the correlation of its noise, and their effect on its MTF.
+"""Linear filters that were applied to an image, from the correlation of its noise, and their effect on its MTF.
 
 The noise of a sensor is independent between pixels. A linear filter of transfer function K gives their noise the power
-spectrum |K|^2, and multiplies the MTF of the picture by K. Smoothing, sharpening, deconvolution and resampling are
-compared with no filter at all by their posterior probabilities, so that a doubt grows with the correlation, and no
-threshold decides.
+spectrum |K|^2, and multiplies the MTF of the image by K. Smoothing, sharpening, deconvolution and resampling are
+compared with the absence of a filter by their posterior probabilities. The uncertainty therefore increases continuously
+with the correlation, without a threshold.
 
-Slight sharpening is seen in the edge, too. A lens spreads light, so that its line spread function is nowhere negative; that
-of an unsharp mask is, beside the core. Therefore the edge is fitted twice by any non-negative line spread function (a row of
-narrow bumps): as it is, and behind an unsharp mask. Defocus, ghosts and glare are non-negative and cannot pass for a mask.
+Weak sharpening is also visible in the edge. The line spread function of a lens is not negative, but that of an unsharp
+mask is negative beside the core. Therefore the edge is fitted twice with an arbitrary non-negative line spread function (a
+series of narrow basis functions): without and with an unsharp mask. Defocus, ghosts and glare are non-negative, and are
+not mistaken for a mask.
 """
 
 from __future__ import annotations
@@ -27,25 +28,25 @@ from matcam.numerics.crossing import first_fall
 from matcam.numerics.polynomials import plane_powers
 
 LAGS = ((0, 1), (1, 0), (1, 1), (1, -1), (0, 2), (2, 0), (1, 2), (2, 1), (1, -2), (2, -1), (2, 2), (2, -2))
-"""Distances of neighbours whose correlation is compared with that of filters, rows and columns, px."""
+"""Offsets (rows, columns) of the pixels whose correlation is compared with that of filters, px."""
 _FAR_LAGS = ((0, 5), (5, 0), (4, 4), (4, -4), (0, 6), (6, 0))
-"""Distances of pixels that no filter correlates, px: their correlation is that of the light."""
+"""Offsets of pixels that no filter correlates, px. Uneven light causes their correlation."""
 _LIGHT, _LENGTHS = 0.03, (8.0, 20.0, 1e3)
-"""Standard deviation of correlations by light that is not even, and the distances over which they fall, px."""
+"""Prior standard deviation of correlations by uneven light, and the distances over which they decrease, px."""
 _NO_FILTER = 0.95
-"""Prior probability that no filter was applied to a picture."""
+"""Prior probability that no filter was applied to an image."""
 _LARGEST = 4.0
-"""Standard deviations above which a deviation is not noise."""
+"""Number of standard deviations to which deviations are clipped. Larger ones are not noise."""
 _ORDER = 3
-"""Order of the light on a side."""
+"""Order of the polynomial that models the light on a side."""
 _FEWEST = 500
 """Smallest number of pixels on a side for an estimate of correlations."""
 _PATCH, _STRUCTURE = 5, 5.0
 """Side of the patches whose means are compared, px; multiple of the median above which a difference is not noise."""
 _LOST = 0.4
-"""Relative error of MTF50 behind a filter that leaves no MTF50."""
+"""Largest relative error of MTF50, which is also used if no MTF50 can be computed without the filter."""
 _GRID = 32
-"""Samples of a transfer function along each axis, and cycles of 1/32 px."""
+"""Number of samples of a transfer function along each axis. Their spacing is 1/32 cycles/px."""
 _SHORT = 0.05
 """Smallest transfer by which an MTF is divided."""
 
@@ -53,20 +54,31 @@ _SHORT = 0.05
 _WIDTHS = 0.25 * 1.04 ** np.arange(37)
 """Standard deviations of the Gaussian filters, px."""
 _MASKS = [(a, r) for a in (0.05, 0.1, 0.15, 0.2, 0.3, 0.45, 0.7, 1.0) for r in (0.6, 0.8, 1.0, 1.3, 1.7)]
-"""Unsharp masks: share of the difference from its surroundings by which a pixel is raised; radius of these, px."""
+"""Unsharp masks: amount, and standard deviation of their Gaussian, px."""
 AMOUNT, RADIUS = 0.1, 1.0
-"""The mask that stands for slight sharpening where an edge is compared with it."""
+"""Amount and radius (px) of the unsharp mask that represents weak sharpening in the test of an edge."""
 _FOUND, _SHARPER, _SOFT = (
     13.0,
     6.5,
     0.75,
-)  # 2 ln likelihood; how it grows with the inverse of the blur; from which blur on, px
-_LEAST_WIDTH, _WIDTH, _CORE, _COARSER = 0.2, 0.3, 6.0, 0.25  # px; blurs; blurs; of the distance: the bumps
-_ROOM = 0.8  # of the region, to which bumps reach
+)
+"""Threshold of 2 ln likelihood for weak sharpening, as explained in `needed_gain`.
+
+The numbers are the threshold for wide blurs, its increase with the inverse of the blur, px, and the blur below which it
+increases, px.
+"""
+_LEAST_WIDTH, _WIDTH, _CORE, _COARSER = 0.2, 0.3, 6.0, 0.25
+"""Basis functions of a line spread function.
+
+The numbers are their smallest width, px; their width and the extent of the core, in units of the blur; and their width
+outside the core, relative to the distance.
+"""
+_ROOM = 0.8
+"""Largest distance of a basis function from the edge, relative to that of the border of the region."""
 
 
 class Correlations(NamedTuple):
-    """Correlations of the noise of pixels some distances apart, and the number of pairs: (lags,) each."""
+    """Correlations of the noise of pixels at the offsets of `LAGS` and `_FAR_LAGS`, and numbers of pairs: (lags,) each."""
 
     value: FloatArray
     pairs: FloatArray
@@ -76,13 +88,13 @@ class BareEdge(NamedTuple):
     """Set of n means of pixels across an edge.
 
     Attributes:
-        distance: (n,) px from the edge.
-        spread: (n,) px^2, variance of the distances in each mean.
-        value: (n,) less the light that adds to the scene.
+        distance: (n,) distance from the edge, px.
+        spread: (n,) variance of the distances in each mean, px^2.
+        value: (n,) value minus the light that is added to the scene.
         std: (n,) standard deviation of the noise.
-        step: (n,) bright less dark, in this light.
-        light: (k, n) levels and light, as columns that any multiple may be taken of.
-        blur: px, standard deviation of the line spread function.
+        step: (n,) bright minus dark level in the light of each mean.
+        light: (k, n) columns of levels and light, with free coefficients.
+        blur: standard deviation of the line spread function, px.
     """
 
     distance: FloatArray
@@ -94,13 +106,13 @@ class BareEdge(NamedTuple):
     blur: float
 
 
-class FilterDoubt(NamedTuple):
-    """Uncertainty of an MTF from filters that may have been applied.
+class FilterUncertainty(NamedTuple):
+    """Uncertainty of an MTF by filters that may have been applied.
 
     Attributes:
-        share: relative error of MTF50, rms over all filters by their probabilities; less where none is probable.
-        probability: probability of any filter.
-        smooths: whether the most probable filter lowers MTF50.
+        share: relative error of MTF50: probability of any filter times the rms error over all filters.
+        probability: probability that any filter was applied.
+        smooths: whether the most probable filter decreases MTF50.
     """
 
     share: float
@@ -109,7 +121,7 @@ class FilterDoubt(NamedTuple):
 
 
 class _Filters(NamedTuple):
-    """Filters: correlations of white noise behind them (k, 12), transfer at 1/32 cycles/px (k, 33), prior probabilities."""
+    """Filters: correlation of filtered white noise (k, lags), transfer function (k, frequencies), prior probability (k,)."""
 
     correlation: FloatArray
     transfer: FloatArray
@@ -117,14 +129,14 @@ class _Filters(NamedTuple):
 
 
 def correlations(value: FloatArray, sides: tuple[np.ndarray, np.ndarray]) -> Correlations | None:
-    """Measure the correlations of a picture's noise; None where too little of it is known.
+    """Measure the correlations of the noise of an image; None if there are too few pixels.
 
     Args:
-        value: picture (height, width), any unit.
-        sides: its flat parts (height, width), dark and bright, bool.
+        value: image (height, width), any unit.
+        sides: masks of its dark and its bright flat side (height, width).
 
     Returns:
-        Correlations of pixels at all distances of `LAGS` and `_FAR_LAGS`.
+        Correlations of pixels at all offsets of `LAGS` and `_FAR_LAGS`.
     """
     y, x = np.meshgrid(*(np.linspace(-1, 1, size) for size in value.shape), indexing="ij")
     terms = plane_powers(x, y, _ORDER)
@@ -138,17 +150,17 @@ def correlations(value: FloatArray, sides: tuple[np.ndarray, np.ndarray]) -> Cor
         if not scale > 0:
             return None
         noise[side], there[side] = np.clip(left / scale, -_LARGEST, _LARGEST), 1.0
-    # the border of a shadow or dirt leaves structure in few places, which is not noise
+    # Structure at a few positions, as from dirt or the border of a shadow, is not noise.
     weight = np.maximum(ndimage.uniform_filter(there, _PATCH), 1e-3)
     local = np.abs(ndimage.uniform_filter(noise, _PATCH) / weight)
     there *= local < _STRUCTURE * np.median(local[there > 0])
     total, pairs = (_sums_of_products(a) for a in (noise * there, there))
-    # the light that was fitted to the noise makes neighbours err apart by one pair for each of its terms
+    # The fit of the light reduces the sum of correlations by one pair for each of its terms.
     return Correlations((total + len(sides) * terms.shape[-1]) / np.maximum(pairs, 1.0), pairs)
 
 
 def _sums_of_products(values: FloatArray) -> FloatArray:
-    """Compute the sums of the products of all pixels that lie `LAGS` and `_FAR_LAGS` apart."""
+    """Compute the sums of the products of all pixels at the offsets of `LAGS` and `_FAR_LAGS`."""
     lags = np.array(LAGS + _FAR_LAGS)
     shape = [next_fast_len(size + lags.max(), real=True) for size in values.shape]
     products = irfft2(np.abs(rfft2(values, shape)) ** 2, shape)
@@ -156,9 +168,9 @@ def _sums_of_products(values: FloatArray) -> FloatArray:
 
 
 def _log_likelihoods(seen: Correlations) -> FloatArray:
-    """Compute the logarithm of the likelihood of each of `_filters()`, but for a constant."""
+    """Compute the logarithm of the likelihood of each of `_filters()`, up to a constant."""
     expected = np.pad(_filters().correlation, ((0, 0), (0, len(_FAR_LAGS))))
-    # variance of a correlation behind a filter (Bartlett 1946), and of what light has left: one basis suits all filters
+    # Variance of a correlation after a filter (Bartlett 1946), and by uneven light. One basis serves all filters.
     spread = 1 + 2 * (expected**2).sum(1, keepdims=True)
     apart = np.hypot(*np.array(LAGS + _FAR_LAGS).T)
     unit = np.sqrt(np.maximum(seen.pairs, 1.0))
@@ -170,17 +182,17 @@ def _log_likelihoods(seen: Correlations) -> FloatArray:
 
 
 def mask_gain(seen: Correlations) -> float:
-    """Compute by how much the unsharp mask raises 2 ln likelihood of the noise, if the light is even."""
+    """Compute the increase of 2 ln likelihood of the noise by the unsharp mask, assuming even light."""
     expected = _filters().correlation[1 + len(_WIDTHS) + _MASKS.index((AMOUNT, RADIUS))]
     value, pairs = seen.value[: len(LAGS)], seen.pairs[: len(LAGS)]
     return float(pairs @ (value**2 - (value - expected) ** 2))
 
 
 def edge_gain(edge: BareEdge) -> float:
-    """Return by how much the mask lowers chi2 of an edge, behind any non-negative line spread function."""
+    """Compute the decrease of chi-square of an edge by the unsharp mask, for any non-negative line spread function."""
     weight = 1 / np.hypot(edge.std, LEAST_NOISE * edge.step)
     given = edge.light * weight
-    # what is free of any bound is taken out of everything
+    # The unbounded coefficients are eliminated by projection.
     basis = np.linalg.qr((given / np.maximum(np.linalg.norm(given, axis=1), 1e-300)[:, None]).T)[0]
 
     def beyond(columns: FloatArray) -> FloatArray:
@@ -202,45 +214,45 @@ def edge_gain(edge: BareEdge) -> float:
 
 
 def needed_gain(blur: float) -> float:
-    """Return by how much the mask must lower chi2 of noise and edge to be seen: two of 1,000 clean edges do.
+    """Compute the decrease of chi-square above which the unsharp mask is reported. Two of 1,000 clean edges exceed it.
 
-    A sharp edge is flat up to its core, where noise asks for negative light that the mask alone can give: clean edges of
-    sigma 0.3, 0.5 and 0.7 px at SNR 100 gain 7 +- 3, 5 +- 2 and 3 +- 1 by it.
+    Next to the core of a sharp edge, negative noise can only be fitted with the mask. Clean edges with a lens width of 0.3,
+    0.5 and 0.7 px at a signal-to-noise ratio of 100 have a decrease of 7 +- 3, 5 +- 2 and 3 +- 1.
 
     Args:
-        blur: px, standard deviation of the line spread function.
+        blur: standard deviation of the line spread function, px.
     """
     return _FOUND + _SHARPER * max(0.0, 1 / blur - 1 / _SOFT)
 
 
 def effect_on_half(frequency: FloatArray, mtf: FloatArray) -> float:
-    """Return by how much the mask raises the frequency at which an MTF is one half, relative; 0 where it has none.
+    """Compute the relative increase of MTF50 by the unsharp mask; 0 if there is no MTF50.
 
     Args:
         frequency: frequencies, cycles/px.
-        mtf: MTF behind the mask, of the same shape.
+        mtf: MTF of the sharpened image, of the same shape.
     """
     before = mtf / (1 + AMOUNT * (1 - np.exp(-2 * (np.pi * RADIUS * frequency) ** 2)))
     share = float(first_fall(frequency, mtf) / first_fall(frequency, before)) - 1
     return share if np.isfinite(share) else 0.0
 
 
-def filter_doubt(
+def filter_uncertainty(
     seen: Correlations | None, frequency: FloatArray, mtf: FloatArray, *, sharpened: bool = False
-) -> FilterDoubt:
+) -> FilterUncertainty:
     """Compute the effect of possible linear filters on an MTF from the noise.
 
     Args:
-        seen: correlations of the noise; None where nothing is known.
+        seen: correlations of the noise; None if they are unknown.
         frequency: frequencies (n,), cycles/px.
-        mtf: MTF of the picture (n,).
-        sharpened: whether the edge itself shows that a filter has raised its MTF. Default: False.
+        mtf: MTF of the image (n,).
+        sharpened: whether the edge itself indicates that a filter has increased its MTF. Default: False.
 
     Returns:
-        The doubt; its share is 0 if the noise is unknown.
+        The uncertainty; its share is 0 if the noise is unknown.
     """
     if seen is None:
-        return FilterDoubt(0.0, 0.0, False)
+        return FilterUncertainty(0.0, 0.0, False)
     log_likelihood, effect = _log_likelihoods(seen), _effects(frequency, mtf)
     probability = _filters().prior * np.exp(log_likelihood - log_likelihood.max())
     if sharpened:
@@ -248,16 +260,16 @@ def filter_doubt(
     probability /= max(float(probability.sum()), 1e-300)
     likeliest = int(np.argmax(probability[1:])) + 1
     filtered = float(probability[1:].sum())
-    # two standard deviations need not contain an improbable value: the share falls faster than the root of the
-    # probability
+    # Two standard deviations need not include an improbable value: the share is proportional to the probability, and not
+    # to its square root.
     share = filtered * np.sqrt(probability[1:] @ effect[1:] ** 2 / max(filtered, 1e-300))
-    return FilterDoubt(float(share), filtered, bool(effect[likeliest] < 0))
+    return FilterUncertainty(float(share), filtered, bool(effect[likeliest] < 0))
 
 
 def _effects(frequency: FloatArray, mtf: FloatArray) -> FloatArray:
-    """Compute by how much each of `_filters()` changed MTF50, relative: negative where it lowered it."""
+    """Compute the relative change of MTF50 by each of `_filters()`; negative for a decrease."""
     transfer = _filters().transfer
-    # a filter on whole pixels has a period of 1 cycle/px
+    # The transfer function of a filter on the pixel grid has a period of 1 cycle/px.
     folded = np.abs((frequency + 0.5) % 1.0 - 0.5)
     at = np.arange(transfer.shape[1]) / (2 * (transfer.shape[1] - 1))
     through = transfer @ np.stack([np.interp(folded, at, one) for one in np.eye(at.size)])
@@ -270,7 +282,7 @@ def _effects(frequency: FloatArray, mtf: FloatArray) -> FloatArray:
 
 @cache
 def _filters() -> _Filters:
-    """Tabulate all filters, the identity first."""
+    """Tabulate all filters; the first is the identity."""
     flat = np.ones((_GRID, _GRID // 2 + 1))
     families: list[list[FloatArray]] = [
         [_gaussian(width) for width in _WIDTHS],
@@ -301,14 +313,17 @@ def _filters() -> _Filters:
 
 
 def _gaussian(width: float) -> FloatArray:
-    """Compute the transfer function of a sampled Gaussian filter, width in px, on half the grid of frequencies."""
+    """Compute the transfer function of a sampled Gaussian filter on half the frequency grid; `width`: px."""
     line = np.exp(-(((np.arange(_GRID) + _GRID // 2) % _GRID - _GRID // 2) ** 2) / (2 * width**2))
     transfer = np.fft.fft(line / line.sum()).real
     return np.outer(transfer, transfer[: _GRID // 2 + 1])
 
 
 def _resampling(taps) -> tuple[FloatArray, FloatArray]:  # type: ignore[no-untyped-def]
-    """Compute noise power and transfer of resampling, means over all phases. taps: transfer at frequencies and a phase."""
+    """Compute noise power and transfer of resampling, averaged over all phases.
+
+    `taps`: function that computes the transfer at given frequencies and a phase.
+    """
     frequency = np.fft.fftfreq(_GRID)
     phases = (np.arange(8) + 0.5) / 8
     transfers = np.stack([taps(frequency, phase) for phase in phases])
@@ -329,7 +344,7 @@ def _filled_mosaic() -> tuple[FloatArray, FloatArray]:
 
 
 def _shifted(weights: FloatArray, first: int, frequency: FloatArray, phase: float) -> FloatArray:
-    """Compute the transfer of taps at first, first + 1, ... px, seen from the point between pixels where they interpolate."""
+    """Compute the transfer of filter taps at first, first + 1, ... px, relative to the interpolated point `phase`."""
     places = first + np.arange(weights.size) - phase
     return np.asarray(np.exp(-2j * np.pi * frequency[:, None] * places) @ weights)
 
@@ -339,27 +354,27 @@ def _linear(frequency: FloatArray, phase: float) -> FloatArray:
 
 
 def _cubic(frequency: FloatArray, phase: float) -> FloatArray:
-    """Cubic convolution (Keys 1981)."""
+    """Compute the transfer of cubic convolution (Keys 1981)."""
     t = phase
     weights = np.array([-t * (1 - t) ** 2, 2 - 5 * t**2 + 3 * t**3, t * (1 + 4 * t - 3 * t**2), -(t**2) * (1 - t)])
     return _shifted(weights / 2, -1, frequency, phase)
 
 
 def _spline(frequency: FloatArray, phase: float) -> FloatArray:
-    """Cubic spline interpolation (Unser 1999)."""
+    """Compute the transfer of cubic spline interpolation (Unser 1999)."""
     t = phase
     weights = np.array([(1 - t) ** 3, 4 - 6 * t**2 + 3 * t**3, 1 + 3 * t + 3 * t**2 - 3 * t**3, t**3]) / 6
     return _shifted(weights, -1, frequency, phase) / ((2 + np.cos(2 * np.pi * frequency)) / 3)
 
 
-def _line_bumps(blur: float, reach: float) -> tuple[FloatArray, FloatArray]:
-    """Return places and widths of the bumps of a line spread function, px: narrow in the core, coarser outside."""
+def _line_bumps(blur: float, outermost: float) -> tuple[FloatArray, FloatArray]:
+    """Compute centres and widths of the basis functions of a line spread function, px: wider outside the core."""
     width = max(_LEAST_WIDTH, _WIDTH * blur)
-    half = min(max(_CORE * blur, 5.0), reach)
+    half = min(max(_CORE * blur, 5.0), outermost)
     core = width * np.arange(int(2 * half / width) + 1)
     core -= core.mean()
     places, widths, at = [], [], float(core[-1])
-    while at < reach:
+    while at < outermost:
         step = max(width, _COARSER * at)
         at += step
         places.append(at)

@@ -1,8 +1,8 @@
-"""One colour plane of a photograph, linear: the input of every estimator of this package.
+"""Linear colour plane of a photograph: the input of every estimator of this package.
 
-The sites of a mosaic keep their positions, with NaN between them: nothing is demosaiced. Of a colour picture one
-channel or the luminance is taken, of a grey one everything. `region_of` is the one place where an estimator's `image`
-becomes such a plane; `flaw` says whether there is anything in it to measure.
+The sites of a mosaic keep their positions, with NaN between them; nothing is demosaiced. A colour image provides one
+channel or its luminance. All estimators convert their argument `image` to such a plane with `region_of`, and `flaw` tests
+whether the region can be measured.
 """
 
 from __future__ import annotations
@@ -25,47 +25,54 @@ from matcam.files.picture_header import Exif
 from matcam.numerics.normal import robust_std
 
 CHANNELS = ("R", "G", "B", "Y", "grey")
-"""Names of colour planes; "Y" is the luminance of a colour picture."""
+"""Names of colour planes; "Y" is the luminance of a colour image."""
 SMALLEST = 16
 """Smallest side of a region that is measured, px."""
-_LUMINANCE = (0.2126, 0.7152, 0.0722)  # of linear R, G, B (IEC 61966-2-1)
-_SATURATED = 0.02  # share of full pixels above which a region is rejected
-_FLAT_TOP = 0.05  # share of pixels with the brightest value that needs a test
+_LUMINANCE = (0.2126, 0.7152, 0.0722)
+"""Weights of linear R, G and B in the luminance (IEC 61966-2-1)."""
+_SATURATED = 0.02
+"""Share of saturated pixels above which a region is rejected."""
+_FLAT_TOP = 0.05
+"""Share of pixels with the largest value above which saturation is tested."""
 _SPREAD = 3.0
-"""Noise of the dark side, in levels, above which the bright side of a picture cannot have noise below half a level.
+"""Noise of the dark side, in levels, above which the bright side of an image cannot have noise below half a level.
 
-A pile at the brightest value comes either from the end of a range or from noise below half a level; the sRGB curve is at most
-six times as steep in dark parts.
+Many pixels have the largest value either at the end of a range, or if the noise is below half a level. The sRGB curve is at
+most six times as steep in dark parts as in bright parts.
 """
 _SMOOTH, _SMOOTH_GAPS = 0.7, 1.2
-"""Width of the means by which targets are looked for, px, in pictures without and with gaps: mosaics miss 1 to 3 of 4 px."""
+"""Standard deviation of the smoothing before targets are searched, px, in images without and with missing pixels.
+
+In one colour of a mosaic, 2 or 3 of 4 pixels are missing.
+"""
 _WHOLE = 0.9
-"""Share of known pixels from which a picture has no gaps that are worth more smoothing."""
-_ALONE = 1e-6  # of a Gaussian's weight: a pixel with fewer data around it is left dark
+"""Share of known pixels above which an image is smoothed as one without missing pixels."""
+_ALONE = 1e-6
+"""Smallest weight of known pixels in a local mean. With less weight, the mean tends to 0."""
 
 
 @dataclass(frozen=True, eq=False)
 class LinearImage:
-    """One colour plane of a photograph, linear.
+    """Linear colour plane of a photograph.
 
-    Every estimator takes a `LinearImage`, or an array that it turns into one with `LinearImage.of`. Make one yourself where
-    several estimators look at the same picture, or to keep aperture and file with it.
+    Every estimator accepts a `LinearImage`, or an array that it converts with `LinearImage.of`. Create one explicitly to use
+    several estimators on the same image, or to store aperture and file name with it.
 
     Attributes:
-        values: linear light (height, width), any unit. NaN where there are no data, or a mosaic has another colour.
+        values: linear light (height, width), any unit. NaN marks missing pixels and the sites of other colours of a mosaic.
         channel: "R", "G", "B", "Y" (luminance) or "grey" (no unit). Default: "grey".
         cfa: colours of the first 2 x 2 px of `values`, row by row ("RGGB", ...), of a mosaic (no unit). Default: None, no
             mosaic.
-        tone: tone curve that was undone: "linear", "srgb", a gamma or a table (no unit). Default: "linear".
+        tone: tone curve that was inverted: "linear", "srgb", a gamma or a table (no unit). Default: "linear".
         f_number: f-number of the photograph (no unit). Default: None, not known.
-        source: file, for messages and provenance (no unit). Default: "".
+        source: file name, for messages and provenance (no unit). Default: "".
         corner: (x, y) of the first pixel in the whole photograph, px. Default: (0, 0).
-        saturated: pixels that are full (height, width), bool. Default: None, no pixel is known to be.
-        saturation: code of a full pixel, in the photograph's own units. Default: infinite, not known.
-        remarks: what was assumed of the photograph (no unit). Default: ().
+        saturated: mask of the saturated pixels (height, width). Default: None, not known.
+        saturation: code of a saturated pixel, in the units of the photograph. Default: infinite, not known.
+        remarks: assumptions about the photograph (no unit). Default: ().
 
     Raises:
-        ArgumentError: shapes disagree, or `channel` or `cfa` is not one of those above.
+        ArgumentError: shapes disagree, or `channel` or `cfa` is not one of the values above.
 
     Example:
         >>> mosaic = np.arange(16.0).reshape(4, 4)
@@ -120,29 +127,29 @@ class LinearImage:
         f_number: float | None = None,
         source: str = "",
     ) -> LinearImage:
-        """Return one colour plane of an array or a photograph.
+        """Convert an array or a photograph to a linear colour plane.
 
-        Its tone curve is undone. A `LinearImage` is returned as it is, or cut to `roi`.
+        The tone curve is inverted. A `LinearImage` is returned unchanged, or cropped to `roi`.
 
         Args:
-            image: array (height, width), or (height, width, 3) for R, G, B, of codes; NaN where there are no data. Or a
+            image: array of codes (height, width), or (height, width, 3) for R, G, B; NaN marks missing pixels. Or a
                 `Photograph` of `matcam.files.photographs.open_photograph`, or a `LinearImage`.
             channel: "R", "G", "B" or "Y" (luminance) of a colour image; "R", "G" or "B" of a mosaic (no unit). Default: None,
-                luminance of a colour image, and everything of a grey one.
+                the luminance of a colour image, or a grey image itself.
             cfa: colours of the first 2 x 2 px of the whole image, row by row, if it is a mosaic: "RGGB", "BGGR", "GRBG" or
                 "GBRG" (no unit). Default: None, the photograph's own, or no mosaic.
-            tone: what the codes are (no unit): "linear"; "srgb" (IEC 61966-2-1); a gamma, light = (code / full) ** gamma; a
-                table of linear values by code, (codes,) or (codes, 3); or "auto": 8 bits of a photograph that is not linear by
-                nature are taken for sRGB, everything else for linear. Default: "linear".
-            roi: region (x, y, width, height), px. Default: None, all of the image.
-            f_number: f-number of the image (no unit). Default: None, the photograph's own.
+            tone: tone curve of the codes (no unit): "linear"; "srgb" (IEC 61966-2-1); a gamma, light = (code / full) **
+                gamma; a table of linear values by code, (codes,) or (codes, 3); or "auto": 8-bit photographs are assumed to be
+                sRGB unless their format is linear, and all others are assumed to be linear. Default: "linear".
+            roi: region (x, y, width, height), px. Default: None, the whole image.
+            f_number: f-number of the image (no unit). Default: None, that of the photograph.
             source: name of the file, for messages (no unit). Default: "".
 
         Returns:
-            The plane; `remarks` says what "auto" has assumed.
+            The plane; `remarks` lists the assumptions of "auto".
 
         Raises:
-            ArgumentError: the image is no picture, has not this channel, or the region does not lie inside it.
+            ArgumentError: the image is not an image or does not have this channel, or the region is not inside it.
 
         Source:
             Luminance: IEC 61966-2-1.
@@ -160,7 +167,7 @@ class LinearImage:
         if isinstance(image, LinearImage):
             own = is_linear(tone) or (isinstance(tone, str) and tone == "auto")
             if channel is not None or cfa is not None or not own:
-                raise ArgumentError("channel, cfa and tone are those of the LinearImage already: leave them out")
+                raise ArgumentError("channel, cfa and tone are already specified by the LinearImage: omit them")
             return image.cut(roi)
         photograph = image if isinstance(image, Photograph) else as_photograph(image, "image must be numbers", (3, 4))
         x, y, width, height = _checked_roi(roi, photograph.values.shape)
@@ -170,7 +177,7 @@ class LinearImage:
         if isinstance(tone, str) and tone == "auto":
             tone, remarks = assumed_tone(photograph, mosaic=mosaic is not None)
         if photograph.cfa is not None and not is_linear(tone):
-            raise ArgumentError("camera raw is linear: it has no tone curve to be undone")
+            raise ArgumentError("camera raw is linear and has no tone curve: omit tone")
         if codes.ndim == 3:
             if mosaic is not None:
                 shape = photograph.values.shape
@@ -178,12 +185,10 @@ class LinearImage:
             channel = checks.choice("channel", channel or "Y", ("R", "G", "B", "Y"))
         elif mosaic is None:
             if channel not in (None, "grey"):
-                raise ArgumentError(
-                    f"channel {channel!r} asks for a colour of a grey image: give cfa if it is a mosaic"
-                )
+                raise ArgumentError(f"channel must not be {channel!r} for a grey image: give cfa if it is a mosaic")
             channel = "grey"
         else:
-            sites_of(mosaic, channel)  # rejects an image without a mosaic before it is linearised
+            sites_of(mosaic, channel)  # raises an error for an invalid channel before the image is linearised
             mosaic = _shifted(mosaic, x, y)
         values, full = _plane(codes, str(channel), tone, photograph.saturation)
         return cls(
@@ -193,29 +198,29 @@ class LinearImage:
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Return (height, width), px."""
+        """Shape (height, width), px."""
         height, width = self.values.shape
         return height, width
 
     @property
     def sites(self) -> np.ndarray:
-        """Return the sites of this colour in the first cell.
+        """Mask of the sites of this colour in the first cell.
 
-        The mask (2, 2) covers 2 x 2 px. It is true everywhere without a mosaic.
+        The mask (2, 2) covers 2 x 2 px. Without a mosaic, it is true everywhere.
         """
         return np.ones((2, 2), bool) if self.cfa is None else sites_of(self.cfa, self.channel)
 
     def cut(self, roi: Sequence[int] | None) -> LinearImage:
-        """Return a region of the plane.
+        """Crop the plane to a region.
 
         Args:
-            roi: (x, y, width, height), px of this plane. Default: None, all of it.
+            roi: (x, y, width, height) in px of this plane. Default: None, the whole plane.
 
         Returns:
-            The region, which knows its place in the photograph (`corner`).
+            The region; `corner` is its position in the photograph.
 
         Raises:
-            ArgumentError: the region is not four whole numbers, or does not lie inside the plane.
+            ArgumentError: the region is not four whole numbers, or is not inside the plane.
 
         Example:
             >>> plane = matcam.LinearImage(np.zeros((40, 50)))
@@ -239,10 +244,10 @@ def region_of(
     image: ArrayLike | Photograph | LinearImage, roi: Sequence[int] | None = None, *, channel: str | None = None,
     cfa: str | None = None, tone: Tone = "linear",
 ) -> LinearImage:  # fmt: skip
-    """Return the region of an estimator; arguments as in `LinearImage.of`.
+    """Convert the region of an image to a linear plane; arguments as in `LinearImage.of`.
 
     Raises:
-        ArgumentError: as there, or the region is smaller than 16 x 16 px.
+        ArgumentError: as in `LinearImage.of`, or the region is smaller than 16 x 16 px.
         FitError: more than 2 % of its samples are saturated.
     """
     region = LinearImage.of(image, channel, cfa, tone, roi)
@@ -259,18 +264,15 @@ def region_of(
 
 
 def flaw(values: np.ndarray) -> Remark | None:
-    """Explain why a region cannot be measured.
-
-    None is returned if it might be. `values`: (height, width).
-    """
+    """Find the reason why a region cannot be measured, or return None. `values`: (height, width)."""
     used = values[np.isfinite(values)]
     if used.size < SMALLEST**2 / 4:
-        return Remark("too-few-samples", f"region holds {used.size} usable samples: too few")
+        return Remark("too-few-samples", f"region contains only {used.size} usable samples: choose a larger region")
     low, high = used.min(), used.max()
     if not low < high:
-        return Remark("flat", f"region is all one value, {low:g}: there is no edge in it")
+        return Remark("flat", f"region has only one value, {low:g}: it contains no edge")
     if (used == high).mean() > _FLAT_TOP:
-        # noise has equal values only at the end of a range; without noise the dark side is as flat
+        # Noisy pixels have equal values only at the end of a range. Without noise, the dark side is equally flat.
         middle = (low + high) / 2
         flat = (used == high).sum() / (used > middle).sum()
         levels, index, count = np.unique(used, return_inverse=True, return_counts=True)
@@ -278,16 +280,13 @@ def flaw(values: np.ndarray) -> Remark | None:
         below = index[used <= middle]
         spread = robust_std(below - np.median(below))
         if count[dark].max() / count[dark].sum() < flat / 2 and spread > _SPREAD:
-            text = f"region is saturated: {flat:.0%} of its bright samples have the very same value, {high:g}"
+            text = f"region is saturated: {flat:.0%} of its bright samples have the same value, {high:g}"
             return Remark("saturated", text)
     return None
 
 
 def local_mean(values: FloatArray, width: float) -> FloatArray:
-    """Return the local means of a picture (height, width).
-
-    They are weighted by a Gaussian of `width` px. NaN are filled from around.
-    """
+    """Compute local means of an image (height, width), weighted by a Gaussian of `width` px. NaN are ignored."""
     known = np.isfinite(values)
     if known.all():
         return np.asarray(ndimage.gaussian_filter(values, width))
@@ -296,7 +295,7 @@ def local_mean(values: FloatArray, width: float) -> FloatArray:
 
 
 def smoothed(values: FloatArray) -> FloatArray:
-    """Compute a picture (height, width) with less noise, and without gaps, in which targets are looked for."""
+    """Smooth an image (height, width), and fill its missing pixels, for the search of targets."""
     return local_mean(values, _SMOOTH if np.isfinite(values).mean() > _WHOLE else _SMOOTH_GAPS)
 
 
@@ -304,31 +303,31 @@ def planes_of(
     photograph: Photograph, channels: Sequence[str] | None = None, tone: Tone = "auto", f_number: float | None = None,
     source: str = "", cfa: str | None = None,
 ) -> Iterator[LinearImage]:  # fmt: skip
-    """Return a photograph's planes one after the other.
+    """Iterate over the colour planes of a photograph.
 
-    cfa: colours of its first 2 x 2 px, if it is a mosaic whose file does not say so.
+    `cfa`: colours of its first 2 x 2 px, if it is a mosaic whose file does not specify them.
 
     Raises:
-        ArgumentError: the photograph has not one of the channels, or camera raw, which is linear, is given a tone curve.
+        ArgumentError: the photograph lacks one of the channels, or a tone curve is given for camera raw, which is linear.
     """
     there: tuple[str, ...] = ("R", "G", "B")
     if (cfa or photograph.cfa) is None and photograph.values.ndim == 2:
         there = ("grey",)
     for channel in channels or ():
         if channel not in there and not (channel == "Y" and photograph.values.ndim == 3):
-            raise ArgumentError(f"channel {channel!r} is not in this picture; it has {', '.join(there)}")
+            raise ArgumentError(f"channel {channel!r} is not in this image; it has {', '.join(there)}")
     if photograph.cfa is not None and not is_linear(tone) and not (isinstance(tone, str) and tone == "auto"):
-        raise ArgumentError("camera raw is linear: it has no tone curve to be undone")
+        raise ArgumentError("camera raw is linear and has no tone curve: omit tone")
     names = there if channels is None else channels
     return (LinearImage.of(photograph, name, cfa, tone, f_number=f_number, source=source) for name in names)
 
 
 def as_photograph(
-    image: ArrayLike, what: str = "a picture must be numbers", colours: tuple[int, ...] = (3,)
+    image: ArrayLike, what: str = "an image must be numbers", colours: tuple[int, ...] = (3,)
 ) -> Photograph:
-    """Return an array of linear values as a photograph without a file.
+    """Convert an array of linear values to a photograph without a file.
 
-    ArgumentError if it is not an image. `what`: its name in the message. `colours`: allowed number of colours.
+    ArgumentError if it is not an image. `what`: beginning of the message. `colours`: allowed numbers of colours.
     """
     values = checks.plain_array("image", image)
     if (
@@ -350,10 +349,7 @@ def sites_of(cfa: str, channel: str | None) -> np.ndarray:
 
 
 def _plane(codes: np.ndarray, channel: str, tone: Tone, saturation: float) -> tuple[np.ndarray, np.ndarray | None]:
-    """Return linear values of one channel, and the full pixels.
-
-    None stands for full pixels if nobody knows when a pixel is full.
-    """
+    """Compute the linear values of one channel, and the mask of its saturated pixels; None if saturation is unknown."""
     known = np.isfinite(saturation)
     if channel == "Y":
         light = linear_values(codes, tone) @ np.array(_LUMINANCE)
@@ -370,12 +366,12 @@ def _repeated(sites: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
 
 
 def _shifted(cfa: str, x: int, y: int) -> str:
-    """Return the colours of a mosaic in a region that begins at pixel (x, y)."""
+    """Shift the colours of a mosaic to a region that begins at pixel (x, y)."""
     return "".join(np.roll(np.array(list(cfa)).reshape(2, 2), (-y, -x), (0, 1)).ravel())
 
 
 def _checked_roi(roi: Sequence[int] | None, shape: tuple[int, ...]) -> tuple[int, int, int, int]:
-    """Return a region as whole numbers inside a picture."""
+    """Check that a region consists of whole numbers, and is inside an image."""
     height, width = shape[:2]
     if roi is None:
         return 0, 0, width, height
@@ -387,5 +383,5 @@ def _checked_roi(roi: Sequence[int] | None, shape: tuple[int, ...]) -> tuple[int
     if not whole:
         raise ArgumentError(f"roi must be four whole numbers (x, y, width, height), got {roi!r:.60}")
     if x < 0 or y < 0 or w < 0 or h < 0 or x + w > width or y + h > height:
-        raise ArgumentError(f"roi must lie inside the picture of {width} x {height} px, got {(x, y, w, h)}")
+        raise ArgumentError(f"roi must lie inside the image of {width} x {height} px, got {(x, y, w, h)}")
     return x, y, w, h

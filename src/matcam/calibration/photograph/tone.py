@@ -1,4 +1,4 @@
-"""Tone curves: from a picture's codes to light. MTFs exist for linear values only (docs/model.md 7)."""
+"""Tone curves: conversion of the codes of an image to light. An MTF is defined for linear values only (docs/model.md 7)."""
 
 from __future__ import annotations
 
@@ -15,11 +15,12 @@ from matcam.files.photographs import Photograph, read_photograph
 from matcam.files.tone_curve import checked_curve, curve_through, read_numbers
 
 Tone = str | float | ArrayLike
-"""Tone curve of the codes of a picture: "linear"; "srgb" (IEC 61966-2-1); a gamma, light = (code / full) ** gamma;
-linear values by code, (codes,) or (codes, 3); "auto": that of the file, see `assumed_tone`.
+"""Tone curve of the codes of an image: "linear"; "srgb" (IEC 61966-2-1); a gamma, light = (code / full) ** gamma;
+linear values by code, (codes,) or (codes, 3); "auto": selected by `assumed_tone`.
 """
 
 _GAMMAS = (0.2, 5.0)
+"""Smallest and largest gamma that is accepted. Values outside this range are mistakes."""
 
 
 def is_linear(tone: Tone) -> bool:
@@ -28,22 +29,22 @@ def is_linear(tone: Tone) -> bool:
 
 
 def assumed_tone(photograph: Photograph, *, mosaic: bool = False) -> tuple[str, tuple[Remark, ...]]:
-    """Return the tone curve that "auto" selects.
+    """Select the tone curve for "auto", with a remark that states the assumption.
 
-    A remark states the assumption. `mosaic`: whether the picture was not demosaiced yet; tone curves are applied later.
+    `mosaic`: whether the image is a mosaic. Tone curves are applied after demosaicing.
     """
     if photograph.linear or mosaic:
         return "linear", ()
     bits = 8 * photograph.values.dtype.itemsize
     tone, name = ("srgb", "sRGB") if bits == 8 else ("linear", "linear")
-    return tone, (Remark("tone-assumed", f"{bits} bits and no tone curve stated: {name} assumed (--tone)"),)
+    return tone, (Remark("tone-assumed", f"{bits} bits and no tone curve specified: {name} assumed (--tone)"),)
 
 
 def linear_values(codes: np.ndarray, tone: Tone, channel: int | None = None) -> np.ndarray:
-    """Return linear values of codes, (..., 3) or one plane.
+    """Convert codes, (..., 3) or one plane, to linear values.
 
-    Full scale is the largest whole number of the codes' type, or 1. `channel`: column of a table of three for this
-    plane. ArgumentError for a tone curve that does not fit the image.
+    Full scale is the largest value of an integer data type, or 1 for floats. `channel`: column of a table with three
+    columns that applies to this plane. ArgumentError if the tone curve does not match the image.
     """
     if is_linear(tone):
         return codes.astype(np.float64)
@@ -68,15 +69,12 @@ def linear_values(codes: np.ndarray, tone: Tone, channel: int | None = None) -> 
     if channel is not None:
         return table[codes, channel]
     if codes.ndim < 3 or codes.shape[-1] != 3:
-        raise ArgumentError("tone has three columns, the image needs one: it has one channel")
+        raise ArgumentError("tone has three columns, but the image has one channel: give one column")
     return np.stack([table[codes[..., i], i] for i in range(3)], axis=-1)
 
 
 def _by_code(codes: np.ndarray, curve: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
-    """Return a curve of the share of full scale.
-
-    Large pictures of whole numbers go through a table.
-    """
+    """Apply a curve to the share of full scale; large integer images use a lookup table."""
     if codes.dtype.kind not in "ui":
         return curve(codes / 1.0)
     full = np.iinfo(codes.dtype).max
@@ -90,11 +88,12 @@ def tone_from_patches(
 ) -> np.ndarray:
     """Measure a tone curve from patches of known light (ISO 14524).
 
-    Returns linear values by code, (codes,). image: whole numbers, (height, width) or (height, width, 3); of three channels
-    the one asked for, or their mean. patches: (x, y, width, height) px each, at least 3. light: (n,) linear, any unit.
+    The result contains linear values by code, (codes,). `image`: integers, (height, width) or (height, width, 3).
+    `channel`: channel of a colour image; None for the mean of all. `patches`: (x, y, width, height) each, px, at least 3.
+    `light`: (n,) linear light of the patches, any unit.
 
-    The curve passes through the patches' mean codes without overshoot; above the brightest patch it goes on straight.
-    ArgumentError where brighter patches have smaller codes, too: the curve is then not monotone.
+    The curve passes through the mean codes of the patches without overshoot, and is extrapolated linearly above the
+    brightest patch. ArgumentError if the curve is not monotone.
     """
     codes, values = np.asarray(image), np.asarray(light, dtype=np.float64)
     if codes.dtype.kind not in "ui" or codes.ndim not in (2, 3):
@@ -111,7 +110,7 @@ def tone_from_patches(
     for x, y, width, height in patches:
         if min(x, y) < 0 or min(width, height) < 2 or x + width > codes.shape[1] or y + height > codes.shape[0]:
             raise ArgumentError(
-                f"patch {(x, y, width, height)} must lie inside the picture of {codes.shape[1]} x {codes.shape[0]} px"
+                f"patch {(x, y, width, height)} must lie inside the image of {codes.shape[1]} x {codes.shape[0]} px"
             )
         part = codes[y : y + height, x : x + width]
         means.append(part[..., channel].mean() if part.ndim == 3 and channel is not None else part.mean())
@@ -128,10 +127,10 @@ def tone_from_patches(
 
 
 def patch_tone_curve(picture: str | Path, patches: str | Path) -> np.ndarray:
-    """Measure the tone curve of a file, channel by channel.
+    """Measure the tone curve of each channel of a file.
 
-    patches: a file of lines "x y width height light"; "#" begins a comment. FileFormatError naming the file and the line,
-    or why there is no curve.
+    `patches`: file with lines "x y width height light"; "#" begins a comment. FileFormatError with the file and the line,
+    or the reason why no curve can be computed.
     """
     rows = read_numbers(patches, 5)
     image = read_photograph(picture)

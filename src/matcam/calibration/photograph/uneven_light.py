@@ -1,11 +1,10 @@
-"""Uneven light that no polynomial describes: a Gaussian process over the flat sides of an edge, and the test of light
-against glare.
+"""Gaussian process model of uneven light over the flat sides of an edge, and its comparison with glare.
 
-Each side of the edge is averaged over bins of some px. The deviation of the bins from two levels in light of third
-order is light that multiplies the scene (banding, a penumbra, a near lamp), light that adds to it (a glint), or glare
-of the lens, which depends on the distance from the edge alone. All are terms of one Gaussian model. Their scales, and
-the probability of glare, follow from its marginal likelihood (Rasmussen & Williams, Gaussian Processes for Machine
-Learning, 2006, ch. 5).
+It describes light that is not a polynomial of low order. Each side of the edge is averaged over bins of several px. The
+deviation of the bins from two levels in light of third order is modelled as light that multiplies the scene (banding, a
+penumbra, a near lamp), light that is added to it (a glint), or glare of the lens, which depends on the distance from the
+edge only. All are terms of one Gaussian model. Their scales and the probability of glare follow from its marginal
+likelihood (Rasmussen & Williams, Gaussian Processes for Machine Learning, 2006, ch. 5).
 """
 
 from __future__ import annotations
@@ -19,31 +18,31 @@ from matcam.core.arrays import FloatArray
 from matcam.numerics.polynomials import plane_powers
 
 _BINS, _SMALLEST_BIN = 220, 4.0
-"""Number of bins of a region; smallest side of a bin, px. The eigenvalues of 220 bins are computed in 10 ms."""
-REACH, _MORE = 3.5, 1.5
-"""Distance from the edge within which pixels are in no bin: in standard deviations of the blur, plus px."""
+"""Number of bins of a region; smallest side of a bin, px. The number limits the time of the eigenvalue decompositions."""
+EXCLUDED_WIDTHS, _EXCLUDED_MARGIN = 3.5, 1.5
+"""Distance from the edge within which pixels are excluded: multiple of the standard deviation of the blur, plus px."""
 _LENGTHS = (8.0, 20.0, 50.0)
-"""Correlation lengths of the light that are tried, px."""
+"""Correlation lengths of the light that are tested, px."""
 _AMPLITUDES = np.asarray(1e-3 * 2.0 ** np.arange(9), float)
-"""Standard deviations of the light that are tried, relative: 0.1 to 25 %."""
+"""Relative standard deviations of the light that are tested: 0.1 to 25 %."""
 _GLARE = 0.1
 """Prior standard deviation of the share of light in glare."""
 _GLARE_PROBABILITY = 0.1
 """Prior probability of glare."""
 _RADII = 4.0 * 1.5 ** np.arange(9)
-"""Standard deviations of the glare that are tried, px."""
+"""Standard deviations of the glare that are tested, px."""
 _NOISES = (1.0, 1.5, 2.5, 4.0)
-"""Variances of the bins that are tried, in units of those of independent noise: filters correlate it."""
+"""Variances of the bins that are tested, relative to independent noise. They exceed 1 if a filter has correlated it."""
 _SUSPECT = 3.0
-"""Standard deviations by which chi2 of the bins must exceed its expectation before the light is estimated."""
+"""Number of standard deviations by which chi-square of the bins must exceed its expectation to estimate the light."""
 _MISFIT = 5e-4
 """Standard deviation of a bin from causes other than noise, in units of the step."""
 _CLIPPED = 3.5
-"""Standard deviations above which a pixel is left out of the mean of its bin."""
+"""Number of standard deviations above which a pixel is excluded from the mean of its bin."""
 _STEP_PER_STD, _STEEP = 2.5, 4
-"""Height of a step in units of its standard deviation over a region; power of the fraction of variance that is a ghost's."""
+"""Height of a step relative to its standard deviation over a region; exponent of the variance fraction in `_ghost`."""
 _ROWS = 40
-"""Rows in which the light across the edge is evaluated."""
+"""Largest number of rows in which the light across the edge is evaluated."""
 _DARKEST = 0.1
 """Smallest factor of the light."""
 _FEWEST_BINS = 24
@@ -51,15 +50,15 @@ _FEWEST_BINS = 24
 
 
 class LightField(NamedTuple):
-    """Light of a region where two levels in light of third order are not enough.
+    """Uneven light of a region that two levels in light of third order do not explain.
 
     Attributes:
         factor: factor of each pixel (rows, columns).
-        addend: addend of each pixel (rows, columns), in the picture's units.
-        amplitude: standard deviation of the light over the region, relative to the scene or, of what adds, to the step.
-        possible: the same, rms over all models of the light by their probabilities.
-        ghost: share of a ghost that the light may be instead: it depends on the distance from the edge alone.
-        unknown: standard deviation of the step across the edge by light that is interpolated there, in units of the step.
+        addend: addend of each pixel (rows, columns), in the units of the image.
+        amplitude: standard deviation of the light over the region, relative to the scene, or to the step if it is added.
+        possible: the same, rms over all models of the light, weighted by their probabilities.
+        ghost: share of a ghost that may have been fitted as light.
+        unknown: standard deviation of the step across the edge by the interpolated light, in units of the step.
     """
 
     factor: FloatArray
@@ -71,7 +70,7 @@ class LightField(NamedTuple):
 
 
 class _Bins(NamedTuple):
-    """Means over bins of pixels: x, y, distance from the edge (px), value, level of the side, standard deviation: (n,) each."""
+    """Means over bins: x, y, distance from the edge (px), value, level of the side, and standard deviation, (n,) each."""
 
     x: FloatArray
     y: FloatArray
@@ -86,13 +85,13 @@ class _Family(NamedTuple):
 
     Attributes:
         length: correlation length, px.
-        adds: whether the light adds to the scene; else it multiplies it.
-        amplitudes: standard deviations of the light, relative, (a,).
+        adds: whether the light is added to the scene; else it multiplies the scene.
+        amplitudes: relative standard deviations of the light, (a,).
         seen: effect of the light of the bins on the data (n, p).
-        power: variances of the data by light of amplitude 1, in independent directions (p,).
-        vectors: these directions (p, p).
-        data: residuals of the bins after levels and plane, in these directions (p,).
-        glares: the same of glare of full strength, of every radius (radii, p).
+        power: eigenvalues of the covariance of the data by light of amplitude 1 (p,).
+        vectors: eigenvectors (p, p).
+        data: residuals of the bins after levels and polynomials, in the basis of the eigenvectors (p,).
+        glares: the same for glare with a share of 1, for every radius (radii, p).
     """
 
     length: float
@@ -109,12 +108,12 @@ class _Family(NamedTuple):
         return np.asarray(1 / (noise + amplitude**2 * self.power))
 
     def by_glare(self, precision: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Compute score and information of the share of light in glare of every radius, (..., radii)."""
+        """Compute score and information of the share of glare for every radius, (..., radii)."""
         score = np.maximum((precision * self.data) @ self.glares.T, 0.0)
         return score, precision @ (self.glares**2).T + _GLARE**-2
 
     def log_evidence(self) -> FloatArray:
-        """Compute the logarithm of the probability without glare and with it, (2, a, noises)."""
+        """Compute the logarithm of the probability without and with glare, (2, a, noises)."""
         precision = self.precision(self.amplitudes[:, None, None], np.array(_NOISES)[:, None])
         without = (np.log(precision) - self.data**2 * precision).sum(-1) / 2
         score, alone = self.by_glare(precision)
@@ -123,7 +122,7 @@ class _Family(NamedTuple):
         return np.asarray(prior + np.stack([without, without + gain]))
 
     def weights(self, amplitude: float, noise: float, glaring: bool) -> FloatArray:
-        """Compute the weights of the data (p,) in the mean of the light."""
+        """Compute the weights of the data (p,) in the posterior mean of the light."""
         precision = self.precision(amplitude, noise)
         score, alone = self.by_glare(precision)
         k = int(np.argmax(score**2 / alone - np.log(alone)))
@@ -144,18 +143,18 @@ def light_field(
     """Estimate the light of a region, or return None for smooth light.
 
     Args:
-        value: region (rows, columns), linear, any unit; NaN where there is none.
+        value: region (rows, columns), linear, any unit; NaN for missing pixels.
         x: positions of the pixels (rows, columns), px.
         y: positions of the pixels (rows, columns), px.
         distance: distances from the edge (rows, columns), px; positive on the bright side.
-        noise: gain and standard deviation of the read noise: the variance of a pixel is gain * value + read^2.
+        noise: gain and standard deviation of the read noise; the variance of a pixel is gain * value + read^2.
         blur: standard deviation of the line spread function, px.
-        glare: whether the fit of the edge has found glare, so that light must be compared with it.
+        glare: whether the fit of the edge has found glare, which must then be compared with uneven light.
 
     Returns:
         The most probable light.
     """
-    bins = _bins(value, x, y, distance, noise, REACH * blur + _MORE)
+    bins = _bins(value, x, y, distance, noise, EXCLUDED_WIDTHS * blur + _EXCLUDED_MARGIN)
     if bins is None:
         return None
     bright = bins.distance > 0
@@ -170,13 +169,13 @@ def light_field(
     columns = np.stack([(ndtr(bins.distance / radius) - bright) * step / bins.std for radius in _RADII]) @ basis
     families = _families(bins, basis, data, columns, step)
     kinds = [(family, amplitude, noise) for family in families for amplitude in family.amplitudes for noise in _NOISES]
-    # half of the prior probability is that of even light
+    # Even light has half of the prior probability.
     prior = [np.log(1.0 if not family.length else 2 * len(_LENGTHS) * _AMPLITUDES.size) for family, _, _ in kinds]
     evidence = np.concatenate([family.log_evidence().reshape(2, -1) for family in families], axis=1) - prior
     probability = np.exp(evidence - evidence.max())
     probability /= probability.sum()
     glaring = bool(probability[1].sum() > 0.5)
-    # the light is that of the more probable hypothesis
+    # The light is that of the more probable hypothesis, with or without glare.
     best, power, unexplained = kinds[int(np.argmax(evidence[int(glaring)]))]
     possible = float(np.sqrt(probability.sum(0) @ np.array([kind[1] for kind in kinds]) ** 2))
     factor, addend = np.ones_like(value), np.zeros_like(value)
@@ -185,11 +184,11 @@ def light_field(
     weights = best.weights(power, unexplained, glaring)
     light = power**2 * (best.seen @ weights)
     field = (_correlation(x.ravel(), y.ravel(), bins, best.length) @ light).reshape(value.shape)
-    # the polynomials next to it are fitted to the bins without the light
+    # The polynomials are fitted to the bins after subtracting the light.
     by_light = _correlation(bins.x, bins.y, bins, best.length) @ light * (step if best.adds else bins.level)
     left = (bins.value - by_light) / bins.std - unexplained * (basis @ weights)
     strengths = np.linalg.lstsq(design, left, rcond=None)[0][2:]
-    strengths[:2] = 0.0  # a plane is left to the fit of the edge
+    strengths[:2] = 0.0  # the linear terms belong to the fit of the edge
     polynomial = np.tensordot(strengths, _polynomials(x / scales[0], y / scales[1]), 1)
     amplitude = float(np.std(field[np.isfinite(value)]))
     ghost = _ghost(field[np.isfinite(value)], distance[np.isfinite(value)])
@@ -209,13 +208,13 @@ def _polynomials(x: FloatArray, y: FloatArray) -> FloatArray:
 def _unknown(
     bins: _Bins, best: _Family, amplitude: float, noise: float, places: tuple[FloatArray, ...], blur: float
 ) -> float:
-    """Compute the standard deviation of the light's step across the edge, mean along the edge, relative.
+    """Compute the relative standard deviation of the step of the light across the edge, averaged along the edge.
 
-    amplitude, noise: of the light, relative, and of the bins, as a variance in units of that of independent noise.
-    places: x, y and distance of all pixels, px.
+    `amplitude`: relative standard deviation of the light. `noise`: variance of the bins relative to independent noise.
+    `places`: x, y and distance of all pixels, px.
     """
     x, y, distance = places
-    # in every few rows, the pixels whose centres are one width of the blur from the edge on both sides
+    # In selected rows, use the pixels that are one blur width from the edge on both sides.
     rows = np.linspace(0, len(x) - 1, min(len(x), _ROWS)).astype(int)
     at = [np.abs(distance[rows] - side * blur).argmin(1) for side in (1, -1)]
     px, py = (np.concatenate([a[rows, columns] for columns in at]) for a in (x, y))
@@ -230,9 +229,9 @@ def _unknown(
 def _ghost(field: FloatArray, distance: FloatArray) -> float:
     """Compute the share of a ghost that may have been fitted as light.
 
-    A ghost of share q is a step q along lines parallel to the edge. Light is compared with a function of the distance
-    from the edge: the probability of a ghost falls steeply with the share of the variance that this function does not
-    explain. `field`: light of n pixels, relative. `distance`: their distances from the edge, px.
+    A ghost of share q is a step q along a line parallel to the edge. The light is compared with a function of the distance
+    from the edge. The probability of a ghost decreases steeply with the share of the variance that this function does not
+    explain. `field`: relative light of n pixels. `distance`: their distances from the edge, px.
     """
     _, name = np.unique(np.floor(distance / _SMALLEST_BIN), return_inverse=True)
     count = np.bincount(name)
@@ -247,10 +246,10 @@ def _bins(
     y: FloatArray,
     distance: FloatArray,
     noise: tuple[float, float],
-    reach: float,
+    margin: float,
 ) -> _Bins | None:
-    """Average the flat sides over bins, or return None if there are too few."""
-    flat = np.isfinite(value) & (np.abs(distance) > reach)
+    """Average the flat sides over bins, or return None if there are too few bins."""
+    flat = np.isfinite(value) & (np.abs(distance) > margin)
     side = max(_SMALLEST_BIN, float(np.sqrt(flat.sum() / _BINS)))
     rows, columns = (np.floor((a - a.min()) / side).astype(int) for a in (y, x))
     name = ((2 * rows + (distance > 0)) * (columns.max() + 1) + columns)[flat]
@@ -260,7 +259,7 @@ def _bins(
     count = np.bincount(name)
     mean = np.bincount(name, some) / np.maximum(count, 1)
     std = np.sqrt(np.maximum(noise[0] * np.maximum(mean, 0) + noise[1] ** 2, 1e-300))
-    # the first estimate of each bin is its median, which is robust to dust and hot pixels
+    # The first estimate of each bin is its median, which is robust to dust and hot pixels.
     order = np.lexsort((some, name))
     middle = some[order[np.minimum(np.cumsum(count) - (count + 1) // 2, some.size - 1)]]
     used = np.abs(some - middle[name]) < _CLIPPED * std[name] * (1 + 1 / np.sqrt(count[name]))
@@ -280,9 +279,9 @@ def _bins(
 
 
 def _families(bins: _Bins, basis: FloatArray, data: FloatArray, glares: FloatArray, step: float) -> list[_Family]:
-    """List all models of the light, even light first.
+    """List all models of the light; even light is the first.
 
-    `data`, `glares`: residuals of the bins, and of glare of full strength, after levels and plane: (p,), (radii, p).
+    `data`, `glares`: residuals of the bins (p,), and of glare with a share of 1 (radii, p), after levels and polynomials.
     """
     families = [_Family(0.0, False, np.zeros(1), basis, np.zeros(data.size), np.eye(data.size), data, glares)]
     for length in _LENGTHS:
@@ -296,6 +295,6 @@ def _families(bins: _Bins, basis: FloatArray, data: FloatArray, glares: FloatArr
 
 
 def _correlation(x: FloatArray, y: FloatArray, bins: _Bins, length: float) -> FloatArray:
-    """Compute the correlation of light at points and bins (points, n): Matern's of order 3/2."""
+    """Compute the correlation of the light between points and bins (points, n): Matern function of order 3/2."""
     apart = np.sqrt(3 * ((x[:, None] - bins.x) ** 2 + (y[:, None] - bins.y) ** 2)) / length
     return np.asarray((1 + apart) * np.exp(-apart))

@@ -1,7 +1,7 @@
-"""Detection of mosaics that are declared as grey pictures.
+"""Detection of mosaics that are declared as grey images.
 
 The columns and rows of a mosaic alternate, because the light of one colour is brighter than that of another. No other
-cause makes every second pixel of a whole picture differ.
+cause makes every second pixel of a whole image differ.
 """
 
 from __future__ import annotations
@@ -13,15 +13,18 @@ from matcam.core.arrays import FloatArray
 from matcam.core.errors import FitError
 from matcam.numerics.normal import robust_std
 
-_LARGEST = 1024  # px: so much of a picture is enough
-_DARK = 0.2  # of a picture's bright light, below which light that alternates is noise
-_ALTERNATING, _SIGNIFICANT = 0.03, 6.0  # of the light; standard deviations
+_LARGEST = 1024
+"""Largest side of the central area that is tested, px. It limits the computing time."""
+_DARK = 0.2
+"""Light relative to the bright parts of the image below which pixels are ignored, because noise dominates."""
+_ALTERNATING, _SIGNIFICANT = 0.03, 6.0
+"""Relative difference of alternating pixels above which an image is a mosaic; standard deviations."""
 _FEWEST = 30
-"""Pixels whose median is known."""
+"""Smallest number of pixels for a median."""
 
 
 def refuse_unnamed_mosaic(plane: LinearImage) -> None:
-    """Raise FitError for a grey plane whose pixels alternate like those of a mosaic."""
+    """Raise FitError for a grey plane whose pixels alternate as in a mosaic."""
     if plane.channel == "grey" and plane.cfa is None and (share := alternation(plane.values)) > 0:
         raise FitError(
             f"every second pixel differs by {share:.0%} of the light: a mosaic of colours that is read as grey: "
@@ -30,10 +33,10 @@ def refuse_unnamed_mosaic(plane: LinearImage) -> None:
 
 
 def alternation(values: FloatArray) -> float:
-    """Return the relative difference of neighbours over a whole picture (height, width), 0 if there is none.
+    """Measure the relative difference of alternating pixels over an image (height, width); 0 if it is not significant.
 
-    Second differences of neighbours are 0 in even light, and in light that changes evenly. Their medians at every
-    second pixel of every second line measure the periodic part, independently of edges.
+    Second differences of neighbours are 0 in light that is constant or changes linearly. Their medians at every second
+    pixel of every second line measure the periodic part, independently of edges.
     """
     height, width = values.shape
     top, left = max(height - _LARGEST, 0) // 4 * 2, max(width - _LARGEST, 0) // 4 * 2
@@ -42,7 +45,7 @@ def alternation(values: FloatArray) -> float:
 
 
 def _of_lines(values: FloatArray) -> float:
-    """Return the alternation along the rows."""
+    """Measure the alternation along the rows."""
     before, at, after = values[:, :-2], values[:, 1:-1], values[:, 2:]
     mean = (before + 2 * at + after) / 4
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -57,7 +60,7 @@ def _of_lines(values: FloatArray) -> float:
         parts = [part[np.isfinite(part)] for part in parts]
         if min(part.size for part in parts) >= _FEWEST:
             ends = [float(np.median(part)) for part in parts]
-            # standard deviation of a median
+            # Standard deviation of a median.
             std = max(1.25 * robust_std(part - end) / np.sqrt(part.size) for part, end in zip(parts, ends, strict=True))
             least = min(map(abs, ends))
             if ends[0] * ends[1] < 0 and 2 * least > _ALTERNATING and least > _SIGNIFICANT * std:

@@ -1,4 +1,4 @@
-"""Numbers from a measured edge: frequencies of given contrast, contrast at given frequencies, rise of the edge response."""
+"""Single values of a measured edge: frequency at a given MTF, MTF at a given frequency, rise distance."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from matcam.numerics.crossing import first_fall
 LEVELS = (0.5, 0.3, 0.2, 0.1)
 """Levels of the MTF whose frequencies are reported."""
 _SAMPLES = 512
-"""Samples of the edge response between which its rise is interpolated."""
+"""Number of samples of the edge response for the interpolation of its rise."""
 _HIGHEST = 1.25
 """Largest frequency at which an MTF is tabulated, cycles/px."""
 
 
 class EdgeNumber(NamedTuple):
-    """Number and its standard deviation.
+    """Value and its standard deviation.
 
     Attributes:
-        value: the number, in the unit that the function states.
-        std: its standard deviation, in the same unit.
+        value: value, in the unit that the function specifies.
+        std: standard deviation, in the same unit.
 
     Example:
         >>> matcam.calibration.EdgeNumber(0.31, 0.01).value
@@ -45,10 +45,10 @@ def level_frequency(edge: EdgeMTF, level: float) -> EdgeNumber:
         level: level of the MTF, in (0, 1) (no unit).
 
     Returns:
-        Lowest such frequency and its standard deviation, cycles/px; NaN where the MTF does not fall so far.
+        Lowest such frequency and its standard deviation, cycles/px; NaN if the MTF does not reach the level.
 
     Raises:
-        ArgumentError: `edge` is no result of `edge_mtf`, or `level` is out of range.
+        ArgumentError: `edge` is not a result of `edge_mtf`, or `level` is out of range.
 
     Example:
         >>> y, x = np.mgrid[-80:80, -40:40]
@@ -80,7 +80,7 @@ def mtf_at(edge: EdgeMTF, frequency: ArrayLike) -> SampledCurve:
         MTF and its standard deviation, of the same shape (no unit).
 
     Raises:
-        ArgumentError: `edge` is no result of `edge_mtf`, or a frequency is out of range.
+        ArgumentError: `edge` is not a result of `edge_mtf`, or a frequency is out of range.
 
     Example:
         >>> y, x = np.mgrid[-80:80, -40:40]
@@ -104,7 +104,7 @@ def rise_distance(edge: EdgeMTF) -> EdgeNumber:
         Distance along the normal and its standard deviation, px.
 
     Raises:
-        ArgumentError: `edge` is no result of `edge_mtf`.
+        ArgumentError: `edge` is not a result of `edge_mtf`.
 
     Source:
         ISO 12233, which reports it as an alternative to the e-SFR.
@@ -116,15 +116,16 @@ def rise_distance(edge: EdgeMTF) -> EdgeNumber:
         2.2
     """
     checks.instance("edge", edge, EdgeMTF)
-    reach = 6 * float(line_width(edge.fits.free.shape))
-    distance = np.linspace(-reach, reach, _SAMPLES)
+    extent = 6 * float(line_width(edge.fits.free.shape))
+    distance = np.linspace(-extent, extent, _SAMPLES)
     return rise(distance, edge.esf(distance))
 
 
 def _passage(position: FloatArray, response: SampledCurve, level: float, side: int) -> EdgeNumber:
-    """Find where an edge response passes a level on one side of its middle, by linear interpolation; NaN: nowhere.
+    """Find the position at which an edge response crosses a level, by linear interpolation; NaN if it does not.
 
-    position: (n,) rising. response: 0 to 1, (n,). side: -1 for the dark side, 1 for the bright one.
+    The search starts at the middle of the edge. `position`: (n,) ascending. `response`: 0 to 1, (n,). `side`: -1 for the
+    dark side, 1 for the bright side.
     """
     value = np.asarray(response.value)
     outwards = np.arange(int(np.argmin(np.abs(value - 0.5))), value.size if side > 0 else -1, side)
@@ -138,25 +139,25 @@ def _passage(position: FloatArray, response: SampledCurve, level: float, side: i
 
 
 def rise(position: FloatArray, response: SampledCurve) -> EdgeNumber:
-    """Measure the 10 % to 90 % rise of an edge response, in the unit of its positions; NaN where it does not rise so far.
+    """Measure the 10 % to 90 % rise of an edge response, in the unit of its positions; NaN if a level is not reached.
 
     Args:
-        position: positions (n,), rising.
-        response: edge response at these, 0 to 1, (n,).
+        position: positions (n,), ascending.
+        response: edge response at these positions, 0 to 1, (n,).
     """
     low, high = (_passage(position, response, level, side) for level, side in ((0.1, -1), (0.9, 1)))
     return EdgeNumber(high.value - low.value, float(np.hypot(low.std, high.std)))
 
 
 def readings(edge: EdgeMTF, frequencies: FloatArray | tuple[float, ...] = ()) -> dict[str, Any]:
-    """Compute the usual numbers of an edge.
+    """Compute the common single values of an edge.
 
     Args:
         edge: result of `edge_mtf`.
-        frequencies: frequencies at which the MTF is wanted, cycles/px. Default: none.
+        frequencies: frequencies at which the MTF is computed, cycles/px. Default: none.
 
     Returns:
-        Numbers by name, with units in the names: frequencies of MTF50, 30, 20 and 10, rise, MTF at `frequencies`.
+        Values by name, with units in the names: frequencies of MTF50, 30, 20 and 10, rise, MTF at `frequencies`.
     """
     found: dict[str, Any] = {}
     for level in LEVELS:

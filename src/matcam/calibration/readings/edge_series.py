@@ -1,4 +1,4 @@
-"""Many edges in one run: several photographs, regions and channels, one row each."""
+"""Measurement of many edges in one run: several photographs, regions and channels, with one table row each."""
 
 from __future__ import annotations
 
@@ -14,7 +14,9 @@ from matcam.core.readers.texts import read_lines
 from matcam.files.photographs import Photograph
 
 Region = tuple[int, int, int, int]
+"""Region (x, y, width, height) of an image, px."""
 _COLUMNS = ("x", "y", "width", "height")
+"""Columns that a file of regions must have."""
 
 
 class SeriesEdge(NamedTuple):
@@ -24,8 +26,8 @@ class SeriesEdge(NamedTuple):
         file: name of the photograph.
         region: name of the region.
         channel: "R", "G", "B", "Y" or "grey".
-        found: numbers by name; empty where the edge could not be measured.
-        problem: why it could not be measured; empty where it could.
+        found: values by name; empty if the edge could not be measured.
+        problem: reason why it could not be measured; empty if it could.
     """
 
     file: str
@@ -36,7 +38,7 @@ class SeriesEdge(NamedTuple):
 
 
 def channels_of(photograph: Photograph, channel: str | None, cfa: str | None) -> list[str | None]:
-    """List the channels of a photograph that are to be measured. channel: one of them, "all", or None: the default one."""
+    """List the channels of a photograph to be measured. `channel`: one channel, "all", or None for the default one."""
     if channel != "all":
         return [channel]
     if (cfa or photograph.cfa) is not None:
@@ -51,17 +53,17 @@ def measure_series(
     cfa: str | None,
     measure: Callable[[Photograph, Region | None, str | None], dict[str, Any]],
 ) -> list[SeriesEdge]:
-    """Measure all regions of all photographs in all channels; an edge that fails is listed.
+    """Measure all regions of all photographs in all channels. Edges that fail are listed with the reason.
 
     Args:
         photographs: names, and functions that read the photographs.
-        regions: regions (x, y, width, height) in px by their names; None: the whole photograph.
-        channel: a colour, "all", or None: luminance, or everything of a grey photograph.
-        cfa: colours of the first 2 x 2 px of mosaics whose files do not say so; None: no mosaic.
+        regions: regions (x, y, width, height) in px by name; None for the whole photograph.
+        channel: a colour, "all", or None for luminance or a grey photograph.
+        cfa: colours of the first 2 x 2 px of mosaics whose files do not specify them; None for no mosaic.
         measure: function that measures one edge.
 
     Returns:
-        One row for each.
+        One row for each edge.
     """
     rows: list[SeriesEdge] = []
     for name, read in photographs:
@@ -82,7 +84,7 @@ def measure_series(
 
 
 def series_columns(rows: Sequence[SeriesEdge]) -> dict[str, Sequence[Any]]:
-    """Arrange a series as columns by name; lists within are joined, and curves are left out."""
+    """Arrange a series as columns by name. Remarks are joined, and curves are omitted."""
     names: dict[str, None] = {}
     for row in rows:
         names.update(dict.fromkeys(name for name, value in row.found.items() if not isinstance(value, list | dict)))
@@ -98,10 +100,10 @@ def series_columns(rows: Sequence[SeriesEdge]) -> dict[str, Sequence[Any]]:
 
 
 def read_regions(path: Path) -> dict[str, Region | None]:
-    """Read regions from a CSV file with the columns x, y, width, height, and name if there is one.
+    """Read regions from a CSV file with the columns x, y, width, height, and optionally name.
 
     Raises:
-        FileFormatError: the file has not these columns, or a line that is no region.
+        FileFormatError: a column is missing, or a line is not a region.
     """
     lines = list(csv.reader(read_lines(path, "a list of regions")))
     header = [cell.strip().lower() for cell in lines[0]] if lines else []
@@ -115,16 +117,16 @@ def read_regions(path: Path) -> dict[str, Region | None]:
         try:
             x, y, width, height = (int(cells[name]) for name in _COLUMNS)
         except (KeyError, ValueError):
-            raise FileFormatError(f"{path}: line {number} is no region: four whole numbers are needed") from None
+            raise FileFormatError(f"{path}: line {number} is not a region: four whole numbers are needed") from None
         name = cells.get("name") or f"{x},{y},{width},{height}"
         if name in regions:
-            raise FileFormatError(f"{path}: line {number}: the name {name} is there twice")
+            raise FileFormatError(f"{path}: line {number}: the name {name} occurs twice")
         regions[name] = (x, y, width, height)
     if not regions:
-        raise FileFormatError(f"{path}: no region is in it")
+        raise FileFormatError(f"{path}: it contains no region")
     return regions
 
 
 def _number(value: Any) -> Any:
-    """Return a value as a cell of a table; a missing value becomes NaN."""
+    """Convert a value to a table cell; a missing value becomes NaN."""
     return np.nan if value is None else value

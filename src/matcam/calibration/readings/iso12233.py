@@ -1,7 +1,7 @@
-"""Edge-based spatial frequency response (e-SFR) of ISO 12233:2023, step by step as the standard describes it.
+"""Edge-based spatial frequency response (e-SFR), computed in the steps of ISO 12233:2023.
 
-It has no error bars, no model of light, and the biases of its bins and windows; `edge_mtf` has neither. Its purpose is
-the comparison with other programs.
+The method gives no standard deviations, has no model of the light, and is biased by its bins and windows, in contrast to
+`edge_mtf`. Its purpose is the comparison with other programs.
 """
 
 from __future__ import annotations
@@ -28,12 +28,13 @@ from matcam.numerics.crossing import first_fall
 _BINS = 4
 """Bins of the edge spread function per sample (ISO 12233:2023)."""
 _FLOOR = 0.05
-"""Weight of the window at all distances from the edge, which makes the second search for the edge stable."""
+"""Smallest weight of the window. It makes the second search for the edge stable."""
 _LARGEST_CORRECTION = 10.0
 """Largest factor by which the response of the difference filter is corrected."""
 _ORDERS = (1, 5)
+"""Smallest and largest order of the polynomial of the edge."""
 _LEAST_TURNS = 1.0
-"""Samples along a row by which the edge must move from the first row to the last, so that all phases are sampled."""
+"""Smallest shift of the edge between the first and the last row, in samples, so that all phases are sampled."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,13 +42,13 @@ class ISOEdge:
     """Spatial frequency response of one edge by ISO 12233:2023.
 
     Attributes:
-        frequency: frequencies (n,) along the edge's normal, cycles/px.
+        frequency: frequencies (n,) along the normal of the edge, cycles/px.
         sfr: spatial frequency response (n,) (no unit).
-        sfr50: lowest frequency where it is one half, cycles/px; NaN if there is none.
-        sfr10: lowest frequency where it is one tenth, cycles/px; NaN if there is none.
-        slope: mean slope of the edge to the columns, or to the rows if it is nearer to them, rad.
-        esf: edge spread function (m,), in the picture's linear units.
-        spacing: distance between its samples along the normal, px.
+        sfr50: lowest frequency at which it is one half, cycles/px; NaN if there is none.
+        sfr10: lowest frequency at which it is one tenth, cycles/px; NaN if there is none.
+        slope: mean angle of the edge to the columns, or to the rows if it is nearer to them, rad.
+        esf: edge spread function (m,), in the linear units of the image.
+        spacing: distance between the samples of `esf` along the normal, px.
 
     Example:
         >>> y, x = np.mgrid[-80:80, -40:40]
@@ -65,13 +66,13 @@ class ISOEdge:
     spacing: float
 
     def readings(self, frequencies: Sequence[float] = ()) -> dict[str, Any]:
-        """Return the usual numbers of the response.
+        """Compute the common single values of the response.
 
         Args:
-            frequencies: frequencies at which the response is wanted, cycles/px. Default: (), none.
+            frequencies: frequencies at which the response is computed, cycles/px. Default: (), none.
 
         Returns:
-            Numbers by name, with units in the names, as `matcam edge` prints them.
+            Values by name, with units in the names, as `matcam edge` prints them.
         """
         found: dict[str, Any] = {}
         for level in LEVELS:
@@ -81,9 +82,9 @@ class ISOEdge:
 
     @property
     def rise(self) -> float:
-        """Return the 10 % to 90 % rise of the ESF, px.
+        """Rise distance (10 % to 90 %) of the ESF, px.
 
-        It is NaN where the ESF does not rise so far.
+        It is NaN if a level is not reached.
         """
         end = max(self.esf.size // 8, 1)
         dark, bright = self.esf[:end].mean(), self.esf[-end:].mean()
@@ -95,7 +96,7 @@ class ISOEdge:
         """Return the result as a JSON object.
 
         Returns:
-            Numbers by name, units in the names.
+            Values by name, units in the names.
         """
         return plain(
             {
@@ -122,24 +123,24 @@ def iso12233_sfr(
 ) -> ISOEdge:
     """Measure the e-SFR of an edge by the steps of ISO 12233:2023.
 
-    The edge's place in each row is the centroid of the derivative under a window; a polynomial through these places aligns the
-    rows; four bins a sample make the edge spread function; its derivative, under a Tukey window, is transformed, and the
-    response of the difference filter is undone.
+    In each row, the position of the edge is the centroid of the windowed derivative. A polynomial through these positions
+    aligns the rows. The edge spread function is averaged in four bins per sample. Its derivative is multiplied by a Tukey
+    window and Fourier transformed. Finally, the response of the difference filter is corrected.
 
     Args:
-        image: `LinearImage`, `Photograph`, or array as `edge_mtf` takes it.
-        roi: region (x, y, width, height) that holds one edge, px. Default: None, all of the image.
-        order: order of the edge's polynomial, 1 to 5 (no unit). Default: 5.
-        cfa: colours of the image's first 2 x 2 px, as in `edge_mtf` (no unit). Default: None, no mosaic.
+        image: `LinearImage`, `Photograph`, or array, as in `edge_mtf`.
+        roi: region (x, y, width, height) that contains one edge, px. Default: None, the whole image.
+        order: order of the polynomial of the edge, 1 to 5 (no unit). Default: 5.
+        cfa: colours of the first 2 x 2 px of the image, as in `edge_mtf` (no unit). Default: None, no mosaic.
         channel: "R", "G", "B" or "Y", as in `edge_mtf` (no unit). Default: None, luminance.
-        tone: what the codes are, as in `LinearImage.of` (no unit). Default: "auto", as in `edge_mtf`.
+        tone: tone curve of the codes, as in `LinearImage.of` (no unit). Default: "auto", as in `edge_mtf`.
 
     Returns:
         The response, without standard deviations.
 
     Raises:
-        ArgumentError: an argument is bad.
-        FitError: the region contains no edge, or the edge does not pass all phases of the pixels.
+        ArgumentError: an argument is invalid.
+        FitError: the region contains no edge, or the pixels do not sample all phases of the edge.
 
     Source:
         ISO 12233:2023, annex D; P. D. Burns, sfrmat5.
@@ -163,16 +164,16 @@ def iso12233_sfr(
     start = rows.start[0, : len(value)] / rows.step
     number = np.arange(len(value), dtype=float)
     if value.shape[1] < 8:
-        raise FitError("the region has missing pixels: the method of ISO 12233 needs all of them")
+        raise FitError("the region has missing pixels: the method of ISO 12233 requires all of them")
     place = _edge_places(value, start, number, order)
     straight = np.polynomial.Polynomial.fit(number, place, 1).convert().coef[1]
     if abs(straight) * len(value) < _LEAST_TURNS:
-        raise FitError("phases are missing: the edge lies along the pixels' grid: turn the target by a few degrees")
-    # whole turns of the phase give all phases equal weight
+        raise FitError("phases are missing: the edge is parallel to the pixel grid: rotate the target by a few degrees")
+    # A whole number of phase cycles gives all phases equal weight.
     kept = max(int(np.round(np.floor(len(value) * abs(straight)) / abs(straight))), 1)
     value, start, place = value[:kept], start[:kept], place[:kept]
     esf = _edge_spread(value, start[:, None] + np.arange(value.shape[1]) - place[:, None])
-    # along the normal, in px
+    # Convert distances to px along the normal.
     across = float(np.cos(np.arctan(straight * rows.step / (rows.y[0, 1] - rows.y[0, 0]))))
     spacing = rows.step * across / _BINS
     frequency, sfr = _response(esf, spacing)
@@ -181,12 +182,12 @@ def iso12233_sfr(
 
 
 def _edge_places(value: FloatArray, start: FloatArray, number: FloatArray, order: int) -> FloatArray:
-    """Find the position of the edge in every row, samples, from a polynomial through centroids of the derivative.
+    """Find the position of the edge in every row, in samples, from a polynomial through centroids of the derivative.
 
-    start: place of the first sample of each row, samples. number: of each row.
+    `start`: position of the first sample of each row, in samples. `number`: number of each row.
     """
     columns = value.shape[1]
-    # the difference of two neighbours is at the point between them
+    # The difference of two neighbours belongs to the point between them.
     slope, at = np.diff(value, axis=1), start[:, None] + np.arange(columns - 1) + 0.5
     window = np.ones_like(slope)
     for _ in range(3):
@@ -200,7 +201,7 @@ def _edge_places(value: FloatArray, start: FloatArray, number: FloatArray, order
 
 
 def _hann(distance: FloatArray, width: float) -> FloatArray:
-    """Compute a Tukey window of parameter 1 that reaches to the further border of a width."""
+    """Compute a Tukey window with parameter 1 that extends to the more distant border."""
     half = np.maximum(np.abs(distance).max(axis=-1, keepdims=True), width / 2)
     return np.asarray((1 + np.cos(np.pi * np.clip(distance / half, -1, 1))) / 2)
 
@@ -208,7 +209,7 @@ def _hann(distance: FloatArray, width: float) -> FloatArray:
 def _edge_spread(value: FloatArray, distance: FloatArray) -> FloatArray:
     """Average samples over bins of a quarter of a sample; empty bins are interpolated."""
     bins = np.floor(distance * _BINS).astype(int)
-    # as many as a row has quarters, about the centre: at the ends only a part of the rows contributes
+    # Only the bins in the length of one row about the centre are used, because not all rows contribute to the outer ones.
     middle, half = int(np.round((bins[:, 0] + bins[:, -1]).mean() / 2)), _BINS * value.shape[1] // 2
     first, last = max(middle - half, int(bins.min())), min(middle + half - 1, int(bins.max()))
     inside = (bins >= first) & (bins <= last)
@@ -225,7 +226,7 @@ def _response(esf: FloatArray, spacing: float) -> tuple[FloatArray, FloatArray]:
     """Compute frequencies, cycles/px, and the response from an edge spread function."""
     line = np.convolve(esf, (0.5, 0, -0.5), "same")
     line[[0, -1]] = line[[1, -2]]
-    # its maximum is in the centre
+    # Shift the maximum to the centre.
     line = np.roll(line, line.size // 2 - int(np.argmax(line)))
     line *= _hann(np.arange(line.size, dtype=float) - line.size // 2, line.size)
     size = line.size

@@ -1,13 +1,12 @@
-"""Search for straight edges in a picture: without a description at any scale and rotation, under uneven light and mild
-distortion; or the sides of the squares of a chart that was found.
+"""Search for straight edges in an image, or for the sides of the squares of a registered chart.
 
-Adjacent pixels with gradients in similar directions are one edge; its position and direction are those of its pixels,
-weighted by gradient. Corners end an edge, because the gradient changes direction there; squares are not required. An
-edge is kept if the areas on both sides of it are even, and wide enough to be measured. NumPy and SciPy, on the picture
-reduced to a few megapixels.
+Without a chart, edges are found at any scale and rotation, under uneven light and mild distortion. Adjacent pixels with
+gradients in similar directions form an edge. Its position and direction are the means over its pixels, weighted by the
+gradient. An edge ends at a corner, where the direction of the gradient changes; the shape need not be a square. An edge is
+kept if the areas on both sides are even, and wide enough to be measured. The image is reduced to a few megapixels.
 
-Around gratings, stars, dots and tables there are edges by the hundred. In a chart, only the sides of squares are searched,
-at the positions from the registration; a side that is partly covered is left out.
+Gratings, stars, dots and printed tables have hundreds of edges. Therefore, in a chart, only the sides of squares are
+searched, at their registered positions. Sides that are partly covered are excluded.
 """
 
 from __future__ import annotations
@@ -23,34 +22,49 @@ from matcam.calibration.chart.sides import seen_sides
 from matcam.calibration.photograph.linear_image import smoothed
 from matcam.core.arrays import FloatArray
 
-_PIXELS = 2_000_000  # of the reduced picture, largest value
-_SMOOTH = 1.0  # px of the reduced picture
-_SECTORS = 16  # number of directions; each is searched together with its two neighbours
-_NOISE, _WEAK = 6.0, 0.06  # gradients count above this multiple of the median, and above this share of the strongest
-_SHORTEST = 12.0  # px of the reduced picture
-_SLENDER = 3.0  # smallest length over width of a ribbon of pixels
-_CORNER = 2.5  # px of the reduced picture that are cut off both ends
-_PROFILE = 40  # px of the reduced picture, on both sides
-_ALONG = 24  # number of positions along an edge
-_UNEVEN, _SLOPE = 0.06, 0.002  # relative to the step: largest change of the mean of a side, and largest change rate
-_SPOT = 0.4  # relative to the step: largest deviation of single positions along an edge
-_ENOUGH = 4  # number of edges above which a finer search is not needed
-_SIDE_CORNER = 3.5  # px that are cut off both ends of a side of a square
-_FEWEST = 5  # number of positions along a side at which it must be found
-_STRAIGHT = 0.7  # px: largest distance of these from a straight line
+_PIXELS = 2_000_000
+"""Largest number of pixels of the reduced image. It limits the time of the search."""
+_SMOOTH = 1.0
+"""Standard deviation of the smoothing before the gradient is computed, px of the reduced image."""
+_SECTORS = 16
+"""Number of sectors of gradient directions. Each is searched together with its two neighbours."""
+_NOISE, _WEAK = 6.0, 0.06
+"""Smallest gradient of an edge, relative to the median and to the strongest gradient of the image."""
+_SHORTEST = 12.0
+"""Smallest length of an edge, px of the reduced image."""
+_SLENDER = 3.0
+"""Smallest ratio of length and width of a connected set of edge pixels."""
+_CORNER = 2.5
+"""Length that is removed from both ends of an edge, px of the reduced image. It excludes the blurred corners."""
+_PROFILE = 40
+"""Largest distance on both sides of an edge that is tested for evenness, px of the reduced image."""
+_ALONG = 24
+"""Number of positions along an edge at which its profile is sampled."""
+_UNEVEN, _SLOPE = 0.06, 0.002
+"""Largest deviation of the mean of a side relative to the step, and its increase per px of distance."""
+_SPOT = 0.4
+"""Largest variation along an edge at one distance from it, relative to the step."""
+_ENOUGH = 4
+"""Number of edges from which a search at a finer scale is unnecessary."""
+_SIDE_CORNER = 3.5
+"""Length that is removed from both ends of a side of a square, px. It excludes the blurred corners."""
+_FEWEST = 5
+"""Smallest number of positions along a side at which it must be found."""
+_STRAIGHT = 0.7
+"""Largest standard deviation of these positions from a straight line, px."""
 
 
-class EdgePlaces(NamedTuple):
-    """Set of n edges, the longest and strongest first.
+class EdgePositions(NamedTuple):
+    """Set of n edges in descending order of length times step.
 
-    Lengths are px of the picture, pixel centres on whole numbers, x right, y down.
+    Positions are in px of the image; pixel centres are whole numbers, x points right, and y down.
 
     Attributes:
-        x: (n,) px, of the middle.
-        y: (n,) px, of the middle.
-        angle: (n,) rad, of the normal towards the bright side, from x to y.
-        length: (n,) px that are free of corners.
-        clear: (n,) px to both sides that are free of anything else.
+        x: (n,) x of the middle, px.
+        y: (n,) y of the middle, px.
+        angle: (n,) direction of the normal towards the bright side, from x to y, rad.
+        length: (n,) length without corners, px.
+        clear: (n,) distance on both sides to which the levels are even, px.
     """
 
     x: np.ndarray
@@ -60,11 +74,11 @@ class EdgePlaces(NamedTuple):
     clear: np.ndarray
 
 
-def find_edges(picture: np.ndarray, *, mosaic: bool = False) -> EdgePlaces:
-    """Find straight edges in a picture of any monotone codes.
+def find_edges(picture: np.ndarray, *, mosaic: bool = False) -> EdgePositions:
+    """Find straight edges in an image with any monotone codes.
 
-    picture: (height, width) or (height, width, 3). mosaic: of colour filters, whose pixels can only be compared in cells of
-    2 x 2.
+    `picture`: (height, width) or (height, width, 3). `mosaic`: whether it is a colour mosaic, which is reduced in cells of
+    2 x 2 px.
     """
     least = 2 if mosaic else 1
     factor = max(int(np.ceil(np.sqrt(picture.shape[0] * picture.shape[1] / _PIXELS) / least)) * least, least)
@@ -76,11 +90,11 @@ def find_edges(picture: np.ndarray, *, mosaic: bool = False) -> EdgePlaces:
         factor = finer
 
 
-def described_edges(values: FloatArray, chart: Chart, projection: Projection) -> EdgePlaces | None:
-    """Return the sides of a chart's squares that can be measured; None for a chart without squares.
+def described_edges(values: FloatArray, chart: Chart, projection: Projection) -> EdgePositions | None:
+    """Find the sides of the squares of a chart that can be measured; None for a chart without squares.
 
-    values: (height, width) any monotone codes, mosaics balanced; NaN where there are no data. projection: from the page, mm, to
-    the picture, px.
+    `values`: (height, width) any monotone codes, mosaics balanced; NaN for missing pixels. `projection`: from the page, mm,
+    to the image, px.
     """
     smooth = smoothed(values)
     sides = seen_sides(smooth, chart, projection)
@@ -95,21 +109,18 @@ def described_edges(values: FloatArray, chart: Chart, projection: Projection) ->
     return clear_edges(smooth, x[good], y[good], angle[good], sides.length[some[good]], _SIDE_CORNER)
 
 
-def _at_scale(picture: np.ndarray, factor: int) -> EdgePlaces:
-    """Find edges in the picture reduced by a factor."""
+def _at_scale(picture: np.ndarray, factor: int) -> EdgePositions:
+    """Find edges in the image reduced by a factor."""
     small = _reduced(picture, factor)
     ribbons = _ribbons(small) if min(small.shape) > 2 * _SHORTEST else np.zeros((0, 4))
     x, y, angle, length = ribbons.T
     edges = clear_edges(small, x, y, angle, length, _CORNER)
     x, y = (column * factor + (factor - 1) / 2 for column in (edges.x, edges.y))
-    return EdgePlaces(x, y, edges.angle, factor * edges.length, factor * edges.clear)
+    return EdgePositions(x, y, edges.angle, factor * edges.length, factor * edges.clear)
 
 
 def _reduced(picture: np.ndarray, factor: int) -> np.ndarray:
-    """Return sums over squares of `factor` px, and over colours.
-
-    Only ratios matter.
-    """
+    """Compute sums over squares of `factor` px and over colours. The scale is arbitrary, because only ratios are used."""
     height, width = (size // factor * factor for size in picture.shape[:2])
     total = np.zeros((height // factor, width), np.float32)
     for row in range(factor):
@@ -119,10 +130,7 @@ def _reduced(picture: np.ndarray, factor: int) -> np.ndarray:
 
 
 def _ribbons(small: np.ndarray) -> np.ndarray:
-    """Return connected pixels with similar gradients.
-
-    (n, 4): x, y, angle of the normal, length.
-    """
+    """Find connected pixels with gradients in similar directions: (n, 4) x, y, angle of the normal, length."""
     gx, gy = (ndimage.gaussian_filter(small, _SMOOTH, order=order, mode="nearest") for order in ((0, 1), (1, 0)))
     size = np.hypot(gx, gy)
     floor = max(_NOISE * float(np.median(size)), _WEAK * float(np.quantile(size[::3, ::3], 0.995)), 1e-30)
@@ -138,7 +146,7 @@ def _ribbons(small: np.ndarray) -> np.ndarray:
         label, count = ndimage.label(mask, np.ones((3, 3)))
         one = label[rows[near], columns[near]] - 1
         ribbon, direction = _moments(one, count, *(a[near] for a in (columns, rows, gx, gy, size)))
-        # an edge is found in three sectors, and is assigned to the one that contains its mean direction
+        # An edge is found in three sectors, and assigned to the one that contains its mean direction.
         mine = np.floor((direction + np.pi) / width).astype(int) % _SECTORS == centre
         found.append(ribbon[mine])
     ribbon = np.concatenate(found)
@@ -149,9 +157,9 @@ def _ribbons(small: np.ndarray) -> np.ndarray:
 def _moments(
     one: np.ndarray, count: int, x: np.ndarray, y: np.ndarray, gx: np.ndarray, gy: np.ndarray, size: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the moments of components, and their mean directions.
+    """Compute the moments of components, and their mean gradient directions.
 
-    The moments (count, 5) are x, y, normal's angle, length, width. one: each pixel's component.
+    The moments (count, 5) are x, y, angle of the normal, length and width. `one`: index of the component of each pixel.
     """
     total = lambda values: np.bincount(one, values, count)  # noqa: E731
     weight = np.maximum(total(size), 1e-30)
@@ -162,32 +170,32 @@ def _moments(
     direction = np.arctan2(total(gy), total(gx))
     normal = np.arctan2(2 * xy, xx - yy) / 2 + np.pi / 2
     normal = np.where(np.cos(normal - direction) < 0, normal + np.pi, normal)
-    # a uniform ribbon of length l has a variance of l^2 / 12
+    # A uniform strip of length l has a variance of l^2 / 12.
     length, thickness = np.sqrt(12 * (half + apart)), np.sqrt(12 * np.maximum(half - apart, 0))
     return np.stack([mx, my, np.angle(np.exp(1j * normal)), length, thickness], 1), direction
 
 
 def clear_edges(
     small: np.ndarray, x: np.ndarray, y: np.ndarray, angle: np.ndarray, length: np.ndarray, corner: float
-) -> EdgePlaces:
-    """Select the edges that are even on both sides, and cut their ends off.
+) -> EdgePositions:
+    """Select the edges that are even on both sides, and shorten them at both ends.
 
-    small, x, y, angle, length: as in `clear_distance`. corner: px that are cut off both ends.
+    `small`, `x`, `y`, `angle`, `length`: as in `clear_distance`. `corner`: length that is removed at both ends, px.
     """
     clear, step = clear_distance(small, x, y, angle, length)
     length = length - 2 * corner
     order = np.argsort(-step * length, kind="stable")
     order = order[(clear > 0)[order]]
-    return EdgePlaces(*(column[order] for column in (x, y, angle, length, clear.astype(float))))
+    return EdgePositions(*(column[order] for column in (x, y, angle, length, clear.astype(float))))
 
 
 def clear_distance(
     small: np.ndarray, x: np.ndarray, y: np.ndarray, angle: np.ndarray, length: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the distance to which both sides keep their levels, and the step.
+    """Compute the distance from each edge to which both sides are even, px, and the step of the edge.
 
-    The distance is in px, and 0 where a side is not even beside the edge. small: (height, width) with little noise. x, y: (n,)
-    px, of the edges' middles. angle: (n,) rad, of the normal towards the bright side. length: (n,) px.
+    The distance is 0 if a side is not even next to the edge. `small`: (height, width) image with little noise. `x`, `y`:
+    (n,) middles of the edges, px. `angle`: (n,) direction of the normal towards the bright side, rad. `length`: (n,) px.
     """
     if not x.size:
         return np.zeros(0), np.zeros(0)
@@ -201,11 +209,11 @@ def clear_distance(
     profile, inside = value.mean(-1), inside.all(-1)
     uneven = np.ptp(value[..., :-2] + value[..., 1:-1] + value[..., 2:], axis=-1) / 3
     steepest = np.diff(profile[:, _PROFILE - 2 : _PROFILE + 3], axis=1).max(1)
-    # from the edge outwards, to the dark side and to the bright one (2, n, ...)
+    # Arrays from the edge outwards, to the dark and to the bright side (2, n, ...).
     profile, inside, uneven = (
         np.stack([column[:, _PROFILE::-1], column[:, _PROFILE:]]) for column in (profile, inside, uneven)
     )
-    # a blurred edge of step h and std s has a steepest slope of h / (sqrt(2 pi) s); its levels begin at 2.5 s
+    # The steepest slope of an edge with step h and blur s is h / (sqrt(2 pi) s). Its levels begin at a distance of 2.5 s.
     rough = np.maximum(np.subtract(*profile[::-1, :, 4:8].mean(2)), 0)
     start = np.clip(np.ceil(rough / np.maximum(steepest, 1e-30)), 2, 12).astype(int)
     level = np.take_along_axis(profile, start[None, :, None] + np.arange(3), 2).mean(2)

@@ -1,12 +1,12 @@
-"""The slanted edges of a photograph, measured in strips along them, and remarks on the whole picture.
+"""Measurement of the slanted edges of a photograph in strips along the edges, and remarks on the image.
 
-The rows of a strip begin where the edge does, so that an edge may lie at any angle. A row is one of the picture, or a
-column where that crosses the edge more squarely; nothing is resampled. Strips of one picture have one shape, so that
-one compiled program measures them all: missing pixels of a shorter or narrower one are NaN.
+The rows of a strip follow the edge, so that an edge may have any angle. A row is a row of the image, or a column if
+columns cross the edge at a larger angle. Nothing is resampled. All strips of an image have the same shape, so that one
+compiled program measures them; missing pixels of shorter or narrower strips are NaN.
 
-The fit of an edge includes light that changes linearly. The nonlinear part of the vignetting within a strip is divided
-out: it is known from the bright sides of the edges in a picture, most of which are the same paper. A wrong level or
-slope of the light changes nothing.
+The fit of an edge includes light that changes linearly. The nonlinear part of the vignetting in a strip is divided out. It
+is estimated from the bright sides of the edges in the image, most of which are the same paper. An error of the level or
+of the slope of this light has no effect.
 """
 
 from __future__ import annotations
@@ -22,41 +22,53 @@ from matcam.calibration.edge.edge_result import EdgeStack
 from matcam.calibration.edge.rows import EdgeRegions, RegionFrame, turns_for
 from matcam.calibration.photograph.flat_noise import crushed_share
 from matcam.calibration.photograph.linear_image import LinearImage, flaw
-from matcam.calibration.search.edge_search import EdgePlaces
+from matcam.calibration.search.edge_search import EdgePositions
 from matcam.core.errors import FitError
 from matcam.core.remark import Remark
 from matcam.numerics.normal import robust_fit
 from matcam.numerics.polynomials import plane_powers
 
 _ROWS = (48, 64, 96, 128, 192)
+"""Numbers of rows of a strip, px. Few different shapes limit the number of compiled programs."""
 _COLUMNS = (32, 48)
-_USUAL = 0.8  # quantile of the lengths of the edges that sets the number of rows
+"""Numbers of columns of a strip, px."""
+_USUAL = 0.8
+"""Quantile of the lengths of the edges that determines the number of rows."""
 _LEAST_ROWS, _LEAST_WIDTH = 20, 16
-_MARGIN = 1.0  # px: error of the search in the position of an edge
-_FEWEST = 12  # number of edges, for the six parameters of the light
-_LEAST_SCATTER = 0.002  # relative
-_SHARE = 4  # the last quarter of a row is its bright side
-_RANGE = 20.0  # largest unevenness of the light on a chart
-_SATURATED = 0.02  # share of a strip's samples
-_CONTRAST = 0.2  # (bright - dark) / (bright + dark), below which it is reported
-_DIRECTIONAL, _SIGNIFICANT = 0.15, 5.0  # relative to the variance of the blur; standard deviations
-_RESOLVED = 0.03  # relative to the best known harmonic: less is not determined
-_FEW = 6  # number of edges below which directions are not compared
+"""Smallest number of rows and smallest width of a strip, px."""
+_MARGIN = 1.0
+"""Error of the position of an edge in the search, px."""
+_FEWEST = 12
+"""Smallest number of edges for the estimate of the light, which has six parameters."""
+_LEAST_SCATTER = 0.002
+"""Smallest relative scatter of the bright sides about the fitted light."""
+_SHARE = 4
+"""Inverse of the share of a row that is used as its bright side: the last quarter."""
+_RANGE = 20.0
+"""Ratio of brightest and darkest light above which the estimate of the light is discarded as implausible."""
+_SATURATED = 0.02
+"""Share of saturated samples above which a strip is rejected."""
+_CONTRAST = 0.2
+"""Contrast (bright - dark) / (bright + dark) below which a remark is given."""
+_DIRECTIONAL, _SIGNIFICANT = 0.15, 5.0
+"""Directional blur that is reported: amplitude relative to the mean variance of the blur; standard deviations."""
+_RESOLVED = 0.03
+"""Singular value, relative to the largest one, below which a combination of harmonics is not determined."""
+_FEW = 6
+"""Smallest number of edges for the test of directional blur."""
 
 
 class Strips(NamedTuple):
-    """Set of n strips in a rotated picture.
-
-    u runs along its rows, v across them. All are whole px but u, v and tilt.
+    """Set of n strips along edges, in coordinates u along the rows of a strip and v across them.
 
     Attributes:
-        transposed: (n,) u is the picture's y, and v its x.
-        mirrored: (n,) the bright side lies at smaller u.
-        u: (n,) px, of the edge's middle.
-        v: (n,) px, of the edge's middle.
+        transposed: (n,) whether u is y of the image, and v is x.
+        mirrored: (n,) whether the bright side lies at smaller u.
+        u: (n,) u of the middle of the edge, px.
+        v: (n,) v of the middle of the edge, px.
         tilt: (n,) du/dv of the edge.
-        rows: (n,) how many rows there are, px.
-        width: (n,) px, even.
+        rows: (n,) number of rows, px.
+        width: (n,) width, an even number of px.
     """
 
     transposed: np.ndarray
@@ -68,17 +80,17 @@ class Strips(NamedTuple):
     width: np.ndarray
 
     def subset(self, which: np.ndarray | slice) -> Strips:
-        """Return some of the strips."""
+        """Select a subset of the strips."""
         return Strips(*(column[which] for column in self))
 
 
 def plane_edge_stack(
-    plane: LinearImage, edges: EdgePlaces, half_width: float = 0.5, *, accept_sharpened: bool = False
+    plane: LinearImage, edges: EdgePositions, half_width: float = 0.5, *, accept_sharpened: bool = False
 ) -> EdgeStack:
-    """Measure the edges that were found, in one plane.
+    """Measure edges in one colour plane.
 
-    Long ones are measured in pieces. half_width: px, of the pixel. FitError where no edge can be measured, with the
-    commonest reason.
+    Long edges are divided into several strips. `half_width`: half width of the pixel, px. FitError if no edge can be
+    measured, with the most frequent reason.
     """
     strips = strips_along(edges, plane.shape)
     if not strips.u.size:
@@ -112,38 +124,36 @@ def _crushed(value: np.ndarray) -> Remark | None:
     bright = used > (used.min() + used.max()) / 2
     share = crushed_share(used[~bright], used[bright])
     return (
-        Remark("crushed", f"blacks are crushed: {share:.0%} of its dark side has the very lowest value")
-        if share
-        else None
+        Remark("crushed", f"blacks are crushed: {share:.0%} of its dark side has the lowest value") if share else None
     )
 
 
 def edge_remarks(result: EdgeStack, channel: str) -> list[Remark]:
-    """Return remarks on a picture from the edges of one channel."""
+    """Derive remarks on an image from the edges of one channel."""
     good = result.good
     codes = Counter(problem.code for problem in result.problems if problem)
     remarks = []
     for code, text in (
-        ("saturated", "are saturated, and left out: expose less"),
-        ("sharpened", "overshoot as sharpened ones do, and are left out"),
-        ("crushed", "have crushed blacks, and are left out: expose more, or use camera raw"),
+        ("saturated", "are saturated and were excluded: expose less"),
+        ("sharpened", "overshoot, as after sharpening, and were excluded"),
+        ("crushed", "have crushed blacks and were excluded: expose more, or use camera raw"),
     ):
         if codes[code]:
             remarks.append(Remark(f"{code}-edges", f"{channel}: {codes[code]} of {len(result)} edges {text}"))
     dark, bright = result.dark[good], result.bright[good]
     contrast = float(np.median((bright - dark) / (np.abs(bright) + np.abs(dark))))
     if contrast < _CONTRAST:
-        text = f"contrast is only {contrast:.0%}: errors are large; use a darker print or less stray light"
+        text = f"contrast is only {contrast:.0%}: standard deviations are large; use a darker print or less stray light"
         remarks.append(Remark("low-contrast", f"{channel}: {text}"))
     if text := _directional_blur(result):
         remarks.append(Remark("directional-blur", f"{channel}: {text}"))
     return remarks
 
 
-def strips_along(edges: EdgePlaces, shape: tuple[int, int]) -> Strips:
-    """Return strips along the edges of a picture (height, width).
+def strips_along(edges: EdgePositions, shape: tuple[int, int]) -> Strips:
+    """Place strips along the edges of an image of shape (height, width).
 
-    Long edges get several, one after the other. Edges without room for a strip are left out.
+    Long edges are divided into several strips. Edges without enough space for a strip are excluded.
     """
     c, s = np.cos(edges.angle), np.sin(edges.angle)
     transposed = np.abs(s) > np.abs(c)
@@ -151,7 +161,7 @@ def strips_along(edges: EdgePlaces, shape: tuple[int, int]) -> Strips:
     u, v = np.where(transposed, edges.y, edges.x), np.where(transposed, edges.x, edges.y)
     tilt, steep = -along / across, np.abs(across)
     half = np.minimum(np.floor(edges.clear / steep - _MARGIN), _COLUMNS[-1] // 2)
-    # the ends of a row are next to positions further along the edge than its centre
+    # The ends of a row lie beside positions further along the edge than its centre.
     rows = np.floor(edges.length * steep - 2 * half * np.abs(along) * steep)
     usual = np.quantile(rows, _USUAL) if rows.size else 0.0
     longest = next((n for n in _ROWS if n >= usual), _ROWS[-1])
@@ -168,9 +178,9 @@ def strips_along(edges: EdgePlaces, shape: tuple[int, int]) -> Strips:
 
 
 def strip_regions(strips: Strips, plane: LinearImage, at_once: int) -> Iterator[tuple[EdgeRegions, np.ndarray]]:
-    """Return the regions of strips, all of one shape.
+    """Yield the regions of strips, all of one shape.
 
-    Each item holds at most `at_once` of them, and the share of each that is saturated.
+    Each item contains at most `at_once` regions, and the share of saturated samples of each region.
     """
     sites = plane.sites
     step = 1 if sites.all() else 2
@@ -182,9 +192,10 @@ def strip_regions(strips: Strips, plane: LinearImage, at_once: int) -> Iterator[
 
 
 def regions_in_even_light(regions: Sequence[EdgeRegions]) -> list[EdgeRegions]:
-    """Return regions whose light was made even.
+    """Divide the light out of regions.
 
-    The logarithm of the light is a quadratic over the field. Regions stay as they are if the light is not known.
+    The logarithm of the light is a quadratic function of the position in the image. If the light cannot be estimated, the
+    regions are unchanged.
     """
     x, y = (np.concatenate([getattr(r.frame, axis) for r in regions]) for axis in "xy")
     bright = np.concatenate([_bright(r.value) for r in regions])
@@ -212,9 +223,9 @@ def regions_in_even_light(regions: Sequence[EdgeRegions]) -> list[EdgeRegions]:
 def _region(
     strips: Strips, plane: LinearImage, step: int, by_row: int, shape: tuple[int, int]
 ) -> tuple[EdgeRegions, np.ndarray]:
-    """Read strips of one shape (rows, columns).
+    """Read the pixels of strips in regions of one shape (rows, columns).
 
-    by_row, step: distances of rows and of samples, px.
+    `by_row`, `step`: distances of rows and of samples, px.
     """
     (rows, columns), sites = shape, plane.sites
     first = np.ceil(strips.v - strips.rows / 2).astype(int)
@@ -224,7 +235,7 @@ def _region(
     left -= width[:, None] // 2
     if step == 2:
         first_row: np.ndarray = np.where(strips.transposed[:, None], sites.any(0), sites.any(1))
-        if by_row == 2:  # begin with a row that has sites
+        if by_row == 2:  # the first row must have sites of the colour
             v = v + ~np.take_along_axis(first_row, v[:, :1] % 2, 1)
         turned = np.where(strips.transposed[:, None, None], sites.T, sites)
         left = left + ~turned[np.arange(strips.u.size)[:, None], v % 2, left % 2]
@@ -237,7 +248,7 @@ def _region(
     saturated = np.zeros(len(value)) if plane.saturated is None else plane.saturated[at].mean((1, 2))
     mirrored = strips.mirrored
     last = (there.any(1).sum(1) - 1)[:, None]
-    # mirrored rows are read from the last sample to the first, so that missing samples are at the end
+    # Mirrored rows are read from the last sample to the first, so that missing samples are at the end.
     back = np.where(mirrored[:, None], last - np.arange(columns), np.arange(columns)) % columns
     value = np.take_along_axis(value, back[:, None, :], 2)
     middle = first + (strips.rows - 1) / 2
@@ -249,15 +260,15 @@ def _region(
 
 
 def _inside(strips: Strips, shape: tuple[int, int]) -> np.ndarray:
-    """Check whether strips, with a margin of 2 px, are inside the picture."""
-    reach = strips.width / 2 + np.abs(strips.tilt) * strips.rows / 2 + 2
+    """Find the strips that are inside the image, with a margin of 2 px."""
+    margin = strips.width / 2 + np.abs(strips.tilt) * strips.rows / 2 + 2
     across, along = (np.where(strips.transposed, *pair) for pair in (shape[:2], shape[1::-1]))
     long = strips.rows / 2 + 2
-    return (strips.u >= reach) & (strips.u + reach < across) & (strips.v >= long) & (strips.v + long < along)
+    return (strips.u >= margin) & (strips.u + margin < across) & (strips.v >= long) & (strips.v + long < along)
 
 
 def _bright(value: np.ndarray) -> np.ndarray:
-    """Return the mean of the bright side of every strip (n,)."""
+    """Compute the mean of the bright side of every strip (n,)."""
     there = np.isfinite(value)
     width = there.any(1).sum(1)
     side = there & (np.arange(value.shape[2]) >= (width - width // _SHARE)[:, None, None])
@@ -266,17 +277,14 @@ def _bright(value: np.ndarray) -> np.ndarray:
 
 
 def _directional_blur(result: EdgeStack) -> str:
-    """Test whether the blur depends on direction, as it does under motion.
-
-    Empty if it does not.
-    """
+    """Describe a dependence of the blur on direction, as caused by motion; empty if it is not significant."""
     good = result.good
     if good.size < _FEW:
         return ""
     sigma, angle = result.parametric.values[good, 0], result.angle[good]
     std = 2 * sigma * np.sqrt(result.parametric.covariance[good, 0, 0])
-    # the second harmonic of the blur's variance; squares have two directions only, which do not determine one
-    # combination of the harmonics: it is set to 0
+    # The variance of the blur has a second harmonic in the direction. Squares have two directions only, which leave one
+    # combination of the harmonics undetermined; it is set to 0.
     design = np.stack([np.ones_like(angle), np.cos(2 * angle), np.sin(2 * angle)], 1)
     fit = robust_fit(design, sigma**2, std, resolved=_RESOLVED)
     found = fit.parameters

@@ -1,4 +1,4 @@
-"""From a series of lit and dark exposures to the characteristics of a sensor (EMVA Standard 1288)."""
+"""Characterisation of a sensor from a series of lit and dark exposures (EMVA Standard 1288)."""
 
 from __future__ import annotations
 
@@ -28,14 +28,16 @@ _ROUNDING = 1 / 12
 _HIDDEN = 0.24
 """Temporal variance of dark codes below which rounding hides the noise, DN^2 (EMVA 1288, 6.6)."""
 _MANY = 2.0
-"""Multiple of the usual number of frames above which an exposure was taken for the fixed patterns alone (EMVA 1288,
-8.2): its light need not be that of the series.
+"""Multiple of the median number of frames above which an exposure is used for the fixed patterns only (EMVA 1288, 8.2).
+
+Its light need not belong to the series.
 """
 _TIMES = 3
 """Smallest number of exposure times for a dark current (EMVA 1288, 7.2)."""
 _BRIGHT = (0.2, 0.8)
-"""Shares of saturation between which the response of the pixels is measured; the standard takes 50 %."""
+"""Shares of saturation between which the response of the pixels is measured. The standard prescribes 50 %."""
 _UNKNOWN = Stated(math.nan, math.inf)
+"""Value that is not determined."""
 
 
 def characterise_sensor(
@@ -43,22 +45,24 @@ def characterise_sensor(
 ) -> SensorCharacteristics:
     """Measure noise, gain, linearity and fixed patterns of a sensor.
 
-    The series shows an evenly lit field at several exposures and darkness at the same exposure times, two frames or more of
-    each. Fifty frames at one exposure, lit and dark, make the fixed patterns certain.
+    The series contains frames of an evenly lit field at several exposures, and dark frames at the same exposure times, with
+    at least two frames each. For accurate fixed patterns, fifty lit and fifty dark frames at one exposure are recommended.
 
     Args:
-        source: folder of the frames, or a descriptor of the EMVA 1288 reference data sets. In a folder, frames lie in dark/ and
-            flat/ or have names that begin so, and exposure times stand in the names ("flat_20ms_1.tif") or in the metadata.
-        bits: depth of the codes. Default: None, as the descriptor states, or the fewest that hold the largest code.
-        cfa: colours of the first 2 x 2 px, "RGGB" and so on. Default: None, as the files state, or none.
-        progress: called with a step, how much of it is done, and of how much. Default: None.
+        source: folder of the frames, or a descriptor of the EMVA 1288 reference data sets. In a folder, the frames are in
+            the subfolders dark/ and flat/, or their names begin with these words. Exposure times are part of the names
+            ("flat_20ms_1.tif") or of the metadata.
+        bits: bit depth of the codes. Default: None, that of the descriptor, or the smallest that holds the largest code.
+        cfa: colours of the first 2 x 2 px, such as "RGGB". Default: None, those of the files, or no mosaic.
+        progress: function that is called with the name of a step, the number of finished parts, and the number of all parts.
+            Default: None.
 
     Returns:
-        The characteristics; remarks name the exposures that were not used.
+        The characteristics; the remarks list the exposures that were not used.
 
     Raises:
-        FileFormatError: there is no series, or a frame is damaged or of another kind.
-        ArgumentError: no exposure has two frames, or an argument is of the wrong kind.
+        FileFormatError: there is no series, or a frame is damaged, or its shape or data type differs from the others.
+        ArgumentError: no exposure has two frames, or an argument is invalid.
         FitError: too few exposures are linear.
 
     Source:
@@ -82,9 +86,9 @@ def characterise_sensor(
     bits = bits or series.bits or max(int(max(one.largest for one in lit)), 1).bit_length()
     planes: list[Transfer] = []
     for plane in range(len(lit[0].mean)):
-        transfer, said = measure_transfer(lit, dark, plane)
+        transfer, transfer_remarks = measure_transfer(lit, dark, plane)
         planes.append(transfer)
-        remarks += [one for one in said if one not in remarks]
+        remarks += [one for one in transfer_remarks if one not in remarks]
     remarks += _dark_times(lit, dark)
     gain = fit_gain(planes)
     read_noise, hidden = _read_noise(dark, gain)
@@ -99,7 +103,7 @@ def characterise_sensor(
     patterns = _Patterns(reader, bright, shade)
     dsnu = patterns.dark(gain)
     if dsnu.value == 0:
-        remarks.append(Remark("dsnu-not-seen", "the pixels' dark signals differ by no more than chance"))
+        remarks.append(Remark("dsnu-not-seen", "the dark signals of the pixels do not differ significantly"))
     judged = np.concatenate([plane.departure[plane.judged] for plane in planes])
     full_well = saturation
     if saturated:
@@ -140,9 +144,7 @@ def _dark_times(lit: Sequence[ExposureStatistics], dark: Sequence[ExposureStatis
     ]
     if not lacking:
         return []
-    text = (
-        f"no dark frames of {len(lacking)} exposure times, {min(lacking):g} to {max(lacking):g} s: the nearest are used"
-    )
+    text = f"{len(lacking)} exposure times, {min(lacking):g} to {max(lacking):g} s, have no dark frames: the nearest are used"
     return [Remark("dark-missing", text)]
 
 
@@ -182,13 +184,13 @@ def _line(x: np.ndarray, y: np.ndarray) -> tuple[Stated, Stated]:
 
 
 def _per_gain(value: Stated, gain: Stated, power: int = 1) -> Stated:
-    """Divide a value by a power of the gain, which is known independently of it."""
+    """Divide a value by a power of the gain, whose error is independent of that of the value."""
     scaled = value.value / gain.value**power
     return Stated(scaled, math.hypot(value.std / gain.value**power, power * scaled * gain.std / gain.value))
 
 
 def _saturation(planes: Sequence[Transfer], gain: Stated) -> tuple[Stated, bool]:
-    """Find the saturation capacity, e-, of the plane that saturates first, and whether a saturated exposure exists.
+    """Determine the saturation capacity, e-, of the plane that saturates first, and check for a saturated exposure.
 
     Its standard deviation includes the step between neighbouring exposures, because the true value may be anywhere
     between them.
@@ -203,7 +205,7 @@ def _saturation(planes: Sequence[Transfer], gain: Stated) -> tuple[Stated, bool]
 
 
 def _chosen(lit: Sequence[ExposureStatistics], planes: Sequence[Transfer]) -> ExposureStatistics | None:
-    """Select the exposure for the response of the pixels: the most frames, then the nearest to half of saturation."""
+    """Select the exposure for the response of the pixels: first the most frames, then the nearest to half saturation."""
 
     def share(one: ExposureStatistics) -> float:
         return max((one.mean[k] - p.dark[0]) / p.signal[p.saturation] for k, p in enumerate(planes))
@@ -241,13 +243,13 @@ class _Patterns:
         self._mean = tuple(reader.mean(one.exposure) for one in self._of)
 
     def _variance(self, which: int, plane: int, own: bool) -> Stated:
-        """Compute the variance of the pixels of a plane, DN^2: with or without the part that is common to rows and columns."""
+        """Compute the variance of the pixels of a plane, DN^2; with `own`, without the part common to rows and columns."""
         of = self._of[which]
         mean, frames = self._reader.planes(self._mean[which])[plane], len(of.exposure.files)
         temporal = float(of.variance[plane])
         value = fixed_pattern_variance(float(mean.var(ddof=1)), temporal, frames)
         if own:
-            # EMVA 1288, 8.2.3: the means of the rows and columns reduce the degrees of freedom
+            # The means of the rows and columns reduce the degrees of freedom (EMVA 1288, 8.2.3).
             for axis, count in enumerate(mean.shape):
                 value -= fixed_pattern_variance(float(mean.mean(axis).var()), temporal, frames * count)
             value *= mean.size / (mean.size - sum(mean.shape))

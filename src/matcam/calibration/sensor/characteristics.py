@@ -16,40 +16,41 @@ from matcam.core.remark import Remark
 from matcam.core.results.summary import Quantity, Summarised, Summary
 from matcam.files.capture_settings import Stated
 
-_MOST_READ_NOISE = 1e6  # e-, the limits of `Sensor`
+_MOST_READ_NOISE = 1e6
+"""Largest read noise that `Sensor` accepts, e-."""
 
 
 @dataclass(frozen=True, repr=False)
 class SensorCharacteristics(Summarised):
-    """Characteristics of a sensor, measured as EMVA Standard 1288 does.
+    """Characteristics of a sensor according to EMVA Standard 1288.
 
-    Each value has its standard deviation.
+    Each value has a standard deviation.
 
     Attributes:
         gain: system gain K, DN per e-.
-        read_noise: temporal noise of a dark pixel without rounding, e-. Where rounding hides it, its upper limit.
+        read_noise: temporal noise of a dark pixel without rounding, e-; its upper limit if rounding hides it.
         read_noise_hidden: whether rounding hides the read noise.
         black_level: mean dark code at the shortest exposure, DN.
-        dark_current: growth of the dark signal, e-/s; NaN: fewer than three exposure times.
-        dark_current_by_variance: growth of the dark variance, e-/s; NaN likewise.
-        dark_nonuniformity: relative standard deviation of the pixels' dark currents, no unit; NaN: not determined.
-        saturation: saturation capacity, e-: where the temporal variance is largest. A lower limit if not `saturated`.
-        saturated: whether an exposure beyond saturation was seen.
+        dark_current: increase of the dark signal with time, e-/s; NaN for fewer than three exposure times.
+        dark_current_by_variance: increase of the dark variance with time, e-/s; NaN for fewer than three exposure times.
+        dark_nonuniformity: relative standard deviation of the dark currents of the pixels, no unit; NaN if not determined.
+        saturation: saturation capacity, e-: signal at the largest temporal variance; a lower limit if not `saturated`.
+        saturated: whether the series contains an exposure beyond saturation.
         full_well: largest mean signal of an exposure beyond saturation, e-; without one, the saturation capacity.
-        prnu: photo-response non-uniformity, relative standard deviation of the pixels' sensitivities with the illumination's
-            own variation, no unit.
-        prnu_pixel: the same without what whole rows and columns share, no unit: the sensor's own pattern.
-        dsnu: dark signal non-uniformity, standard deviation of the pixels' dark signals, e-.
-        dsnu_time: exposure time of the dark frames that show it, s.
-        linearity_error: smallest and largest departure from a straight line between 5 and 95 % of saturation, no unit.
-        quantum_efficiency: electrons per photon, no unit; NaN: the photons are not stated.
-        bits: depth of the codes; None: floats.
-        cfa: colours of the first 2 x 2 px; None: no mosaic.
-        prnu_map: sensitivity of each pixel over the mean of its colour, without dark, (height, width).
-        dsnu_map: dark signal of each pixel over the mean, e-, (height, width).
-        transfers: signal, variance and departure of every exposure, by the planes of the mosaic.
-        light_unit: unit of the exposures' light, "photons" or "s".
-        remarks: what a reader should know; exposures that were not used are named. Default: none.
+        prnu: photo-response non-uniformity: relative standard deviation of the sensitivities of the pixels, including the
+            variation of the illumination, no unit.
+        prnu_pixel: the same without the part that is common to rows and columns, no unit.
+        dsnu: dark signal non-uniformity: standard deviation of the dark signals of the pixels, e-.
+        dsnu_time: exposure time of the dark frames from which `dsnu` was determined, s.
+        linearity_error: smallest and largest deviation from a straight line between 5 and 95 % of saturation, no unit.
+        quantum_efficiency: electrons per photon, no unit; NaN if the number of photons is not specified.
+        bits: bit depth of the codes; None for floats.
+        cfa: colours of the first 2 x 2 px; None for no mosaic.
+        prnu_map: sensitivity of each pixel relative to the mean of its colour, dark signal subtracted, (height, width).
+        dsnu_map: dark signal of each pixel minus the mean of its colour, e-, (height, width).
+        transfers: signal, variance and deviation from linearity of every exposure, for each plane of the mosaic.
+        light_unit: unit of the light of the exposures, "photons" or "s".
+        remarks: remarks on the result, such as the exposures that were not used. Default: none.
 
     Source:
         EMVA Standard 1288, release 4.0 linear (2021).
@@ -95,13 +96,13 @@ class SensorCharacteristics(Summarised):
 
     @property
     def snr_max(self) -> Stated:
-        """Return the signal-to-noise ratio of a pixel at saturation, no unit."""
+        """Signal-to-noise ratio of a pixel at saturation, no unit."""
         value = math.sqrt(self.saturation.value)
         return Stated(value, self.saturation.std / (2 * value))
 
     @property
     def dynamic_range(self) -> Stated:
-        """Return saturation capacity over smallest detectable signal, no unit."""
+        """Dynamic range: saturation capacity divided by the smallest detectable signal, no unit."""
         rounding = 0.0 if self.bits is None else 1 / (12 * self.gain.value**2)
         noise = math.sqrt(self.read_noise.value**2 + rounding)
         value = self.saturation.value / (noise + 0.5)
@@ -111,13 +112,11 @@ class SensorCharacteristics(Summarised):
     def sensor(self, pitch: float) -> Sensor:
         """Build the sensor of a camera profile.
 
-        `picture`, `simulate` and `reconstruct` use it.
-
-        Its PRNU is `prnu_pixel`: the pattern of independent pixels. Its DSNU is the part of `dsnu` that does not grow with
-        time.
+        `picture`, `simulate` and `reconstruct` use it. Its PRNU is `prnu_pixel`, because the model has independent pixels.
+        Its DSNU is the part of `dsnu` that does not increase with time.
 
         Args:
-            pitch: distance of the pixels, m.
+            pitch: pixel pitch, m.
 
         Raises:
             ArgumentError: the pitch is out of range.
@@ -138,9 +137,7 @@ class SensorCharacteristics(Summarised):
 
     @property
     def _offset_nonuniformity(self) -> float:
-        """Compute the standard deviation of the offsets of pixels, e-: `dsnu` without the contribution of dark currents
-        in its exposure time.
-        """
+        """Standard deviation of the offsets of pixels, e-: `dsnu` without the contribution of the dark currents."""
         current, relative = (
             max(np.nan_to_num(self.dark_current.value), 0.0),
             np.nan_to_num(self.dark_nonuniformity.value),
@@ -160,10 +157,10 @@ class SensorCharacteristics(Summarised):
         return np.asarray(signal / np.sqrt(variance))
 
     def columns(self) -> dict[str, Any]:
-        """List signal, noise and departure of every lit exposure.
+        """List signal, noise and deviation from linearity of every lit exposure.
 
         Returns:
-            Arrays by name; planes of a mosaic follow each other.
+            Arrays by name; the planes of a mosaic are concatenated.
         """
         parts = []
         for number, plane in enumerate(self.transfers):
@@ -188,7 +185,7 @@ class SensorCharacteristics(Summarised):
 
     @property
     def verdict(self) -> str:
-        """Linearity of the sensor, in one sentence."""
+        """Linearity of the sensor in one sentence."""
         used = sum(int(plane.used.sum()) for plane in self.transfers)
         low, high = (100 * error for error in self.linearity_error)
         return f"{used} exposures give the gain; the signal departs from a straight line by {low:+.2f} to {high:+.2f} %"
@@ -220,7 +217,7 @@ class SensorCharacteristics(Summarised):
         """Return the result as a JSON object, which `matcam sensor --json` prints.
 
         Returns:
-            Values with their standard deviations by name; units stand in the names.
+            Values with their standard deviations by name, with units in the names.
         """
         values = {
             "gain_dn_per_electron": self.gain,

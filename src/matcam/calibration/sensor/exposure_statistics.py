@@ -1,4 +1,4 @@
-"""Mean, temporal variance and clipping of the frames of each exposure, by the mosaic's planes."""
+"""Mean, temporal variance and clipping of the frames of each exposure, for each plane of the mosaic."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ from matcam.files.photographs import open_photograph
 from matcam.numerics.frame_noise import pair_variance, pair_variance_error
 
 Progress = Callable[[str, int, int], None]
-"""Called with the name of a step, and the numbers of finished and of all parts."""
+"""Function that is called with the name of a step, the number of finished parts, and the number of all parts."""
 
 
 class ExposureStatistics(NamedTuple):
     """Statistics of the frames of one exposure.
 
     Attributes:
-        exposure: the frames.
-        light: photons a pixel, or exposure time, s.
-        mean: code of each plane, DN, (planes,).
+        exposure: frames of the exposure.
+        light: photons per pixel, or exposure time, s.
+        mean: mean code of each plane, DN, (planes,).
         variance: temporal variance of a pixel, DN^2, (planes,).
         variance_error: relative standard deviation of `variance`, no unit.
         largest: largest code, DN.
-        at_largest: share of the pixels that read it, the largest of the planes, no unit.
-        pixels: how many pixels a plane has.
+        at_largest: share of the pixels with the largest code, maximum over the planes, no unit.
+        pixels: number of pixels of a plane.
     """
 
     exposure: ExposureSet
@@ -42,13 +42,13 @@ class ExposureStatistics(NamedTuple):
 
 
 class FrameReader:
-    """Reader of the frames of a series that checks that they are of one kind.
+    """Reader of the frames of a series, which must have the same shape and data type.
 
     Args:
-        cfa: colours of the first 2 x 2 px; None: as the files state.
+        cfa: colours of the first 2 x 2 px; None to use those of the files.
 
     Attributes:
-        cfa: colours of the first 2 x 2 px; None: no mosaic.
+        cfa: colours of the first 2 x 2 px; None for no mosaic.
     """
 
     def __init__(self, cfa: str | None):
@@ -56,7 +56,7 @@ class FrameReader:
         self._kind: tuple[tuple[int, ...], str] | None = None
 
     def read(self, exposure: ExposureSet) -> Iterator[np.ndarray]:
-        """Read the frames of an exposure, (height, width) each, in the file's own type."""
+        """Read the frames of an exposure, (height, width) each, in the data type of the file."""
         for path in exposure.files:
             photograph = open_photograph(path)
             values = photograph.values
@@ -75,7 +75,7 @@ class FrameReader:
             yield values
 
     def planes(self, frame: np.ndarray) -> list[np.ndarray]:
-        """Split a frame into the planes of its mosaic; a frame without a mosaic is its only plane."""
+        """Split a frame into the planes of its mosaic; without a mosaic, the frame itself is the only plane."""
         return [frame] if self.cfa is None else [frame[i::2, j::2] for i in (0, 1) for j in (0, 1)]
 
     def mean(self, exposure: ExposureSet) -> np.ndarray:
@@ -89,23 +89,25 @@ class FrameReader:
 def measure_exposures(
     series: ExposureSeries, reader: FrameReader, progress: Progress
 ) -> tuple[list[ExposureStatistics], list[Remark]]:
-    """Compute the statistics of every exposure of at least two frames.
+    """Compute the statistics of every exposure with at least two frames.
 
     Args:
         series: the exposures.
-        reader: how frames are read.
-        progress: called after each exposure.
+        reader: reader of the frames.
+        progress: function that is called after each exposure.
 
     Returns:
-        Statistics in the order of the series, and remarks on exposures that were left out.
+        Statistics in the order of the series, and remarks on exposures that were excluded.
 
     Raises:
-        ArgumentError: no exposure of darkness, or none of light, has two frames.
+        ArgumentError: no dark exposure, or no lit exposure, has two frames.
     """
     found, remarks = [], []
     for number, exposure in enumerate(series.sets):
         if len(exposure.files) < 2:
-            text = f"{exposure.files[0]}: is the only frame of its exposure: noise needs two; it was left out"
+            text = (
+                f"{exposure.files[0]}: is the only frame of its exposure, but the noise requires two; it was excluded"
+            )
             remarks.append(Remark("single-frame", text))
         else:
             found.append(_statistics(series, exposure, reader))

@@ -1,8 +1,9 @@
 """Gain, responsivity, saturation and linearity from means and variances of exposures (EMVA Standard 1288, release 4, 6 to 8).
 
-The temporal variance of a pixel grows with its mean: s^2 - s_dark^2 = K (mean - dark), K the gain. The mean grows with the
-light: mean - dark = R light, R the responsivity. Both lines go through the origin, by ordinary least squares up to 70 % of
-saturation, as the standard says. An exposure that is clipped, or departs from the line of the others, is in neither.
+The temporal variance of a pixel increases with its mean: s^2 - s_dark^2 = K (mean - dark), where K is the gain. The mean
+increases with the light: mean - dark = R light, where R is the responsivity. As the standard requires, both lines go
+through the origin, and are fitted by ordinary least squares up to 70 % of saturation. Exposures that are clipped, or that
+deviate from the line of the others, are excluded from both fits.
 """
 
 from __future__ import annotations
@@ -24,37 +25,40 @@ _FITTED = 0.7
 _LINEAR = (0.05, 0.95)
 """Shares of saturation between which linearity is tested (EMVA 1288, 8.2.7)."""
 _CLIPPED = 1e-3
-"""Share of pixels at the largest code above which an exposure is clipped: hot pixels are fewer."""
+"""Share of pixels at the largest code above which an exposure is clipped. Hot pixels are fewer."""
 _PILED = 0.05
 """Share of the pixels of an exposure with the largest code of all above which this code is the clip level."""
 _NOT_LINEAR = 0.03
-"""Departure from the line of the other exposures above which an exposure is not used: sensors stay below 1 %."""
+"""Relative deviation from the line of the other exposures above which an exposure is not used. Sensors stay below 1 %."""
 _SIGNIFICANT = 5.0
-"""Standard deviations by which the variance must be below its largest value if exposures are saturated."""
+"""Number of standard deviations by which the variance must decrease beyond saturation."""
 _HALF = 0.5
-"""Smallest share of the largest signal at which a sensor saturates: after a tone curve bright frames have less noise."""
+"""Smallest share of the largest signal at which a sensor saturates.
+
+If the variance decreases from a smaller signal on, a tone curve has reduced the noise of bright frames.
+"""
 _FEWEST = 3
-"""Smallest number of exposures below 70 % of saturation for a gain: with two a contradiction is not detected."""
+"""Smallest number of exposures below 70 % of saturation for a gain. With two, a contradiction is not detected."""
 
 
 class Transfer(NamedTuple):
-    """Signals of the lit exposures of one plane of the mosaic, in ascending order, and what was fitted to them.
+    """Signals of the lit exposures of one plane of the mosaic in ascending order, and the results of their fit.
 
     Attributes:
-        light: photons a pixel or exposure time, s, (n,).
+        light: photons per pixel, or exposure time, s, (n,).
         time: exposure time, s, (n,).
         signal: mean above dark, DN, (n,).
         dark: mean dark code, DN, (n,).
         variance: temporal variance, DN^2, (n,).
-        dark_variance: of the dark frames, DN^2, (n,).
+        dark_variance: temporal variance of the dark frames, DN^2, (n,).
         variance_std: standard deviation of `variance`, DN^2, (n,).
         dark_variance_std: standard deviation of `dark_variance`, DN^2, (n,).
-        linear: exposures that were not left out for their departure, bool, (n,).
-        used: exposures that gain and responsivity were fitted to, bool, (n,).
-        departure: relative departure from the straight line of 5 to 95 % of saturation, no unit, (n,).
+        linear: mask of the exposures that were not excluded as nonlinear, (n,).
+        used: mask of the exposures to which gain and responsivity were fitted, (n,).
+        departure: relative deviation from the line fitted between 5 and 95 % of saturation, no unit, (n,).
         saturation: index of the exposure that saturates.
-        saturated: whether an exposure beyond it was seen.
-        responsivity: DN per unit of light.
+        saturated: whether the series contains an exposure beyond saturation.
+        responsivity: responsivity, DN per unit of light.
     """
 
     light: np.ndarray
@@ -74,21 +78,21 @@ class Transfer(NamedTuple):
 
     @property
     def judged(self) -> np.ndarray:
-        """Return a mask (n,) of the exposures between 5 and 95 % of saturation that were not left out."""
+        """Mask (n,) of the exposures between 5 and 95 % of saturation that were not excluded."""
         top = self.signal[self.saturation]
         inside = (self.signal >= _LINEAR[0] * top) & (self.signal <= _LINEAR[1] * top)
         return inside & np.isfinite(self.departure) & self.linear & (np.arange(len(self.light)) <= self.saturation)
 
 
 def clip_level(lit: Sequence[ExposureStatistics]) -> float:
-    """Find the code at which pixels clip, DN, or infinity."""
+    """Find the code at which pixels clip, DN; infinity if none clip."""
     top = max(one.largest for one in lit)
     piled = max(one.at_largest for one in lit if one.largest == top)
     return top if piled > _PILED else math.inf
 
 
 def is_clipped(one: ExposureStatistics, lit: Sequence[ExposureStatistics]) -> bool:
-    """Check whether pixels of an exposure clip, by the largest code of the others."""
+    """Check whether pixels of an exposure clip, based on the clip level of all exposures."""
     return one.largest >= clip_level(lit) and one.at_largest > _CLIPPED
 
 
@@ -103,12 +107,12 @@ def measure_transfer(
         plane: index of the plane.
 
     Returns:
-        The transfer, and remarks that name the exposures that were not used.
+        The transfer, and remarks on the exposures that were not used.
 
     Raises:
         FitError: fewer than three exposures can be used.
     """
-    # sorted by signal: an exposure whose light is not as stated is moved to its correct position
+    # The exposures are sorted by signal, because the specified light of an exposure may be wrong.
     lit = sorted(lit, key=lambda one: (round(float(one.mean[plane])), one.light))
     own_dark = [
         min(dark, key=lambda d: (abs(d.exposure.time - one.exposure.time), -len(d.exposure.files))) for one in lit
@@ -128,8 +132,8 @@ def measure_transfer(
     top = signal[saturation]
     if top < _HALF * signal.max():
         raise FitError(
-            f"{lit[0].exposure.files[0].parent}: the temporal variance falls from {top:.0f} DN on, while the signal grows "
-            f"up to {signal.max():.0f} DN: the frames went through a tone curve; give raw frames"
+            f"{lit[0].exposure.files[0].parent}: the temporal variance decreases from {top:.0f} DN on, while the signal "
+            f"increases to {signal.max():.0f} DN: a tone curve was applied to the frames; give raw frames"
         )
     inside = (signal >= _LINEAR[0] * top) & (signal <= _LINEAR[1] * top) & ~beyond & ~clipped
     mean_std = np.sqrt(variance) / np.array([one.pixels for one in lit]) ** 0.5
@@ -166,8 +170,8 @@ def measure_transfer(
 def fit_gain(planes: Sequence[Transfer]) -> Stated:
     """Fit the gain to the exposures of all planes, DN per electron.
 
-    The standard deviation follows from that of the variances, and from the scatter about the line where it is larger. Exposures
-    that share dark frames share their error.
+    The standard deviation follows from those of the variances, or from the scatter about the line if it is larger. Exposures
+    that share dark frames have a common error.
     """
     x, y, std, dark, dark_std = (
         np.concatenate([of(plane)[plane.used] for plane in planes])
@@ -181,17 +185,19 @@ def fit_gain(planes: Sequence[Transfer]) -> Stated:
     )
     square = float(x @ x)
     value = float(x @ y) / square
-    # White (1980), Econometrica 48, 817: from the scatter about the line, for any variance of the exposures
+    # Heteroscedasticity-consistent estimate from the scatter about the line (White 1980, Econometrica 48, 817).
     scatter = float((x**2) @ (y - value * x) ** 2) * len(x) / max(len(x) - 1, 1)
     own = max(float((x**2) @ std**2), scatter)
     shared = sum(float(x[dark == one].sum() * dark_std[dark == one].max()) ** 2 for one in np.unique(dark))
     if not value > 0:
-        raise FitError("the variance does not grow with the light: the frames are not linear codes; give raw frames")
+        raise FitError(
+            "the variance does not increase with the light: the frames are not linear codes; give raw frames"
+        )
     return Stated(value, math.sqrt(own + shared) / square)
 
 
 def _saturation(variance: np.ndarray) -> int:
-    """Find the exposure that saturates (EMVA 1288, 6.6): from the right the first whose two predecessors vary less."""
+    """Find the exposure that saturates (EMVA 1288, 6.6): the last one whose variance exceeds that of its two predecessors."""
     for i in range(len(variance) - 1, 1, -1):
         if variance[i] > max(variance[i - 1], variance[i - 2]):
             return i
@@ -201,7 +207,7 @@ def _saturation(variance: np.ndarray) -> int:
 def _departures(
     light: np.ndarray, signal: np.ndarray, mean_std: np.ndarray, inside: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Compute relative departures from the straight line of the linear exposures, and find the nonlinear exposures."""
+    """Compute relative deviations from the straight line of the linear exposures, and find the nonlinear exposures."""
     outside = np.zeros(len(light), bool)
     departure = np.full(len(light), np.nan)
     while (inside & ~outside).sum() >= _FEWEST:

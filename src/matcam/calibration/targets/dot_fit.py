@@ -1,9 +1,10 @@
-"""The dots of a grid: found in a region, assigned to a lattice, and fitted one by one.
+"""Dots of a grid: their search in a region, their assignment to a lattice, and the fit of every dot.
 
-A dot is disc x Gaussian x square pixel. Its size comes from the lattice. The pixel values are a quadrature over the
-disc: a Gaussian and a square are separable, so a node of the disc is a product of two erf differences. Derivatives by
-the place are those of the Gaussian, by the variance half the second ones. All of them come from one table of the
-derivatives along x and y.
+A dot is modelled as disc x Gaussian x square pixel. Its size follows from the lattice. The pixel values are computed by
+quadrature over the disc. Gaussian and square are separable, so that each node of the disc is a product of two differences
+of normal distribution functions. Derivatives with respect to the position are those of the Gaussian, and the derivative
+with respect to the variance is half the sum of its second derivatives. All are computed from one table of derivatives
+along x and y.
 """
 
 from __future__ import annotations
@@ -26,28 +27,41 @@ from matcam.numerics.normal import robust_std
 from matcam.numerics.polynomials import plane_fit
 
 FEWEST = 9
+"""Smallest number of dots of a grid or of a zone."""
 SHARED = [(2, 0), (0, 2), (4, 0), (2, 2), (0, 4)]
-"""Derivatives by (x, y) for the common deviation of the dots of a zone from disc x Gaussian x square."""
+"""Orders in (x, y) of the derivatives that describe the common deviation of the dots of a zone from the model."""
 
-_CLEAR = 6.0  # standard deviations of the smoothed background
-_ALIKE = (0.3, 3.0)  # relative to the median flux: dots are all of one kind
-_OFF = 0.25  # relative to the pitch: largest distance of a dot from the position that its neighbour predicts
+_CLEAR = 6.0
+"""Smallest contrast of a dot, standard deviations of the smoothed background."""
+_SIMILAR_FLUX = (0.3, 3.0)
+"""Smallest and largest flux of a dot relative to the median. All dots of a grid have the same size."""
+_OFF = 0.25
+"""Largest distance of a dot from the position predicted by its neighbour, relative to the pitch."""
 _OWN = [(0, 0), (1, 0), (0, 1), (2, 0), (0, 2)]
-_START = 0.6  # px
-_RANGE = (0.15, 6.0)  # px of sigma
-_STEPS, _WEIGHTED = 16, 4  # Gauss-Newton steps; step from which the weights are those of the noise
-_SETTLED = 0.01  # standard deviations
-_REACH = 7  # px, largest size of a stamp
-_CLOSEST = 6.0  # px between dots
+"""Orders in (x, y) of the derivatives for the individual parameters of a dot."""
+_START = 0.6
+"""Initial lens width, px."""
+_RANGE = (0.15, 6.0)
+"""Smallest and largest lens width, px."""
+_STEPS, _WEIGHTED = 16, 4
+"""Largest number of Gauss-Newton steps; step after which the weights follow from the noise."""
+_SETTLED = 0.01
+"""Change of the variance below which the fit of a dot has converged, standard deviations."""
+_LARGEST_HALF_SIZE = 7
+"""Largest half size of the square of pixels that is used for a dot, px."""
+_CLOSEST = 6.0
+"""Smallest distance of neighbouring dots, px. The blur of closer dots overlaps."""
 _OUTLIER, _SAME = (
     5.0,
     0.02,
-)  # standard deviations, and relative difference of sigma^2 below which a dot is not an outlier
-_AT_ONCE = 512  # number of dots whose tables fit into memory, for any grid
+)
+"""Outliers: deviation of sigma^2 in standard deviations; relative difference of sigma^2 that is always accepted."""
+_AT_ONCE = 512
+"""Number of dots that are processed together. It limits the memory for the tables of derivatives."""
 
 
 def _disc_nodes(radii: int = 5, turns: int = 14) -> tuple[FloatArray, FloatArray]:
-    """Return places (2, n) and weights (n,) of a quadrature over the unit disc: Gauss's on rings, which alternate."""
+    """Compute nodes (2, n) and weights (n,) of a quadrature over the unit disc: Gauss nodes in radius, rotated rings."""
     nodes, weights = np.polynomial.legendre.leggauss(radii)
     turn = 2 * np.pi * (np.arange(turns) + 0.5 * (np.arange(radii)[:, None] % 2)) / turns
     places = np.sqrt((nodes + 1) / 2)[:, None] * np.stack([np.cos(turn), np.sin(turn)])
@@ -55,16 +69,17 @@ def _disc_nodes(radii: int = 5, turns: int = 14) -> tuple[FloatArray, FloatArray
 
 
 _DISC, _SHARE = _disc_nodes()
+"""Nodes (2, n) and weights (n,) of the quadrature over the unit disc."""
 
 
 class DotLattice(NamedTuple):
-    """Positions of n dots, in a picture and printed.
+    """Positions of n dots in an image and on the page.
 
     Attributes:
-        x: (n,) px.
-        y: (n,) px.
-        u: (n,) place on the page, in pitches, or in mm if a chart says so.
-        v: (n,).
+        x: (n,) x in the image, px.
+        y: (n,) y in the image, px.
+        u: (n,) x on the page, in mm if a chart describes the dots, else in pitches.
+        v: (n,) y on the page, in the same unit.
     """
 
     x: FloatArray
@@ -73,21 +88,18 @@ class DotLattice(NamedTuple):
     v: FloatArray
 
     def subset(self, mask: np.ndarray) -> DotLattice:
-        """Return some of the dots."""
+        """Select a subset of the dots."""
         return DotLattice(*(column[mask] for column in self))
 
     @property
     def pitch(self) -> float:
-        """Return the median distance to the nearest neighbour, px."""
+        """Median distance to the nearest neighbour, px."""
         points = np.stack([self.x, self.y], axis=-1)
         return float(np.median(cKDTree(points).query(points, k=2)[0][:, 1]))
 
     @property
     def shapes(self) -> FloatArray:
-        """Return px per page unit at every dot, (n, 2, 2).
-
-        They are derivatives of a smooth map through all dots.
-        """
+        """Derivatives of a smooth map from the page to the image at every dot, px per page unit, (n, 2, 2)."""
         size = max(float(np.ptp(self.u)), float(np.ptp(self.v)), 1e-9) / 2
         u, v = (self.u - self.u.mean()) / size, (self.v - self.v.mean()) / size
         degree = 4 if len(u) >= 60 else 3 if len(u) >= 30 else 2 if len(u) >= 15 else 1
@@ -101,15 +113,15 @@ class DotFit:
     """Fits of n dots, and their last derivatives.
 
     Attributes:
-        lattice: where the dots were thought to be.
-        parameters: (n, 7) ground, its slopes, content, x, y, sigma^2.
+        lattice: initial positions of the dots.
+        parameters: (n, 7) background, its two slopes, content, x, y, sigma^2.
         std: (n, 7) standard deviations of `parameters`.
-        design: (n, pixels, 7) derivatives by `parameters`.
-        shared: (n, pixels, 5) derivatives times contents, in what the dots of a zone have in common.
-        residual: (n, pixels).
+        design: (n, pixels, 7) derivatives with respect to `parameters`.
+        shared: (n, pixels, 5) derivatives of `SHARED`, times the contents.
+        residual: (n, pixels) residuals.
         weight: (n, pixels) inverse variances.
-        radius: mean of the dots' radii as they should be in the picture, px.
-        gain: variance of a pixel over its value.
+        radius: mean radius of the dots in the image without blur, px.
+        gain: variance of a pixel divided by its value, without read noise.
         read_variance: variance of a dark pixel.
     """
 
@@ -125,7 +137,7 @@ class DotFit:
     read_variance: float
 
     def subset(self, mask: np.ndarray) -> DotFit:
-        """Return some of the dots."""
+        """Select a subset of the dots."""
         arrays = {
             name: getattr(self, name)[mask] for name in ("parameters", "std", "design", "shared", "residual", "weight")
         }
@@ -135,22 +147,23 @@ class DotFit:
 def fit_dots(values: FloatArray, lattice: DotLattice, size: float, half_width: float) -> DotFit:
     """Fit every dot of a lattice in a region.
 
-    values: (height, width), NaN where there are no data.
-    size: radius of the dots in the lattice's own units. half_width: of the pixel, px. FitError if there are too few dots that
-    can be measured.
+    `values`: (height, width), NaN for missing pixels. `size`: radius of the dots in page units. `half_width`: half width of
+    the pixel, px. FitError if too few dots can be measured.
     """
     shape, pitch = size * lattice.shapes, lattice.pitch
-    reach = int(min(_REACH, max(3, np.floor(pitch / 2 - 0.5))))
+    half_size = int(min(_LARGEST_HALF_SIZE, max(3, np.floor(pitch / 2 - 0.5))))
     if pitch < _CLOSEST:
         raise FitError(f"the dots are {pitch:.1f} px apart: at least {_CLOSEST:g} are needed to separate them")
-    columns, rows = (np.round(c).astype(int)[:, None] + np.arange(-reach, reach + 1) for c in (lattice.x, lattice.y))
+    columns, rows = (
+        np.round(c).astype(int)[:, None] + np.arange(-half_size, half_size + 1) for c in (lattice.x, lattice.y)
+    )
     whole = (np.minimum(columns[:, 0], rows[:, 0]) >= 0) & (columns[:, -1] < values.shape[1])
     whole &= rows[:, -1] < values.shape[0]
     if whole.sum() < FEWEST:
         raise FitError(f"{whole.sum()} whole dots are too few: {FEWEST} are needed")
     lattice, shape, columns, rows = lattice.subset(whole), shape[whole], columns[whole], rows[whole]
     value = values[rows[:, :, None], columns[:, None, :]]
-    # from the place of a dot in the lattice to its pixels
+    # Offsets of the pixels from the position of the dot in the lattice.
     du, dv = (
         np.broadcast_to(off, value.shape).reshape(len(value), -1)
         for off in ((columns - lattice.x[:, None])[:, None, :], (rows - lattice.y[:, None])[:, :, None])
@@ -158,7 +171,7 @@ def fit_dots(values: FloatArray, lattice: DotLattice, size: float, half_width: f
     value = value.reshape(du.shape)
     known, ground = np.isfinite(value), np.nanmedian(value, axis=1)
     value = np.where(known, value, 0.0)
-    # in a mosaic only a part of the sites of a dot are measured
+    # In a mosaic, only a part of the pixels of a dot are known.
     content = (known * (value - ground[:, None])).sum(1) / np.maximum(known.mean(1), 0.05)
     state = np.column_stack(
         [ground, 0 * ground, 0 * ground, content, lattice.x, lattice.y, np.full(len(ground), _START**2)]
@@ -171,7 +184,7 @@ def fit_dots(values: FloatArray, lattice: DotLattice, size: float, half_width: f
         state[:, 6] = np.clip(state[:, 6], _RANGE[0] ** 2, _RANGE[1] ** 2)
         if step == _WEIGHTED:
             bow = _bow(lattice, state[:, 0], du, dv)
-            # the fitted positions determine the lattice, and the sizes of the dots, more accurately than the first ones
+            # The fitted positions determine the lattice and the sizes of the dots more accurately than the initial ones.
             shape = size * lattice._replace(x=state[:, 4], y=state[:, 5]).shapes
         u, v = columns - state[:, 4:5], rows - state[:, 5:6]
         table = dot_derivatives(u, v, shape, np.sqrt(state[:, 6]), half_width, _OWN)
@@ -183,7 +196,7 @@ def fit_dots(values: FloatArray, lattice: DotLattice, size: float, half_width: f
         )
         residual = np.where(known, value - model, 0.0)
         if step > _WEIGHTED:
-            # the fitted parameters have absorbed their share of the noise
+            # Correct for the noise that the fitted parameters absorb.
             found = noise_from_residuals(residual[known], model[known])
             gain, read = (k * known.sum() / (known.sum() - state.size) for k in found)
             weight = known / (gain * np.maximum(model, 0) + read)
@@ -196,8 +209,8 @@ def fit_dots(values: FloatArray, lattice: DotLattice, size: float, half_width: f
         if step > _WEIGHTED + 2 and (np.abs(change[:, 6]) < _SETTLED * std[:, 6]).mean() > 0.98:
             break
     if not np.isfinite(state).all():
-        raise FitError("the dots' pixels do not determine their blur: give a sharper or larger picture of the grid")
-    # the common deviation of the dots needs higher derivatives, but only once
+        raise FitError("the pixels of the dots do not determine their blur: give a sharper or larger image of the grid")
+    # The higher derivatives for the common deviation of the dots are computed only once.
     flat = dot_derivatives(u, v, shape, np.sqrt(state[:, 6]), half_width, SHARED).reshape(len(SHARED), len(state), -1)
     shared = state[:, 3, None, None] * flat.transpose(1, 2, 0)
     fit = DotFit(lattice, state, std, design, shared, residual, weight, mean_radius, gain, read)
@@ -205,38 +218,35 @@ def fit_dots(values: FloatArray, lattice: DotLattice, size: float, half_width: f
 
 
 def find_dots(values: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return x and y (n,) of the dots in a region, px.
+    """Find the dots in a region: x and y (n,), px.
 
-    values: (height, width), NaN where there are no data. FitError if there are not 9 dots.
+    `values`: (height, width), NaN for missing pixels. FitError if there are fewer than 9 dots.
     """
     smooth = smoothed(values)
-    # most pixels are background, which changes slowly
+    # Most pixels are background, which changes slowly.
     ground = ndimage.gaussian_filter(ndimage.median_filter(smooth[::2, ::2], 15), 2)
     off = smooth - ground.repeat(2, 0).repeat(2, 1)[: values.shape[0], : values.shape[1]]
     spread = robust_std(off - np.median(off))
     sign = -1.0 if np.quantile(off, 0.001) < -np.quantile(off, 0.999) else 1.0
     label, count = ndimage.label(sign * off > max(_CLEAR * spread, 0.25 * float(np.quantile(sign * off, 0.999))))
     if count < FEWEST:
-        raise FitError(f"region contains no grid of dots: {count} spots in it, {FEWEST} are needed")
+        raise FitError(f"region contains no grid of dots: it has {count} spots, {FEWEST} are needed")
     every = np.arange(1, count + 1)
     flux = ndimage.sum_labels(sign * off, label, every)
     y, x = np.array(ndimage.center_of_mass(np.maximum(sign * off, 0), label, every)).T
     usual = np.median(flux)
-    whole = (flux > _ALIKE[0] * usual) & (flux < _ALIKE[1] * usual)
+    whole = (flux > _SIMILAR_FLUX[0] * usual) & (flux < _SIMILAR_FLUX[1] * usual)
     if whole.sum() < FEWEST:
         raise FitError("region contains no grid of dots: its spots are not similar")
     return x[whole], y[whole]
 
 
 def square_lattice(x: FloatArray, y: FloatArray) -> DotLattice:
-    """Return the dots that lie on a lattice, counted in pitches.
-
-    The lattice is square, and seen in perspective. FitError if there is none.
-    """
+    """Assign dots to a square lattice in perspective, with page positions in pitches. FitError if there is none."""
     points = np.stack([x, y], axis=-1)
     tree = cKDTree(points)
     neighbour = tree.query(points, k=min(5, len(points)))[1]
-    # a dot in the centre has four neighbours nearly at right angles
+    # A central dot has four neighbours in nearly perpendicular directions.
     central = int(np.argmin(np.hypot(*(points - np.median(points, axis=0)).T)))
     first = points[neighbour[central, 1]] - points[central]
     steps = points[neighbour[central, 1:]] - points[central]
@@ -257,7 +267,7 @@ def square_lattice(x: FloatArray, y: FloatArray) -> DotLattice:
             where = list(place[at])
             where[axis] += sign
             place[int(other)] = (where[0], where[1])
-            # the lattice in a perspective view changes slowly: each dot passes its basis on to its neighbours
+            # In perspective, the lattice vectors change slowly: each dot provides initial vectors for its neighbours.
             moved = basis[at].copy()
             moved[axis] = 0.7 * moved[axis] + 0.3 * sign * (points[other] - points[at])
             basis[int(other)] = moved
@@ -272,11 +282,11 @@ def square_lattice(x: FloatArray, y: FloatArray) -> DotLattice:
 def dot_derivatives(
     x: FloatArray, y: FloatArray, shape: FloatArray, sigma: FloatArray, half_width: float, orders: list[tuple[int, int]]
 ) -> FloatArray:
-    """Return the derivatives by (x, y) of the pixel values of dots.
+    """Compute derivatives with respect to (x, y) of the pixel values of n dots with unit content.
 
-    There are n dots of unit content; the result is (orders, n, height, width).
-    x, y: (n, width) and (n, height) px from the dots' centres to the pixels'. shape: (n, 2, 2) px, from the unit disc to the
-    dot. sigma: (n,) px. half_width: px. orders: of the derivatives.
+    The result has the shape (orders, n, height, width). `x`, `y`: (n, width) and (n, height) distances from the centres of
+    the dots to those of the pixels, px. `shape`: (n, 2, 2) linear maps from the unit disc to the dots, px. `sigma`: (n,)
+    lens widths, px. `half_width`: half width of the pixel, px. `orders`: orders of the derivatives.
     """
     if len(x) > _AT_ONCE:
         parts = [slice(i, i + _AT_ONCE) for i in range(0, len(x), _AT_ONCE)]
@@ -291,16 +301,16 @@ def dot_derivatives(
 
 
 def _axis(t: FloatArray, sigma: FloatArray, half_width: float, highest: int) -> list[FloatArray]:
-    """Return the one-dimensional kernel, Gaussian times box, and its derivatives.
+    """Compute the one-dimensional kernel, a Gaussian convolved with a box, and its derivatives.
 
-    t: (n, pixels, nodes) px.
+    `t`: (n, pixels, nodes) distances, px.
     """
     s = sigma[:, None, None]
     ends = [(t + half_width) / s, (t - half_width) / s]
     table = [(ndtr(ends[0]) - ndtr(ends[1])) / (2 * half_width)]
     if highest:
         bell = [np.exp(-z * z / 2) / np.sqrt(2 * np.pi) for z in ends]
-        # d^k/dz^k of the normal density is (-1)^k He_k(z) times the density
+        # The derivative d^k/dz^k of the normal density is (-1)^k He_k(z) times the density.
         hermite = [lambda z: 1.0, lambda z: -z, lambda z: z * z - 1, lambda z: -(z * z * z) + 3 * z]
         for k in range(highest):
             table.append(
@@ -310,9 +320,9 @@ def _axis(t: FloatArray, sigma: FloatArray, half_width: float, highest: int) -> 
 
 
 def _bow(lattice: DotLattice, ground: FloatArray, du: FloatArray, dv: FloatArray) -> FloatArray:
-    """Return the deviation of the background of every dot from its tangent plane.
+    """Estimate the deviation of the background of every dot from its tangent plane.
 
-    It is estimated from all dots together, as vignetting. For a single dot the curvature of the background could not be
+    It is estimated from all dots jointly, as for vignetting. For a single dot, the curvature of the background could not be
     separated from the wings of the blur.
     """
     scale = max(float(np.ptp(lattice.x)), float(np.ptp(lattice.y))) / 2
@@ -325,7 +335,7 @@ def _bow(lattice: DotLattice, ground: FloatArray, du: FloatArray, dv: FloatArray
 
 
 def _without_outliers(fit: DotFit) -> DotFit:
-    """Return the dots that were found and are similar to the others."""
+    """Exclude dots that were not found, or whose blur, content or position deviates from that of the others."""
     square, std = fit.parameters[:, 6], fit.std[:, 6]
     content = fit.parameters[:, 3]
     centre = np.median(square)

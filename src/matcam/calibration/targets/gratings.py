@@ -1,7 +1,7 @@
-"""Gratings: the MTF at a line frequency and its harmonics, from sines, square waves (bars) and narrow lines.
+"""Gratings: the MTF at a fundamental frequency and its harmonics, from sines, square waves (bars) and narrow lines.
 
-A bar pattern is a square wave: its contrast is not the MTF until it is freed of harmonics. Here the harmonics are fitted one by
-one, with the phase that they share. `coltman` does the same for contrasts that were measured elsewhere.
+A bar pattern is a square wave, whose contrast contains harmonics and therefore is not the MTF. Here all harmonics are
+fitted with a common phase. `coltman` converts square-wave contrasts that were measured elsewhere.
 """
 
 from __future__ import annotations
@@ -27,11 +27,16 @@ from matcam.core.errors import ArgumentError, FitError
 from matcam.core.io import plain
 from matcam.files.photographs import Photograph
 
-_HIGHEST = 1.1  # cycles/px: harmonics above are neglected
-_USEFUL = 0.1  # standard deviation above which an MTF value is discarded
-_CLEAR = 6.0  # standard deviations of the whole wave
-_LEFT = 0.05  # share of the variance that may remain, beyond noise, after the fit of a grating
-_WHITE = 40.0  # largest power of a residual over the median: that of white noise is below 20
+_HIGHEST = 1.1
+"""Frequency above which harmonics are neglected, cycles/px."""
+_USEFUL = 0.1
+"""Standard deviation above which an MTF value is discarded."""
+_CLEAR = 6.0
+"""Smallest significance of the wave, standard deviations."""
+_LEFT = 0.05
+"""Share of the variance in the residual above which the residual is tested for other structure."""
+_WHITE = 40.0
+"""Largest power in the spectrum of a residual, relative to its median. That of white noise is below 20."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,12 +44,13 @@ class GratingMTF:
     """MTF from a grating, and the other fitted parameters.
 
     Attributes:
-        samples: MTF at the harmonics that say something.
-        frequency: (fx, fy) of the grating in the middle of its picture, cycles/px.
-        orders: orders of the harmonics that were fitted.
-        modulation: amplitude of each harmonic relative to the mean, signed as the print's phase has it (no unit).
-        modulation_std: its standard deviations.
-        gain: variance of a pixel over its value, as the fit left it; a pixel's variance is gain * value + read_variance.
+        samples: MTF at the harmonics that the image determines.
+        frequency: (fx, fy) of the grating at its centre, cycles/px.
+        orders: orders of the fitted harmonics.
+        modulation: amplitude of each harmonic relative to the mean; the sign is relative to the phase of the print
+            (no unit).
+        modulation_std: standard deviations of `modulation`.
+        gain: gain estimated from the residuals; the variance of a pixel is gain * value + read_variance.
         read_variance: variance of a dark pixel, in squared units of the values.
 
     Example:
@@ -64,9 +70,9 @@ class GratingMTF:
 
     @property
     def contrast(self) -> float:
-        """Return the contrast at the centres of lines.
+        """Contrast at the centres of the lines.
 
-        It is (brightest - darkest) / (brightest + darkest) of pixels there.
+        It is (bright - dark) / (bright + dark) of pixels at the centres of bright and of dark lines.
         """
         at_bright, at_dark = self.modulation.sum(), (self.modulation * (-1.0) ** np.array(self.orders)).sum()
         return float((at_bright - at_dark) / (2 + at_bright + at_dark))
@@ -107,33 +113,32 @@ def grating_mtf(
 ) -> GratingMTF:
     """Measure the MTF of lens and pixel with a grating.
 
-    It is found at the grating's frequency and at its harmonics.
-    Phases are fitted, so that no error is made by where pixels lie on the bars. Harmonics that look alike on the grid, or like
-    the mean, get the errors that they deserve. Those that say nothing are left out.
+    The MTF is determined at the frequency of the grating and at its harmonics. The phase is fitted, so that the position of
+    the pixels relative to the bars causes no error. Harmonics that cannot be distinguished from each other or from the mean
+    on the pixel grid have large standard deviations. Harmonics that the image does not determine are omitted.
 
     Args:
-        image: picture: a `LinearImage`, a `Photograph`, or an array as `LinearImage.of` takes it.
-        roi: region (x, y, width, height) that holds one grating, px. Default: None, all of the picture. It may hold what is
-            around the grating.
-        grating: the grating as a chart describes it. Default: None, it is found. Give it with `projection`; both replace roi,
-            profile, contrast, duty and near.
-        projection: map from the chart's page, mm, to the picture, px: a `Registration`. Default: None. Give it with `grating`.
+        image: `LinearImage`, `Photograph`, or array as in `LinearImage.of`.
+        roi: region (x, y, width, height) that contains one grating, px. It may contain the surroundings of the grating.
+            Default: None, the whole image.
+        grating: description of the grating from a chart, to be given with `projection`. Both replace roi, profile, contrast,
+            duty and near. Default: None, the grating is searched.
+        projection: map from the page of the chart, mm, to the image, px: a `Registration`. Default: None.
         profile: "bars", "sine" or "lines" (no unit). Default: "bars".
-        contrast: (bright - dark) / (bright + dark) of the print, linear (no unit). Default: None; it must be given where
-            `grating` is not.
+        contrast: (bright - dark) / (bright + dark) of the print, linear (no unit); required without `grating`. Default: None.
         duty: bright share of a period of lines (no unit). Default: 0.5.
-        near: frequency (fx, fy), roughly, cycles/px. Default: None, it lies below Nyquist. Give it
-            for a grating beyond.
+        near: approximate frequency (fx, fy), cycles/px; required for a grating beyond the Nyquist frequency. Default: None,
+            the frequency is below Nyquist.
         cfa: colours of the first 2 x 2 px of a mosaic, as in `LinearImage.of` (no unit). Default: None.
         channel: colour, as in `LinearImage.of` (no unit). Default: None.
         tone: tone curve, as in `LinearImage.of` (no unit). Default: "linear".
 
     Returns:
-        The MTF at the harmonics that say something, with its covariance.
+        The MTF at the harmonics that the image determines, with its covariance.
 
     Raises:
         ArgumentError: if an argument is out of range, or only one of `grating` and `projection` is given.
-        FitError: if there is no grating, or none that can be measured.
+        FitError: if no grating is found, or it cannot be measured.
 
     Source:
         J. W. Coltman, JOSA 44, 468 (1954), for square waves; docs/model.md 7; docs/targets.md.
@@ -157,7 +162,7 @@ def grating_mtf(
     checks.within("contrast", contrast, 0, 1, open_low=True)
     checks.within("duty", duty, 0, 1, open_low=True, open_high=True)
     checks.choice("profile", profile, PROFILES)
-    # bright + dark = 2: only ratios matter
+    # The sum of bright and dark level is arbitrary, because only ratios are used.
     printed = Grating(
         profile, (0, 0), (1, 1), 0.0, 1.0, 0.0, 1 - contrast, 1 + contrast, duty if profile == "lines" else 0.5
     )
@@ -165,26 +170,27 @@ def grating_mtf(
     if problem := flaw(picture.values):
         raise FitError(str(problem))
     fit, orders, *wave = _fit_grating(picture.values, find_grating(picture.values, near), printed)
-    # the positions of the bright lines are unknown: the camera does not invert the first harmonic
+    # The positions of the bright lines are unknown. The MTF is assumed to be positive at the first harmonic.
     signs = np.ones(len(orders)) if fit.coefficients[0] >= 0 else (-1.0) ** np.array(orders)
     return _grating_result(picture, fit, printed, orders, signs, *wave)
 
 
 def coltman(frequency: ArrayLike, contrast: ArrayLike) -> FloatArray:
-    """Return the sine-wave MTF from contrasts of square waves.
+    """Convert square-wave contrasts to the sine-wave MTF.
 
-    The contrast is interpolated between the frequencies, from 1 at frequency 0, and taken to be 0 beyond the last one.
+    The contrast is interpolated between the frequencies, starting from 1 at frequency 0. It is assumed to be 0 beyond the
+    last frequency.
 
     Args:
-        frequency: (n,) rising, cycles/px.
-        contrast: (n,) contrast of bars on the middles of their lines, relative to the print's (no unit). The last one should
-            be near 0.
+        frequency: (n,) ascending frequencies, cycles/px.
+        contrast: (n,) contrast between the centres of bright and dark bars, relative to that of the print (no unit). The
+            last value should be close to 0.
 
     Returns:
         The MTF (n,) at `frequency`.
 
     Raises:
-        ArgumentError: if frequencies do not rise from above 0, or a contrast is not finite.
+        ArgumentError: if frequencies are not positive and ascending, or a contrast is not finite.
 
     Source:
         J. W. Coltman, JOSA 44, 468 (1954).
@@ -197,20 +203,20 @@ def coltman(frequency: ArrayLike, contrast: ArrayLike) -> FloatArray:
     f, c = np.asarray(checks.number("frequency", frequency)), np.asarray(checks.number("contrast", contrast))
     if f.ndim != 1 or f.shape != c.shape or f.size < 2 or not (np.diff(f) > 0).all() or not f[0] > 0:
         raise ArgumentError(
-            f"frequency must rise from above 0, with one finite contrast each, got {f.shape} and {c.shape}"
+            f"frequency must be positive and ascending, with one finite contrast each, got {f.shape} and {c.shape}"
         )
     from scipy.interpolate import PchipInterpolator
 
     between = PchipInterpolator(np.concatenate([[0.0], f]), np.concatenate([[1.0], c]), extrapolate=False)
     total = np.zeros_like(f)
     for k in range(1, int(f[-1] / f[0]) + 1, 2):
-        # C(f) = (4 / pi) sum chi(k) M(k f) / k, chi(k) = +-1 for k = 1, 3 mod 4, inverted after Moebius
+        # Moebius inversion of C(f) = (4 / pi) sum of chi(k) M(k f) / k with chi(k) = +-1 for k = 1, 3 mod 4.
         total += _moebius(k) * (1 if k % 4 == 1 else -1) / k * np.nan_to_num(between(k * f))
     return np.asarray(np.pi / 4 * total)
 
 
 def _moebius(k: int) -> int:
-    """Return the Moebius function of k."""
+    """Evaluate the Moebius function of k."""
     sign, p = 1, 2
     while k > 1:
         if k % p == 0:
@@ -223,7 +229,7 @@ def _moebius(k: int) -> int:
 
 
 def _inside_polygon(corners: FloatArray, shape: tuple[int, int]) -> np.ndarray:
-    """Return a mask of the pixels that are deeper than the margin inside a convex polygon."""
+    """Mark the pixels inside a convex polygon that are farther than `MARGIN` from its border."""
     outwards = ConvexHull(corners).equations
     y, x = np.indices(shape)
     return np.all([a * x + b * y + c < -MARGIN for a, b, c in outwards], axis=0)
@@ -232,16 +238,14 @@ def _inside_polygon(corners: FloatArray, shape: tuple[int, int]) -> np.ndarray:
 def _expected_grating(
     grating: Grating, projection: Projection, shape: tuple[int, int]
 ) -> tuple[FoundGrating, tuple[int, int, int, int]]:
-    """Return a described grating, and the region that contains it."""
+    """Project a described grating to the image, and determine the region that contains it."""
     corners = projection(checks.instance("grating", grating, Grating).corners)
     box = pixel_box(corners, shape, 0)
     if min(box[2:]) < SMALLEST:
-        raise FitError(
-            "the grating lies outside the picture, or covers less than 16 x 16 px of it: photograph it larger"
-        )
+        raise FitError("the grating lies outside the image, or covers less than 16 x 16 px of it: photograph it larger")
     inside = _inside_polygon(corners - box[:2], (box[3], box[2]))
     if inside.sum() < 64:
-        raise FitError("the grating covers too few pixels of the picture: photograph it larger")
+        raise FitError("the grating covers too few pixels of the image: photograph it larger")
     across = np.array([np.cos(grating.angle), np.sin(grating.angle)])
     along = np.array([-np.sin(grating.angle), np.cos(grating.angle)])
     u, v = (a.ravel() for a in np.meshgrid(*(np.linspace(-0.5, 0.5, 9) * side for side in grating.size)))
@@ -252,7 +256,7 @@ def _expected_grating(
 def _fit_grating(
     values: FloatArray, found: FoundGrating, printed: Grating
 ) -> tuple[WaveFit, tuple[int, ...], FloatArray, FloatArray]:
-    """Return the fit of the wave, its orders, its mean frequency (2,), cycles/px, and its mean position (2,), px."""
+    """Fit the wave; return the fit, the orders, the mean frequency (2,), cycles/px, and the mean position (2,), px."""
     pixels = WavePixels.where(values, found.inside)
     pixels = pixels.at(pixels.subset())
     frequency = local_wave(found.phase, found.parameters, pixels.x, pixels.y).frequency
@@ -260,16 +264,16 @@ def _fit_grating(
     orders: tuple[int, ...] = (1,)
     if printed.profile != "sine":
         orders = tuple(n for n in range(1, highest + 1) if abs(printed.harmonic(n)) > 1e-9)
-    # the fundamental alone is fitted first: it determines the phase up to the error from its harmonics
+    # The fundamental is fitted first. It determines the phase approximately.
     fit = None
     if pixels.value.size:
         fit = fit_wave(pixels, found.phase, found.parameters, _constant, steps=4, rough=True)
     fit = fit and fit_wave(pixels, found.phase, fit.parameters, _constant, orders)
     if not fit:
-        raise FitError("the grating's pixels do not determine its contrast: too few of them in this picture")
+        raise FitError("the grating's pixels do not determine its contrast: too few of them in this image")
     if not fit.signal > _CLEAR:
         raise FitError(
-            f"region contains no grating that can be measured: its wave is {fit.signal:.1f} standard deviations strong"
+            f"region contains no grating that can be measured: its wave has {fit.signal:.1f} standard deviations"
         )
     if other := _other_wave(pixels, fit, values.shape):
         raise FitError(f"region contains no grating that can be measured: {other}")
@@ -289,7 +293,7 @@ def _other_wave(pixels: WavePixels, fit: WaveFit, shape: tuple[int, ...]) -> str
     power = np.abs(np.fft.rfft2(image)) ** 2
     if power.max() < _WHITE * np.median(power):
         return ""
-    return f"what varies in it is not one wave, which leaves {left:.0%} of it"
+    return f"one wave does not explain it, and leaves {left:.0%} of its variance"
 
 
 def _constant(frequency: FloatArray, direction: FloatArray) -> FloatArray:
@@ -301,9 +305,9 @@ def _grating_result(
     picture: LinearImage, fit: WaveFit, printed: Grating, orders: tuple[int, ...], signs: FloatArray,
     frequency: FloatArray, place: FloatArray,
 ) -> GratingMTF:  # fmt: skip
-    """Return the MTF of a grating from its harmonics and those of the print.
+    """Compute the MTF of a grating from its harmonics and those of the print.
 
-    signs: of the harmonics, where the phase was not known.
+    `signs`: signs of the harmonics, which correct for an unknown phase.
     """
     f, direction = float(np.hypot(*frequency)), float(np.arctan2(*frequency[::-1]))
     modulation = signs * fit.coefficients
@@ -312,7 +316,7 @@ def _grating_result(
     useful = np.flatnonzero(std / np.abs(size) < _USEFUL)
     if not useful.size:
         raise FitError(
-            f"the grating of {f:.3f} cycles/px tells nothing: standard deviation {std[0] / abs(size[0]):.2g} of its MTF"
+            f"the grating of {f:.3f} cycles/px does not determine the MTF: standard deviation {std[0] / abs(size[0]):.2g}"
         )
     scale = (signs / size)[useful]
     samples = MTFSamples.of_region(

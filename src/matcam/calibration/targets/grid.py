@@ -1,8 +1,8 @@
-"""Grids of dots: the point spread function at every dot, its variation over the field, and the MTF.
+"""Grids of dots: the blur at every dot, its variation over the field, and the MTF.
 
-Each dot is fitted as disc x Gaussian x square pixel (`dot_fit`). Its size comes from the lattice that all dots form,
-not from the print's scale in the picture. The common deviation of the dots of a zone from this model, to second and
-fourth derivatives, is part of the MTF of the zone, which is then not Gaussian.
+Each dot is modelled as disc x Gaussian x square pixel (`dot_fit`). Its size in the image follows from the lattice of all
+dots. The deviation from this model that the dots of a zone have in common is described by second and fourth derivatives.
+It is included in the MTF of the zone, which is therefore not restricted to a Gaussian.
 """
 
 from __future__ import annotations
@@ -28,24 +28,30 @@ from matcam.files.photographs import Photograph
 from matcam.numerics.normal import robust_fit
 from matcam.numerics.polynomials import plane_powers
 
-_REACH = 8  # px around a dot
-_ZONE = 60  # smallest number of dots in a zone
-_FIELD = 6  # terms of the variance over the field, of second order
+_MARGIN = 8
+"""Margin around the dots of a grid, px."""
+_ZONE = 60
+"""Smallest mean number of dots in a zone."""
+_FIELD = 6
+"""Number of terms of the variance over the field, a polynomial of second order."""
 _FREQUENCY = np.array([0.2, 0.2, 0.4, 0.4, 0.4])
+"""Frequencies of the reported MTF, cycles/px. There are as many as derivatives that the dots have in common."""
 _DIRECTION = np.radians([0.0, 90.0, 0.0, 90.0, 45.0])
+"""Directions of the reported MTF, rad."""
 
 
 @dataclass(frozen=True, eq=False)
 class BlurField:
     """Variance of a Gaussian lens over the field.
 
-    It is a polynomial of second order.
+    It is a polynomial of second order in the position.
 
     Attributes:
-        coefficients: (6,) of sigma^2 over 1, u, v, u^2, u v, v^2, px^2; u, v: px from `middle` over `half`.
-        covariance: (6, 6) of `coefficients`.
-        middle: (x, y) of the grid's middle, px.
-        half: half the grid's extent, px.
+        coefficients: (6,) coefficients of sigma^2 for 1, u, v, u^2, u v, v^2, px^2; u and v are distances from `middle`
+            in units of `half`.
+        covariance: (6, 6) covariance of `coefficients`.
+        middle: (x, y) of the middle of the grid, px.
+        half: half the extent of the grid, px.
 
     Example:
         >>> field = matcam.targets.BlurField(np.array([0.25, 0, 0, 0.11, 0, 0]), 1e-6 * np.eye(6), (100.0, 80.0), 50.0)
@@ -75,14 +81,14 @@ class BlurField:
         half = float(max(np.ptp(x), np.ptp(y)) / 2)
         terms = plane_powers((x - middle[0]) / half, (y - middle[1]) / half, 2)
         terms = terms[:, : _FIELD if len(x) >= 4 * _FIELD else 1]
-        # Equal dots get equal standard deviations: those of single dots would favour those that look sharp by chance.
+        # All dots get the same standard deviation. Individual ones would favour dots that are sharp by chance.
         fit = robust_fit(terms, variance, float(np.median(std)))
         more = (0, _FIELD - terms.shape[1])
         found, covariance = np.pad(fit.parameters, more), np.pad(fit.covariance, (more, more))
         return cls(found, covariance, middle, half)
 
     def sigma_at(self, x: ArrayLike, y: ArrayLike) -> tuple[FloatArray, FloatArray]:
-        """Return sigma anywhere in the picture.
+        """Evaluate sigma at positions in the image.
 
         Args:
             x: columns, px.
@@ -103,14 +109,14 @@ class DotGrid:
     """Blur at n dots, over the field, and its MTF.
 
     Attributes:
-        x: (n,) places of the dots in the picture, px.
-        y: (n,) px.
-        sigma: (n,) standard deviation of the lens as a Gaussian, behind a pixel of the stated half width, px.
-        sigma_std: (n,) its standard deviation, px.
-        samples: MTF of lens and pixel in zones of the field, free of the Gaussian.
+        x: (n,) x of the dots in the image, px.
+        y: (n,) y of the dots in the image, px.
+        sigma: (n,) lens width at each dot for the given half width of the pixel, px.
+        sigma_std: (n,) standard deviation of `sigma`, px.
+        samples: MTF of lens and pixel in zones of the field, not restricted to a Gaussian.
         field: smooth blur over the field.
-        radius: mean of the dots' radii as they should be in the picture, px.
-        gain: variance of a pixel over its value, as the fit left it; a pixel's variance is gain * value + read_variance.
+        radius: mean radius of the dots in the image without blur, px.
+        gain: gain estimated from the residuals; the variance of a pixel is gain * value + read_variance.
         read_variance: variance of a dark pixel, in squared units of the values.
 
     Example:
@@ -136,11 +142,11 @@ class DotGrid:
 
     @property
     def middle(self) -> tuple[float, float]:
-        """Return the centre of the grid in the picture, (x, y) px."""
+        """Centre (x, y) of the grid in the image, px."""
         return self.field.middle
 
     def sigma_at(self, x: ArrayLike, y: ArrayLike) -> tuple[FloatArray, FloatArray]:
-        """Return sigma of the lens at a position, from the smooth field.
+        """Evaluate the smooth lens width at positions in the image.
 
         Args:
             x: columns, px.
@@ -155,8 +161,8 @@ class DotGrid:
         """Return the result as a JSON object.
 
         Returns:
-            All attributes, with units in the names of those that have one. The field is given as sigma in the grid's middle and
-            at the corners of the square around it.
+            All attributes, with units in the names of those that have one. The field is given as sigma at the middle of the
+            grid and at the corners of the square around it.
         """
         middle, half = np.array(self.middle), self.field.half
         places = middle + half * np.array([[0, 0], [-1, -1], [1, -1], [1, 1], [-1, 1]])
@@ -188,20 +194,20 @@ def dot_grid(
     channel: str | None = None,
     tone: Tone = "linear",
 ) -> DotGrid:
-    """Measure a camera's blur over the field with a grid of dots.
+    """Measure the blur over the field with a grid of dots.
 
-    Dots are round, dark or bright, on a square lattice.
+    The dots are round, dark or bright, and form a square lattice.
 
     Args:
-        image: picture: a `LinearImage`, a `Photograph`, or an array as `LinearImage.of` takes it.
-        roi: region (x, y, width, height) that holds nothing but the grid, px. Default: None, all of the picture.
-        dots: the dots as a chart describes them. Default: None, they are found. Give them with `projection`; both replace `roi`
-            and `radius`.
-        projection: map from the chart's page, mm, to the picture, px: a `Registration`. Default: None. Give it with `dots`.
-        radius: radius of the dots over their pitch, inside (0, 0.5) (no unit). Default: None; it must be given where `dots` is
-            not, because blur cannot be told from size.
-        half_width: half the side of a pixel's sensitive area, in (0, 0.5] px. Default: 0.5. Sigma depends on it, the MTF
-            hardly does.
+        image: `LinearImage`, `Photograph`, or array as in `LinearImage.of`.
+        roi: region (x, y, width, height) that contains only the grid, px. Default: None, the whole image.
+        dots: description of the dots from a chart, to be given with `projection`. Both replace `roi` and `radius`. Default:
+            None, the dots are searched.
+        projection: map from the page of the chart, mm, to the image, px: a `Registration`. Default: None.
+        radius: radius of the dots relative to their pitch, in (0, 0.5) (no unit). It is required without `dots`, because
+            blur and size of a dot cannot be distinguished. Default: None.
+        half_width: half the side of the sensitive area of a pixel, in (0, 0.5] px. Sigma depends on it; the MTF hardly
+            does. Default: 0.5.
         cfa: colours of the first 2 x 2 px of a mosaic, as in `LinearImage.of` (no unit). Default: None.
         channel: colour, as in `LinearImage.of` (no unit). Default: None.
         tone: tone curve, as in `LinearImage.of` (no unit). Default: "linear".
@@ -211,7 +217,7 @@ def dot_grid(
 
     Raises:
         ArgumentError: if an argument is out of range, or only one of `dots` and `projection` is given.
-        FitError: if there is no grid that can be measured.
+        FitError: if no grid is found, or it cannot be measured.
 
     Source:
         docs/model.md 7; docs/targets.md.
@@ -236,7 +242,7 @@ def dot_grid(
     else:
         if radius is None:
             raise ArgumentError(
-                "radius of the dots over their pitch must be given: the blur cannot be told from their size"
+                "radius of the dots relative to their pitch must be given: it cannot be distinguished from the blur"
             )
         size = float(checks.scalar("radius", checks.within("radius", radius, 0, 0.5, open_low=True, open_high=True)))
         picture = region_of(image, roi, channel=channel, cfa=cfa, tone=tone)
@@ -247,13 +253,13 @@ def dot_grid(
 
 
 def _expected_dots(whole: LinearImage, dots: Dots, projection: Projection) -> tuple[LinearImage, DotLattice]:
-    """Return the region of a described grid, and its dots."""
+    """Crop the image to a described grid, and project its dots."""
     printed = np.array(dots.centres)
     seen = projection(printed)
     inside = (seen > 2).all(1) & (seen < np.array(whole.shape[::-1]) - 3).all(1)
     if inside.sum() < FEWEST:
-        raise FitError("the grid of dots lies outside the picture: give a picture that shows it whole")
-    box = pixel_box(seen[inside], whole.shape, _REACH)
+        raise FitError("the grid of dots lies outside the image: give an image that contains the whole grid")
+    box = pixel_box(seen[inside], whole.shape, _MARGIN)
     x, y = (seen[inside] - box[:2]).T
     return region_of(whole, box), DotLattice(x, y, *printed[inside].T)
 
@@ -281,19 +287,16 @@ def _grid_result(picture: LinearImage, fit: DotFit, half_width: float) -> DotGri
 
 
 def _zone_samples(picture: LinearImage, dots: DotFit, half_width: float) -> MTFSamples:
-    """Return the MTF of a zone.
-
-    It is that of the zone's mean Gaussian, times 1 + a polynomial of the frequencies, which its dots share.
-    """
+    """Compute the MTF of a zone: that of its mean Gaussian, times 1 + a polynomial in frequency common to its dots."""
     own = dots.design[:, :, :6]
     pilot, root = dots.parameters[:, 6], np.sqrt(dots.weight)[..., None]
     mean = float(np.mean(pilot))
-    # relative to one sigma for all: the deviation of each dot is removed to first order
+    # The residual refers to the mean sigma; the deviation of each dot is removed to first order.
     residual = dots.residual + dots.design[:, :, 6] * (pilot - mean)[:, None]
     basis = np.linalg.qr(root * own)[0]
 
     def beyond(columns: FloatArray) -> FloatArray:
-        """Take what the own parameters of each dot explain out of weighted columns."""
+        """Remove the part of weighted columns that the individual parameters of each dot explain."""
         columns = root * columns
         return np.asarray(columns - basis @ (basis.transpose(0, 2, 1) @ columns)).reshape(-1, columns.shape[-1])
 

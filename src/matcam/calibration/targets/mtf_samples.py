@@ -1,4 +1,4 @@
-"""MTF samples: the results of every target for the joint fit, values of the MTF and their covariance."""
+"""MTF samples: values of the MTF and their covariance, the common result of all targets for the joint fit."""
 
 from __future__ import annotations
 
@@ -14,24 +14,25 @@ from matcam.core.errors import ArgumentError
 from matcam.core.io import plain
 
 KINDS = ("edge", "grating", "star", "dots")
+"""Kinds of targets."""
 
 
 @dataclass(frozen=True, eq=False)
 class MTFSamples:
-    """MTF of a camera at n frequencies in one position.
+    """MTF of a camera at n frequencies and one position.
 
-    The MTF is the effective camera's: optics and pixel, signed.
+    It is the signed MTF of optics and pixel.
 
     Attributes:
         kind: target: "edge", "grating", "star" or "dots".
-        position: (x, y) of the target's middle in the picture, px; pixel centres on whole numbers, row 0 on top.
-        frequency: (n,) positive, cycles/px of the sensor's full grid, whatever plane of a mosaic was measured.
-        direction: (n,) direction of the frequency to the picture's rows, rad; x right, y down. direction + pi means the same.
-        mtf: (n,) no unit.
-        covariance: (n, n) of `mtf`; errors that the samples share (levels, contrast, place) stand off the diagonal.
+        position: (x, y) of the middle of the target in the image, px; pixel centres are whole numbers, row 0 is at the top.
+        frequency: (n,) positive frequencies, cycles/px of the full pixel grid, also for a plane of a mosaic.
+        direction: (n,) angle from the rows of the image to the frequency vector, rad; x right, y down; defined modulo pi.
+        mtf: (n,) MTF, no unit.
+        covariance: (n, n) covariance of `mtf`; common errors (levels, contrast, position) cause off-diagonal entries.
         channel: "R", "G", "B", "Y" (luminance) or "grey". Default: "grey".
-        f_number: f-number of the picture (no unit). Default: None, not known.
-        source: file and target, for messages and the profile's provenance. Default: "".
+        f_number: f-number of the image (no unit). Default: None, not known.
+        source: file and target, for messages and the provenance of a profile. Default: "".
 
     Raises:
         ArgumentError: if shapes disagree, a value is not finite, or a variance is not positive.
@@ -81,19 +82,19 @@ class MTFSamples:
         cls, kind: str, region: LinearImage, place: Sequence[float] | np.ndarray, frequency: np.ndarray, direction: np.ndarray,
         mtf: np.ndarray, covariance: np.ndarray,
     ) -> MTFSamples:  # fmt: skip
-        """Return samples that were measured in a region, with their position.
+        """Create the samples of a target in a region of an image.
 
         Args:
             kind: target: "edge", "grating", "star" or "dots".
-            region: pixels of the target; its corner, channel, f-number and source are taken over.
-            place: (x, y) of the target's middle in the region, px.
-            frequency: (n,) cycles/px.
-            direction: (n,) rad.
-            mtf: (n,) no unit.
-            covariance: (n, n) of `mtf`.
+            region: pixels of the target, which provide corner, channel, f-number and source.
+            place: (x, y) of the middle of the target in the region, px.
+            frequency: (n,) frequencies, cycles/px.
+            direction: (n,) directions, rad.
+            mtf: (n,) MTF, no unit.
+            covariance: (n, n) covariance of `mtf`.
 
         Returns:
-            The samples, placed in the whole picture.
+            The samples, with their position in the whole image.
         """
         position = (float(place[0] + region.corner[0]), float(place[1] + region.corner[1]))
         return cls(
@@ -102,7 +103,7 @@ class MTFSamples:
 
     @property
     def mtf_std(self) -> np.ndarray:
-        """Return the standard deviations (n,) of `mtf`."""
+        """Standard deviations (n,) of `mtf`."""
         return np.sqrt(np.diag(self.covariance))
 
     def to_dict(self) -> dict[str, Any]:

@@ -1,7 +1,7 @@
-"""The Siemens star: MTF at all frequencies and in all directions from one target, which was printed as a sine.
+"""Sinusoidal Siemens star: MTF over a range of frequencies and in all directions from one target.
 
-The modulation is fitted to the pixels as they are (`wave_fit`): a spline in the local frequency, times the directions that a
-square pixel and an astigmatic lens need.
+The modulation is fitted to the pixels without resampling (`wave_fit`). It is a spline in the local frequency, times
+functions of the direction that describe a square pixel and an astigmatic lens.
 """
 
 from __future__ import annotations
@@ -29,16 +29,26 @@ from matcam.core.errors import FitError
 from matcam.core.io import plain
 from matcam.files.photographs import Photograph
 
-_HIGHEST = 0.75  # cycles/px: above, the transfer of cameras is too small for a fit
-_SOME = 20_000  # number of pixels for the estimate of the phase
-_FIRST = 0.2  # cycles/px: highest frequency before the phase is accurate
-_INTERVAL = 0.09  # cycles/px between knots
-_RIM = 4.0  # px at both rims, where the blur includes the paper
-_OTHER = 0.05  # change of the mean level that is not caused by the star
+_HIGHEST = 0.75
+"""Highest frequency of the fit, cycles/px. Above it, the MTF of cameras is too small."""
+_SOME = 20_000
+"""Number of pixels for the first estimates of the phase."""
+_FIRST = 0.2
+"""Highest frequency of the first fit, before the phase is accurate, cycles/px."""
+_INTERVAL = 0.09
+"""Largest distance between the knots of the spline, cycles/px."""
+_RIM = 4.0
+"""Width of the zones at both rims that are excluded, because blur mixes star and paper, px."""
+_OTHER = 0.05
+"""Relative change of the mean level of a ring above which the ring does not belong to the star."""
 _DIRECTIONS = np.radians([0.0, 45.0, 90.0, 135.0])
-_EXTRAPOLATED = 0.35  # cycles/px: range from which the contrast is extrapolated if it is not stated
-_LEFT = 0.5  # share of the variance at low frequencies that may remain after the fit of a star
-_CLEAR = 20.0  # standard deviations of the whole wave
+"""Directions of the reported MTF, rad. They determine the four functions of direction."""
+_EXTRAPOLATED = 0.35
+"""Highest frequency that is used to extrapolate an unknown contrast to frequency 0, cycles/px."""
+_LEFT = 0.5
+"""Share of the variance at low frequencies above which a residual shows that the region contains no star."""
+_CLEAR = 20.0
+"""Smallest significance of the wave, standard deviations."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,14 +56,14 @@ class StarMTF:
     """MTF from a star, and the other fitted parameters.
 
     Attributes:
-        samples: MTF in four directions, up to 0.75 cycles/px, as far as the star goes.
-        centre: (x, y) in the picture, px.
+        samples: MTF in four directions at the frequencies of the star, up to 0.75 cycles/px.
+        centre: (x, y) of the centre in the image, px.
         centre_std: standard deviations of `centre`, px.
-        cycles: number of the star's cycles.
-        contrast: contrast of the print, stated or extrapolated to frequency 0 (no unit).
-        contrast_std: its standard deviation; 0 where it was stated.
-        chi2: chi2 per degree of freedom (no unit); 1 but for what gain and read noise cannot explain.
-        gain: variance of a pixel over its value, as the fit left it; a pixel's variance is gain * value + read_variance.
+        cycles: number of cycles of the star.
+        contrast: contrast of the print, given or extrapolated to frequency 0 (no unit).
+        contrast_std: standard deviation of `contrast`; 0 if it was given.
+        chi2: chi-square per degree of freedom (no unit); 1 if gain and read noise explain the residuals.
+        gain: gain estimated from the residuals; the variance of a pixel is gain * value + read_variance.
         read_variance: variance of a dark pixel, in squared units of the values.
 
     Example:
@@ -76,7 +86,7 @@ class StarMTF:
 
     @property
     def frequency(self) -> FloatArray:
-        """Return the distinct frequencies of `samples`, cycles/px."""
+        """Distinct frequencies of `samples`, cycles/px."""
         return self.samples.frequency[:: len(_DIRECTIONS)]
 
     def to_dict(self) -> dict[str, Any]:
@@ -114,26 +124,27 @@ def star_mtf(
 ) -> StarMTF:
     """Measure the MTF of lens and pixel with a sinusoidal Siemens star.
 
-    Centre, cycles and perspective are found. Nothing is resampled, and the pixels of a mosaic are used as they lie.
+    Centre, number of cycles and perspective are estimated. Nothing is resampled, and a mosaic is not demosaiced.
 
     Args:
-        image: picture: a `LinearImage`, a `Photograph`, or an array as `LinearImage.of` takes it.
-        roi: region (x, y, width, height) that holds the star and little else, px. Default: None, all of the picture.
-        star: the star as a chart describes it. Default: None, it is found. Give it with `projection`, instead of `roi`.
-        projection: map from the chart's page, mm, to the picture, px: a `Registration`. Default: None. Give it with `star`.
-        cycles: number of the star's cycles (no unit). Default: None, counted. Give it where the count fails.
-        contrast: (bright - dark) / (bright + dark) of the print, linear (no unit). Default: None, the described star's own.
-            Without description the MTF is then extrapolated to 1 at frequency 0, which loses what a wide halo takes.
+        image: `LinearImage`, `Photograph`, or array as in `LinearImage.of`.
+        roi: region (x, y, width, height) that contains the star and little else, px. Default: None, the whole image.
+        star: description of the star from a chart, to be given with `projection` instead of `roi`. Default: None, the star
+            is searched.
+        projection: map from the page of the chart, mm, to the image, px: a `Registration`. Default: None.
+        cycles: number of cycles of the star (no unit); to be given if the count fails. Default: None, counted.
+        contrast: (bright - dark) / (bright + dark) of the print, linear (no unit). Default: None, that of the description.
+            Without a description, the MTF is extrapolated to 1 at frequency 0, which ignores the loss by a wide halo.
         cfa: colours of the first 2 x 2 px of a mosaic, as in `LinearImage.of` (no unit). Default: None.
         channel: colour, as in `LinearImage.of` (no unit). Default: None.
         tone: tone curve, as in `LinearImage.of` (no unit). Default: "linear".
 
     Returns:
-        The MTF in four directions with its covariance, and the star's place.
+        The MTF in four directions with its covariance, and the position of the star.
 
     Raises:
         ArgumentError: if an argument is out of range, or only one of `star` and `projection` is given.
-        FitError: if there is no star, or none that can be measured.
+        FitError: if no star is found, or it cannot be measured.
 
     Source:
         ISO 12233:2017, s-SFR; docs/model.md 7; docs/targets.md.
@@ -165,13 +176,13 @@ def star_mtf(
 def _expected_star(
     star: Star, projection: Projection, shape: tuple[int, int]
 ) -> tuple[FoundStar, tuple[int, int, int, int]]:
-    """Return a described star, and the region that contains it."""
+    """Project a described star to the image, and determine the region that contains it."""
     turn = 2 * np.pi * np.arange(8 * star.cycles) / (8 * star.cycles)
     rim = np.stack([np.cos(turn), np.sin(turn)], axis=-1)
     outer = projection(np.array(star.centre) + star.outer * rim)
     box = pixel_box(outer, shape, 2)
     if min(box[2:]) < SMALLEST or (outer.min(0) < -0.5).any() or (outer.max(0) > np.array(shape[::-1]) - 0.5).any():
-        raise FitError("the star lies outside the picture: give a picture that shows it whole")
+        raise FitError("the star lies outside the image: give an image that contains the whole star")
     low = np.array(box[:2])
     centre = projection(np.array([star.centre]))[0] - low
     radii = np.linspace(max(star.inner, 0.2 * star.outer), star.outer, 6)
@@ -184,19 +195,19 @@ def _expected_star(
 
 
 def _stretch(star: Star, projection: Projection) -> tuple[float, float]:
-    """Return the stretch of the image of a star, as defined in `StarPhase`."""
+    """Compute the linear map of `StarPhase` from the projection of a star."""
     step = star.outer / 2 * np.array([[-1, 0], [1, 0], [0, -1], [0, 1]])
     left, right, upper, lower = projection(np.array(star.centre) + step)
-    # a rotation after a symmetric map, whose trace does not matter
+    # Polar decomposition: rotation and symmetric map. The trace of the latter is arbitrary.
     _, symmetric = polar(np.linalg.pinv(np.stack([right - left, lower - upper], axis=-1)))
     symmetric *= 2 / np.trace(symmetric)
     return float(symmetric[0, 0] - 1), float(symmetric[0, 1])
 
 
 def _fit_star(values: FloatArray, found: FoundStar) -> tuple[WaveFit, tuple[float, float]]:
-    """Return the fit of the wave, and the range of its frequencies, cycles/px.
+    """Fit the wave; return the fit and the range of its frequencies, cycles/px.
 
-    It is fitted first where the phase is reliable, then everywhere.
+    It is fitted at low frequencies first, where the approximate phase is reliable, and then at all frequencies.
     """
     phase, parameters = found.phase, found.parameters
     pixels = WavePixels.where(values, np.ones(values.shape, bool))
@@ -213,10 +224,10 @@ def _fit_star(values: FloatArray, found: FoundStar) -> tuple[WaveFit, tuple[floa
         edges = float(frequency[used].min()), float(frequency[used].max())
         fit = fit_wave(some, phase, parameters, partial(_basis, edges=edges), steps=4)
         if fit is None:
-            raise FitError("the star's pixels do not determine its MTF: it is too small in this picture")
+            raise FitError("the star's pixels do not determine its MTF: it is too small in this image")
         parameters = fit.parameters
         left = (some.value - fit.values).var() / some.value.var()
-        # this part of a star has little blur: nearly all of the variance is the wave
+        # At low frequencies the blur is small, and the wave explains nearly all of the variance.
         if highest == _FIRST and left > _LEFT:
             raise FitError(f"region contains no Siemens star: a star does not explain {left:.0%} of its variance")
     if fit is None or not fit.signal > _CLEAR or np.hypot(*(parameters[:2] - found.parameters[:2])) > phase.outer / 4:
@@ -225,7 +236,7 @@ def _fit_star(values: FloatArray, found: FoundStar) -> tuple[WaveFit, tuple[floa
 
 
 def _inner_rim(radius: FloatArray, value: FloatArray, found: FoundStar) -> float:
-    """Return the radius, px, within which the brightness is not that of the star."""
+    """Find the radius, px, within which the brightness is not that of the star."""
     ring = np.round(radius).astype(int)
     count = np.maximum(np.bincount(ring), 1)
     mean = np.bincount(ring, value) / count
@@ -242,10 +253,7 @@ def _knots(edges: tuple[float, float]) -> FloatArray:
 
 
 def _basis(frequency: FloatArray, direction: FloatArray, edges: tuple[float, float]) -> FloatArray:
-    """Return smooth functions of frequency times functions of direction.
-
-    The latter are those that a square pixel and an astigmatic lens need.
-    """
+    """Evaluate the basis: splines in frequency times functions of direction for a square pixel and an astigmatic lens."""
     spline = BSpline.design_matrix(np.clip(frequency, *edges), _knots(edges), 3).toarray()
     a = 2 * direction
     angular = np.stack([np.ones_like(a), np.cos(a), np.sin(a), np.cos(2 * a)], axis=-1)
@@ -255,9 +263,9 @@ def _basis(frequency: FloatArray, direction: FloatArray, edges: tuple[float, flo
 def _star_result(
     picture: LinearImage, found: FoundStar, fit: WaveFit, edges: tuple[float, float], stated: float | None
 ) -> StarMTF:
-    """Return the MTF of a star from its modulation.
+    """Compute the MTF of a star from its modulation.
 
-    stated: the print's contrast, None if it is to be extrapolated.
+    `stated`: contrast of the print; None if it is to be extrapolated.
     """
     knots = _knots(edges)
     places = np.array([knots[i + 1 : i + 4].mean() for i in range(len(knots) - 4)])
@@ -281,24 +289,24 @@ def _star_result(
 def _as_plane_waves(mtf: FloatArray, cycles: int) -> FloatArray:
     """Convert the contrast on rings with a number of cycles to the MTF.
 
-    A ring is not quite a plane wave.
-    exp(i m phi) holds the frequencies z / (2 pi r) with weights m J_m(z) / z, whose even moments are
-    m^2j prod(1 - 4 i^2 / m^2), i < j: to 1 / m^2 the contrast is K - (2 s^2 K'' + (4/3) s^3 K''') / m^2, s = f^2. With
-    K = exp(-x), x proportional to s, that is K [1 - (2 x^2 - (4/3) x^3) / m^2].
+    The wave on a ring is not exactly a plane wave. exp(i m phi) contains the frequencies z / (2 pi r) with weights
+    m J_m(z) / z, whose even moments are m^2j prod(1 - 4 i^2 / m^2), i < j. To order 1 / m^2, the contrast is
+    K - (2 s^2 K'' + (4/3) s^3 K''') / m^2 with s = f^2. For K = exp(-x), x proportional to s, this is
+    K [1 - (2 x^2 - (4/3) x^3) / m^2].
     """
     x = -np.log(np.clip(mtf, 1e-3, 1.0))
     return np.asarray(mtf * (1 + (2 * x**2 - 4 / 3 * x**3) / cycles**2))
 
 
 def _extrapolated_contrast(frequency: FloatArray, amplitude: FloatArray, covariance: FloatArray) -> tuple[float, float]:
-    """Return the contrast at frequency 0, and its standard deviation.
+    """Extrapolate the contrast to frequency 0, with its standard deviation.
 
-    Its logarithm is taken to be even in the frequency, and of order 4.
+    Its logarithm is modelled as an even polynomial of order 4 in the frequency.
     """
     low = (frequency < _EXTRAPOLATED) & (amplitude > 5 * np.sqrt(np.diag(covariance)))
     if low.sum() < 3 * len(_DIRECTIONS) or frequency.min() > 0.15:
         raise FitError(
-            f"the star begins at {frequency.min():.2f} cycles/px: too fine to know its contrast at frequency 0; give contrast"
+            f"the star begins at {frequency.min():.2f} cycles/px, too fine to extrapolate its contrast to 0; give contrast"
         )
     design = frequency[low, None] ** np.array([0, 2, 4])
     weight = np.linalg.inv(covariance[np.ix_(low, low)] / np.outer(amplitude[low], amplitude[low]))

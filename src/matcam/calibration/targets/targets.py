@@ -1,4 +1,4 @@
-"""The targets of a described chart in one photograph: gratings, stars and dots, with their MTF."""
+"""Measurement of the gratings, stars and dots of a described chart in one photograph."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ class Targets:
 
     Attributes:
         samples: MTF of every target that could be measured.
-        grids: blur over the field, of every grid of dots.
-        problems: targets that could not be measured, and why, as remarks.
-        registration: where the chart lies.
-        printed: levels that the chart was printed with, as its tone patches show. None: they are not to be seen.
+        grids: blur over the field from every grid of dots.
+        problems: remarks on the targets that could not be measured, with the reason.
+        registration: map from the page to the image.
+        printed: printed levels of the chart, measured with its tone patches. Default: None, the patches are not visible.
 
     Example:
         >>> chart = matcam.targets.design_chart(["dots"], pixels_across=300)
@@ -75,24 +75,25 @@ def measure_targets(
 ) -> Targets:
     """Find a chart, and measure its gratings, stars and dots.
 
-    Squares are left to `edge_mtf` and `calibrate`. A target that cannot be measured is listed, and the others are measured. The
-    contrast of stars and gratings is that of the print, which the chart's tone patches show; where they are covered, it is that
-    of the description.
+    Squares are measured by `edge_mtf` and `calibrate`. Targets that cannot be measured are listed in `problems`. The
+    contrast of stars and gratings is that of the print, which is measured with the tone patches of the chart. If the patches
+    are covered, the contrast of the description is used.
 
     Args:
-        image: picture: a `LinearImage`, a `Photograph`, or an array as `LinearImage.of` takes it.
-        chart: what the picture shows.
-        registration: map from the chart's page, mm, to the picture, px. Default: None, it is found. Give it if it is known from
-            another channel.
-        half_width: half the side of a pixel's sensitive area, in (0, 0.5] px. Default: 0.5. Only grids depend on it.
+        image: `LinearImage`, `Photograph`, or array as in `LinearImage.of`.
+        chart: description of the chart.
+        registration: map from the page of the chart, mm, to the image, px, for example from another channel. Default: None,
+            the chart is searched.
+        half_width: half the side of the sensitive area of a pixel, in (0, 0.5] px. Only grids depend on it. Default: 0.5.
         cfa: colours of the first 2 x 2 px of a mosaic, as in `LinearImage.of` (no unit). Default: None.
         channel: colour, as in `LinearImage.of` (no unit). Default: None.
         tone: tone curve, as in `LinearImage.of` (no unit). Default: "linear".
-        f_number: f-number of the picture (no unit). Default: None, the image's own.
-        source: name of the file; the samples' sources add the target to it (no unit). Default: "", the image's own.
+        f_number: f-number of the image (no unit). Default: None, that of the image.
+        source: name of the file, to which the sources of the samples append the target (no unit). Default: "", that of the
+            image.
 
     Returns:
-        The MTF of every target, the blur over the field of every grid, and which targets could not be measured.
+        The MTF of every target, the blur over the field of every grid, and the targets that could not be measured.
 
     Raises:
         ArgumentError: if an argument is out of range.
@@ -117,7 +118,7 @@ def measure_targets(
     f_number = picture.f_number if f_number is None else f_number
     source = source or picture.source
     if registration is None:
-        # The colours matter only for the blur: all pixels of a mosaic are used to find the chart.
+        # All pixels of a mosaic are used to find the chart, because its position hardly depends on the colour.
         mosaic = cfa is not None
         registration = register_chart(
             region_of(image, tone=tone) if mosaic else region_of(picture), chart, mosaic=mosaic
@@ -155,16 +156,13 @@ def measure_targets(
 
 
 def _not_measured(kind: str, problems: dict[int, str]) -> Remark:
-    """List the targets of one kind that could not be measured.
-
-    `problems`: by the number of the target.
-    """
+    """Describe the targets of one kind that could not be measured; `problems`: reasons by the number of the target."""
     text = next(iter(problems.values()))
     if len(problems) > 1:
-        text += f"; nor could {len(problems) - 1} other {kind} be measured: {', '.join(map(str, list(problems)[1:]))}"
+        text += f"; {len(problems) - 1} other {kind} could not be measured either: {', '.join(map(str, list(problems)[1:]))}"
     return Remark("target-not-measured", text)
 
 
 def _of_known_contrast(samples: MTFSamples, std: float) -> MTFSamples:
-    """Return samples that share the relative error of the contrast of the print."""
+    """Add the relative error of the contrast of the print, which all samples have in common, to the covariance."""
     return replace(samples, covariance=samples.covariance + std**2 * np.outer(samples.mtf, samples.mtf))

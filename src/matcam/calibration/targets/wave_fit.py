@@ -1,13 +1,13 @@
-"""The fit of a printed wave to the pixels of a picture: light x (1 + modulation), with an approximately known phase.
+"""Fit of a printed wave to the pixels of an image: light x (1 + modulation), with an approximately known phase.
 
 A pixel at (x, y) is modelled as  L(x, y) [1 + sum_k c_k b_k(f, a) cos(h_k Phi(x, y; p))].  L is a polynomial (uneven
-light). Phi is the phase with a few parameters p (place, perspective, distortion). f and a are the phase's own local
-frequency and direction, and b_k smooth functions of them. The camera multiplies a wave of frequency f along a by its
-MTF (docs/model.md 2): c b / contrast is that MTF, signed. Nothing is resampled or windowed, and pixels may be missing
-(mosaics). Aliased frequencies are identified correctly, because their phase is known.
+light). Phi is the phase with a few parameters p (position, perspective, distortion). f and a are the local frequency and
+direction of the phase, and b_k are smooth functions of them. The camera multiplies a wave of frequency f in direction a
+by its MTF (docs/model.md 2): c b / contrast is this MTF, with sign. Nothing is resampled or windowed, and pixels may be
+missing (mosaics). Aliased frequencies are identified correctly, because their phase is known.
 
-The Gauss-Newton method is used with variances from the model (docs/model.md 8). Gain and read noise of the picture come
-from its residuals.
+The Gauss-Newton method is used with variances from the model (docs/model.md 8). Gain and read noise are estimated from the
+residuals.
 """
 
 from __future__ import annotations
@@ -22,17 +22,24 @@ from matcam.core.arrays import FloatArray
 from matcam.numerics.linalg import scaled_inverse
 from matcam.numerics.polynomials import plane_powers
 
-_ROUNDING = 1e-13  # relative to the mean square: smallest noise, because no picture is free of it
-_STEP = 1e-3  # px
-_DEGREE = 2  # of the light
-_WEIGHTED = 4  # steps after which the weights are those of the noise
-_SETTLED, _ROUGH = 1e-4, 1e-2  # rad
-_MOST = 200_000  # number of pixels: more take memory, and add little information
-_FEWEST = 3.0  # number of pixels for each parameter
+_ROUNDING = 1e-13
+"""Smallest variance of a pixel relative to the mean square. It represents rounding, and keeps the weights finite."""
+_STEP = 1e-3
+"""Step of the numerical derivatives of the phase, px."""
+_DEGREE = 2
+"""Order of the polynomial that models the light."""
+_WEIGHTED = 4
+"""Number of steps that are made in any case, so that the weights follow from the noise."""
+_SETTLED, _ROUGH = 1e-4, 1e-2
+"""Change of the phase below which the fit has converged, rad: for a final and for a preliminary fit."""
+_MOST = 200_000
+"""Largest number of pixels in a fit. More pixels require memory, and add little information."""
+_FEWEST = 3.0
+"""Smallest number of pixels for each parameter."""
 
 
 Basis = Callable[[FloatArray, FloatArray], FloatArray]
-"""Functions b_k of frequency and direction (n,) -> (n, k) for one harmonic; the frequency is the own of the harmonic."""
+"""Functions b_k for one harmonic: (frequency of the harmonic (n,), direction (n,)) -> (n, k)."""
 
 
 class Phase(Protocol):
@@ -40,19 +47,19 @@ class Phase(Protocol):
 
     @property
     def scale(self) -> FloatArray:
-        """Return the changes (m,) of the parameters that change phases by 1 rad."""
+        """Changes (m,) of the parameters that change phases by 1 rad."""
 
     def at(self, parameters: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
-        """Return the phase at px, rad. parameters: (m,)."""
+        """Evaluate the phase at pixel positions, rad. `parameters`: (m,)."""
 
 
 class WavePixels(NamedTuple):
-    """Set of n pixels of a picture.
+    """Set of n pixels of an image.
 
     Attributes:
         value: (n,) linear light.
-        x: (n,) px.
-        y: (n,) px.
+        x: (n,) x, px.
+        y: (n,) y, px.
     """
 
     value: FloatArray
@@ -61,15 +68,12 @@ class WavePixels(NamedTuple):
 
     @classmethod
     def where(cls, values: FloatArray, mask: np.ndarray) -> WavePixels:
-        """Return the pixels of a region inside a mask with data."""
+        """Select the pixels of a region that are inside a mask and not missing."""
         rows, columns = np.nonzero(mask & np.isfinite(values))
         return cls(values[rows, columns], columns.astype(float), rows.astype(float))
 
     def subset(self, mask: np.ndarray | None = None, most: int | None = None) -> np.ndarray:
-        """Return the indices of as many pixels as a fit needs.
-
-        They are spread evenly over a mask (n,), and always the same ones.
-        """
+        """Select the indices of at most `most` pixels, a reproducible random subset of a mask (n,)."""
         places = np.arange(self.value.size) if mask is None else np.flatnonzero(mask)
         most = _MOST if most is None else most
         if len(places) <= most:
@@ -77,7 +81,7 @@ class WavePixels(NamedTuple):
         return np.sort(np.random.default_rng(0).choice(places, most, replace=False))
 
     def at(self, indices: np.ndarray) -> WavePixels:
-        """Return the pixels with some indices."""
+        """Select the pixels with given indices."""
         return WavePixels(*(column[indices] for column in self))
 
 
@@ -86,15 +90,15 @@ class WaveFit:
     """Fitted modulation and phase of a wave, with their errors.
 
     Attributes:
-        coefficients: (orders * k,) of the modulation.
-        covariance: of `coefficients`, with light and phase free.
-        parameters: (m,) of the phase.
-        parameters_std: (m,).
-        gain: variance of a pixel over its value, without read noise.
+        coefficients: (orders * k,) coefficients of the modulation.
+        covariance: covariance of `coefficients`, with light and phase free.
+        parameters: (m,) parameters of the phase.
+        parameters_std: (m,) standard deviations of `parameters`.
+        gain: variance of a pixel divided by its value, without read noise.
         read_variance: variance of a dark pixel.
-        chi2: per degree of freedom, under the last step's weights: 1 where noise explains all.
-        values: (n,) the model at every pixel.
-        signal: modulation over its standard deviation: below 5 there is no wave.
+        chi2: chi-square per degree of freedom for the weights of the last step; 1 if noise explains the residuals.
+        values: (n,) model at every pixel.
+        signal: significance of the modulation in standard deviations. Below 5, no wave is detected.
     """
 
     coefficients: FloatArray
@@ -112,9 +116,9 @@ class LocalWave(NamedTuple):
     """Values of a wave at n pixels.
 
     Attributes:
-        phase: (n,) rad.
-        frequency: (n,) cycles/px.
-        direction: (n,) rad.
+        phase: (n,) phase, rad.
+        frequency: (n,) frequency, cycles/px.
+        direction: (n,) direction of the frequency vector, rad.
     """
 
     phase: FloatArray
@@ -134,8 +138,8 @@ def fit_wave(
 ) -> WaveFit | None:
     """Fit a wave to pixels, or return None if they do not determine it.
 
-    start: parameters of the phase. basis: functions b_k. orders: h_k. steps: at most so many. rough: only the phase is
-    wanted, to 0.01 rad.
+    `start`: initial parameters of the phase. `basis`: functions b_k. `orders`: orders h_k of the harmonics. `steps`: largest
+    number of steps with a free phase. `rough`: stop at a phase error of 0.01 rad.
     """
     (value, x, y), scale = pixels, phase.scale
     u, v = ((c - c.mean()) / max(float(np.ptp(c)) / 2, 1.0) for c in (x, y))
@@ -151,7 +155,7 @@ def fit_wave(
         if not step:
             coefficients = np.zeros(columns.shape[1])
         level, wave = powers @ light, columns @ coefficients
-        # the first two steps determine the amplitude of the wave at its assumed position
+        # In the first two steps the phase is fixed, and only light and modulation are fitted.
         moving = step > 1
         design = [powers * (1 + wave)[:, None], level[:, None] * columns]
         if moving:
@@ -178,7 +182,7 @@ def fit_wave(
         coefficients = coefficients + change[light.size : light.size + coefficients.size]
         if moving:
             shift = change[light.size + coefficients.size :]
-            # no step may change the phase beyond the range in which the model is linear
+            # The change of the phase is limited to the range in which the model is approximately linear.
             shift *= min(1.0, 1.0 / max(float(np.abs(shift / scale).max()), 1e-300))
             parameters = parameters + shift
         else:
@@ -206,10 +210,10 @@ def fit_wave(
 
 
 def local_wave(phase: Phase, parameters: FloatArray, x: FloatArray, y: FloatArray) -> LocalWave:
-    """Return a wave's phase, frequency and direction at pixels."""
+    """Evaluate phase, frequency and direction of a wave at pixels."""
     by_x = phase.at(parameters, x + _STEP, y) - phase.at(parameters, x - _STEP, y)
     by_y = phase.at(parameters, x, y + _STEP) - phase.at(parameters, x, y - _STEP)
-    # the two ends of a step may be on both sides of the branch cut of an angle
+    # The two ends of a step may lie on different sides of the branch cut of the angle.
     by_x, by_y = (np.mod(d + np.pi, 2 * np.pi) - np.pi for d in (by_x, by_y))
     frequency = np.hypot(by_x, by_y) / (4 * np.pi * _STEP)
     return LocalWave(phase.at(parameters, x, y), frequency, np.arctan2(by_y, by_x))
@@ -218,8 +222,8 @@ def local_wave(phase: Phase, parameters: FloatArray, x: FloatArray, y: FloatArra
 def noise_from_residuals(residual: np.ndarray, value: np.ndarray) -> tuple[float, float]:
     """Fit gain and read variance to the residuals.
 
-    The variance of a pixel is gain * value + read variance; both are >= 0.
-    value: what the model expects of the pixels. The read variance is at least what rounding leaves, so that both are never 0.
+    The variance of a pixel is gain * value + read variance; both are non-negative. `value`: model values of the pixels. The
+    read variance is at least that of rounding, so that the variance is never 0.
     """
     square, level = residual**2, np.maximum(value, 0)
     least = _ROUNDING * float((value**2).mean()) + 1e-300
@@ -232,7 +236,7 @@ def noise_from_residuals(residual: np.ndarray, value: np.ndarray) -> tuple[float
 def _columns(
     phase: Phase, parameters: FloatArray, x: FloatArray, y: FloatArray, basis: Basis, orders: tuple[int, ...]
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the functions at the pixels (n, orders * k), and their derivatives by the phase."""
+    """Evaluate the functions at the pixels (n, orders * k), and their derivatives with respect to the phase."""
     at, frequency, direction = local_wave(phase, parameters, x, y)
     bases = [basis(order * frequency, direction) for order in orders]
     columns = [own * np.cos(order * at)[:, None] for order, own in zip(orders, bases, strict=True)]

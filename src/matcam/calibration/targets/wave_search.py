@@ -1,11 +1,11 @@
-"""The search for printed waves, stars and gratings, in a region of a picture, and the phase of each at every pixel.
+"""Search for printed waves (stars and gratings) in a region of an image, and their phase at every pixel.
 
-Lines through a star's centre stay lines in any pinhole's picture, so brightness changes across them only. The centre is where
-the pixels' gradients are all at right angles to the way there. The number of cycles is how often the phase turns along a ring,
-whatever perspective does to its speed. Perspective changes the azimuth by a linear map exactly. A lens's distortion adds a
-smooth displacement, of which second and third order are kept.
+Under perspective, lines through the centre of a star remain lines, and the brightness only changes across them. At the
+centre of the star, all lines along which the brightness is constant meet. The number of cycles is the number of phase
+revolutions along a ring, which perspective does not change. The effect of perspective on the azimuth is exactly a linear
+map. Lens distortion adds a smooth displacement, of which the second and third order are modelled.
 
-A grating is the strongest peak of the region's spectrum. Its phase is a polynomial of the place.
+A grating is the strongest peak of the spectrum of the region. Its phase is a polynomial of the position.
 """
 
 from __future__ import annotations
@@ -21,26 +21,39 @@ from matcam.core.arrays import FloatArray
 from matcam.core.errors import FitError
 from matcam.numerics.polynomials import plane_orders, plane_powers
 
-MARGIN = 4.0  # px: pixels nearer than this to the border of a grating are affected by its surroundings
+MARGIN = 4.0
+"""Distance from the border of a grating within which its surroundings affect the pixels, px."""
 _ROUNDS = 12
-_CLEAR_IN_RING = 0.5  # share of the power on a ring that its wave must have
-_KEPT = 0.8  # relative to the median amplitude of the outer rings
-_BAND = 0.35  # share of the cycles: spread of the wave on a ring by perspective
-_FINE = 4  # samples of a ring per px
-_LOW = (0.03, 0.3)  # cycles/px: rings on which the phase is computed
-_WIDE = 50.0  # px: above, perspective and distortion need third order
-_UNIT = 100.0  # px of the polynomial of the phase
-_CLEAR_IN_SPECTRUM = 30.0  # power of the wave over the median of the spectrum
-_ENVELOPE = 0.75  # relative to the median maximum of the amplitude
-_NEAR = 0.1  # relative to a stated frequency: search range for the true one
-_LONGEST = 2.0  # smallest number of periods in a region
+"""Number of iterations of the robust search for the centre of a star."""
+_CLEAR_IN_RING = 0.5
+"""Smallest share of the power on a ring that belongs to its wave."""
+_KEPT = 0.8
+"""Smallest amplitude of a ring relative to the median of the outer rings. Beyond the rim, the amplitude is smaller."""
+_BAND = 0.35
+"""Half bandwidth of the wave on a ring relative to the number of cycles. Perspective widens the spectrum."""
+_FINE = 4
+"""Number of samples of a ring per px."""
+_LOW = (0.03, 0.3)
+"""Smallest and largest frequency of the rings on which the phase is computed, cycles/px."""
+_WIDE = 50.0
+"""Extent of a grating above which perspective and distortion require a phase of third order, px."""
+_UNIT = 100.0
+"""Unit of length of the polynomial of the phase, px."""
+_CLEAR_IN_SPECTRUM = 30.0
+"""Smallest power of the wave relative to the median of the spectrum."""
+_ENVELOPE = 0.75
+"""Smallest amplitude of a pixel of the grating, relative to the 98 % quantile of the amplitude."""
+_NEAR = 0.1
+"""Half width of the search range about a given frequency, relative to that frequency."""
+_LONGEST = 2.0
+"""Smallest number of periods in a region."""
 
 
 class StarPhase(NamedTuple):
     """Phase of a star at pixels.
 
-    Its 14 parameters are the centre (2), the phase at azimuth 0, a linear map (2), and displacements of second (4) and third
-    (5) order across the rays, rad at the outer radius.
+    Its 14 parameters are the centre (2), the phase at azimuth 0 (1), a linear map (2), and displacements across the rays of
+    second (4) and third (5) order, in rad at the outer radius.
 
     Attributes:
         cycles: number of cycles.
@@ -52,7 +65,7 @@ class StarPhase(NamedTuple):
 
     @property
     def scale(self) -> FloatArray:
-        """Return the changes of the parameters that change phases by 1 rad."""
+        """Changes of the parameters that change phases by 1 rad."""
         return np.array([self.outer / self.cycles / 2] * 2 + [1.0] + [1 / self.cycles] * 2 + [1.0] * 9)
 
     def at(self, parameters: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
@@ -63,9 +76,9 @@ class StarPhase(NamedTuple):
         c, q = parameters[5:9], parameters[9:]
         uu, uv, vv = u * u, u * v, v * v  # general powers are slow
         square = np.maximum(uu + vv, 1e-12)
-        bent = uu * (c[0] * u + c[1] * v + q[0] * uu + q[1] * uv) + q[2] * uv * uv
-        bent += vv * (c[2] * u + c[3] * v + q[3] * uv + q[4] * vv)
-        return self.cycles * azimuth + turn + bent / square
+        displacement = uu * (c[0] * u + c[1] * v + q[0] * uu + q[1] * uv) + q[2] * uv * uv
+        displacement += vv * (c[2] * u + c[3] * v + q[3] * uv + q[4] * vv)
+        return self.cycles * azimuth + turn + displacement / square
 
     def parameters_through(
         self,
@@ -75,10 +88,10 @@ class StarPhase(NamedTuple):
         centre: tuple[float, float],
         shape: tuple[float, float] = (0.0, 0.0),
     ) -> FloatArray:
-        """Return the parameters for known phases at px.
+        """Fit the parameters to known phases at pixel positions.
 
-        phase: (n,) rad, mod 2 pi. centre: first guess, px. shape: first guess of the linear map: without it
-        a tilted star of many cycles leads astray.
+        `phase`: (n,) phases modulo 2 pi, rad. `centre`: initial centre, px. `shape`: initial linear map, without which the
+        fit may fail for a tilted star with many cycles.
         """
         size = self.scale
 
@@ -93,12 +106,12 @@ class StarPhase(NamedTuple):
 
 
 class FoundStar(NamedTuple):
-    """Star that was found in a picture.
+    """Star that was found in an image.
 
     Attributes:
-        phase: its cycles and its outer radius, px.
-        parameters: (14,) of `phase`.
-        inner: radius beyond which there is nothing but star, px.
+        phase: phase model with the number of cycles and the outer radius, px.
+        parameters: (14,) parameters of `phase`.
+        inner: radius beyond which the region contains only the star, px.
     """
 
     phase: StarPhase
@@ -109,7 +122,7 @@ class FoundStar(NamedTuple):
 def find_star(values: FloatArray, cycles: int | None = None) -> FoundStar:
     """Find the star in a region.
 
-    values: (height, width), NaN where there are no data. FitError if there is no star.
+    `values`: (height, width), NaN for missing pixels. FitError if there is no star.
     """
     filled = smoothed(values)
     centre = _centre(filled)
@@ -126,7 +139,7 @@ def find_star(values: FloatArray, cycles: int | None = None) -> FoundStar:
             f"region contains no Siemens star{f' of {cycles} cycles' if cycles else ''}: "
             f"of {len(rings)} rings with a wave {len(agreeing)} agree on {winner} cycles"
         )
-    # beyond the rim the wave of a ring is weak, even if the background is empty
+    # Beyond the rim, the amplitude of the wave on a ring is small.
     strong = _KEPT * float(np.median([ring.amplitude for ring in agreeing[len(agreeing) // 2 :]]))
     outer = max(ring.radius for ring in agreeing if ring.amplitude > strong)
     agreeing = [ring for ring in agreeing if ring.radius <= outer]
@@ -138,7 +151,7 @@ def find_star(values: FloatArray, cycles: int | None = None) -> FoundStar:
 class _Ring(NamedTuple):
     """Ring with a wave.
 
-    share: of the ring's power. amplitude: over the ring's mean. phase: (n,) rad at x, y, px.
+    `share`: share of the power of the ring. `amplitude`: relative to the mean of the ring. `phase`: (n,) phase at x, y, rad.
     """
 
     radius: float
@@ -151,7 +164,7 @@ class _Ring(NamedTuple):
 
 
 def _centre(filled: FloatArray) -> tuple[float, float]:
-    """Return the point, px, around which all gradients rotate."""
+    """Find the point to which all gradients are perpendicular, px."""
     gy, gx = np.gradient(filled)
     y, x = np.indices(filled.shape).astype(float)
     length = np.hypot(gx, gy)
@@ -159,22 +172,22 @@ def _centre(filled: FloatArray) -> tuple[float, float]:
     strength = np.minimum(length, np.quantile(length, 0.9)) ** 2
     at = np.array([(filled.shape[1] - 1) / 2, (filled.shape[0] - 1) / 2])
     normals, found = np.stack([nx.ravel(), ny.ravel()]), (nx * x + ny * y).ravel()
-    reach = max(filled.shape) / 3
+    scale = max(filled.shape) / 3
     for _ in range(_ROUNDS):
-        # gradients in other directions (a rim, another target) get a lower weight
-        weight = strength.ravel() / (1 + ((found - at @ normals) / reach) ** 2) ** 2
+        # Gradients of other structures (a rim, another target) get less weight.
+        weight = strength.ravel() / (1 + ((found - at @ normals) / scale) ** 2) ** 2
         normal = (normals * weight) @ normals.T
         if np.linalg.det(normal) <= 1e-12 * np.trace(normal) ** 2:
             raise FitError("region contains no Siemens star: its brightness changes in one direction only")
         at = np.linalg.solve(normal, normals @ (weight * found))
-        reach = max(reach * 0.7, 3.0)
+        scale = max(scale * 0.7, 3.0)
     if not (0 <= at[0] < filled.shape[1] and 0 <= at[1] < filled.shape[0]):
         raise FitError("region contains no Siemens star: its rays do not meet inside it")
     return float(at[0]), float(at[1])
 
 
 def _rings(filled: FloatArray, centre: tuple[float, float]) -> list[_Ring]:
-    """Return the rings around a centre with a significant wave."""
+    """Find the rings around a centre with a significant wave."""
     height, width = filled.shape
     most = min(centre[0], centre[1], width - 1 - centre[0], height - 1 - centre[1])
     found = []
@@ -204,45 +217,43 @@ def _rings(filled: FloatArray, centre: tuple[float, float]) -> list[_Ring]:
 
 
 class GratingPhase(NamedTuple):
-    """Phase of a grating at pixels.
-
-    It is a polynomial of second (6 parameters) or third (10) order in the place.
+    """Phase of a grating at pixels, as a polynomial of second (6 parameters) or third (10) order in the position.
 
     Attributes:
         middle: (x, y) about which the phase is expanded, px.
-        reach: half the grating's extent, px.
-        order: of the polynomial, 2 or 3.
+        half_extent: half the extent of the grating, px.
+        order: order of the polynomial, 2 or 3.
     """
 
     middle: tuple[float, float]
-    reach: float
+    half_extent: float
     order: int
 
     @property
     def scale(self) -> FloatArray:
-        """Return changes of the parameters that turn phases by 1 rad."""
-        return np.array([(_UNIT / self.reach) ** (i + j) for i, j in plane_orders(self.order)])
+        """Changes of the parameters that change phases by 1 rad."""
+        return np.array([(_UNIT / self.half_extent) ** (i + j) for i, j in plane_orders(self.order)])
 
     def at(self, parameters: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
         """Return the phase at px, rad."""
         return np.asarray(self._powers(x, y) @ parameters)
 
     def parameters_through(self, x: FloatArray, y: FloatArray, phase: FloatArray) -> FloatArray:
-        """Return the parameters that give px their known, unwrapped phases."""
+        """Fit the parameters to known, unwrapped phases at pixel positions."""
         return np.asarray(np.linalg.lstsq(self._powers(x, y), phase, rcond=None)[0], dtype=np.float64)
 
     def _powers(self, x: FloatArray, y: FloatArray) -> FloatArray:
-        """Return the polynomials at px."""
+        """Evaluate the polynomials at pixel positions."""
         return plane_powers((x - self.middle[0]) / _UNIT, (y - self.middle[1]) / _UNIT, self.order)
 
 
 class FoundGrating(NamedTuple):
-    """Grating that was found in a picture.
+    """Grating that was found in an image.
 
     Attributes:
-        phase: the polynomial of its phase.
-        parameters: (6,) or (10,) of `phase`.
-        inside: (height, width) pixels that see nothing else.
+        phase: phase model.
+        parameters: (6,) or (10,) parameters of `phase`.
+        inside: (height, width) mask of the pixels that contain only the grating.
     """
 
     phase: GratingPhase
@@ -251,9 +262,9 @@ class FoundGrating(NamedTuple):
 
     @classmethod
     def through(cls, x: FloatArray, y: FloatArray, phase: FloatArray, inside: np.ndarray) -> FoundGrating:
-        """Return the grating with a known phase at some positions.
+        """Create the grating with known phases at given positions.
 
-        x, y: (n,) px. phase: (n,) rad, unwrapped.
+        `x`, `y`: (n,) positions, px. `phase`: (n,) unwrapped phases, rad.
         """
         extent = float(np.sqrt(inside.sum()))
         wave = GratingPhase((float(x.mean()), float(y.mean())), extent / 2, 3 if extent > _WIDE else 2)
@@ -263,15 +274,15 @@ class FoundGrating(NamedTuple):
 def find_grating(values: FloatArray, near: tuple[float, float] | None = None) -> FoundGrating:
     """Find the grating in a region.
 
-    values: (height, width), NaN where there are no data. FitError if there is no grating.
-    near: its frequency (fx, fy), cycles/px, roughly, if it may lie beyond Nyquist: the nearest that looks the same is taken.
+    `values`: (height, width), NaN for missing pixels. FitError if there is no grating. `near`: approximate frequency (fx, fy)
+    of a grating that may lie beyond Nyquist, cycles/px; the nearest alias is selected.
     """
     filled = values if np.isfinite(values).all() else local_mean(values, 0.9)
     frequency = _strongest(filled, near)
     if near is not None:
         shifts = np.stack(np.meshgrid([-2, -1, 0, 1, 2], [-2, -1, 0, 1, 2]), axis=-1).reshape(-1, 2)
-        alike = np.concatenate([shifts + frequency, shifts - frequency])
-        frequency = alike[np.argmin(np.hypot(*(alike - np.array(near)).T))]
+        aliases = np.concatenate([shifts + frequency, shifts - frequency])
+        frequency = aliases[np.argmin(np.hypot(*(aliases - np.array(near)).T))]
     y, x = np.indices(values.shape).astype(float)
     wave = np.exp(-2j * np.pi * (frequency[0] * x + frequency[1] * y))
     smooth = max(3.0, 0.8 / np.hypot(*_alias(frequency)))
@@ -280,35 +291,35 @@ def find_grating(values: FloatArray, near: tuple[float, float] | None = None) ->
     size = np.abs(envelope)
     label, count = ndimage.label(size > _ENVELOPE * np.quantile(size, 0.98))
     if not count:
-        raise FitError("region contains no grating: nothing varies in it")
+        raise FitError("region contains no grating: its brightness does not vary")
     largest = 1 + int(np.argmax(ndimage.sum_labels(np.ones_like(size), label, np.arange(1, count + 1))))
     inside = ndimage.binary_erosion(
         ndimage.binary_fill_holes(label == largest), iterations=round(MARGIN), border_value=1
     )
     if inside.sum() < 256:
-        raise FitError("region contains no grating: nowhere 16 x 16 px of one regular wave")
+        raise FitError("region contains no grating: no area of 16 x 16 px has a regular wave")
     start = float(np.angle(envelope[inside].mean()))
     phase = start + 2 * np.pi * (frequency[0] * x + frequency[1] * y)
     return FoundGrating.through(x[inside], y[inside], phase[inside], inside)
 
 
 def _alias(frequency: FloatArray) -> FloatArray:
-    """Return the frequency below Nyquist that gives the same samples on the grid."""
+    """Compute the frequency below Nyquist that gives the same samples on the grid."""
     return np.asarray(frequency - np.round(frequency))
 
 
 def _strongest(filled: FloatArray, near: tuple[float, float] | None) -> FloatArray:
-    """Return (fx, fy) of the strongest wave below Nyquist, cycles/px.
+    """Find the strongest wave below Nyquist: (fx, fy), cycles/px.
 
-    near: only waves that may have this frequency in truth count.
+    `near`: only aliases of frequencies near this one are considered.
     """
     height, width = filled.shape
     window = np.hanning(height + 2)[1:-1, None] * np.hanning(width + 2)[1:-1]
     mean = (window * filled).sum() / window.sum()
-    # four times as many frequencies as samples: the peak is then known to a small part of a period over the region
+    # Zero padding by a factor of 4 determines the peak to a small part of a period over the region.
     power = np.abs(np.fft.rfft2(window * (filled - mean), (4 * height, 4 * width))) ** 2
     fy, fx = np.fft.fftfreq(4 * height)[:, None], np.fft.rfftfreq(4 * width)[None]
-    # borders of what is in the region have power at low frequencies, more than harmonics have at high ones
+    # Borders of objects have much power at low frequencies, which this factor suppresses.
     power *= np.hypot(fx, fy)
     power[(np.abs(fx) * width < _LONGEST) & (np.abs(fy) * height < _LONGEST)] = 0
     everywhere = np.median(power)
