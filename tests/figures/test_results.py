@@ -14,6 +14,8 @@ from matcam.core.errors import ArgumentError
 from matcam.core.remark import Remark
 from matcam.core.results.labelled import named
 from matcam.core.results.summary import Quantity, Summary, correlations, with_std
+from matcam.figures.curves import RAW_LABEL, fresnel_figure
+from matcam.figures.pages import reflectance_figure
 from matcam.inverse import Correction
 from matcam.reconstruction import FlatReconstruction, Reconstruction
 from tests.oracle import slanted_edge
@@ -304,3 +306,17 @@ def test_labels_leave_the_callers_table_alone(results):
     assert results["Fresnel term"]._data["theta_d"].attrs["long_name"] == "difference angle"
     assert results["corrected table"]._data["phi_d"].attrs["long_name"] == "azimuth of the light about the half vector"
     assert table.identical(before)
+
+
+def test_the_raw_curve_of_a_page_is_that_of_fresnel(results):
+    """Same data, same quantity, same label."""
+    term = matcam.fresnel(TABLE, RIG, "ggx", slice_step=6)
+    middle = term.sizes["channel"] // 2
+    pages, figures = (axes.get_legend_handles_labels() for axes in (
+        reflectance_figure(TABLE, results["correction"]).axes[0], fresnel_figure(term).axes[0]
+    ))  # fmt: skip
+    raw = {label: handle for handle, label in zip(*pages, strict=True)}[RAW_LABEL]
+    assert RAW_LABEL in figures[1]
+    at = term["theta_d"].values < np.radians(80)
+    shown = np.interp(np.degrees(term["theta_d"].values), raw.get_xdata(), raw.get_ydata())
+    np.testing.assert_allclose(shown[at], term["raw"].values[at, middle], rtol=0.02)
