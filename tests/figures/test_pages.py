@@ -83,6 +83,28 @@ def test_pages_do_not_overflow_sideways(chromium, template, width, tmp_path):
     page.close()
 
 
+@pytest.mark.parametrize("template", ["correction_page.html", "run_index.html"])
+def test_numbers_do_not_break_at_their_exponent(chromium, template, tmp_path):
+    if template == "run_index.html":
+        small = record("a")
+        small["fit"] |= {
+            "params": {"alpha": 1.2345e-05},
+            "std": {"alpha": 1.2e-07},
+            "hwhm_rad": 1e-8,
+            "hwhm_std_rad": 1e-9,
+        }
+        write_run_index(tmp_path / template, [("a", small)], [])
+    else:
+        write_page(tmp_path / template, template, CONTENT | {"figures": []})
+    page = chromium.new_page(viewport={"width": 400, "height": 900})
+    page.goto((tmp_path / template).as_uri())
+    lines = page.evaluate("""() => [...document.querySelectorAll("td")].filter(td => /e-\\d/.test(td.textContent)).map(td => {
+        const range = document.createRange(); range.selectNodeContents(td); return range.getClientRects().length; })""")
+    page.close()
+    assert lines
+    assert set(lines) == {1}
+
+
 def test_an_index_says_of_what_a_share_is(tmp_path):
     write_run_index(tmp_path / "index.html", [("a", record("a"))], [])
     page = (tmp_path / "index.html").read_text()
