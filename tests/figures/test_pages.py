@@ -61,7 +61,7 @@ CONTENT = {
     "parameters": [("a long name of a parameter, rad", -1.23456e-05, 1.2e-05)],
     "budget_columns": [f"column {n} of the budget, %" for n in range(5)], "budget": [("noise", [0.123] * 5)],
     "lobes": [("ggx", 0.01)], "not_determined": [("one[R]", "other[G]", 0.99)], "exposures": [("E1", 1.0, 0.01)],
-    "lengths": [("distance of the camera, radii", 40.0, 0.5)], "pictures": [("L01-a-long-name-of-a-lamp", 45.0, 27.0, 3)],
+    "lengths": [("distance of the camera, radii", "at least 400")], "pictures": [("L01-a-long-name-of-a-lamp", 45.0, 27.0, 3)],
     "left_out": ["frames/" + "z" * 120 + ".tiff: missing"],
     "uncertainty": [("a long name of a result, rad", [["a long name of a source, px", "B", 0.5, 0.1, 2.0, 0.2, float("nan")]])],
 }  # fmt: skip

@@ -198,7 +198,10 @@ def test_reconstructions(results):
     for name, value in {"sample": "sphere", "fit": fit, "remarks": (Remark("few", "Few pictures."),)}.items():
         object.__setattr__(made, name, value)
     kind = type("Made", (Reconstruction,), {
-        "verdict": "It is known.", "parameters": {"alpha": (0.02, 0.001)}, "lengths": {"outline_radius_px": (80.0, 0.1)},
+        "verdict": "It is known.", "parameters": {"alpha": (0.02, 0.001)}, "lengths": {
+            "outline_radius_px": (80.0, 0.1), "lamp_distance_radii": (40.0, 0.5), "camera_distance_radii": (12402.7, 130000.0),
+            "lamp_distance_mm": (np.inf, np.inf),
+        },
     })  # fmt: skip
     object.__setattr__(made, "__class__", kind)
     assert made.summary().splitlines() == [
@@ -207,7 +210,10 @@ def test_reconstructions(results):
         "[[Parameters]]",
         "    alpha: 0.0200 ± 0.0010 (5 %)",
         "[[Outline and distances]]",
-        "    outline_radius_px: 80.00 ± 0.10 (0.12 %)",
+        "    outline_radius_px:     80.00 ± 0.10 (0.12 %)",
+        "    lamp_distance_radii:   40.00 ± 0.50 (1.2 %)",
+        "    camera_distance_radii: at least 565",
+        "    lamp_distance_mm:      not determined",
         "[[Remarks]]",
         "    - Few pictures.",
     ]
