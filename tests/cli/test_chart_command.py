@@ -1,6 +1,7 @@
 """`matcam chart`: pages in every format, their description, refusals."""
 
 import json
+import re
 
 import pytest
 
@@ -32,7 +33,9 @@ def test_page_and_description(chart, tmp_path, suffix, start):
     assert page.read_bytes().startswith(start)
     assert len(read_chart(tmp_path / "page.json").elements) == sum(found["elements"].values())
     assert "use --force" in chart("star", "-o", page, code=2).err
-    assert "true size" in chart("star", "-o", page, "--force", "--dpi", 100).out
+    text = chart("squares", "star", "dots", "-o", page, "--force", "--dpi", 100).out
+    assert "true size" in text
+    assert re.match(r"11 patches, 66 squares, 1 star, 1 dot grid on ", text)
 
 
 def test_one_description_serves_pages_of_all_formats(chart, tmp_path):

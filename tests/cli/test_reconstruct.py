@@ -8,6 +8,7 @@ import pytest
 from matcam import read_merl
 from matcam.app.exploring.fitted_pictures import fitted_pictures
 from matcam.core.grid import merl_grid
+from matcam.core.results.summary import with_std
 from matcam.io import read_netcdf
 from matcam.reconstruction.rig.rig_document import read_rig
 from tests.oracle.capture import METALS, Sensor, draw
@@ -111,10 +112,12 @@ def test_from_photographs_to_the_material(matcam, tmp_path):
     assert all(0.7 < picture["chi2"] < 1.3 for picture in found["pictures"])
     for name in ("camera", "lamp"):
         value, std = found["geometry"][f"{name}_radii"]
-        assert f"<td>{name}_distance_radii</td><td>{value:.6g}</td><td>{std:.2g}</td>" in page
-        assert f"{value * found['geometry']['sample_radius_mm']:.6g}" in page
+        assert std < value / 2
+        assert f"<td>{name}_distance_radii</td><td>{with_std(value, std)} (" in page
+        length = found["geometry"]["sample_radius_mm"]
+        assert f"<td>{name}_distance_mm</td><td>{with_std(value * length, std * length)} (" in page
         assert f"{name}_distance_radii" in done.stdout
-        assert f"{value:.6g}" in done.stdout
+        assert with_std(value, std) in done.stdout
     assert "http" not in page.replace("http://www.w3.org", "")
 
 

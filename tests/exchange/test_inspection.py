@@ -1,3 +1,5 @@
+from pathlib import Path
+
 import numpy as np
 import pytest
 import xarray as xr
@@ -14,10 +16,15 @@ from matcam import (
     fresnel_conductor,
     inspect,
     read_merl,
+    rigs,
+    write_merl,
 )
+from matcam.batch.job import Job, write_corrected
+from matcam.batch.recipe import Options, Recipe
 from matcam.camera import Uncertainty
 from matcam.cli import _run
-from matcam.core.errors import FileFormatError
+from matcam.cli.suggestions import after
+from matcam.core.errors import ArgumentError, FileFormatError
 from matcam.core.grid import brdf_table
 from matcam.exchange.contents import read_contents
 from matcam.exchange.inspection import inspect_contents, inspect_table
@@ -178,3 +185,28 @@ def test_how_cells_were_read_from_pixels(rule, tmp_path, capsys):
         assert "cells: read from the nearest pixel" in capsys.readouterr().out
         assert _run(["inspect", str(tmp_path / "a.nc")]) == 0
         assert "try another --radius" in capsys.readouterr().out
+
+
+def test_a_corrected_table_is_named_and_not_corrected_again(tmp_path, blurred, monkeypatch):
+    """A MERL file has no attributes: those of the NetCDF file beside it count, if it holds the same values."""
+    monkeypatch.chdir(tmp_path)
+    made = {"units": "1/sr", "long_name": "BRDF corrected for the camera", "corrected_for_camera": 1}
+    brdf = blurred.assign_attrs(made)
+    supported = np.isfinite(brdf)
+    write_netcdf("chrome.nc", xr.Dataset({"brdf": brdf, "brdf_std": brdf * 0.01, "supported": supported}))
+    write_merl("chrome.binary", blurred)
+    write_merl("other.binary", blurred * 0.5)
+    Path("other.nc").write_bytes(Path("chrome.nc").read_bytes())
+    for name in ("chrome.nc", "chrome.binary"):
+        report = inspect(name)
+        assert report["holds"] == "a BRDF corrected for the camera"
+        assert report["albedo"]
+        with pytest.raises(
+            ArgumentError, match=f"{name}: a BRDF corrected for the camera already: give the table as it was"
+        ):
+            write_corrected(Job(Path(name), Path("out.binary"), Recipe(rigs.merl(), Options())))
+    assert inspect("other.binary")["holds"] == "a table on the MERL grid"
+    assert after("inspect", {"file": Path("chrome.binary")}) == "matcam convert chrome.binary chrome.bsdf"
+    assert after("inspect", {"file": Path("chrome.nc")}) is None
+    assert after("inspect", {"file": Path("other.binary")}) == "matcam correct other.binary"
+    assert _run(["inspect", "chrome.nc"]) == 0

@@ -80,6 +80,20 @@ def test_no_text_is_clipped_or_overlapping_its_neighbour(figures, name):
         assert not left.overlaps(right)
 
 
+def test_no_data_or_text_lies_under_the_legends_of_an_edge(figures):
+    figure = figures["edge"]
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    renderer = canvas.get_renderer()
+    residuals = next(axes for axes in figure.axes if axes.get_title(loc="left") == "Residuals")
+    box = residuals.get_legend().get_window_extent(renderer)
+    for line in residuals.lines[:2]:
+        assert not any(box.contains(*point) for point in residuals.transData.transform(line.get_xydata()))
+    mtf = next(axes for axes in figure.axes if axes.get_title(loc="left") == "MTF")
+    box = mtf.get_legend().get_window_extent(renderer)
+    assert all(text.get_window_extent(renderer).y1 < box.y0 for text in mtf.texts)  # however long its labels are
+
+
 @pytest.mark.parametrize("suffix", [".png", ".pdf", ".svg"])
 def test_same_data_same_file(tmp_path, suffix):
     for name in ("a", "b"):

@@ -61,7 +61,7 @@ CONTENT = {
     "parameters": [("a long name of a parameter, rad", -1.23456e-05, 1.2e-05)],
     "budget_columns": [f"column {n} of the budget, %" for n in range(5)], "budget": [("noise", [0.123] * 5)],
     "lobes": [("ggx", 0.01)], "not_determined": [("one[R]", "other[G]", 0.99)], "exposures": [("E1", 1.0, 0.01)],
-    "lengths": [("distance of the camera, radii", 40.0, 0.5)], "pictures": [("L01-a-long-name-of-a-lamp", 45.0, 27.0, 3)],
+    "lengths": [("distance of the camera, radii", "at least 400")], "pictures": [("L01-a-long-name-of-a-lamp", 45.0, 27.0, 3)],
     "left_out": ["frames/" + "z" * 120 + ".tiff: missing"],
     "uncertainty": [("a long name of a result, rad", [["a long name of a source, px", "B", 0.5, 0.1, 2.0, 0.2, float("nan")]])],
 }  # fmt: skip
@@ -81,6 +81,28 @@ def test_pages_do_not_overflow_sideways(chromium, template, width, tmp_path):
     page.goto((tmp_path / template).as_uri())
     assert page.evaluate("document.documentElement.scrollWidth") <= width
     page.close()
+
+
+@pytest.mark.parametrize("template", ["correction_page.html", "run_index.html"])
+def test_numbers_do_not_break_at_their_exponent(chromium, template, tmp_path):
+    if template == "run_index.html":
+        small = record("a")
+        small["fit"] |= {
+            "params": {"alpha": 1.2345e-05},
+            "std": {"alpha": 1.2e-07},
+            "hwhm_rad": 1e-8,
+            "hwhm_std_rad": 1e-9,
+        }
+        write_run_index(tmp_path / template, [("a", small)], [])
+    else:
+        write_page(tmp_path / template, template, CONTENT | {"figures": []})
+    page = chromium.new_page(viewport={"width": 400, "height": 900})
+    page.goto((tmp_path / template).as_uri())
+    lines = page.evaluate("""() => [...document.querySelectorAll("td")].filter(td => /e-\\d/.test(td.textContent)).map(td => {
+        const range = document.createRange(); range.selectNodeContents(td); return range.getClientRects().length; })""")
+    page.close()
+    assert lines
+    assert set(lines) == {1}
 
 
 def test_an_index_says_of_what_a_share_is(tmp_path):

@@ -14,6 +14,8 @@ from matcam.core.errors import ArgumentError
 from matcam.core.remark import Remark
 from matcam.core.results.labelled import named
 from matcam.core.results.summary import Quantity, Summary, correlations, with_std
+from matcam.figures.curves import RAW_LABEL, fresnel_figure
+from matcam.figures.pages import reflectance_figure
 from matcam.inverse import Correction
 from matcam.reconstruction import FlatReconstruction, Reconstruction
 from tests.oracle import slanted_edge
@@ -196,7 +198,10 @@ def test_reconstructions(results):
     for name, value in {"sample": "sphere", "fit": fit, "remarks": (Remark("few", "Few pictures."),)}.items():
         object.__setattr__(made, name, value)
     kind = type("Made", (Reconstruction,), {
-        "verdict": "It is known.", "parameters": {"alpha": (0.02, 0.001)}, "lengths": {"outline_radius_px": (80.0, 0.1)},
+        "verdict": "It is known.", "parameters": {"alpha": (0.02, 0.001)}, "lengths": {
+            "outline_radius_px": (80.0, 0.1), "lamp_distance_radii": (40.0, 0.5), "camera_distance_radii": (12402.7, 130000.0),
+            "lamp_distance_mm": (np.inf, np.inf),
+        },
     })  # fmt: skip
     object.__setattr__(made, "__class__", kind)
     assert made.summary().splitlines() == [
@@ -205,7 +210,10 @@ def test_reconstructions(results):
         "[[Parameters]]",
         "    alpha: 0.0200 ± 0.0010 (5 %)",
         "[[Outline and distances]]",
-        "    outline_radius_px: 80.00 ± 0.10 (0.12 %)",
+        "    outline_radius_px:     80.00 ± 0.10 (0.12 %)",
+        "    lamp_distance_radii:   40.00 ± 0.50 (1.2 %)",
+        "    camera_distance_radii: at least 565",
+        "    lamp_distance_mm:      not determined",
         "[[Remarks]]",
         "    - Few pictures.",
     ]
@@ -304,3 +312,17 @@ def test_labels_leave_the_callers_table_alone(results):
     assert results["Fresnel term"]._data["theta_d"].attrs["long_name"] == "difference angle"
     assert results["corrected table"]._data["phi_d"].attrs["long_name"] == "azimuth of the light about the half vector"
     assert table.identical(before)
+
+
+def test_the_raw_curve_of_a_page_is_that_of_fresnel(results):
+    """Same data, same quantity, same label."""
+    term = matcam.fresnel(TABLE, RIG, "ggx", slice_step=6)
+    middle = term.sizes["channel"] // 2
+    pages, figures = (axes.get_legend_handles_labels() for axes in (
+        reflectance_figure(TABLE, results["correction"]).axes[0], fresnel_figure(term).axes[0]
+    ))  # fmt: skip
+    raw = {label: handle for handle, label in zip(*pages, strict=True)}[RAW_LABEL]
+    assert RAW_LABEL in figures[1]
+    at = term["theta_d"].values < np.radians(80)
+    shown = np.interp(np.degrees(term["theta_d"].values), raw.get_xdata(), raw.get_ydata())
+    np.testing.assert_allclose(shown[at], term["raw"].values[at, middle], rtol=0.02)

@@ -46,7 +46,7 @@ def test_a_distance_in_standard_deviations_has_no_false_digits():
 
 
 def test_residuals_are_no_test_of_the_model(capsys):
-    """The noise is estimated from the residuals: their sum of squares over it is near 1 where the model is wrong, too."""
+    """Their ratio to the noise that is estimated from them is near 1 where the model is wrong, too, and below 1 in the dark."""
     fit = {
         "params": {"alpha": 0.01}, "std": {"alpha": 1e-4}, "bent": False, "ndf": "ggx", "hwhm_rad": 0.01,
         "hwhm_std_rad": 1e-4, "noise": {"relative": 0.2, "floor": 0.0, "picture_gain": 0.0}, "misfit": 0.797,
@@ -54,4 +54,6 @@ def test_residuals_are_no_test_of_the_model(capsys):
     }  # fmt: skip
     print_fit(fit, "a.binary")
     printed = " ".join(capsys.readouterr().out.split())
-    assert f"residuals: {np.sqrt(0.797):.2f} rms in units of this noise, which is estimated from them" in printed
+    assert f"ratio of the residual of a cell to its expected standard deviation: {np.sqrt(0.797):.2f} rms" in printed
+    assert "at least 3e-06 of the image's peak, so faint cells lower the ratio" in printed
+    assert "estimated from the residuals, so the ratio is no test of the model" in printed

@@ -266,7 +266,7 @@ def test_a_measured_lens_is_known_to_ten_percent():
     f = np.linspace(0, 2.2, 45)
     lens = MeasuredOptics(f, np.append(np.exp(-2 * (np.pi * 0.45 * f[:-1]) ** 2), 0.0))
     rig = Rig(Camera(lens, recorded.rig().camera.pixel), recorded.rig().sample)
-    found = fit(table, rig, "ggx", fresnel="free", every=EVERY)
+    found = fit(table, rig, "ggx", fresnel="free", slice_step=EVERY)
     print(found.params, found.std)
     assert found.params["lens_width"] == pytest.approx(np.log(0.5 / 0.45), abs=0.01)
     assert found.params["alpha"] == pytest.approx(0.006, rel=0.02)

@@ -21,7 +21,7 @@ from matcam.core.workspace import Workspace
 from matcam.exchange.contents import read_table
 from matcam.files.datasets import write_netcdf
 from matcam.files.merl import write_merl
-from matcam.inverse.correction.corrected_table import supported_values
+from matcam.inverse.correction.corrected_table import CORRECTED, supported_values
 from matcam.numerics.budget import write_budgets
 
 
@@ -162,6 +162,10 @@ def write_corrected(job: Job, workspace: Workspace | None = None) -> dict[str, A
     table = read_table(job.source, sampling=job.recipe.sampling)
     if fingerprint(job.source) != before:
         raise FileFormatError(f"{job.source}: changed while it was read: correct it again when it is complete")
+    if table.attrs.get(CORRECTED):
+        raise ArgumentError(
+            f"{job.source}: a {table.attrs.get('long_name', 'BRDF')} already: give the table as it was recorded"
+        )
     if job.recipe.page:
         import_behind("matcam.figures.pages")
     options = job.recipe.options

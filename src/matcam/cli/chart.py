@@ -64,10 +64,14 @@ def command(
     if json:
         show.as_json({"files": [str(output), str(description)], "page_mm": chart.page, "elements": counts})
         return
-    show.say(
-        ", ".join(f"{count} {kind}" for kind, count in counts.items()) + f" on {chart.page[0]:g} x {chart.page[1]:g} mm"
-    )
+    elements = ", ".join(_counted(kind, count) for kind, count in counts.items())
+    show.say(f"{elements} on {chart.page[0]:g} x {chart.page[1]:g} mm")
     show.say(f"page: {output}, print in true size; description: {description}, to be given to `calibrate`")
     show.say(
         f"with photographs of it: {shlex.join(['matcam', 'calibrate', 'PHOTOGRAPHS', '--chart', str(description)])}"
     )
+
+
+def _counted(kind: str, count: int) -> str:
+    name = kind.replace("dots", "dot grid")
+    return f"{count} {name}{'' if count == 1 else 'es' if name.endswith('ch') else 's'}"

@@ -156,6 +156,8 @@ def _rival(file: Path, rig: Any, ndf: str, sampling: Any, slice_step: int) -> di
 
 def print_fit(summary: dict[str, Any], name: str) -> None:
     """Print `to_dict()` of a fit as a table, with its remarks."""
+    from matcam.inverse.fit.fit_data import LEAST_FLOOR
+
     rows = [[key, f"{value:.6g}", f"{summary['std'][key]:.2g}"] for key, value in summary["params"].items()]
     show.table(
         ["parameter", "value", "std"], rows, f"{name}: {'spline-modified ' if summary['bent'] else ''}{summary['ndf']}"
@@ -167,8 +169,10 @@ def print_fit(summary: dict[str, Any], name: str) -> None:
         f"gain: {noise['picture_gain']:.2%}"
     )
     show.say(
-        f"residuals: {math.sqrt(summary['misfit']):.2f} rms in units of this noise, which is estimated from them "
-        f"and thus no test of the model; {summary['degrees_of_freedom']} degrees of freedom"
+        f"ratio of the residual of a cell to its expected standard deviation: {math.sqrt(summary['misfit']):.2f} rms, "
+        f"{summary['degrees_of_freedom']} degrees of freedom. The expected standard deviation is that of this noise, and at "
+        f"least {LEAST_FLOOR:g} of the image's peak, so faint cells lower the ratio. The noise is estimated from the "
+        "residuals, so the ratio is no test of the model"
     )
     for remark in summary["remarks"]:
         show.say(f"note: {remark['text']}")

@@ -69,6 +69,9 @@ def _print_brdf(report: dict[str, Any]) -> None:
     if "camera" in report:
         _print_trace(report["camera"])
         _print_cells(report["cells"])
+    if "variables" in report:
+        own = [name for name, variable in report["variables"].items() if list(variable["shape"]) != [name]]
+        show.say("variables: " + ", ".join(own))
 
 
 def _print_trace(trace: dict[str, Any]) -> None:

@@ -167,10 +167,7 @@ def _print(result: Any, document: dict[str, Any]) -> None:
         [(name, f"{value:.5g}", f"{std:.2g}") for name, (value, std) in result.parameters.items()],
     )
     if result.sample != "flat":
-        show.table(
-            ("outline and distances", "value", "std"),
-            [(name, f"{value:.6g}", f"{std:.2g}") for name, (value, std) in result.lengths.items()],
-        )
+        show.table(("outline and distances", "value ± std"), [(one.name, one.text) for one in result.length_quantities])
         columns = [("ratio", "F at grazing, %"), ("level", "absolute F, %"), ("roughness", "roughness, %")]
         columns = [column for column in columns if column[0] in result.budget["total"]]
         show.table(

@@ -69,27 +69,29 @@ def _after_simulate(values: dict[str, Any]) -> list[Any] | None:
 
 
 def _after_inspect(values: dict[str, Any]) -> list[Any] | None:
+    """Correct a recorded table; convert a corrected one for a renderer."""
+    from matcam.exchange.contents import read_contents
+    from matcam.inverse.correction.corrected_table import CORRECTED
+
     file = values["file"]
     kind = identify(file)
-    if kind == "merl" or (kind == "csv" and _is_table(file)):
-        return ["matcam", "correct", file]
-    return ["matcam", "predict", "--camera", file] if kind == "camera profile" else None
+    if kind == "camera profile":
+        return ["matcam", "predict", "--camera", file]
+    try:
+        table = read_contents(file).table if kind in ("merl", "csv") else None
+    except FileFormatError:  # a CSV file may hold anything
+        return None
+    if table is None:
+        return None
+    if table.attrs.get(CORRECTED):
+        return ["matcam", "convert", file, _Output(file.with_suffix(".bsdf"))]
+    return ["matcam", "correct", file]
 
 
 def _after_convert(values: dict[str, Any]) -> list[Any] | None:
     """Inspect the new file; a file without a measurement, such as a fitted surface, cannot be inspected."""
     target = values["target"]
     return ["matcam", "inspect", target] if target.suffix.lower() in suffixes_for(*MEASUREMENTS) else None
-
-
-def _is_table(file: Path) -> bool:
-    """Check whether a CSV file is a table on the MERL grid, rather than scattered samples or no BRDF."""
-    from matcam.exchange.contents import read_contents
-
-    try:
-        return read_contents(file).table is not None
-    except FileFormatError:
-        return False
 
 
 def _after_correct(values: dict[str, Any]) -> list[Any] | None:

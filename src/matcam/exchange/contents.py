@@ -16,10 +16,12 @@ from matcam.camera.camera import Camera
 from matcam.core.errors import ArgumentError, FileFormatError
 from matcam.core.grid import DIMS, Sampling, checked_table
 from matcam.core.io import check_output
+from matcam.files.datasets import read_netcdf
 from matcam.files.formats import CONTENTS, MEASUREMENTS, format_for, format_named, identify, suffixes_for
 from matcam.files.merl import read_merl
 from matcam.files.rgl import check_fields
 from matcam.files.samples import checked_samples, samples_of, table_of
+from matcam.inverse.correction.corrected_table import CORRECTED
 from matcam.material.material import Material
 from matcam.material.measured import Adaptive, Tabulated
 
@@ -59,6 +61,9 @@ class Contents:
     @property
     def kind(self) -> str:
         """Return the kind of the contents, in words."""
+        brdf = self.table if self.result is None else self.result.get("brdf")
+        if brdf is not None and (self.result is not None or brdf.attrs.get(CORRECTED)):
+            return f"a {brdf.attrs.get('long_name', 'BRDF')}"
         return CONTENTS[self.content]
 
 
@@ -185,7 +190,9 @@ def read_contents(path: str | Path, sampling: Sampling = "centre") -> Contents:
     form = format_named(identify(path))
     if not set(form.holds) & set(MEASUREMENTS):
         raise FileFormatError(f"{path}: a {form.name}, which contains no measurement")
-    data = form.read(path, **({"sampling": sampling} if form.name == "merl" else {}))
+    if form.name == "merl":
+        return Contents(form.name, table=_read_merl(Path(path), sampling))
+    data = form.read(path)
     if form.name == "csv":
         try:
             return Contents(form.name, table=table_of(data))
@@ -211,7 +218,7 @@ def read_table(path: str | Path, sampling: Sampling = "centre") -> xr.DataArray:
         FileFormatError: the file contains no table, or is damaged.
     """
     if Path(path).suffix.lower() == MERL_SUFFIX:  # its own reader has the best error message
-        return read_merl(path, sampling=sampling)
+        return _read_merl(Path(path), sampling)
     contents = read_contents(path, sampling)
     if contents.table is not None:
         return contents.table
@@ -221,6 +228,23 @@ def read_table(path: str | Path, sampling: Sampling = "centre") -> xr.DataArray:
         except ArgumentError as error:
             raise FileFormatError(f"{path}: {error}") from None
     raise FileFormatError(f"{path}: contains {contents.kind}, not a BRDF table on the MERL grid")
+
+
+def _read_merl(path: Path, sampling: Sampling) -> xr.DataArray:
+    """Read a MERL file, with the attributes of the NetCDF file of the same result beside it.
+
+    A MERL file has no attributes. The NetCDF file is of the same result if its supported values are those of the table.
+    """
+    table = read_merl(path, sampling=sampling)
+    try:
+        result = read_netcdf(path.with_suffix(".nc"))
+        brdf, supported = result["brdf"], result["supported"].values
+    except (FileFormatError, KeyError):
+        return table
+    corrected = brdf.attrs.get(CORRECTED) and brdf.shape == supported.shape == table.shape and supported.any()
+    if corrected and np.allclose(table.values[supported], brdf.values[supported], rtol=1e-5):
+        return table.assign_attrs({CORRECTED: 1, "long_name": brdf.attrs.get("long_name", "BRDF")})
+    return table
 
 
 def _labelled(path: Path, name: str, data: xr.Dataset) -> Contents:

@@ -15,7 +15,7 @@ import numpy as np
 import xarray as xr
 
 from matcam.core.errors import ArgumentError
-from matcam.core.grid import GRID_SHAPE, Sampling, below_horizon, checked_table, merl_grid, sampling_of
+from matcam.core.grid import DIMS, GRID_SHAPE, Sampling, below_horizon, checked_table, merl_grid, sampling_of
 from matcam.exchange.contents import Contents
 from matcam.forward.measurement import true_table
 from matcam.inverse.operator.pixel_phase import cell_rule
@@ -165,7 +165,7 @@ def inspect_contents(contents: Contents, radius: float = SPHERE_RADIUS) -> dict[
         "table": partial(inspect_table, radius=radius),
         "fields": _fields_report,
         "samples": _samples_report,
-        "result": _result_report,
+        "result": partial(_result_report, radius=radius),
         "picture": _picture_report,
     }
     return {"holds": contents.kind, **report[contents.content](contents.data)}
@@ -287,12 +287,13 @@ def _samples_report(samples: xr.DataArray) -> dict[str, Any]:
     }
 
 
-def _result_report(data: xr.Dataset) -> dict[str, Any]:
+def _result_report(data: xr.Dataset, radius: float) -> dict[str, Any]:
     variables = {
         str(name): {"shape": dict(zip(map(str, v.dims), v.shape, strict=True)), "units": str(v.attrs.get("units", ""))}
         for name, v in data.variables.items()
     }
-    return {"variables": variables, "attributes": {str(k): str(v)[:200] for k, v in data.attrs.items()}}
+    brdf = inspect_table(data["brdf"], radius) if "brdf" in data and data["brdf"].dims == DIMS else {}
+    return {**brdf, "variables": variables, "attributes": {str(k): str(v)[:200] for k, v in data.attrs.items()}}
 
 
 def _picture_report(picture: np.ndarray) -> dict[str, Any]:

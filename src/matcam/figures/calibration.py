@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from matcam.figures.field_maps import COLOURS, draw_blur_map, draw_lateral_colour
-from matcam.figures.style import BLACK, BLUE, GREEN, GREY, ORANGE, VERMILION, nyquist_line, styled
+from matcam.figures.style import BLACK, BLUE, GREEN, GREY, ORANGE, VERMILION, legend_above, nyquist_line, styled
 
 if TYPE_CHECKING:
     from matcam.calibration.camera.calibration import Calibration
@@ -125,7 +125,9 @@ def draw_edge_mtf(axes: Axes, result: EdgeMTF) -> None:
         axes.plot(f, result.core_mtf, color=BLUE, lw=1, ls=":", label=label)
     axes.set(xlim=(0, 1), ylim=(-0.03, max(1.05, 1.05 * float(np.max(result.mtf)))))
     axes.set(xlabel="frequency along the normal [cycles/px]", ylabel="MTF of lens and pixel [-]")
-    axes.legend(title="MTF50 [cycles/px]", loc="upper right", fontsize=8.5)
+    axes.legend(
+        title="MTF50 [cycles/px]", loc="upper right", fontsize=8.5, frameon=True, framealpha=1, edgecolor="none"
+    )
     axes.set_title("MTF", loc="left")
 
 
@@ -140,7 +142,7 @@ def _draw_edge_residuals(axes: Axes, result: EdgeMTF) -> None:
         )
     axes.axhline(0, color=BLACK, lw=0.6)
     axes.set(xlabel="distance [px]", ylabel="residual / noise [-]")
-    axes.legend(loc="lower left", fontsize=8.5, ncols=2, frameon=True, framealpha=0.85, edgecolor="none")
+    legend_above(axes, 2)
     axes.set_title("Residuals", loc="left")
 
 
@@ -220,7 +222,7 @@ def draw_camera_fit(axes: Axes, fit: CameraFit) -> None:
 
 def _draw_mtf(axes: Axes, channels: Mapping[str, CameraFit]) -> None:
     axes.axhline(0, color=BLACK, lw=0.6)
-    nyquist_line(axes, 0.6)
+    nyquist_line(axes)
     for name, fit in channels.items():
         colour = COLOURS[name]
         if np.isfinite(fit.curve.mtf).all():
@@ -235,7 +237,7 @@ def _draw_mtf(axes: Axes, channels: Mapping[str, CameraFit]) -> None:
             axes.plot(fit.curve.frequency, fit.curve.mtf, color=colour, lw=1.3, label=f"{name}: edges, free of a model")
         axes.plot(fit.curve.frequency, fit.curve.camera_mtf, color=colour, lw=1.1, ls="--", label=f"{name}: camera")
     axes.set(xlim=(0, 1), ylim=(-0.03, 1.05), xlabel="frequency [cycles/px]", ylabel="MTF of lens and pixel [-]")
-    axes.legend(loc="upper right", fontsize=8.5)
+    axes.legend(loc="upper right", fontsize=8.5, frameon=True, framealpha=1, edgecolor="none")
     axes.set_title("MTF, and 2 standard deviations", loc="left")
 
 
@@ -254,7 +256,7 @@ def _draw_residuals(axes: Axes, found: Calibration) -> None:
         )
     axes.set(xlim=(0, 0.75), xlabel="frequency [cycles/px]", ylabel="edges less camera [-]")
     if len(found.channels) > 1:
-        axes.legend(loc="upper right", fontsize=8.5, ncols=3)
+        legend_above(axes, 3)
     axes.set_title("Residuals of the camera", loc="left")
 
 
@@ -275,7 +277,7 @@ def _draw_field(axes: Axes, found: Calibration, picture: np.ndarray | None) -> N
                 color=COLOURS[name], mfc=fill, label=f"{name}, {plane}",
             )  # fmt: skip
     axes.set(xlabel="distance from the picture's middle [px]", ylabel="blur as Gaussian sigma [px]")
-    axes.legend(loc="best", fontsize=8, ncols=2, frameon=True, framealpha=0.85, edgecolor="none")
+    legend_above(axes, 2)
     axes.set_title("Blur over the field", loc="left")
 
 

@@ -17,6 +17,8 @@ _TABLE_COLOURS = (GREEN, ORANGE, PURPLE, BLACK)
 _MOST_TABLES = 4
 _LIMIT = f"{100 * LOSS:g} % loss"
 """Label of the loss limit."""
+RAW_LABEL = "raw: from the recorded peak, camera ignored"
+"""Label of `fresnel`'s raw curve."""
 
 
 def fresnel_figure(
@@ -54,7 +56,7 @@ def draw_fresnel(axes: Axes, result: xr.Dataset, tables: xr.Dataset | None, chan
     corrected, std = one["corrected"].values, one["corrected_std"].values
     low, high = np.degrees(result.attrs["normalised_over"])
     axes.axvspan(low, high, color="#F2F2F2", lw=0, zorder=0)
-    axes.plot(theta, one["raw"], color=VERMILION, label="raw: from the recorded peak, camera ignored")
+    axes.plot(theta, one["raw"], color=VERMILION, label=RAW_LABEL)
     axes.plot(
         theta,
         one["corrected_peak"],

@@ -76,6 +76,7 @@ def draw_blur_map(axes: Axes, edges: EdgeTable, shape: tuple[int, int], channel:
             axes.text(
                 found.x[k : k + 2].mean(), found.y[i : i + 2].mean(), f"{sigma:.3f}",
                 ha="center", va="center", fontsize=7, color="black" if bright else "white", zorder=4,
+                bbox={"facecolor": drawn.to_rgba(sigma), "lw": 0, "pad": 1},
             )  # fmt: skip
 
 

@@ -19,7 +19,7 @@ from matplotlib.figure import Figure
 
 from matcam.core.grid import merl_grid, sampling_of
 from matcam.core.remark import texts
-from matcam.figures.curves import draw_corrected_lobe
+from matcam.figures.curves import RAW_LABEL, draw_corrected_lobe
 from matcam.figures.spheres import (
     encoded_for_screen,
     highlight_zoom,
@@ -30,6 +30,7 @@ from matcam.figures.spheres import (
 )
 from matcam.figures.style import BLUE, GREY, VERMILION, degrees_axis, inline_png, styled, write_page
 from matcam.inverse.correction.correction import Correction
+from matcam.inverse.fresnel_term import NORMALISE, fresnel_of_peaks
 from matcam.inverse.operator.rig_axes import LAMP, LENS
 
 _SLICES = (5, 45, 65, 75)
@@ -76,36 +77,27 @@ def write_correction_page(
 
 
 def reflectance_figure(raw: xr.DataArray, done: Correction) -> Figure:
-    """Draw F over theta_d, free in every slice, beside the recorded peak times cos^2, in the middle channel.
-
-    Both curves are divided by their mean from 10 to 45 degrees.
-    """
+    """Draw F over theta_d, free in every slice, beside that of the recorded peak, in the middle channel, as `fresnel` does."""
     curves = done.fit.curves
     channel = curves.sizes["channel"] // 2
-    theta = np.degrees(curves["theta_d"].values)
+    theta = curves["theta_d"].values
     fitted, std = curves["fresnel"].values[:, channel], curves["fresnel_std"].values[:, channel]
-    angle = raw["theta_d"].values
-    top = raw.values[0, ..., channel]
-    there = np.isfinite(top)
-    peak = np.where(there.any(1), np.where(there, top, 0).sum(1) / np.maximum(there.sum(1), 1), np.nan)
-    peak = peak * np.cos(angle) ** 2
-    middle = (angle > np.radians(10)) & (angle < np.radians(45))
-    used = (theta > 10) & (theta < 45)
-    scale = np.nanmean(fitted[used])  # negative where a lobe is only noise
+    low, high = NORMALISE
+    scale = np.nanmean(fitted[(theta > low) & (theta < high)])  # negative where a lobe is only noise
+    angle, response = raw["theta_d"].values, done.table["response"].values[0, :, raw.sizes["phi_d"] // 2]
+    masking = None if done.table.attrs["masking"] == "none" else done.table.attrs["masking"]
+    used = (angle > low) & (angle < high)
+    of_peaks = fresnel_of_peaks(raw, angle, done.fit.ndf, masking, response / response[0], used)
     with styled():
         figure = Figure(figsize=(7.5, 4.2))
         axes = figure.subplots(gridspec_kw={"left": 0.1, "right": 0.98, "bottom": 0.13, "top": 0.97})
-        axes.plot(
-            np.degrees(angle),
-            peak / np.nanmean(peak[middle]),
-            color=VERMILION,
-            label="recorded peak × cos², no masking",
-        )
+        axes.plot(np.degrees(angle), of_peaks.raw[channel], color=VERMILION, label=RAW_LABEL)
         axes.errorbar(
-            theta, fitted / scale, std / abs(scale), color=BLUE, fmt="o", ms=4, label="through the camera, ± 1 std"
-        )
+            np.degrees(theta), fitted / scale, std / abs(scale), color=BLUE, fmt="o", ms=4,
+            label="corrected: lobe fitted through the camera, ± 1 std",
+        )  # fmt: skip
         degrees_axis(axes, r"difference angle $\theta_d$")
-        axes.set_ylabel("F / mean of F over 10 to 45° [-]")
+        axes.set_ylabel(f"F / mean of F over {np.degrees(low):.0f} to {np.degrees(high):.0f}° [-]")
         axes.set_ylim(0, None)
         axes.legend(loc="lower left")
     return figure

@@ -62,7 +62,7 @@ def write_reconstruction_page(
         "budget": [
             (source, [scale * parts[key] for key, _, scale in columns]) for source, parts in result.budget.items()
         ],
-        "lengths": [(key, *pair) for key, pair in result.lengths.items()],
+        "lengths": [(one.name, one.text) for one in result.length_quantities],
         "pictures": [
             (name, np.degrees(theta_d), chi2, left_out)
             for name, theta_d, chi2, left_out in zip(

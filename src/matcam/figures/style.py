@@ -124,10 +124,18 @@ def degrees_axis(axes: Axes, label: str, end: float = 90) -> None:
     axes.set_xticks(range(0, int(end) + 1, 15))
 
 
-def nyquist_line(axes: Axes, height: float = 1.0) -> None:
-    """Mark the highest frequency that whole pixels resolve, 0.5 cycles/px; its name is just below `height`."""
+def nyquist_line(axes: Axes) -> None:
+    """Mark the highest frequency that whole pixels resolve, 0.5 cycles/px; its name is below the legend of an MTF."""
     axes.axvline(0.5, color=GREY, lw=0.8)
-    axes.annotate("Nyquist", (0.5, height), xytext=(3, -9), textcoords="offset points", fontsize=8, color=GREY)
+    axes.annotate("Nyquist", (0.5, 0.5), xytext=(3, -9), textcoords="offset points", fontsize=8, color=GREY)
+
+
+def legend_above(axes: Axes, columns: int) -> None:
+    """Add a legend above the data, for which the range of y is extended."""
+    low, high = axes.get_ylim()
+    share = 0.04 + 0.08 * -(-len(axes.get_legend_handles_labels()[0]) // columns)
+    axes.set_ylim(low, high + (high - low) * share / (1 - share))
+    axes.legend(loc="upper right", fontsize=8.5, ncols=columns)
 
 
 def inline_png(figure: Figure) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -183,16 +183,11 @@ def fresnel(
     remarks = (*explained.remarks, *gain_remarks(gain))
     if explained.no_blur:
         remarks = (*remarks, explained.no_blur_remark)
-    hidden, highest = (np.asarray(a) for a in _mirror_masking(lobe, placed(theta_d), masking))
     angles = np.append(theta_d, 0.0)
     fitted, log_slope = _fitted_rig(explained.located.rig, found), found.log_slope(angles)
     peaks = _peak_responses(fitted, lobe, angles, masking, log_slope)
     *response, centre = np.ones(theta_d.size + 1) if held_back else peaks
-    per_peak = 4 * np.cos(theta_d) ** 2 / (highest * hidden)
-    raw = recorded_peak(brdf, theta_d) * per_peak
-    corrected_peak = raw / (np.array(response) / centre)
-    scale = np.nanmean(np.where(term.used, corrected_peak, np.nan), axis=-1, keepdims=True)
-    raw, corrected_peak = raw / scale, corrected_peak / scale
+    peak_terms = fresnel_of_peaks(brdf, theta_d, lobe, masking, np.array(response) / centre, term.used)
     width = next(iter(found.params))
 
     def curve(values: np.ndarray) -> tuple[Any, ...]:
@@ -200,9 +195,9 @@ def fresnel(
 
     result = xr.Dataset(
         {
-            "raw": curve(raw),
-            "raw_std": curve(raw * np.linalg.norm([*found.noise[:2], gain])),
-            "corrected_peak": curve(corrected_peak),
+            "raw": curve(peak_terms.raw),
+            "raw_std": curve(peak_terms.raw * np.linalg.norm([*found.noise[:2], gain])),
+            "corrected_peak": curve(peak_terms.corrected),
             "corrected": curve(term.normalised),
             "corrected_std": curve(np.hypot(term.std_noise, term.std_camera)),
             "corrected_std_noise": curve(term.std_noise),
@@ -210,7 +205,7 @@ def fresnel(
             "absolute": curve(term.absolute),
             "absolute_std": curve(term.absolute_std),
             "response": ("theta_d", np.array(response)),
-            "masking": ("theta_d", hidden),
+            "masking": ("theta_d", peak_terms.masking),
             "supported_angle": ("channel", _supported_angle(term, theta_d)),
             "width": ((), found.params[width]),
             "width_std": ((), found.std[width] if found.resolved else np.inf),
@@ -246,6 +241,35 @@ def fresnel(
         "width_std": f"standard deviation of width{unit}",
     }
     return named(result, _NAMES | width_names)
+
+
+class PeakFresnel(NamedTuple):
+    """Fresnel term from the peaks of a table alone.
+
+    Attributes:
+        raw: as if the camera were perfect, (channels, slices).
+        corrected: over the share of the peak that is recorded, relative to theta_d = 0, (channels, slices).
+        masking: G in the mirror direction, (slices,).
+    """
+
+    raw: np.ndarray
+    corrected: np.ndarray
+    masking: np.ndarray
+
+
+def fresnel_of_peaks(
+    brdf: xr.DataArray, theta_d: np.ndarray, lobe: NDF, masking: Masking, response: np.ndarray, used: np.ndarray
+) -> PeakFresnel:
+    """Compute F from recorded peaks, without and with the loss at the peak; the mean of the latter is 1.
+
+    response: recorded over true peak, relative to theta_d = 0, (slices,). used: slices of the mean, which broadcasts to
+        (channels, slices).
+    """
+    hidden, highest = (np.asarray(a) for a in _mirror_masking(lobe, placed(theta_d), masking))
+    raw = recorded_peak(brdf, theta_d) * (4 * np.cos(theta_d) ** 2 / (highest * hidden))
+    corrected = raw / response
+    scale = np.nanmean(np.where(used, corrected, np.nan), axis=-1, keepdims=True)
+    return PeakFresnel(raw / scale, corrected / scale, hidden)
 
 
 def fresnel_budget(result: xr.Dataset, theta_d: float, channel: str | None = None) -> UncertaintyBudget:

@@ -11,7 +11,7 @@ import xarray as xr
 
 from matcam.core.grid import CHANNELS, brdf_table, cosines, merl_grid
 from matcam.core.jax import jax
-from matcam.inverse.correction.corrected_table import SUPPORTED
+from matcam.inverse.correction.corrected_table import CORRECTED, SUPPORTED
 from matcam.inverse.fit.fit_parameters import LobeKind
 from matcam.material.diffuse_shape import departure, terms
 from matcam.material.microfacet import Microfacet
@@ -21,8 +21,8 @@ from matcam.reconstruction.sphere_scene import Known
 
 _BEYOND = np.radians(2.0)
 """Angle theta_d beyond the range of the images up to which an entry may be supported, rad."""
-ATTRIBUTES = {
-    "brdf": {"units": "1/sr", "long_name": "BRDF reconstructed from photographs"},
+ATTRIBUTES: dict[str, dict[str, str | int]] = {
+    "brdf": {"units": "1/sr", "long_name": "BRDF reconstructed from photographs", CORRECTED: 1},
     "brdf_std": {"units": "1/sr", "long_name": "standard deviation of brdf: all sources of the error budget"},
     "supported": {"units": "1", "long_name": "within the pictures' angles, and standard deviation of brdf under 5 %"},
 }

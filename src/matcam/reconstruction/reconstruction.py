@@ -204,6 +204,16 @@ class Reconstruction(Summarised):
                 found[f"{name}_distance_mm"] = (pair[0] * radius, pair[1] * radius)
         return found
 
+    @property
+    def length_quantities(self) -> list[Quantity]:
+        """Outline and distances as text; of a distance that may be infinite, the limit of two standard deviations."""
+        return [
+            Quantity(name, _least_distance(value, std))
+            if "distance" in name and not std < value / 2
+            else Quantity(name, value, std)
+            for name, (value, std) in self.lengths.items()
+        ]
+
     def ratio(self, theta_d: float, channel: int = 0) -> Ratio:
         """Compute F at an angle over its mean from 10 to 45°.
 
@@ -277,11 +287,13 @@ class Reconstruction(Summarised):
         return float(self.table["supported"].values[np.isfinite(self.table["brdf"].values)].mean())
 
     def _summary(self) -> Summary:
-        listed = (("Parameters", self.parameters), ("Outline and distances", self.lengths))
         return Summary(
             f"Material of a {self.sample}, reconstructed from {len(self.fit.names)} photographs",
             self.verdict,
-            {title: [Quantity(name, *pair) for name, pair in values.items()] for title, values in listed},
+            {
+                "Parameters": [Quantity(name, *pair) for name, pair in self.parameters.items()],
+                "Outline and distances": self.length_quantities,
+            },
             self.remarks,
         )
 
@@ -416,3 +428,8 @@ def reconstructed(
         tried=chosen.tried,
         remarks=tuple(every),
     )
+
+
+def _least_distance(value: float, std: float) -> str:
+    """State a distance whose reciprocal may be 0 within two of its standard deviations."""
+    return "not determined" if np.isinf(value) else f"at least {value / (1 + 2 * std / value):.3g}"

@@ -21,7 +21,7 @@ from matcam.numerics.fit_budget import VariancePart
 SUPPORTED = 0.05
 """Relative standard deviation of the correction up to which an entry is supported."""
 TABLE_ATTRIBUTES = {
-    "brdf": {"units": "1/sr", "long_name": "BRDF freed from the camera"},
+    "brdf": {"units": "1/sr", "long_name": "BRDF corrected for the camera"},
     "brdf_std": {"units": "1/sr", "long_name": "standard deviation of brdf: correction and noise"},
     "correction_std": {
         "units": "1",

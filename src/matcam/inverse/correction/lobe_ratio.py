@@ -196,7 +196,10 @@ def _lobes_and_shares(
         for operator, rig in ((where.recorded, shifts), (where.true, np.zeros(0)))
     ]
     lobes = [np.where(where.cells.valid, np.maximum(np.asarray(lobe), VANISHED), 1.0) for lobe, _ in pairs]
-    return [(lobe, np.asarray(parts) / lobe) for (_, parts), lobe in zip(pairs, lobes, strict=True)]
+    return [
+        (lobe, np.where(lobe > VANISHED, np.asarray(parts) / lobe, 0.0))
+        for (_, parts), lobe in zip(pairs, lobes, strict=True)
+    ]
 
 
 def _columns(where: ResponseLattice, at: FitCoordinates, shape: ShapeUncertainty, shifts: np.ndarray) -> np.ndarray:

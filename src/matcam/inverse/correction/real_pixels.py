@@ -69,10 +69,10 @@ def pixel_log_ratio(
         own = _SliceRecord([one[j] for one in splines], mirrored)
         behind = pixels_behind(pixels, radius, theta_d, j, i, k)
         recorded = _log_behind(own, radius, theta_d, behind)
-        log[i, j, k] = np.log(own.at(theta_h, psi).mean(axis=-1)) - recorded
+        log[i, j, k] = np.nan_to_num(np.log(own.at(theta_h, psi).mean(axis=-1)) - recorded)
         if std:  # the value of a cell identifies its pixel
             for moved in (behind._replace(x=behind.x + std), behind._replace(y=behind.y + std)):
-                variance[i, j, k] += (_log_behind(own, radius, theta_d, moved) - recorded) ** 2
+                variance[i, j, k] += np.nan_to_num(_log_behind(own, radius, theta_d, moved) - recorded) ** 2
     return log, variance
 
 
@@ -98,12 +98,12 @@ class _SliceRecord(NamedTuple):
 
 
 def _log_behind(record: _SliceRecord, radius: float, theta_d: float, pixels: PixelsBehind) -> np.ndarray:
-    """Compute the log record of the pixels behind cells; 0 where none shows light."""
+    """Compute the log record of the pixels behind cells; NaN where none shows light."""
     angles = pixel_angles(radius, theta_d, pixels.x, pixels.y)
     weight = np.where((angles.cos_i > 0) & (angles.cos_o > 0), pixels.weight, 0.0)
     value = (weight * record.at(angles.theta_h, angles.psi)).sum(axis=-1)
     total = weight.sum(axis=-1)
-    return np.log(np.where(total > 0, value / np.where(total > 0, total, 1.0), 1.0))
+    return np.log(np.where(total > 0, value / np.where(total > 0, total, 1.0), np.nan))
 
 
 @kept_program

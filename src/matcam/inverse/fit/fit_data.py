@@ -29,8 +29,11 @@ _PEAKS = (1e-9, 1e12)
 """Limits of the brightest value of a channel, 1/sr. Black velvet and the narrowest lobe of a mirror lie far inside."""
 
 # Larger residuals are misfit; as a share of the peak they do not make the faint surroundings of the peak dominate the
-# fit. The least floor is the error of a rule, 1e-6 of the peak, which about ten neighbouring cells share
-_NOISE_BOUNDS = ((np.log(1e-4), np.log(0.2)), (np.log(3e-6), np.log(0.5)))
+# fit
+LEAST_FLOOR = 3e-6
+"""Least noise floor of a pixel, share of the peak: the error of a rule, 1e-6 of the peak, which about ten neighbouring cells
+share."""
+_NOISE_BOUNDS = ((np.log(1e-4), np.log(0.2)), (np.log(LEAST_FLOOR), np.log(0.5)))
 _LEAST_LEFT = 0.02
 _HUBER = 3.0
 """Standardised residual beyond which the weight of a cell decreases (Huber 1964). Normal residuals exceed it in 0.3 %."""

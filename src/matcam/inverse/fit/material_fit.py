@@ -306,7 +306,7 @@ class MaterialFit(Summarised):
                 "Correlations": correlations(self.params, self.covariance),
                 "Fit statistics": [
                     Quantity("noise of a pixel", noise),
-                    Quantity("squared residual per degree of freedom", self.misfit),
+                    Quantity("squared residual over expected variance, per degree of freedom", self.misfit),
                     Quantity("degrees of freedom", self.freedom),
                     Quantity("ln likelihood", self.log_likelihood),
                 ],

@@ -1,0 +1,60 @@
+"""Corrections at grazing angles, where a blurred highlight reaches to the last pixels of the sphere."""
+
+import numpy as np
+import pytest
+
+from matcam import GGX, metal, rigs
+from matcam.core.jax import jnp
+from matcam.core.workspace import Workspace
+from matcam.forward.measurement import CHROMIUM_WIDTH, simulated_chromium
+from matcam.inverse import Correction
+from matcam.inverse.correction.corrected_table import supported_values
+from matcam.inverse.correction.correction_limits import albedo
+from matcam.inverse.correction.response_lattice import FINE, on_table, response_lattice, seen_cells
+from tests.oracle import sphere_cells, sphere_record
+from tests.oracle.merl_lobe import PHI_D, THETA_D, THETA_H, conductor
+
+
+def cosines(theta_h, theta_d, phi_d):
+    mean, half = np.cos(theta_h) * np.cos(theta_d), np.sin(theta_h) * np.sin(theta_d) * np.cos(phi_d)
+    return mean - half, mean + half
+
+
+def test_the_response_of_a_highlight_agrees_with_the_oracle_to_the_limb():
+    """GGX 0.006, entries within 0.65 px of the limb in at least one of both images."""
+    alpha = 0.006
+    lattice = response_lattice(rigs.merl(), "centre", FINE, (), Workspace())
+    recorded, true = (op.record(GGX(alpha), "smith", jnp.zeros(0)) for op in (lattice.recorded, lattice.true))
+    ok = lattice.cells.valid
+    found = np.exp(on_table(np.log(np.where(ok, recorded, 1.0)) - np.log(np.where(ok, true, 1.0)), lattice))
+    lobe = sphere_cells.GGX(alpha)
+    for i, j, k in ((0, 86, 90), (0, 87, 90), (6, 85, 0), (10, 85, 5), (14, 84, 2)):
+        at = THETA_H[i], THETA_D[j], PHI_D[k]
+        cos = cosines(*at)
+        shown = sphere_record.recorded_cell(*at, sphere_record.Surface(alpha), sphere_record.Setup(), 1e-7)
+        tan2 = np.tan(at[0]) ** 2
+        hidden = 1 + sum(lobe.smith(c) for c in cos)
+        truth = lobe.p22(tan2) * (1 + tan2) ** 2 / hidden / (4 * cos[0] * cos[1])
+        assert min(cos) < 0.071
+        assert seen_cells("centre")[i, j, k]
+        assert found[i, j, k] == pytest.approx(np.mean(shown) / truth, rel=2e-3), (i, j, k)
+
+
+@pytest.mark.slow
+def test_the_light_of_a_highlight_is_not_counted_twice():
+    """The table of `matcam demo`: a peak and the light beside it are corrected together. The albedo is that of the metal."""
+    table = simulated_chromium().clip(min=0)
+    n, k, _ = metal("Cr", [610e-9, 550e-9, 465e-9], "rakic")
+    cos_i, cos_o = cosines(THETA_H[:, None, None], THETA_D[:, None], PHI_D)
+    lobe = np.exp(-(THETA_H[:, None, None] ** 2) / 2 / CHROMIUM_WIDTH**2) / (2 * np.pi * CHROMIUM_WIDTH**2)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        true = lobe / (4 * cos_i * cos_o)
+    reflectance = np.stack([conductor(THETA_D, *one) for one in zip(n, k, strict=True)], axis=-1)
+    true = np.where((cos_i > 0) & (cos_o > 0), true, np.nan)[..., None] * reflectance[:, None]
+    done = Correction.of(table, rigs.merl())
+    right, raw = albedo(true), albedo(table.values)
+    for corrected in (done.table["brdf"], supported_values(done.table, table)):
+        error = np.abs(albedo(corrected.values) - right) / right
+        print(f"error of the albedo at 60.5 to 88.5 degrees: {error[60:89].max(axis=1)}")
+        assert np.all(error <= np.maximum(np.abs(raw - right) / right, 0.02))
+        assert error[84].max() < 0.02
