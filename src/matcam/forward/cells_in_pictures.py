@@ -10,8 +10,8 @@ from matcam.core.arrays import xp
 from matcam.core.errors import ArgumentError
 from matcam.core.grid import GRID_SHAPE, Sampling, cosines, merl_grid, theta_h_edges
 from matcam.core.jax import AnyArray, is_concrete, jax, jnp
-from matcam.forward.sampler.cell_rings import Rings, rings_of
 from matcam.forward.pixel_grid import phase_of_slices, slice_pixels, turned
+from matcam.forward.sampler.cell_rings import Rings, rings_of
 from matcam.forward.sampler.plan import RecordPlaces
 from matcam.lamp.lamps import closeness
 from matcam.rigs import ON_REAL_PIXELS, CellValue, PixelPhase

@@ -32,7 +32,7 @@ from matcam.core.grid import GRID_SHAPE, checked_table, sampling_of, theta_h_edg
 from matcam.core.jax import jax, jnp
 from matcam.core.shading import Shading
 from matcam.material.material import Material, above_horizon, theta_h_of
-from matcam.numerics.lengths import plane_length
+from matcam.numerics.elementary import plane_length
 
 _HALF_PI = np.pi / 2
 

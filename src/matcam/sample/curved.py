@@ -10,8 +10,7 @@ from matcam.core import checks
 from matcam.core.arrays import xp
 from matcam.core.arrays.module import static_field
 from matcam.core.shading import Vector
-from matcam.numerics.lengths import plane_length
-from matcam.numerics.sine import sine
+from matcam.numerics.elementary import plane_length, sine
 from matcam.sample.shape import (
     Curved,
     Element,

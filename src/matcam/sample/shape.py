@@ -19,7 +19,7 @@ from matcam.core import checks
 from matcam.core.arrays import is_concrete, repeated, xp
 from matcam.core.arrays.module import Module
 from matcam.core.shading import Vector
-from matcam.numerics.sine import arcsine
+from matcam.numerics.elementary import arcsine
 
 if TYPE_CHECKING:
     from jax.typing import ArrayLike

@@ -19,7 +19,7 @@ from matcam.core.arrays import compiled_by_jax, first_axis_map, is_concrete, xp
 from matcam.core.arrays.module import Module
 from matcam.core.errors import ArgumentError
 from matcam.numerics.approximation import nodes_between, nodes_in_panels
-from matcam.numerics.lengths import plane_length
+from matcam.numerics.elementary import plane_length
 
 if TYPE_CHECKING:
     from jax.typing import ArrayLike

@@ -13,8 +13,8 @@ import numpy as np
 from matcam.camera.optics.optics import Optics, Rule, lsf_by_quadrature, piecewise_rule, psf_by_quadrature, reach_of
 from matcam.core import checks
 from matcam.core.arrays import compiled_by_jax, first_axis_map, is_concrete, xp
+from matcam.numerics.elementary import plane_length
 from matcam.numerics.jinc import jinc
-from matcam.numerics.lengths import plane_length
 
 if TYPE_CHECKING:
     from jax.typing import ArrayLike

@@ -15,7 +15,7 @@ import numpy as np
 
 from matcam.core.jax import jax, jnp
 from matcam.forward.integral.scene import Scene, highlight_x
-from matcam.numerics.lengths import plane_length
+from matcam.numerics.elementary import plane_length
 
 STEEPEST = 0.1
 """Smallest cosine of the view by which a patch around a highlight is stretched."""

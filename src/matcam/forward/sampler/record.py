@@ -19,7 +19,7 @@ from matcam.forward.sampler.plan import MOST_NODES, PlanPart, RecordPlaces, Reco
 from matcam.forward.sampler.smooth_light import record_inside
 from matcam.material.material import Material
 from matcam.numerics.blocks import in_blocks, repeated_sum, shaped
-from matcam.numerics.sine import sine
+from matcam.numerics.elementary import sine
 
 _BLOCKS, _ARCS, _SMOOTH = 32, 512, 256
 """Blocks of one call, and arcs, or pixels in smooth light, of a block: their arrays fit into a cache."""

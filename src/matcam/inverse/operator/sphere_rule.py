@@ -36,7 +36,7 @@ from matcam.inverse.operator.theta_nodes import (
     rise_of,
     stretched,
 )
-from matcam.numerics.sine import sine
+from matcam.numerics.elementary import sine
 
 _ARC = np.polynomial.legendre.leggauss(24)
 """Gauss-Legendre nodes on an arc."""
