@@ -118,7 +118,7 @@ def test_the_derivative_to_a_disc():
     (disc,), _ = lamp_discs(view, [blur_of(rig)], sharpest(blur_of(rig)), lamp_angle, at[0][:, 0], at[1][:, 0])
     rng = np.random.default_rng(1)
     x, y = at[0] + rng.uniform(-2, 2, (16, 8)), at[1] + rng.uniform(-2, 2, (16, 8))
-    normal = view.normals(x, y)
+    normal = view.on_sphere.normals(x, y)
 
     def total(radius):
         own = jax.tree.map(jnp.asarray, disc)._replace(radius=jnp.broadcast_to(radius, (16,)))

@@ -10,7 +10,6 @@ from matcam.numerics.approximation import (
     cubic_spline,
     cubic_sums,
     graded_nodes,
-    interpolated,
     lagrange_basis,
     nodes_between,
     nodes_in_panels,
@@ -74,15 +73,6 @@ def test_lagrange_is_exact_for_polynomials_and_has_derivatives_at_its_points():
         assert float(jax.grad(through)(x)) == pytest.approx(cubic.deriv()(x), abs=1e-12)
 
 
-def test_grids_are_interpolated_through_eight_points():
-    rows, columns = np.mgrid[0:12, 0:14] / 10.0
-    grids = jnp.asarray(np.stack([np.exp(rows - columns), np.cos(rows) * columns])[..., None])
-    row, column = jnp.asarray([4.3, 5.0]), jnp.asarray([6.7, 5.25])
-    value = interpolated(grids, jnp.asarray([0, 1]), row, column)[:, 0]
-    truth = [np.exp((4.3 - 6.7) / 10), np.cos(0.5) * 0.525]
-    np.testing.assert_allclose(value, truth, rtol=1e-9)
-
-
 @pytest.mark.parametrize("kind", [np.asarray, jnp.asarray], ids=["numpy", "jax"])
 def test_gauss_legendre_is_exact_to_its_order_on_every_panel(kind):
     power = 2 * 5 - 1
@@ -99,20 +89,6 @@ def test_graded_panels_follow_a_peak_and_the_sign_of_their_range():
         nodes, weights = graded_nodes(jnp.asarray(borders), jnp.asarray(1e-4), graded=12, order=8)
         value = float(jnp.sum(weights * jnp.exp(-jnp.abs(nodes) / 1e-4)))
         assert value == pytest.approx(sign * 1e-4, rel=1e-7)
-
-
-def test_interpolation_of_a_steep_function_is_nowhere_negative():
-    """A Gaussian of 2.5 steps, on which the polynomial alone ripples to -1e-9 of the peak at 6,318 of these places."""
-    at = np.arange(60.0)
-    grid = jnp.asarray(np.exp(-((at[:, None] - 30) ** 2 + (at - 30) ** 2) / 12.5)[None, ..., None])
-    row, column = (a.ravel() for a in np.meshgrid(np.linspace(5, 54, 120), np.linspace(5, 54, 120)))
-    which = jnp.zeros(row.size, dtype=int)
-    found = np.asarray(interpolated(grid, which, jnp.asarray(row), jnp.asarray(column)))[:, 0]
-    truth = np.exp(-((row - 30) ** 2 + (column - 30) ** 2) / 12.5)
-    assert found.min() > 0
-    np.testing.assert_allclose(found, truth, atol=1e-4)
-    signed = np.asarray(interpolated(-grid, which, jnp.asarray(row), jnp.asarray(column)))[:, 0]
-    assert signed.min() < -0.9
 
 
 def test_mixed_steps_end_where_plain_ones_creep():

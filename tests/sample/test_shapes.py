@@ -73,20 +73,6 @@ def test_the_limb_is_at_the_radius(shape, distance):
 
 
 @pytest.mark.parametrize("distance", DISTANCES)
-def test_a_window_holds_all_that_the_picture_shows_between_its_lines(distance):
-    sample, random = Sphere(200.0, distance), np.random.default_rng(2)
-    u = random.uniform(-0.7, 0.7, 40) * float(sample.visible(np.asarray(0.0)))
-    low = random.uniform(-190, 150, 40)
-    first, last = (np.asarray(end) for end in sample.window(low, low + 6, u))
-    v = np.linspace(-1, 1, 801)[:, None] * np.arccos(1 / distance)
-    element = sample.surface(u, v)
-    seen = sum(n * o for n, o in zip(element.normal, element.view, strict=True)) > 0
-    inside = np.asarray(seen & (element.y > low) & (element.y < low + 6))
-    assert inside.sum() > 100
-    assert ((first - 1e-9 <= v) & (v <= last + 1e-9))[inside].all()
-
-
-@pytest.mark.parametrize("distance", DISTANCES)
 def test_angles_have_their_place_and_the_place_has_these_angles(distance):
     sphere, random = Sphere(200.0, distance), np.random.default_rng(3)
     theta_h, theta_d = random.uniform(1e-3, 1.3, (2, 60))

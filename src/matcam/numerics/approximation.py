@@ -31,23 +31,6 @@ def nodes_in_panels(cuts: AnyValues, order: int) -> tuple[AnyValues, AnyValues]:
     return nodes.reshape(*nodes.shape[:-2], -1), weights.reshape(*nodes.shape[:-2], -1)
 
 
-def ascending(cuts: list[jax.Array], rows: int) -> jax.Array:
-    """Sort cuts in ascending order, on a trailing axis.
-
-    They are exchanged in pairs, because the sort of XLA takes a hundred times as long for few numbers at many
-    positions.
-
-    Args:
-        cuts: arrays of one shape; each of the first `rows` is at most the next.
-        rows: number of arrays that are in order.
-    """
-    for last in range(max(rows, 1), len(cuts)):
-        for place in range(last, 0, -1):
-            low, high = cuts[place - 1], cuts[place]
-            cuts = [*cuts[: place - 1], xp.minimum(low, high), xp.maximum(low, high), *cuts[place + 1 :]]
-    return xp.stack(xp.broadcast_arrays(*cuts), axis=-1)
-
-
 def graded_nodes(borders: jax.Array, scale: jax.Array, graded: int, order: int) -> tuple[jax.Array, jax.Array]:
     """Compute (nodes, weights) for a function that peaks at the first of `borders` on the scale `scale`.
 
@@ -76,10 +59,6 @@ def four_about(place: jax.Array, entries: int) -> tuple[jax.Array, list[jax.Arra
     return left.astype(int) - 1, lagrange_basis(np.arange(-1.0, 3.0), place - left)
 
 
-POINTS = 8
-"""Number of points per axis in `interpolated`; half of them must lie on either side."""
-
-
 def lagrange_basis(points: np.ndarray, at: Any) -> list[Any]:
     """Evaluate Lagrange's basis polynomials of `points` (n,) at the positions `at`: n arrays of its shape and kind.
 
@@ -93,30 +72,6 @@ def lagrange_basis(points: np.ndarray, at: Any) -> list[Any]:
         left.append(left[-1] * factors[k])
         right.append(right[-1] * factors[-1 - k])
     return [below * above / np.prod(row) for below, above, row in zip(left, right[::-1], differences, strict=True)]
-
-
-def interpolated(grids: jax.Array, which: jax.Array, row: jax.Array, column: jax.Array) -> jax.Array:
-    """Interpolate at fractional (row, column) of the grids numbered `which`.
-
-    If the points around a position are non-negative, so is the value: where a function falls by orders of magnitude
-    between points, the polynomial would oscillate about 0, and is replaced by the smallest of the points.
-
-    grids: (n, rows, columns, channels), the others (targets,). Shape (targets, channels).
-    """
-    first_row, row_weight = on_steps(row)
-    first_column, column_weight = on_steps(column)
-    steps = np.arange(POINTS)
-    patch = grids[
-        which[:, None, None], (first_row[:, None] + steps)[:, :, None], (first_column[:, None] + steps)[:, None, :]
-    ]
-    value, least = xp.einsum("trkc,tr,tk->tc", patch, row_weight, column_weight), xp.min(patch, axis=(1, 2))
-    return xp.where((value < 0) & (least >= 0), least, value)
-
-
-def on_steps(position: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Compute (index of the first point, weights (..., POINTS)) of Lagrange's polynomial at `position`, grid steps."""
-    first = xp.floor(position).astype(int) - (POINTS // 2 - 1)
-    return first, xp.stack(lagrange_basis(np.arange(float(POINTS)), position - first), axis=-1)
 
 
 def cubic_basis(place: jax.Array, count: int) -> jax.Array:

@@ -15,7 +15,6 @@ from matcam.sample.shape import (
     Curved,
     Element,
     Place,
-    angle_on_circle,
     checked_distance,
     depth_of,
     is_infinite,
@@ -174,43 +173,6 @@ class Sphere(Curved):
         """Return cos v."""
         return xp.cos(v)
 
-    def window(self, low: jax.Array, high: jax.Array, u: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Return the latitudes between two rows at longitude u, rad.
-
-        A margin of 5 % allows for the varying scale of a near camera.
-        """
-        middle, half = (low + high) / 2, (high - low) / 2 * xp.where(self.nearness > 0, 1.05, 1.0)
-        end = xp.arccos(self.nearness)
-        tilt = self.nearness * xp.cos(u)
-        first, last = (
-            xp.clip(angle_on_circle(y / self.stretch, y / self.stretch * tilt), -end, end)
-            for y in (middle - half, middle + half)
-        )
-        return first, last
-
-    def lit_rows(self, lamp_angle: jax.Array, lamp_nearness: ArrayLike) -> jax.Array:
-        """Return the largest lit and visible latitude, rad.
-
-        At this latitude the limb or the terminator ends, or they meet. Where they meet, the angles with cosines
-        q / cos v and w / cos v add up to the angle of the lamp.
-        """
-        q, w, cosine, sine = self.nearness, xp.asarray(lamp_nearness), xp.cos(lamp_angle), xp.sin(lamp_angle)
-        sine = xp.where(sine > 0, sine, 1.0)
-        meet2 = (q**2 + w**2 - 2 * q * w * cosine) / sine**2
-        meets = (q * w > cosine * meet2) & (meet2 < 1)
-        ends = xp.maximum(q, w)
-        return xp.arccos(xp.where(meets, xp.maximum(xp.sqrt(xp.where(meets, meet2, 1.0)), ends), ends))
-
-    def rows(self, x: jax.Array, y: jax.Array, reach: ArrayLike) -> tuple[jax.Array, jax.Array]:
-        """Return the latitudes close to an image position, rad.
-
-        The interval ends where the limb leaves these columns.
-        """
-        low, high = self.window(y - reach, y + reach, self.across(x, xp.zeros_like(x)))
-        share = xp.clip((xp.abs(x) - reach) / self.radius, 0, 1)
-        end = xp.arcsin(xp.sqrt((1 - self.nearness**2) * (1 - share) * (1 + share)))
-        return xp.clip(low, -end, end), xp.clip(high, -end, end)
-
     def _turn_across(self, half_vector: jax.Array) -> jax.Array:
         return 1 + half_vector
 
@@ -291,23 +253,6 @@ class Cylinder(Curved):
     def section(self, v: jax.Array) -> jax.Array:
         """Return 1, because the section is constant."""
         return xp.ones_like(v)
-
-    def window(self, low: jax.Array, high: jax.Array, u: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Return the interval along the axis between two rows, in radii.
-
-        A margin of 5 % allows for the varying scale of a near camera.
-        """
-        scale = self.stretch / (1 - self.nearness * xp.cos(u))
-        middle, half = (low + high) / 2, (high - low) / 2 * xp.where(self.nearness > 0, 1.05, 1.0)
-        return (middle - half) / scale, (middle + half) / scale
-
-    def lit_rows(self, lamp_angle: jax.Array, lamp_nearness: ArrayLike) -> jax.Array:
-        """Return infinity, because limb and terminator are straight."""
-        return xp.full_like(lamp_angle, xp.inf)
-
-    def rows(self, x: jax.Array, y: jax.Array, reach: ArrayLike) -> tuple[jax.Array, jax.Array]:
-        """Return the interval along the axis close to an image position."""
-        return self.window(y - reach, y + reach, self.across(x, xp.zeros_like(x)))
 
     def _element(self, n_x: jax.Array, n_z: jax.Array, v: jax.Array) -> tuple[Element, jax.Array]:
         zero = xp.zeros(())

@@ -196,35 +196,6 @@ class Curved(Sample):
         """
 
     @abstractmethod
-    def window(self, low: jax.Array, high: jax.Array, u: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Return the interval of v between two rows of the image.
-
-        Args:
-            low: first row, y in px.
-            high: last row, y in px.
-            u: angle of the normal around which the interval must be valid, rad.
-        """
-
-    @abstractmethod
-    def lit_rows(self, lamp_angle: jax.Array, lamp_nearness: ArrayLike) -> jax.Array:
-        """Return the largest |v| that is visible and lit by a near lamp.
-
-        Args:
-            lamp_angle: angle between lamp and optical axis, rad.
-            lamp_nearness: inverse of the lamp's distance, 1/radii.
-        """
-
-    @abstractmethod
-    def rows(self, x: jax.Array, y: jax.Array, reach: ArrayLike) -> tuple[jax.Array, jax.Array]:
-        """Return the interval of v close to an image position.
-
-        Args:
-            x: position in the image, px.
-            y: position in the image, px.
-            reach: distance in both directions, px.
-        """
-
-    @abstractmethod
     def height(self, element: Element) -> jax.Array:
         """Return the distance of surface elements from the plane of x and the axis, radii.
 

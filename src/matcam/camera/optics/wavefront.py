@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from matcam.core.arrays import compiled_by_jax, first_axis_map, xp
-from matcam.numerics.approximation import POINTS, lagrange_basis
+from matcam.numerics.approximation import lagrange_basis
 
 if TYPE_CHECKING:
     from matcam.core.jax import AnyArray, jax
@@ -31,7 +31,9 @@ _NODES_AT_ONCE = 1 << 20
 _PHASES = (0, 1, 2, 4, 6, 8, 12, 16)  # rad
 LARGEST_PHASE = _PHASES[-1]
 """Largest error of a wavefront for which the quadratures are accurate, rad."""
-_BEYOND = POINTS // 2
+_POINTS = 8
+"""Number of points per axis between which a table is interpolated."""
+_BEYOND = _POINTS // 2
 """Steps by which a table extends beyond its ends."""
 
 
@@ -155,16 +157,16 @@ def _fineness(phase: int) -> tuple[int, int]:
 def from_table(table: jax.Array, phase: int, end: jax.Array, angle: jax.Array) -> jax.Array:
     """Interpolate the transfer function at end in [0, pi/2] and any angle, rad, (n,), in a table."""
     fine, round_fine = _fineness(phase)
-    flat, width, steps = table.ravel(), table.shape[1], np.arange(POINTS)
+    flat, width, steps = table.ravel(), table.shape[1], np.arange(_POINTS)
     row, column = (
         end * (fine / (np.pi / 2)) + _BEYOND,
         xp.mod(angle, 2 * xp.pi) * (round_fine / (2 * np.pi)) + _BEYOND,
     )
 
     def at(*place: jax.Array) -> jax.Array:
-        first = [xp.floor(a).astype(int) - (POINTS // 2 - 1) for a in place]
+        first = [xp.floor(a).astype(int) - (_POINTS // 2 - 1) for a in place]
         down, across = (
-            xp.stack(lagrange_basis(np.arange(float(POINTS)), a - one), axis=-1)
+            xp.stack(lagrange_basis(np.arange(float(_POINTS)), a - one), axis=-1)
             for a, one in zip(place, first, strict=True)
         )
         index = (first[0][:, None] + steps)[:, :, None] * width + (first[1][:, None] + steps)[:, None, :]

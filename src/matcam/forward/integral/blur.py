@@ -279,10 +279,6 @@ class Blur(eqx.Module):
             g8 + 28 * g6 * p2 + 70 * g4 * p4 + 28 * g2 * p6 + p8,
         )
 
-    def in_focus(self) -> Blur:
-        """Return the blur without the discs of a lens out of focus."""
-        return dataclasses.replace(self, chords=0)
-
     def of_point(self) -> Blur:
         """Return the blur under a point source."""
         varies = self.chords > 0 or not (is_concrete(self.aperture) and float(self.aperture) == 0)
@@ -299,16 +295,6 @@ class BlurTerms(eqx.Module):
 
     blur: Blur
     terms: tuple[int, ...] = eqx.field(static=True)
-
-    @property
-    def weight(self) -> jax.Array:
-        """Return the share of these terms in the blur."""
-        return sum((self.blur.share(term) for term in self.terms), jnp.zeros(()))
-
-    @property
-    def of_rest(self) -> bool:
-        """Check whether these terms are the residual of the Gaussians, which passes no constant light."""
-        return all(map(self.blur.is_rest, self.terms))
 
 
 def std_of_half(weights: np.ndarray, stds: np.ndarray) -> float:

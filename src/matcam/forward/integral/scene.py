@@ -106,13 +106,6 @@ class Scene(eqx.Module):
         area = element.area if strength is None else element.area * strength
         return light * (area[..., None] if jnp.ndim(area) else area)
 
-    def flat_field(self, element: Element) -> jax.Array:
-        """Compute `sent` for a surface of radiance 1 everywhere.
-
-        The result has no channels, and includes unlit surface.
-        """
-        return self.seen(element).cos_o * element.area
-
     def channels(self) -> int:
         """Number of channels of the material."""
         return jax.eval_shape(_sent_at_centre, self.material, self.sample, self.lamp_nearness).shape[-1]

@@ -7,11 +7,15 @@ from typing import NamedTuple
 import numpy as np
 
 from matcam.core.jax import jax, jnp
+from matcam.core.programs import kept_program
+from matcam.numerics.blocks import in_blocks, in_calls
 
 LONGEST = 2 * np.pi / 3 + 1e-9
 """Length of an arc, rad, above which it is divided."""
 _SHORTEST = 1e-14
 """Length of an arc, rad, below which it is dropped as a rounding error."""
+CHUNK = 1024
+"""Largest number of windows of one call."""
 _TINY = 1e-300
 _TURN = 2 * np.pi
 _WHOLE = np.pi - 1e-9
@@ -49,7 +53,7 @@ class Clips(NamedTuple):
         return cls(axial, np.hypot(along, across), np.arctan2(across, along), offset)
 
 
-def gaps(
+def _gaps(
     axial: jax.Array, radial: jax.Array, azimuth: jax.Array, offset: jax.Array, circle: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
     """Compute start and length of the parts of circles inside all half-spaces, (..., half-spaces), rad; length 0: none.
@@ -83,7 +87,26 @@ def gaps(
     return end, jnp.where(length > _SHORTEST, length, 0.0)
 
 
-class Pieces(NamedTuple):
+@kept_program
+def _gap_blocks(used: jax.Array, rows: tuple[jax.Array, ...], clips: Clips) -> tuple[jax.Array, jax.Array]:
+    def block(arguments):  # type: ignore[no-untyped-def]
+        window, circle = arguments
+        return _gaps(*(a[window] for a in clips), circle)
+
+    return in_blocks(block, used, rows)
+
+
+def gaps_of(clips: Clips, window: np.ndarray, circle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Compute start and length of the parts of circles inside their windows, (circles, half-spaces), rad."""
+    if not circle.size:
+        return (np.zeros((0, clips.axial.shape[1])),) * 2
+    more = CHUNK - clips.axial.shape[0]
+    padded = Clips(*(np.pad(a, ((0, more), (0, 0)), mode="edge") for a in clips))
+    start, length = in_calls(_gap_blocks, (window, circle), padded)
+    return start, length
+
+
+class Arcs(NamedTuple):
     """Arcs of at most `LONGEST`, arrays of shape (arcs,).
 
     Attributes:
@@ -97,11 +120,11 @@ class Pieces(NamedTuple):
     half: np.ndarray
 
 
-def divided(start: np.ndarray, length: np.ndarray) -> Pieces:
+def divided(start: np.ndarray, length: np.ndarray) -> Arcs:
     """Divide the parts of circles, (circles, half-spaces), into arcs."""
     circle, part = np.nonzero(length)
     start, length = start[circle, part], length[circle, part]
     count = np.ceil(length / LONGEST).astype(int)
     circle, start, step = (np.repeat(a, count) for a in (circle, start, length / count))
     number = np.arange(circle.size) - np.repeat(np.cumsum(count) - count, count)
-    return Pieces(circle, start + (number + 0.5) * step, step / 2)
+    return Arcs(circle, start + (number + 0.5) * step, step / 2)

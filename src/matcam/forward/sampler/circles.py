@@ -22,7 +22,7 @@ import numpy as np
 
 from matcam.core.jax import jax, jnp
 from matcam.core.programs import kept_program
-from matcam.forward.sampler.arcs import Clips, Frame, Pieces, divided, gaps
+from matcam.forward.sampler.arcs import Arcs, Clips, Frame, divided, gaps_of
 from matcam.forward.sampler.windows import SphereView, Windows
 from matcam.numerics.blocks import in_blocks, in_calls
 
@@ -50,8 +50,6 @@ _PROBES = (1 - np.cos(np.pi * np.arange(25) / 24)) / 2
 """Positions in a range of angles at which circles with arcs are searched, denser towards the ends."""
 _NEWTON = 5
 """Number of Newton steps for theta from t: the relative error is then 1e-13."""
-CHUNK = 1024
-"""Number of windows of one call."""
 
 
 class Circles(NamedTuple):
@@ -81,7 +79,7 @@ class CircleLayout(NamedTuple):
     frame: Frame
     highlight: np.ndarray
     circles: Circles
-    arcs: Pieces
+    arcs: Arcs
 
 
 class _Spans(NamedTuple):
@@ -107,7 +105,7 @@ class _Spans(NamedTuple):
 
 
 def lay_circles(view: SphereView, windows: Windows, finest: float, fineness: float) -> CircleLayout:
-    """Lay circles over at most `CHUNK` windows, and find their arcs.
+    """Lay circles over at most `arcs.CHUNK` windows, and find their arcs.
 
     Args:
         view: the sphere and the distances of camera and lamp.
@@ -117,12 +115,12 @@ def lay_circles(view: SphereView, windows: Windows, finest: float, fineness: flo
     """
     border = windows.border(view)
     ends = _ends_inside(view, windows, border)
-    about, across = _about_highlight(windows), _across_radius(windows)
+    about, across = about_highlight(windows), _across_radius(windows)
     peak = about.axis
     inside = windows.contains(view, peak)
-    from_peak = _angle(about, border)
+    from_peak = angles_from_axis(about, border)
     nearest, farthest = np.where(inside, 0.0, from_peak.min(-1)), from_peak.max(-1)
-    polar = _angle(across, border)
+    polar = angles_from_axis(across, border)
     first, last = polar.min(-1), polar.max(-1)
     along = np.arctan2(_dot(across.second, border), border[2])
     length, width = np.ptp(along, axis=-1), last - first
@@ -145,7 +143,7 @@ def lay_circles(view: SphereView, windows: Windows, finest: float, fineness: flo
     touching = np.where(ends[:, None], _touching(view, windows, frame), np.nan)
     spans = _spans(np.where(both, side, np.nan), touching, (low, high), scale, pitches)
     circles = _nodes(spans)
-    arcs = divided(*_gaps_of(clips, circles.window, circles.angle))
+    arcs = divided(*gaps_of(clips, circles.window, circles.angle))
     return CircleLayout(frame, np.where(strip, nearest, np.inf), circles, arcs)
 
 
@@ -155,7 +153,8 @@ def _ends_inside(view: SphereView, windows: Windows, border: np.ndarray) -> np.n
     return np.any((border[2] < view.camera + _AT_END) | (lit < view.lamp + _AT_END), axis=1)
 
 
-def _about_highlight(windows: Windows) -> Frame:
+def about_highlight(windows: Windows) -> Frame:
+    """Return the frame whose circles run around the normal of the highlight; azimuth 0 is in the plane of camera and lamp."""
     sine, cosine, zero = np.sin(windows.peak), np.cos(windows.peak), np.zeros(windows.peak.size)
     return Frame(np.stack([sine, zero, cosine]), np.stack([cosine, zero, -sine]), np.stack([zero, zero + 1, zero]))
 
@@ -173,7 +172,7 @@ def _dot(vector: np.ndarray, others: np.ndarray) -> np.ndarray:
     return np.sum(vector.reshape(*vector.shape, *[1] * (others.ndim - 2)) * others, axis=0)
 
 
-def _angle(frame: Frame, normals: np.ndarray) -> np.ndarray:
+def angles_from_axis(frame: Frame, normals: np.ndarray) -> np.ndarray:
     """Compute the angles of normals, (3, windows, points), from the axis, rad, without loss of digits."""
     return np.arctan2(np.hypot(_dot(frame.first, normals), _dot(frame.second, normals)), _dot(frame.axis, normals))
 
@@ -184,7 +183,7 @@ def _with_arcs(clips: Clips, low: np.ndarray, high: np.ndarray, ends: np.ndarray
     if not index.size:
         return low, high
     angle = low[index, None] + (high - low)[index, None] * _PROBES
-    _, length = _gaps_of(clips, np.repeat(index, _PROBES.size), angle.ravel())
+    _, length = gaps_of(clips, np.repeat(index, _PROBES.size), angle.ravel())
     seen = np.any(length > 0, axis=-1).reshape(angle.shape)
     first = np.maximum(seen.argmax(1) - 1, 0)
     last = np.minimum(_PROBES.size - seen[:, ::-1].argmax(1), _PROBES.size - 1)
@@ -303,22 +302,3 @@ def _angles(used: jax.Array, spans: tuple[jax.Array, ...]) -> tuple[jax.Array, j
         return angle, rate / slope(angle)
 
     return in_blocks(block, used, spans)
-
-
-@kept_program
-def _gap_blocks(used: jax.Array, rows: tuple[jax.Array, ...], clips: Clips) -> tuple[jax.Array, jax.Array]:
-    def block(arguments):  # type: ignore[no-untyped-def]
-        window, circle = arguments
-        return gaps(*(a[window] for a in clips), circle)
-
-    return in_blocks(block, used, rows)
-
-
-def _gaps_of(clips: Clips, window: np.ndarray, circle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Compute start and length of the parts of circles inside their windows, (circles, half-spaces), rad."""
-    if not circle.size:
-        return (np.zeros((0, clips.axial.shape[1])),) * 2
-    more = CHUNK - clips.axial.shape[0]
-    padded = Clips(*(np.pad(a, ((0, more), (0, 0)), mode="edge") for a in clips))
-    start, length = in_calls(_gap_blocks, (window, circle), padded)
-    return start, length

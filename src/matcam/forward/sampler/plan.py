@@ -17,7 +17,8 @@ from matcam.forward.integral.blur import Imaging
 from matcam.forward.integral.blur_groups import BlurGroup, groups_of
 from matcam.forward.integral.rest_at_limb import LimbRule, limb_rule
 from matcam.forward.integral.scene import Turn
-from matcam.forward.sampler.circles import CHUNK, COARSEST, CircleLayout, lay_circles
+from matcam.forward.sampler.arcs import CHUNK
+from matcam.forward.sampler.circles import COARSEST, CircleLayout, lay_circles
 from matcam.forward.sampler.windows import SphereView, Windows
 from matcam.numerics.blocks import in_blocks, in_calls
 
@@ -168,7 +169,9 @@ def _pixels(imaging: Imaging, places: RecordPlaces, half: float) -> Windows:
     lamps, which = np.unique(places.lamp_angle, return_inverse=True)
     peaks = np.asarray(_highlights(imaging, lamps))[which] if size else np.zeros(0)
     x, y = (np.asarray(a, dtype=float) for a in places[:2])
-    return Windows(x, y, places.lamp_angle, peaks, np.asarray(turn.cosine), np.asarray(turn.sine), half)
+    return Windows(
+        x, y, places.lamp_angle, peaks, np.asarray(turn.cosine), np.asarray(turn.sine), np.full((2, size), half)
+    )
 
 
 def _highlights(imaging: Imaging, lamps: np.ndarray) -> np.ndarray:
@@ -187,7 +190,7 @@ def _highlight_blocks(used: jax.Array, rows: tuple[jax.Array, ...], imaging: Ima
 def _near(view: SphereView, pixels: Windows, distance: float) -> np.ndarray:
     """Find pixels within a square around the highlight of half side `distance`, px."""
     peak = np.stack([np.sin(pixels.peak), np.zeros(pixels.x.size), np.cos(pixels.peak)])
-    return pixels.contains(view, peak, distance)
+    return pixels._replace(half=np.full_like(pixels.half, distance)).contains(view, peak)
 
 
 def _crowded(view: SphereView, pixels: Windows) -> np.ndarray:
@@ -195,13 +198,13 @@ def _crowded(view: SphereView, pixels: Windows) -> np.ndarray:
     n_x, n_y, n_z = view.normals(*pixels.to_lamp(pixels.x, pixels.y))
     sine, cosine = np.sin(pixels.peak), np.cos(pixels.peak)
     between = np.arctan2(np.hypot(n_x * cosine - n_z * sine, n_y), n_x * sine + n_z * cosine)
-    return between < 2 * pixels.half / (view.radius * np.maximum(n_z - view.camera, _GRAZING))
+    return between < 2 * pixels.half[0] / (view.radius * np.maximum(n_z - view.camera, _GRAZING))
 
 
 def _dark(view: SphereView, pixels: Windows) -> np.ndarray:
     """Find pixels whose kernel certainly contains no visible and lit surface."""
     x, y = pixels.to_lamp(pixels.x, pixels.y)
-    off, corner = np.hypot(x, y), np.sqrt(2) * pixels.half
+    off, corner = np.hypot(x, y), np.sqrt(2) * pixels.half[0]
     sine, cosine = np.sin(pixels.lamp), np.cos(pixels.lamp)
     inner, outer = (view.normals(np.maximum(off + side * corner, 0.0), 0 * off)[2] for side in (-1, 1))
     depth = np.where(cosine > 0, inner, outer)
@@ -245,14 +248,14 @@ def _rest_beside(
     The effect of a terminator, where light starts at 0, on the residual is at most 2e-5 of the peak. A terminator beside the
     limb counts only if the light is a thin crescent.
     """
-    index, reach = np.flatnonzero(places), pixels.half
+    index = np.flatnonzero(places)
     limb, dim = np.zeros_like(places), np.zeros_like(places)
-    own = pixels.at(index)
+    own, reach = pixels.at(index), float(pixels.half.max(initial=0.0))
     off = np.hypot(own.x, own.y)
     # positions beyond the limb are replaced by the nearest ones inside
     inside = np.minimum(1.0, (view.radius - _NO_CRESCENT * reach) / np.maximum(off, 1e-9))
-    bright = _clear(imaging, own._replace(x=own.x * inside, y=own.y * inside), _NO_CRESCENT * reach * (1 - 1e-9))
-    sees = off > view.radius - reach
+    inner = own._replace(x=own.x * inside, y=own.y * inside)
+    bright, sees = _clear(imaging, inner, _NO_CRESCENT * reach * (1 - 1e-9)), off > view.radius - reach
     limb[index], dim[index] = sees & bright, ~sees
     return limb, dim
 
@@ -283,9 +286,10 @@ def _nodes_on_arcs(
 ) -> np.ndarray:
     """Choose the number of nodes of each arc."""
     circle, _, half = layout.arcs
-    highlight = layout.highlight[layout.circles.window[circle]]
+    window = layout.circles.window[circle]
+    highlight = layout.highlight[window]
     length = 2 * half * np.sin(layout.circles.angle[circle])
-    sides = np.minimum(length * view.radius / (2 * windows.half), _LONGEST)
+    sides = np.minimum(length * view.radius / (2 * windows.half[0, window]), _LONGEST)
     distances = np.where(np.isfinite(highlight), length / highlight, 2 * half * (elongation - 1))
     needed = np.maximum(
         _ON_ARC + _ON_FULL_ARC * fineness * sides, _BESIDE + _PER_DISTANCE * np.minimum(distances, _MOST_DISTANCES)

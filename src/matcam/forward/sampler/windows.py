@@ -54,7 +54,7 @@ class Windows(NamedTuple):
         peak: angle between the normal of the highlight and the optical axis, rad.
         cosine: cosine of the azimuth of the lamp.
         sine: sine of the azimuth of the lamp.
-        half: half of the side, px; one for all.
+        half: half of the sides along x and y, px, (2, windows).
     """
 
     x: np.ndarray
@@ -63,11 +63,11 @@ class Windows(NamedTuple):
     peak: np.ndarray
     cosine: np.ndarray
     sine: np.ndarray
-    half: float = 0.0
+    half: np.ndarray
 
     def at(self, index: np.ndarray | slice) -> Windows:
         """Return the windows at indices."""
-        return self._replace(**{name: getattr(self, name)[index] for name in self._fields[:-1]})
+        return Windows(*(a[..., index] for a in self))
 
     def to_lamp(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Rotate positions of the sensor, (windows, ...), to axes whose x axis points towards the lamp."""
@@ -76,26 +76,27 @@ class Windows(NamedTuple):
 
     def border(self, view: SphereView) -> np.ndarray:
         """Compute normals along the border of each window, or on the limb where it is outside, (3, windows, points)."""
-        x, y = (a[:, None] + self.half * offset for a, offset in zip((self.x, self.y), _BORDER.T, strict=True))
+        sides = zip((self.x, self.y), self.half, _BORDER.T, strict=True)
+        x, y = (centre[:, None] + half[:, None] * offset for centre, half, offset in sides)
         return np.stack(view.normals(*self.to_lamp(x, y)))
 
-    def contains(self, view: SphereView, normal: np.ndarray, half: float | None = None) -> np.ndarray:
-        """Check whether the image of a normal lies in the window. half: of another side, px."""
+    def contains(self, view: SphereView, normal: np.ndarray) -> np.ndarray:
+        """Check whether the image of a normal lies in the window."""
         scale = view.stretch / (1 - view.camera * normal[2])
         x = scale * (normal[0] * self.cosine - normal[1] * self.sine)
         y = scale * (normal[0] * self.sine + normal[1] * self.cosine)
-        half = self.half if half is None else half
-        return (np.abs(x - self.x) < half) & (np.abs(y - self.y) < half)
+        return (np.abs(x - self.x) < self.half[0]) & (np.abs(y - self.y) < self.half[1])
 
     def half_spaces(self, view: SphereView) -> tuple[np.ndarray, np.ndarray]:
         """Compute a, (3, windows, 6), and b, (windows, 6): limb, terminator, and the four sides."""
         zero, one = np.zeros(self.x.size), np.ones(self.x.size)
         normals = [(zero, zero, -one), (-np.sin(self.lamp), zero, -np.cos(self.lamp))]
         offsets = [-view.camera * one, -view.lamp * one]
-        for centre, along, across in ((self.x, self.cosine, -self.sine), (self.y, self.sine, self.cosine)):
+        axes = (self.x, self.cosine, -self.sine), (self.y, self.sine, self.cosine)
+        for (centre, along, across), half in zip(axes, self.half, strict=True):
             for side in (1, -1):
                 # the image of a normal lies at stretch (n_x, n_y) / (1 - q n_z)
-                end = side * centre + self.half
+                end = side * centre + half
                 normals.append((side * view.stretch * along, side * view.stretch * across, view.camera * end))
                 offsets.append(end)
         return np.stack([np.stack(component, -1) for component in zip(*normals, strict=True)]), np.stack(offsets, -1)

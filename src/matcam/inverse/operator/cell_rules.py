@@ -17,13 +17,19 @@ from matcam.core.threads import available_cores, in_order
 from matcam.forward.integral.blur import Blur, blur_of, std_of_half
 from matcam.forward.integral.blur_groups import groups_of
 from matcam.inverse.operator.chosen_cells import ChosenCells
-from matcam.inverse.operator.circle_arcs import SpherePixels
 from matcam.inverse.operator.cylinder_rule import CylinderRule, LinePixels, cylinder_rule, line_window
 from matcam.inverse.operator.lamp_lines import LampDisc, lamp_discs
 from matcam.inverse.operator.line_rule import ARMS, ImagePlaces, line_rule
 from matcam.inverse.operator.rig_axes import Axis, MovedBlur, along_axes, blurs_along, change_kernels
 from matcam.inverse.operator.sample_view import SampleView, sample_view
-from matcam.inverse.operator.sphere_rule import Kernel, SphereRule, kernel_reach, sphere_range, sphere_rule
+from matcam.inverse.operator.sphere_rule import (
+    Kernel,
+    SpherePixels,
+    SphereRule,
+    kernel_reach,
+    sphere_range,
+    sphere_rule,
+)
 from matcam.inverse.operator.theta_nodes import (
     NODES,
     PIECE,
@@ -209,7 +215,7 @@ def _variances(
 ) -> tuple[np.ndarray, ...]:
     """Compute the variances that lamp, focus and a stretch add along x and y, px^2. more: those of the stretch."""
     x, y, lamp_angle = pixels
-    spread = blur.spread(rig.sample, view.normals(x, y)[2], lamp_angle, rig.lamp.nearness)  # type: ignore[arg-type]
+    spread = blur.spread(rig.sample, view.on_sphere.normals(x, y)[2], lamp_angle, rig.lamp.nearness)  # type: ignore[arg-type]
     return tuple(np.broadcast_to(v, x.shape) + one for v, one in zip(spread[:2], more, strict=True))
 
 
@@ -283,7 +289,7 @@ def _widest_disc(view: SampleView, blur: Blur, x: np.ndarray, y: np.ndarray, std
         return np.zeros(x.shape)
 
     def disc(off: np.ndarray) -> np.ndarray:
-        depth = view.normals(np.clip(off, 0, _INSIDE * view.radius), np.zeros(off.shape))[2]
+        depth = view.on_sphere.normals(np.clip(off, 0, _INSIDE * view.radius), np.zeros(off.shape))[2]
         return np.abs(np.asarray(blur.defocus(view.radius, depth)))
 
     off, everywhere = np.hypot(x, y), disc(np.array([0.0, view.radius])).max()

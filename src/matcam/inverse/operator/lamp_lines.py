@@ -206,7 +206,7 @@ def _moved(
         return (farthest[:1], farthest[:1]), farthest
     radius = np.maximum(float(blur.lamp_radius), _SMALLEST)
     peak = _highlights(view, 0.0, 0.0, radius, lamp_angle)[0]
-    seen = view.normals(x, y)
+    seen = view.on_sphere.normals(x, y)
     at_peak: list[list[np.ndarray]] = []
     for angle in _ROUND:
         to = _highlights(view, np.cos(angle), np.sin(angle), radius, lamp_angle)[0]

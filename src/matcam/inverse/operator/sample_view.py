@@ -12,7 +12,7 @@ from matcam.core.errors import ArgumentError
 from matcam.core.grid import azimuth_of, sample_of
 from matcam.core.jax import jax, jnp
 from matcam.forward.integral.scene import highlight_x
-from matcam.forward.pixel_grid import turned
+from matcam.forward.sampler.windows import SphereView
 from matcam.lamp.lamps import closeness
 from matcam.rigs import Rig
 from matcam.sample.curved import Cylinder, Sphere
@@ -20,7 +20,6 @@ from matcam.sample.shape import Place
 
 BOTH_WAYS = np.array([0.0, np.pi])
 """Angles that are added to phi_d: an image shows a cell on the side of the lamp and on the opposite side."""
-Normals = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
 class SampleView(NamedTuple):
@@ -56,7 +55,7 @@ class SampleView(NamedTuple):
     @property
     def stretch(self) -> float:
         """Return the scale at the depth of the sphere's centre, px per radius."""
-        return self.radius * (1 - self.camera**2) ** 0.5
+        return self.on_sphere.stretch
 
     @property
     def sphere(self) -> Sphere:
@@ -111,13 +110,10 @@ class SampleView(NamedTuple):
         along, across = (np.asarray(a) for a in self.sphere.px_per_rad(jnp.asarray(theta_d), self.lamp))
         return along * across * self.irradiance(np.cos(theta_d)) / np.cos(theta_d)
 
-    def normals(self, x: np.ndarray, y: np.ndarray) -> Normals:
-        """Compute the normals at positions in the image of the sphere."""
-        x, y, q = x / self.stretch, y / self.stretch, self.camera
-        square = x**2 + y**2
-        n_z = (square * q + np.sqrt(np.maximum(1 + square * (q**2 - 1), 0))) / (1 + square * q**2)
-        depth = 1 - q * n_z
-        return x * depth, y * depth, n_z
+    @property
+    def on_sphere(self) -> SphereView:
+        """Return the sphere and the distances without the azimuth."""
+        return SphereView(self.radius, self.camera, self.lamp)
 
 
 _ONE_AZIMUTH = 1e-6
@@ -157,29 +153,6 @@ def rig_behind(table: xr.DataArray, rig: Rig) -> Rig:
             f"lamp_azimuth must be the table's own, attrs['lamp_azimuth'] = {stated:g} rad, or None, got {own:g} rad"
         )
     return rig
-
-
-def square_border(
-    radius: float, x: np.ndarray, y: np.ndarray, reach: np.ndarray, rows: np.ndarray, azimuth: float = 0.0
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return points (..., 100) along rectangles about positions, px; on the limb where they leave it.
-
-    reach, rows: half their sides, px. azimuth: of the axes relative to the first sides, rad.
-    """
-    t = np.linspace(-1, 1, 25)
-    border = np.concatenate([np.stack([t, s + 0 * t], -1) for s in (-1, 1)])
-    border = np.concatenate([border, border[:, ::-1]])
-    sides = turned(reach[..., None] * border[:, 0], rows[..., None] * border[:, 1], -azimuth)
-    at_x, at_y = (c[..., None] + offset for c, offset in zip((x, y), sides, strict=True))
-    out = np.maximum(np.hypot(at_x, at_y) / (radius * (1 - 1e-12)), 1.0)
-    return at_x / out, at_y / out
-
-
-def angles_between(one: Normals, other: Normals) -> np.ndarray:
-    """Compute the angles between unit vectors, rad, without loss of digits."""
-    cross = [one[i] * other[j] - one[j] * other[i] for i, j in ((1, 2), (2, 0), (0, 1))]
-    length = np.sqrt(cross[0] ** 2 + cross[1] ** 2 + cross[2] ** 2)
-    return np.arctan2(length, one[0] * other[0] + one[1] * other[1] + one[2] * other[2])
 
 
 @jax.jit

@@ -6,7 +6,7 @@ A pixel records the integral over the visible, lit part of the sphere, in polar 
 
 with the kernel k, the scale s of the image, the nearness q of the camera, and the lengths |v| and |l| of the vectors to
 camera and lamp in units of their distances (docs/model.md 3 and 10; all factors but s are 1 in a distant rig). Nodes
-lie on arcs of circles about the highlight inside the window of the pixel (`circle_arcs.py`). Their weights are
+lie on arcs of circles about the highlight inside the window of the pixel (`forward/sampler/arcs.py`). Their weights are
 transferred to few nodes in theta_h (`theta_nodes.py`), at which a lobe is evaluated. Everything else depends on the rig
 alone.
 
@@ -24,9 +24,11 @@ import numpy as np
 from matcam.core.jax import jax, jit_plainly, jnp
 from matcam.forward.integral.blur import Blur, Spread
 from matcam.forward.pixel_grid import turned
-from matcam.inverse.operator.circle_arcs import Arcs, SpherePixels, circle_arcs
+from matcam.forward.sampler.arcs import CHUNK, Arcs, Clips, divided, gaps_of
+from matcam.forward.sampler.circles import about_highlight, angles_from_axis
+from matcam.forward.sampler.windows import Windows
 from matcam.inverse.operator.lamp_lines import LampDisc, lamp_kernel
-from matcam.inverse.operator.sample_view import SampleView, angles_between, square_border
+from matcam.inverse.operator.sample_view import SampleView
 from matcam.inverse.operator.theta_nodes import (
     FROM_MOMENTS,
     NODES,
@@ -50,6 +52,30 @@ _SLACK = 0.02
 """Share by which the range of angles on the border of a window is widened."""
 _OUTSIDE = 1.1
 """Largest position beyond the nodes, in [-1, 1], at which a weight is kept."""
+
+
+class SpherePixels(NamedTuple):
+    """Pixels of images of a sphere, arrays of shape (pixels,).
+
+    Attributes:
+        x: distance from the optical axis along the plane of camera and lamp, towards the lamp, px.
+        y: the same across that plane, px.
+        lamp_angle: angle between lamp and optical axis, rad.
+        highlight: angle between the normal of the highlight and the optical axis, rad.
+        factor: factor of the record, no unit.
+    """
+
+    x: np.ndarray
+    y: np.ndarray
+    lamp_angle: np.ndarray
+    highlight: np.ndarray
+    factor: np.ndarray
+
+    def windows(self, view: SampleView, reach: np.ndarray) -> Windows:
+        """Return the windows of the pixels. reach: half sides along the pixel's two axes, (2, pixels), px."""
+        x, y = turned(self.x, self.y, view.azimuth)
+        cosine, sine = (np.full(self.x.size, part(view.azimuth)) for part in (np.cos, np.sin))
+        return Windows(x, y, self.lamp_angle, self.highlight, cosine, sine, reach)
 
 
 class Kernel(NamedTuple):
@@ -102,17 +128,14 @@ def sphere_range(view: SampleView, pixels: SpherePixels, reach: np.ndarray) -> t
 
     The extremes lie on the border of the window, or on the limb where it leaves the sphere.
     """
-    normal = view.normals(*square_border(view.radius, pixels.x, pixels.y, reach[0], reach[1], view.azimuth))
-    peak = np.sin(pixels.highlight), 0 * pixels.x, np.cos(pixels.highlight)
-    circle = angles_between(normal, tuple(a[..., None] for a in peak))  # type: ignore[arg-type]
-    lamp = pixels.lamp_angle[..., None]
-    at = view.stretch * peak[0] / (1 - view.camera * peak[2])
-    off = np.abs(turned(at - pixels.x, -pixels.y, view.azimuth))
-    inside = (off[0] < reach[0]) & (off[1] < reach[1])
-    own = _between(circle, inside)
+    windows = pixels.windows(view, reach)
+    normals, frame = windows.border(view.on_sphere), about_highlight(windows)
+    inside = windows.contains(view.on_sphere, frame.axis)
+    own = _between(angles_from_axis(frame, normals), inside)
     if view.distant:
         return own, own
-    return own, _between(directions(normal, np.sin(lamp), np.cos(lamp), view.camera, view.lamp).theta_h, inside)
+    lamp = pixels.lamp_angle[:, None]
+    return own, _between(directions(normals, np.sin(lamp), np.cos(lamp), view.camera, view.lamp).theta_h, inside)
 
 
 def _between(angle: np.ndarray, inside: np.ndarray) -> ThetaRange:
@@ -167,39 +190,54 @@ def sphere_rule(
         theta_d: theta_d of the cells, (pixels,), rad.
     """
     angle, step = circles.nodes()
-    arcs = circle_arcs(view, pixels, angle, kernel.reach)
+    arcs = _circle_arcs(view, pixels, angle, kernel.reach)
     scale, first, last = stretched(onto.low, onto.high, onto.finest)
     through = pixels.factor[:, None] * view.stretch**2 / 4 * np.sin(angle) * step
-    key = arcs.pixel * NODES[0].size + arcs.circle
+    pixel = arcs.circle // NODES[0].size
     place = 2 * (np.arcsinh(angle / scale[:, None]) - first[:, None]) / (last - first)[:, None] - 1
     per_pixel = (
         *turned(pixels.x, pixels.y, view.azimuth), pixels.lamp_angle, pixels.highlight, theta_d, scale, first, last,
     )  # fmt: skip
     sums, near = [], not view.distant
-    for begin in range(0, arcs.pixel.size, _CALL):
+    for begin in range(0, pixel.size, _CALL):
         part = Arcs(*(_filled(a[begin : begin + _CALL]) for a in arcs))
-        variances, disc = kernel.at(part.pixel)
-        of_pixel = np.stack([*(a[part.pixel] for a in per_pixel), *variances])
-        of_arc = np.stack([angle[part.pixel, part.circle], part.middle, part.half])
+        seen_by = part.circle // NODES[0].size
+        variances, disc = kernel.at(seen_by)
+        of_pixel = np.stack([*(a[seen_by] for a in per_pixel), *variances])
+        of_arc = np.stack([angle.ravel()[part.circle], part.middle, part.half])
         of_view = np.array([view.radius, view.camera, view.lamp, view.azimuth])
-        used = min(_CALL, arcs.pixel.size - begin)
+        used = min(_CALL, pixel.size - begin)
         program = _arc_sums if disc is None else _arc_sums_of_disc
         found = program(of_view, of_pixel, of_arc, kernel.blur, disc, kernel.terms, near, kernel.pixel_nodes)
         sums.append([np.asarray(a)[:, :used] for a in found])
     if not sums:
         return _nothing(angle, near)
     powers, *moments = (np.concatenate(parts, axis=1) for parts in zip(*sums, strict=True))
-    total, *others = (np.bincount(key, power, angle.size).reshape(angle.shape) for power in powers)
+    total, *others = (np.bincount(arcs.circle, power, angle.size).reshape(angle.shape) for power in powers)
     if not near:
         others += [total * place, total * theta_d[:, None], others[0] * theta_d[:, None]]
     seen = CircleSums(total, np.stack(others[:3]), *others[3:])
     if not near:
         return SphereRule(onto.carry(angle, through * total), seen)
-    begins, own = np.flatnonzero(np.diff(arcs.pixel, prepend=-1)), np.zeros((2, *angle.shape))
+    begins, own = np.flatnonzero(np.diff(pixel, prepend=-1)), np.zeros((2, *angle.shape))
     for weight, moment in zip(own, moments, strict=True):
-        by_pixel = np.add.reduceat(moment * through[arcs.pixel, arcs.circle], begins, axis=1)
-        weight[arcs.pixel[begins]] = (FROM_MOMENTS @ by_pixel).T
+        by_pixel = np.add.reduceat(moment * through.ravel()[arcs.circle], begins, axis=1)
+        weight[pixel[begins]] = (FROM_MOMENTS @ by_pixel).T
     return SphereRule(own[0], seen, own[1])
+
+
+def _circle_arcs(view: SampleView, pixels: SpherePixels, circles: np.ndarray, reach: np.ndarray) -> Arcs:
+    """Find the arcs of circles about the highlight, (pixels, circles), in the windows of pixels."""
+    starts, lengths = [], []
+    for begin in range(0, circles.shape[0], CHUNK):
+        part = slice(begin, begin + CHUNK)
+        windows = SpherePixels(*(a[part] for a in pixels)).windows(view, reach[:, part])
+        clips = Clips.of(windows.half_spaces(view.on_sphere), about_highlight(windows))
+        index = np.repeat(np.arange(windows.x.size), circles.shape[1])
+        start, length = gaps_of(clips, index, circles[part].ravel())
+        starts.append(start)
+        lengths.append(length)
+    return divided(np.concatenate(starts), np.concatenate(lengths))
 
 
 def _nothing(angle: np.ndarray, near: bool) -> SphereRule:
