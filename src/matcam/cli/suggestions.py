@@ -70,15 +70,17 @@ def _after_simulate(values: dict[str, Any]) -> list[Any] | None:
 
 def _after_inspect(values: dict[str, Any]) -> list[Any] | None:
     """Correct a recorded table; convert a corrected one for a renderer."""
-    from matcam.exchange.contents import read_contents
-    from matcam.inverse.correction.corrected_table import CORRECTED
-
     file = values["file"]
     kind = identify(file)
     if kind == "camera profile":
         return ["matcam", "predict", "--camera", file]
+    if kind not in ("merl", "csv"):
+        return None
+    from matcam.exchange.contents import read_contents
+    from matcam.inverse.correction.corrected_table import CORRECTED
+
     try:
-        table = read_contents(file).table if kind in ("merl", "csv") else None
+        table = read_contents(file).table
     except FileFormatError:  # a CSV file may hold anything
         return None
     if table is None:

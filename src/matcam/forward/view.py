@@ -6,8 +6,6 @@ band-limited lens, all light is computed or recorded at several positions per pi
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from itertools import groupby, islice
 from typing import NamedTuple
 
 import equinox as eqx
@@ -26,19 +24,17 @@ from matcam.forward.frequencies.light_grid import LightGrid, margin_of, per_px_f
 from matcam.forward.frequencies.picture_lens import PictureLens, picture_lens, varies_over_field
 from matcam.forward.integral.blur import Imaging, imaging_of
 from matcam.forward.integral.blur_groups import groups_of
-from matcam.forward.integral.cylinder_discs import cylinder_fineness, record_under_points
+from matcam.forward.integral.cylinder_discs import cylinder_fineness, record_cylinder_under_points
 from matcam.forward.integral.discs import disc_fineness, nearer
 from matcam.forward.integral.scene import Scene, Turn
-from matcam.forward.sampler.plan import RecordPlaces, record_plan
-from matcam.forward.sampler.record import record
+from matcam.forward.sampler.plan import RecordPlaces
+from matcam.forward.sampler.under_lamp import record_under_points
 from matcam.lamp.lamps import LampPoint, checked_lamp_angle, lamp_points
 from matcam.material.material import Material
 from matcam.rigs import Rig, picture_shape
 from matcam.sample.curved import Cylinder, Sphere
 from matcam.sample.shape import Curved
 
-_PLACES = 1 << 20
-"""Number of pixels times points of a lamp that are recorded at once. They fit into 1 GiB."""
 _AT_ONCE = 1 << 18
 """Number of positions of a fine record that are recorded at once."""
 _FARTHEST_REACH = 8.0  # px beyond the limb that a picture holds unless it is given a shape
@@ -221,28 +217,11 @@ def _fine_record(material: Material, view: View, lens: PictureLens) -> tuple[int
 def record_pixels(material: Material, view: View, x: np.ndarray, y: np.ndarray) -> jax.Array:
     """Record pixels centred on (x, y) px; shape (pixels, channels).
 
-    The image is the mean over the points of the lamp; many of them are recorded at once.
+    The image is the mean over the points of the lamp.
     """
     sample, blur, nearness = view.imaging
     if isinstance(sample, Cylinder):
-        return record_under_points(material, sample, blur, (x, y), view.points, nearness, one_picture=True)
-    finest = checks.outside_jit(material.finest, "the material's parameters")
-    total: jax.Array | float = 0.0
-    for points in _rings(view.points, max(1, _PLACES // max(x.size, 1))):
-        angles, azimuths = (np.array([float(getattr(p, name)) for p in points]) for name in ("angle", "azimuth"))
-        which = np.repeat(np.arange(len(points)), x.size)
-        azimuth = azimuths[which] if np.any(azimuths) else None
-        places = RecordPlaces(np.tile(x, len(points)), np.tile(y, len(points)), angles[which], azimuth)
-        imaging = nearer(view.imaging, points[0].distance)
-        plan = record_plan(imaging, places, finest, material.elongation)
-        values = record(material, imaging, plan, 0.0 if view.turning is None else view.turning)
-        weights = np.array([point.weight for point in points])
-        total += jnp.tensordot(weights, values.reshape(len(points), x.size, -1), axes=1)
-    return jnp.asarray(total)
-
-
-def _rings(points: list[LampPoint], most: int) -> Iterator[list[LampPoint]]:
-    """Split the points of a lamp into lists of at most `most` at equal distances."""
-    for _, ring in groupby(points, lambda point: point.distance):
-        while some := list(islice(ring, most)):
-            yield some
+        return record_cylinder_under_points(material, sample, blur, (x, y), view.points, nearness, one_picture=True)
+    places = RecordPlaces(x, y, np.full(x.size, view.lamp_angle))
+    turning = 0.0 if view.turning is None else view.turning
+    return record_under_points(material, view.imaging, places, view.points, turning)

@@ -206,7 +206,10 @@ class Reconstruction(Summarised):
 
     @property
     def length_quantities(self) -> list[Quantity]:
-        """Outline and distances as text; of a distance that may be infinite, the limit of two standard deviations."""
+        """Outline and distances as text.
+
+        A distance that may be infinite is replaced by its limit of two standard deviations.
+        """
         return [
             Quantity(name, _least_distance(value, std))
             if "distance" in name and not std < value / 2

@@ -69,7 +69,7 @@ def cylinder_fineness(
     return np.maximum(*(disc * larger / 2 * size / blur for size, blur in zip(sizes, blurs, strict=True)))
 
 
-def record_under_points(
+def record_cylinder_under_points(
     material: Material,
     cylinder: Cylinder,
     blur: Blur,
@@ -121,7 +121,7 @@ def line_record(material: Material, rig: Rig, places: LinePlaces) -> jax.Array:
         index = np.flatnonzero(levels == level)
         x, angle, azimuth = (a[index] for a in places)
         points = lamp_points(rig.lamp, angle, azimuth, float(level))
-        parts.append(record_under_points(material, cylinder, blur, (x, np.zeros_like(x)), points, nearness))
+        parts.append(record_cylinder_under_points(material, cylinder, blur, (x, np.zeros_like(x)), points, nearness))
         order.append(index)
     return jnp.concatenate(parts)[np.argsort(np.concatenate(order))]
 

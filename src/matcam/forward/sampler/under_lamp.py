@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from itertools import groupby, islice
+
 import numpy as np
 
 from matcam.core import checks
@@ -10,49 +13,83 @@ from matcam.forward.integral.blur import Imaging
 from matcam.forward.integral.discs import disc_fineness, nearer
 from matcam.forward.sampler.plan import RecordPlaces, record_plan
 from matcam.forward.sampler.record import record
-from matcam.lamp.lamps import disc_of, lamp_points
+from matcam.lamp.lamps import LampPoint, disc_of, lamp_points
 from matcam.material.material import Material
 from matcam.rigs import Rig
 
 _LEAST_FINENESS = 0.25
 """Ratio of the radius of the image of a lamp to its blur below which the smallest number of points is used."""
+_PLACES = 1 << 18
+"""Number of pixels times points of a lamp that are recorded at once. They fit into 1 GiB."""
 
 
-def record_under_lamp(
-    material: Material, rig: Rig, imaging: Imaging, places: RecordPlaces, turning: jax.Array | float = 0.0
-) -> jax.Array:
+def record_under_lamp(material: Material, rig: Rig, imaging: Imaging, places: RecordPlaces) -> jax.Array:
     """Record a material at positions in images of a sphere.
 
-    Places whose lamps require a similar number of points are recorded together, one point of the disc at a time.
+    Places whose lamps require a similar number of points are recorded together.
 
     Args:
         material: the material.
         rig: the rig; its lamp may be a disc.
         imaging: imaging of the rig under a point lamp.
         places: the positions.
+
+    Returns:
+        Radiance under unit irradiance, 1/sr, (places, channels).
+    """
+    levels = np.zeros(places.x.size)
+    if disc_of(rig.lamp) > 0:
+        lamps, which = np.unique(places.lamp_angle, return_inverse=True)
+        fineness = np.maximum(disc_fineness(rig, imaging, lamps, material), _LEAST_FINENESS)
+        levels = np.exp2(np.ceil(2 * np.log2(fineness)) / 2)[which]
+    parts, order = [], []
+    for level in np.unique(levels):
+        index = np.flatnonzero(levels == level)
+        own = places.at(index)
+        azimuth = np.zeros(index.size) if own.azimuth is None else own.azimuth
+        points = lamp_points(rig.lamp, own.lamp_angle, azimuth, float(level))
+        parts.append(record_under_points(material, imaging, own, points))
+        order.append(index)
+    return jnp.concatenate(parts)[np.argsort(np.concatenate(order))]
+
+
+def record_under_points(
+    material: Material,
+    imaging: Imaging,
+    places: RecordPlaces,
+    points: list[LampPoint],
+    turning: jax.Array | float = 0.0,
+) -> jax.Array:
+    """Record a material under points of a lamp: the weighted sum over them.
+
+    Args:
+        material: the material.
+        imaging: imaging of the rig under a point lamp.
+        places: the positions; their lamps are those of the points.
+        points: points of the lamp; angle and azimuth are numbers, or of shape (places,).
         turning: small angle by which the lamps are turned away from the optical axis, rad. Default: 0.
 
     Returns:
         Radiance under unit irradiance, 1/sr, (places, channels).
     """
-    finest = checks.outside_jit(material.finest, "the material's parameters")
-    if disc_of(rig.lamp) == 0:
-        return record(material, imaging, record_plan(imaging, places, finest, material.elongation), turning)
-    lamps, which = np.unique(places.lamp_angle, return_inverse=True)
-    fineness = np.maximum(disc_fineness(rig, imaging, lamps, material), _LEAST_FINENESS)
-    levels = np.exp2(np.ceil(2 * np.log2(fineness)) / 2)[which]
+    finest, count = checks.outside_jit(material.finest, "the material's parameters"), places.x.size
     total: jax.Array | float = 0.0
-    for level in np.unique(levels):
-        index = np.flatnonzero(levels == level)
-        own = places.at(index)
-        azimuth = np.zeros(index.size) if own.azimuth is None else own.azimuth
-        recorded: jax.Array | float = 0.0
-        for point in lamp_points(rig.lamp, own.lamp_angle, azimuth, float(level)):
-            one = own._replace(lamp_angle=np.asarray(point.angle), azimuth=np.asarray(point.azimuth))
-            near = nearer(imaging, point.distance)
-            recorded += point.weight * record(
-                material, near, record_plan(near, one, finest, material.elongation), turning
-            )
-        recorded = jnp.asarray(recorded)
-        total += jnp.zeros((places.x.size, recorded.shape[1])).at[index].set(recorded)
+    for some in _rings(points, max(1, _PLACES // max(count, 1))):
+        angle, azimuth = (
+            np.concatenate([np.broadcast_to(getattr(point, name), count) for point in some])
+            for name in ("angle", "azimuth")
+        )
+        x, y = (np.tile(a, len(some)) for a in (places.x, places.y))
+        every = RecordPlaces(x, y, angle, azimuth if np.any(azimuth) else None)
+        near = nearer(imaging, some[0].distance)
+        values = record(material, near, record_plan(near, every, finest, material.elongation), turning)
+        weights = np.array([point.weight for point in some])
+        total += jnp.tensordot(weights, values.reshape(len(some), count, -1), axes=1)
     return jnp.asarray(total)
+
+
+def _rings(points: list[LampPoint], most: int) -> Iterator[list[LampPoint]]:
+    """Split the points of a lamp into lists of at most `most` at equal distances."""
+    for _, ring in groupby(points, lambda point: point.distance):
+        while some := list(islice(ring, most)):
+            yield some
