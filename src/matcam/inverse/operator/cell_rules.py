@@ -23,13 +23,8 @@ from matcam.inverse.operator.line_rule import ARMS, ImagePlaces, line_rule
 from matcam.inverse.operator.rig_axes import Axis, MovedBlur, along_axes, blurs_along, change_kernels
 from matcam.inverse.operator.sample_view import SampleView, sample_view
 from matcam.inverse.operator.sphere_rule import (
-    Kernel,
-    SpherePixels,
-    SphereRule,
-    kernel_reach,
-    sphere_range,
-    sphere_rule,
-)
+    Kernel, SpherePixels, SphereRule, kernel_reach, sphere_range, sphere_rule,
+)  # fmt: skip
 from matcam.inverse.operator.theta_nodes import (
     NODES,
     PIECE,
