@@ -21,10 +21,8 @@ from matcam.inverse.operator.cylinder_rule import CylinderRule, LinePixels, cyli
 from matcam.inverse.operator.lamp_lines import LampDisc, lamp_discs
 from matcam.inverse.operator.line_rule import ARMS, ImagePlaces, line_rule
 from matcam.inverse.operator.rig_axes import Axis, MovedBlur, along_axes, blurs_along, change_kernels
-from matcam.inverse.operator.sample_view import SampleView, sample_view
-from matcam.inverse.operator.sphere_rule import (
-    Kernel, SpherePixels, SphereRule, kernel_reach, sphere_range, sphere_rule,
-)  # fmt: skip
+from matcam.inverse.operator.sample_view import SampleView, SpherePixels, sample_view
+from matcam.inverse.operator.sphere_rule import Kernel, SphereRule, kernel_reach, sphere_range, sphere_rule
 from matcam.inverse.operator.theta_nodes import (
     NODES,
     PIECE,

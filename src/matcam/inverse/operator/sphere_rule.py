@@ -26,9 +26,8 @@ from matcam.forward.integral.blur import Blur, Spread
 from matcam.forward.pixel_grid import turned
 from matcam.forward.sampler.arcs import CHUNK, Arcs, Clips, divided, gaps_of
 from matcam.forward.sampler.circles import about_highlight, angles_from_axis
-from matcam.forward.sampler.windows import Windows
 from matcam.inverse.operator.lamp_lines import LampDisc, lamp_kernel
-from matcam.inverse.operator.sample_view import SampleView
+from matcam.inverse.operator.sample_view import SampleView, SpherePixels
 from matcam.inverse.operator.theta_nodes import (
     FROM_MOMENTS,
     NODES,
@@ -52,30 +51,6 @@ _SLACK = 0.02
 """Share by which the range of angles on the border of a window is widened."""
 _OUTSIDE = 1.1
 """Largest position beyond the nodes, in [-1, 1], at which a weight is kept."""
-
-
-class SpherePixels(NamedTuple):
-    """Pixels of images of a sphere, arrays of shape (pixels,).
-
-    Attributes:
-        x: distance from the optical axis along the plane of camera and lamp, towards the lamp, px.
-        y: the same across that plane, px.
-        lamp_angle: angle between lamp and optical axis, rad.
-        highlight: angle between the normal of the highlight and the optical axis, rad.
-        factor: factor of the record, no unit.
-    """
-
-    x: np.ndarray
-    y: np.ndarray
-    lamp_angle: np.ndarray
-    highlight: np.ndarray
-    factor: np.ndarray
-
-    def windows(self, view: SampleView, reach: np.ndarray) -> Windows:
-        """Return the windows of the pixels. reach: half sides along the pixel's two axes, (2, pixels), px."""
-        x, y = turned(self.x, self.y, view.azimuth)
-        cosine, sine = (np.full(self.x.size, part(view.azimuth)) for part in (np.cos, np.sin))
-        return Windows(x, y, self.lamp_angle, self.highlight, cosine, sine, reach)
 
 
 class Kernel(NamedTuple):
