@@ -219,7 +219,8 @@ def _spans(
     cuts = np.concatenate([touching, side[:, None]], axis=1)
     cuts = np.where((cuts > low[:, None] + _EQUAL) & (cuts < high[:, None] - _EQUAL), cuts, np.nan)
     edges = np.sort(np.concatenate([low[:, None], high[:, None], cuts], axis=1), axis=1)  # NaN are last
-    window, number = np.nonzero(edges[:, 1:] > edges[:, :-1])
+    # limb and terminator may touch circles of equal angles, up to rounding
+    window, number = np.nonzero(edges[:, 1:] > edges[:, :-1] + _EQUAL)
     low, high = edges[window, number], edges[window, number + 1]
     near = _NEAR_TOUCH * (high - low)
     at = touching[window]
