@@ -1,7 +1,7 @@
 """HTML pages of `correct`: page of a corrected table, and index of a run over many tables.
 
 Each page is one file that works offline and can be stored with the data. The index can be sorted and links to the page
-each material. Figures have fixed margins, because computing them would take half of the time of a page.
+of each material. Figures have fixed margins, because computing them would take half of the time of a page.
 """
 
 from __future__ import annotations

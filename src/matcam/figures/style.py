@@ -1,7 +1,7 @@
 """Style and writing of all figures and pages.
 
 pyplot is not used, because it has global state and takes half a second to import. The colours are those of Okabe & Ito,
-which which colour-blind readers can distinguish. Pages are Jinja2 templates (templates/*.html), which escape all
+which colour-blind readers can distinguish. Pages are Jinja2 templates (templates/*.html), which escape all
 values.
 """
 

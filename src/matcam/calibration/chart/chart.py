@@ -26,7 +26,7 @@ class Chart:
 
     Attributes:
         page: width and height of the page, mm.
-        fiducials: marks for finding the chart in a photograph: none, or at least four, of which one has two rings.
+        fiducials: marks for finding the chart in a photograph: none, or at least four. One of them has two rings.
         elements: targets, from upper left to lower right.
         ink: linear level of the fiducials, relative to the paper (no unit).
 

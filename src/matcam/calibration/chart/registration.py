@@ -218,7 +218,7 @@ def _registration_through(
 ) -> Registration:
     """Fit the camera and the curvature of the page to the positions of points, mm and px.
 
-    `sides`: further positions, of which only the component across the side is known. FitError if the fit is not consistent.
+    `sides`: further positions with a known component across the side only. FitError if the fit is not consistent.
     """
     start = np.append(_homography(places, _from_middle(seen, shape)).ravel()[:8], np.zeros(7))
     # Priors keep undetermined parameters near 0: distortion, curvature, and the foot point of the camera.

@@ -5,7 +5,7 @@ columns cross the edge at a larger angle. Nothing is resampled. All strips of an
 compiled program measures them; missing pixels of shorter or narrower strips are NaN.
 
 The fit of an edge includes light that changes linearly. The nonlinear part of the vignetting in a strip is divided out. It
-is estimated from the bright sides of the edges in the image, most of which are the same paper. An error of the level or
+is estimated from the bright sides of the edges in the image, because most of them are the same paper. An error of the level or
 of the slope of this light has no effect.
 """
 

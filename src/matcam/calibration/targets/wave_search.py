@@ -3,7 +3,7 @@
 Under perspective, lines through the centre of a star remain lines, and the brightness only changes across them. At the
 centre of the star, all lines along which the brightness is constant meet. The number of cycles is the number of phase
 revolutions along a ring, which perspective does not change. The effect of perspective on the azimuth is exactly a linear
-map. Lens distortion adds a smooth displacement, of which the second and third order are modelled.
+map. Lens distortion adds a smooth displacement. Its second and third order are modelled.
 
 A grating is the strongest peak of the spectrum of the region. Its phase is a polynomial of the position.
 """

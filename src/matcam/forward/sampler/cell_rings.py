@@ -78,7 +78,7 @@ def rings_of(
         chosen = np.flatnonzero((level == number) & whole.all(axis=1))
         if not per_radian or not chosen.size or count > _SAVED * azimuths.size:
             continue
-        own = np.pi * (np.arange(count) + 0.5) / half if not mirrored else np.pi * (np.arange(half) + 0.5) / half
+        own = np.pi * (np.arange(count) + 0.5) / half
         order = np.arange(half)
         factor = np.where(order == 0, 1.0, 2.0) / count
         matrix = np.cos(azimuths[:, None] * order) * factor @ np.cos(own[:, None] * order).T

@@ -48,6 +48,10 @@ _SLACK, _SLACK_AT_END = 0.02, 0.25
 """Shares by which the range of angles on the border of a window is widened; at an end of the light it is then narrowed."""
 _PROBES = (1 - np.cos(np.pi * np.arange(25) / 24)) / 2
 """Positions in a range of angles at which circles with arcs are searched, denser towards the ends."""
+_AT_END = 1e-3
+"""Cosine of light or view below which a normal on the border of a window is at an end of the light."""
+_EQUAL = 1e-9
+"""Difference of angles, rad, below which they are equal."""
 _NEWTON = 5
 """Number of Newton steps for theta from t: the relative error is then 1e-13."""
 
@@ -230,12 +234,6 @@ def _spans(
     pitch = np.where(low >= side[window] - _EQUAL, pitches[1][window], pitches[0][window])
     before, after = (np.where(np.isfinite(a), a, np.nan) for a in (before, after))
     return _Spans(window, low, high, scale[window], pitch, before, after)
-
-
-_AT_END = 1e-3
-"""Cosine of light or view below which a normal on the border of a window is at an end of the light."""
-_EQUAL = 1e-9
-"""Difference of angles, rad, below which they are equal."""
 
 
 @lru_cache
