@@ -58,7 +58,7 @@ def judged(table, workspace: Workspace) -> dict:
     most = albedo(before).max(), albedo(written).max(), albedo(done.table["brdf"].values).max()
     peaks = slice(5, 76)
     return {
-        "family": done.fit.family, "bent": done.fit.is_bent, "hwhm_deg": np.degrees(done.fit.hwhm),
+        "family": done.fit.family, "spline_modified": done.fit.has_spline, "hwhm_deg": np.degrees(done.fit.hwhm),
         "hwhm_without_deg": np.degrees(done.without_camera.hwhm),
         "noise": {"camera": done.fit.noise.relative, "no camera": done.without_camera.noise.relative},
         "floor": {"camera": done.fit.noise.floor, "no camera": done.without_camera.noise.floor},

@@ -40,7 +40,7 @@ def brighter(table, rig, options):
         }
     )
     summary = {
-        "ndf": "ggx", "bent": False, "params": {"alpha": 0.01, "diffuse[R]": 0.1},
+        "ndf": "ggx", "spline_modified": False, "params": {"alpha": 0.01, "diffuse[R]": 0.1},
         "std": {"alpha": 1e-4, "diffuse[R]": float("nan")},
         "hwhm_rad": float(np.nanmean(table.values[0])), "hwhm_std_rad": 1e-4, "determined": True,
         "noise": {"relative": 0.01, "floor": 1e-4, "picture_gain": 0.01}, "misfit": 1.0, "log_likelihood": 0.0,

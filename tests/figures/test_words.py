@@ -48,7 +48,7 @@ def test_a_distance_in_standard_deviations_has_no_false_digits():
 def test_residuals_are_no_test_of_the_model(capsys):
     """Their ratio to the noise that is estimated from them is near 1 where the model is wrong, too, and below 1 in the dark."""
     fit = {
-        "params": {"alpha": 0.01}, "std": {"alpha": 1e-4}, "bent": False, "ndf": "ggx", "hwhm_rad": 0.01,
+        "params": {"alpha": 0.01}, "std": {"alpha": 1e-4}, "spline_modified": False, "ndf": "ggx", "hwhm_rad": 0.01,
         "hwhm_std_rad": 1e-4, "noise": {"relative": 0.2, "floor": 0.0, "picture_gain": 0.0}, "misfit": 0.797,
         "degrees_of_freedom": 100, "remarks": [],
     }  # fmt: skip

@@ -19,12 +19,12 @@ def variance(path, **options):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("bend", [0.0, 1.0])
+@pytest.mark.parametrize("spline", [0.0, 1.0])
 @pytest.mark.parametrize("material", ["satin_rosaline", "cc_ibiza_sunset", "vch_golden_yellow", "paper_white"])
-def test_no_lens_is_found(goniophotometer, material, bend):
+def test_no_lens_is_found(goniophotometer, material, spline):
     """sigma_mtf = 0 within 2 standard deviations; and where the lobe is narrow enough to tell, not the 0.5 px of the rig."""
-    square, std, found = variance(goniophotometer(material), bend=bend)
-    print(f"{material}, bend {bend:g}: sigma_mtf^2 {square:.4f} +- {std:.4f} px^2")
+    square, std, found = variance(goniophotometer(material), spline=spline)
+    print(f"{material}, spline {spline:g}: sigma_mtf^2 {square:.4f} +- {std:.4f} px^2")
     assert square <= 2 * std
     assert any(remark.text.startswith("optics.sigma_px is compatible with 0") for remark in found.remarks)
     if material != "paper_white":  # almost Lambertian: no lens could be seen

@@ -15,12 +15,12 @@ from tests.oracle import sphere_cells as oracle
 from tests.oracle.merl_lobe import conductor
 
 READ = ("hwhm_rad", "tail_exponent", "haze_share")
-BENT = LobeKind("ggx", "smith", bends=KNOTS)
+SPLINE = LobeKind("ggx", "smith", spline_size=KNOTS)
 NARROW, BROAD = 0.02, 0.3
 
 
-def coordinates(alpha, bends=0.0):
-    return np.r_[np.log(alpha), np.broadcast_to(bends, KNOTS)]
+def coordinates(alpha, coefficients=0.0):
+    return np.r_[np.log(alpha), np.broadcast_to(coefficients, KNOTS)]
 
 
 def direct(lobe, width=None):
@@ -35,8 +35,8 @@ def direct(lobe, width=None):
     return np.array([width, np.log(d_near / d_far) / np.log(far / near), beyond])
 
 
-def test_a_lobe_that_is_not_bent_after_all_reads_as_its_family_does():
-    read = lobe_readings(BENT, coordinates(NARROW))
+def test_a_lobe_with_a_spline_of_zeros_reads_as_its_family():
+    read = lobe_readings(SPLINE, coordinates(NARROW))
     assert read.names == READ
     np.testing.assert_allclose(read.values, direct(oracle.GGX(NARROW)), rtol=2e-3)
     # glossary: of a narrow GGX
@@ -49,14 +49,14 @@ def test_a_lobe_that_is_not_bent_after_all_reads_as_its_family_does():
 def test_derivatives_are_those_of_differences():
     random = np.random.default_rng(1)
     q, step = coordinates(NARROW, random.normal(0, 0.3, KNOTS)), 1e-5
-    read = lobe_readings(BENT, q)
+    read = lobe_readings(SPLINE, q)
     for one in range(q.size):
-        up, down = (lobe_readings(BENT, q + sign * step * np.eye(q.size)[one]).values for sign in (1, -1))
+        up, down = (lobe_readings(SPLINE, q + sign * step * np.eye(q.size)[one]).values for sign in (1, -1))
         np.testing.assert_allclose(read.slopes[:, one], (up - down) / (2 * step), rtol=1e-4, atol=1e-7)
 
 
 def test_a_lobe_as_broad_as_the_hemisphere_has_no_tail_and_a_free_masking_is_an_angle():
-    assert lobe_readings(BENT, coordinates(BROAD)).names == READ[:1]
+    assert lobe_readings(SPLINE, coordinates(BROAD)).names == READ[:1]
     kind = LobeKind("ggx", "smith-separable", shadows=SHADOWS)
     shadows = np.linspace(0, 0.7, SHADOWS)
     read = lobe_readings(kind, np.r_[np.log(NARROW), shadows])
@@ -78,18 +78,18 @@ class TwoLobes:
 
 
 def test_no_coefficient_reaches_a_user():
-    """A bent fit to what the oracle records of two lobes: its numbers are the lobe's own, within their errors."""
+    """A spline-modified fit to what the oracle records of two lobes: its numbers are the lobe's own, within their errors."""
     shot, lobe = recorded.made(18, oracle.Setup()), TwoLobes()
     ways = shot.rule.ways(lobe) * conductor(shot.cells.theta_d, *recorded.CHROMIUM)[:, None, None]
     table = shot.table(shot.rule.noisy(ways, np.random.default_rng(5)))
-    found = fit(table, recorded.rig(), fresnel="free", diffuse=True, bend=1.0, slice_step=18)
+    found = fit(table, recorded.rig(), fresnel="free", diffuse=True, spline=1.0, slice_step=18)
     truth = dict(zip(READ, direct(lobe), strict=True))
     print({name: f"{found.params[name]:.5g} +- {found.std[name]:.2g}, true {truth[name]:.5g}" for name in READ})
     for name in READ:
         assert abs(found.params[name] - truth[name]) < 4 * found.std[name] + 0.03 * truth[name]
     assert found.std["hwhm_rad"] == pytest.approx(found.hwhm_std)
     document = found.to_dict()
-    assert document["bent"]
+    assert document["spline_modified"]
     assert found.covariance.shape == (len(found.params),) * 2
-    said = json.dumps(document).replace('"bent": true', "")
-    assert not any(word in said for word in ("bend", "shadow", "alpha"))
+    said = json.dumps(document).replace('"spline_modified": true', "")
+    assert not any(word in said for word in ("spline", "shadow", "alpha"))

@@ -16,7 +16,7 @@ from matcam.material.ndf.free_lobe import KNOTS
     ("kind", "lobe"),
     [
         pytest.param(LobeKind("epd", "van-ginneken"), np.log([0.01, 0.7]), marks=pytest.mark.slow),
-        (LobeKind("ggx", "smith", bends=KNOTS), [np.log(0.01), *np.linspace(-0.5, 0.7, KNOTS) ** 2]),
+        (LobeKind("ggx", "smith", spline_size=KNOTS), [np.log(0.01), *np.linspace(-0.5, 0.7, KNOTS) ** 2]),
     ],
 )
 def test_slopes_are_differences_of_the_record(kind, lobe):

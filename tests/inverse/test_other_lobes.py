@@ -1,4 +1,4 @@
-"""What else could have made the data: other maskings of a lobe, and how far a bent lobe bends. Truth is the oracle's."""
+"""Other maskings of a lobe, and the departure of a lobe from its family. The oracle gives the truth."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,7 @@ import pytest
 from matcam.inverse import FitSetup
 from matcam.inverse.correction.evidence import UNKNOWN_SHARE as KAPPA
 from matcam.inverse.correction.other_maskings import other_maskings
-from matcam.inverse.correction.spline_lobe import in_all_slices, learned_bend
+from matcam.inverse.correction.spline_lobe import in_all_slices, learned_spline
 from matcam.material.masking import MASKINGS
 from tests.inverse import recorded
 from tests.oracle import sphere_cells as oracle
@@ -57,19 +57,19 @@ def test_other_maskings_are_what_fits_with_them_find(alpha):
 
 
 @pytest.mark.slow
-def test_a_bend_is_as_smooth_as_the_lobe():
+def test_a_spline_is_as_smooth_as_the_lobe():
     """Tails bend GGX by some tenths between knots. A bend that may be anything learns that from few slices, and is known
     better in all of them: its errors stay within what it says."""
     lobe = oracle.Tails(0.006, 3.0)
     setup, _ = fitted(lobe, slice_step=6)
-    few_setup = setup.with_(slice_step=18, bend=1.0)
+    few_setup = setup.with_(slice_step=18, spline=1.0)
     few = few_setup.solve(start=setup.with_(slice_step=18).solve())
-    learned = learned_bend(few, 1.0)
+    learned = learned_spline(few, 1.0)
     whole, whole_setup = in_all_slices(few, few_setup, 6)
-    assert whole_setup.learned_bend == learned
+    assert whole_setup.learned_spline == learned
     width = recorded.half_width(lobe)
     print(
-        f"learned bend {learned:.3f}; half width off by {few.hwhm / width - 1:+.4f} +- {few.hwhm_std / width:.4f} in few"
+        f"learned spline {learned:.3f}; half width off by {few.hwhm / width - 1:+.4f} +- {few.hwhm_std / width:.4f} in few"
     )
     print(f"slices, {whole.hwhm / width - 1:+.4f} +- {whole.hwhm_std / width:.4f} in all")
     assert 0.03 <= learned < 0.7

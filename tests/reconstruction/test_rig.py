@@ -21,7 +21,7 @@ def covariance(seed=0):
     return root.T @ root
 
 
-LOBE = {"family": "ggx", "masking": "smith", "bent": False}
+LOBE = {"family": "ggx", "masking": "smith", "spline_modified": False}
 
 
 def document():

@@ -24,7 +24,7 @@ values are rounded (1/30 for 1/32).
 """
 _PROVEN, _POWER = 5.0, 0.1
 """Number of standard deviations from 1 above which an exponent proves a tone curve, and smallest such difference."""
-_BENT = 0.01
+_NONLINEAR = 0.01
 """Relative departure from linearity above which there is a remark: good sensors stay below 1 %."""
 _CORRELATED, _SHARPENED = 0.06, -0.015
 """Correlation of neighbouring pixels' noise above which a frame was smoothed (noise of whole rows is correlated, too),
@@ -151,7 +151,7 @@ def linearity_remarks(ratios: ExposureRatios) -> list[Remark]:
     curve = curve[curve[:, 0] > 0.02] if len(curve) else curve
     if not len(curve):
         return []
-    bad = not_linear(curve[:, 1], curve[:, 2], _BENT)
+    bad = not_linear(curve[:, 1], curve[:, 2], _NONLINEAR)
     if not bad.any():
         return []
     worst = curve[bad][np.abs(curve[bad][:, 1]).argmax()]

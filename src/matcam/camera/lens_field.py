@@ -96,8 +96,8 @@ class LensField:
             row: undistorted row, px.
         """
         x, y, rho2 = self._from_centre(column, row)
-        bent = 1 + self.k1.value * rho2 + self.k2.value * rho2**2
-        return self.centre[0] + x * bent, self.centre[1] + y * bent
+        scale = 1 + self.k1.value * rho2 + self.k2.value * rho2**2
+        return self.centre[0] + x * scale, self.centre[1] + y * scale
 
     def true_place(self, column: ArrayLike, row: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
         """Map distorted positions to undistorted ones, px.
@@ -115,8 +115,8 @@ class LensField:
             rho -= off / (1 + 3 * self.k1.value * rho2 + 5 * self.k2.value * rho2**2)
             if np.all(np.abs(off) < 1e-13):
                 break
-        bent = np.where(seen > 0, rho / np.where(seen > 0, seen, 1.0), 1.0)
-        return self.centre[0] + x * bent, self.centre[1] + y * bent
+        scale = np.where(seen > 0, rho / np.where(seen > 0, seen, 1.0), 1.0)
+        return self.centre[0] + x * scale, self.centre[1] + y * scale
 
     def stretch(self, column: float, row: float) -> np.ndarray:
         """Return the derivatives of distorted by undistorted positions, (2, 2).
@@ -126,9 +126,9 @@ class LensField:
             row: undistorted row, px.
         """
         x, y, rho2 = self._from_centre(column, row)
-        bent = 1 + self.k1.value * rho2 + self.k2.value * rho2**2
+        scale = 1 + self.k1.value * rho2 + self.k2.value * rho2**2
         growing = 2 * (self.k1.value + 2 * self.k2.value * rho2) / self.unit**2
-        return np.asarray(bent * np.eye(2) + growing * np.outer([x, y], [x, y]))
+        return np.asarray(scale * np.eye(2) + growing * np.outer([x, y], [x, y]))
 
     def blur_scale(self, column: float, row: float) -> float:
         """Return the relative width of the lens at a position, no unit.

@@ -45,10 +45,10 @@ def command(
         typer.Option("--lens", help="Lens blur: fixed as in the profile, within its uncertainty (prior), or free."),
     ] = "auto",
     blind: Annotated[bool, typer.Option("--no-camera", help="Fit as if the camera were perfect.")] = False,
-    bend: Annotated[
+    spline: Annotated[
         float,
         typer.Option(
-            "--bend",
+            "--spline",
             metavar="STRENGTH",
             help="Prior standard deviation of the departure from the family, 0 to 10 (no unit); 1: non-parametric.",
         ),
@@ -119,7 +119,7 @@ def command(
             per_channel=per_channel,
             masking=None if masking == "none" else masking,
             camera_parameters=None if lens == "auto" else lens,
-            bend=bend,
+            spline=spline,
             slice_step=slice_step,
             workspace=Workspace.user(),
         )
@@ -159,9 +159,8 @@ def print_fit(summary: dict[str, Any], name: str) -> None:
     from matcam.inverse.fit.fit_data import LEAST_FLOOR
 
     rows = [[key, f"{value:.6g}", f"{summary['std'][key]:.2g}"] for key, value in summary["params"].items()]
-    show.table(
-        ["parameter", "value", "std"], rows, f"{name}: {'spline-modified ' if summary['bent'] else ''}{summary['ndf']}"
-    )
+    modified = "spline-modified " if summary["spline_modified"] else ""
+    show.table(["parameter", "value", "std"], rows, f"{name}: {modified}{summary['ndf']}")
     show.say(f"half width at half maximum: {summary['hwhm_rad']:.6g} ± {summary['hwhm_std_rad']:.2g} rad")
     noise = summary["noise"]
     show.say(

@@ -235,7 +235,7 @@ def _print(result: Any, tables: Any, files: list[Path], channel: str) -> None:
     width = f"width {float(result['width']):.6g} ± {float(result['width_std']):.1g}{determined}"
     half, std = (float(np.degrees(result[name])) for name in ("hwhm", "hwhm_std"))
     show.say(
-        f"lobe: {attrs['ndf']}, {'spline-modified' if attrs['bent'] else width}; "
+        f"lobe: {attrs['ndf']}, {'spline-modified' if attrs['spline_modified'] else width}; "
         f"half width at half maximum {half:.4g}° ± {std:.1g}°"
     )
     show.say(

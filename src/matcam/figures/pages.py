@@ -254,14 +254,16 @@ def _with_std(value: Any, std: Any, scale: float = 1.0) -> _Cell:
 
 def _lobe(record: dict[str, Any]) -> _Cell:
     """Return the family of the lobe, marked if it is spline-modified."""
-    words = f"bent {record['fit']['ndf']}" if record["fit"].get("bent") else str(record["fit"]["ndf"])
+    words = (
+        f"spline-modified {record['fit']['ndf']}" if record["fit"].get("spline_modified") else str(record["fit"]["ndf"])
+    )
     return _Cell(words, words)
 
 
 def _roughness(record: dict[str, Any]) -> _Cell:
     """Return the first parameter of the lobe, or the half width of a spline-modified lobe."""
     params, std = record["fit"]["params"], record["fit"]["std"]
-    name = None if record["fit"].get("bent") else next(iter(params), None)
+    name = None if record["fit"].get("spline_modified") else next(iter(params), None)
     return _Cell("", "-") if name is None else _with_std(params[name], std.get(name))
 
 

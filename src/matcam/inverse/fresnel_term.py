@@ -229,7 +229,7 @@ def fresnel(
             "camera_uncertainty": known_lens(rig.camera).words,
             "withheld": int(held_back),
             "width_determined": int(found.resolved),
-            "bent": int(found.is_bent),
+            "spline_modified": int(found.has_spline),
             "sampling": brdf.attrs["sampling"],
             "source": str(brdf.attrs.get("source", "")),
             "remarks": to_attribute(remarks),

@@ -25,7 +25,7 @@ from matcam.reconstruction.picture_model import SCENE
 from matcam.reconstruction.sphere_fit import SphereFit, counted_alike, fit_sphere
 from matcam.reconstruction.sphere_scene import SphereScene, part_of
 
-_BEND = 1.0
+_SPLINE = 1.0
 _FEWEST = 3
 _NOISE_ALONE, _AS_NOISE = 0.003, 1.15
 """Unexplained share of the light, and mean squared residual, below either of which noise alone explains the images."""
@@ -134,7 +134,7 @@ def chosen_fit(
 
     chosen: dict[str, object] = {"rivals": CANDIDATES[1:]} if family == AUTO else {}
     if few is not None:
-        chosen = {"start": few.fit, "bend": _BEND if few.fit.kind.bends else 0.0}
+        chosen = {"start": few.fit, "spline": _SPLINE if few.fit.kind.spline_size else 0.0}
     best = fitted(first, scene, **chosen)
     tried = {best.kind.family: best.solution.unexplained}
 
@@ -165,18 +165,23 @@ def chosen_fit(
                 best = again if _preferred(again, best) else best
         return best
 
-    bends: list[SphereFit] = []
+    splines: list[SphereFit] = []
 
-    def bent(best: SphereFit, share: float) -> SphereFit:
+    def with_spline(best: SphereFit, share: float) -> SphereFit:
         """Fit a spline modification, and return that fit if it reduces the unexplained share to less than `share`."""
-        name = f"{best.kind.family}, bent"
-        if family != AUTO or best.kind.bends or _explained(best) or tried.get(name, 0.0) > best.solution.unexplained:
+        name = f"{best.kind.family}, spline-modified"
+        if (
+            family != AUTO
+            or best.kind.spline_size
+            or _explained(best)
+            or tried.get(name, 0.0) > best.solution.unexplained
+        ):
             return best
         if best.stuck:
             return best
-        if not bends or bends[0] is not best:  # otherwise it is the same fit again
-            bends[:] = [best, fitted(best.kind.family, scene, start=best, bend=_BEND)]
-        other = bends[1]
+        if not splines or splines[0] is not best:  # otherwise it is the same fit again
+            splines[:] = [best, fitted(best.kind.family, scene, start=best, spline=_SPLINE)]
+        other = splines[1]
         tried[name] = other.solution.unexplained
         return other if tried[name] < share * best.solution.unexplained and _likelier(other, best) else best
 
@@ -184,9 +189,9 @@ def chosen_fit(
         # before a source is rejected: with a wrong lobe, images are unexplained and specified values seem wrong
         best = with_shape(best)
         shaped = best.layout.shape > 0
-        best = bent(rivalled(best), _AT_ONCE)
-        if best.kind.bends:
-            chosen = {"start": best, "bend": _BEND}
+        best = with_spline(rivalled(best), _AT_ONCE)
+        if best.kind.spline_size:
+            chosen = {"start": best, "spline": _SPLINE}
     first, lost = best.kind.family, best.unexplained_pictures
     whole = pictures, scene, lamps
     if lost and len(pictures) - len(lost) >= _FEWEST:
@@ -200,7 +205,9 @@ def chosen_fit(
         pictures, lamps = [pictures[k] for k in keep], best.lamps[keep]
         scene = part_of(scene, keep)
         best = fitted(
-            first, scene, **({"widths": np.exp(best.solution.p[:1])} if few is None and not best.kind.bends else chosen)
+            first,
+            scene,
+            **({"widths": np.exp(best.solution.p[:1])} if few is None and not best.kind.spline_size else chosen),
         )
 
     def final(best: SphereFit) -> SphereFit:
@@ -211,7 +218,7 @@ def chosen_fit(
             for k, share in odd.items():
                 gains[k] = np.hypot(gains[k], share)
             wider = replace(scene, gain_std=gains)
-            best = fitted(first, wider, start=best, bend=_BEND if best.kind.bends else 0.0, rounds=1)
+            best = fitted(first, wider, start=best, spline=_SPLINE if best.kind.spline_size else 0.0, rounds=1)
         best = _with_its_lens_open(counted_alike(best))
         remarks.extend(_odd_remark(best, k, share) for k, share in odd.items())
         return best
@@ -227,7 +234,7 @@ def chosen_fit(
         widened[source] = widened.get(source, 1.0) * factor
         remarks = [*(one for one in remarks if one.code != remark.code), remark]
         scene = with_wider(scene, source, factor)
-        before, best = best, fitted(first, scene, start=best, bend=_BEND if best.kind.bends else 0.0)
+        before, best = best, fitted(first, scene, start=best, spline=_SPLINE if best.kind.spline_size else 0.0)
         hopeless = bool(best.stuck) and best.solution.unexplained > _CLEARLY * before.solution.unexplained
         if hopeless:
             break  # a specified value is not the cause either
@@ -237,17 +244,17 @@ def chosen_fit(
         pictures, scene, lamps = whole
         for source, factor in widened.items():
             scene = with_wider(scene, source, factor)
-        again = fitted(first, scene, **(chosen if best.kind.bends else {"widths": np.exp(best.solution.p[:1])}))
+        again = fitted(first, scene, **(chosen if best.kind.spline_size else {"widths": np.exp(best.solution.p[:1])}))
         if again.unexplained_pictures:
             pictures, scene, lamps = kept
         else:
             best, remarks = again, [one for one in remarks if one.code != "picture-left-out"]
-    tried[f"{first}, bent" if best.kind.bends else first] = best.solution.unexplained
-    if not best.kind.bends and not hopeless:
+    tried[f"{first}, spline-modified" if best.kind.spline_size else first] = best.solution.unexplained
+    if not best.kind.spline_size and not hopeless:
         if len(pictures) < len(whole[0]) or widened:
             # under other priors, or without unexplained images, another lobe may be more probable
             best = rivalled(best)
-        best = bent(best, _CLEARLY)
+        best = with_spline(best, _CLEARLY)
     if best.stuck:
         text = "the rounds of the fit were ended, because the unexplained share of the light does not fall: "
         text += (
@@ -257,9 +264,9 @@ def chosen_fit(
     if shaped:
         text = "Lambert's law does not explain the diffuse part: its shape was fitted"
         remarks.append(Remark("diffuse-not-lambertian", text))
-    if best.kind.bends:
+    if best.kind.spline_size:
         text = f"no lobe of a single family explains the pictures: {best.kind.family} was modified by a spline"
-        remarks.append(Remark("lobe-bent", text))
+        remarks.append(Remark("lobe-spline-modified", text))
     first = best.kind.family
     return ChosenFit(final(best), tried, tuple(remarks), widened)
 
@@ -284,9 +291,9 @@ def _odd_remark(fit: SphereFit, k: int, share: float) -> Remark:
 def _described(name: str, more: Mapping[str, object], widened: Mapping[str, float]) -> str:
     """Describe a fit for the progress: its lobe, and the sources whose standard deviation was enlarged."""
     name = " or ".join([name, *(str(one) for one in cast("Sequence[str]", more.get("rivals", ())))])
-    bent = " bent" if more.get("bend") else ""
+    spline = ", spline-modified" if more.get("spline") else ""
     shape = ", diffuse part shaped" if more.get("shaped") else ""
-    return f"{name}{bent}{shape}" + (f", {' and '.join(widened)} widened" if widened else "")
+    return f"{name}{spline}{shape}" + (f", {' and '.join(widened)} widened" if widened else "")
 
 
 def _with_its_lens_open(fit: SphereFit) -> SphereFit:

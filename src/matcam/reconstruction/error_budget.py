@@ -83,7 +83,7 @@ def _shared(fit: SphereFit) -> _Shared:
     diffuse = [f"diffuse {channel}" for channel in fit.channels]
     others = ("lens", "radius", "camera distance", "lamp distance", *diffuse, *FIELD)
     own = fit.kind.size
-    lobe = lobe_readings(fit.kind, fit.solution.p[:own]) if fit.kind.bends else None
+    lobe = lobe_readings(fit.kind, fit.solution.p[:own]) if fit.kind.spline_size else None
     names, rows = (fit.kind.names, np.eye(own)) if lobe is None else (lobe.names, lobe.slopes.copy())
     if lobe is not None:
         rows[0] /= lobe.values[0]  # the logarithm, as for the roughness of a family
@@ -363,7 +363,7 @@ def _lobe_readings(fit: SphereFit) -> dict[str, FitReading]:
         return FitReading(value, row)
 
     read = lobe_readings(kind, q)
-    if kind.bends:
+    if kind.spline_size:
         rows = zip(read.names, read.values.tolist(), read.slopes, strict=True)
         return {name: reading(value, slope) for name, value, slope in rows}
     found = {}

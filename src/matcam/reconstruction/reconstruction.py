@@ -238,8 +238,8 @@ class Reconstruction(Summarised):
         widths = [np.degrees(pair) for name, pair in self.parameters.items() if name.startswith("hwhm")]
         half_width = " and ".join(f"{value:.4g} +- {std:.1g}°" for value, std in widths)
         low, high = np.degrees(self.measured_range)
-        bent = " bent" if self.fit.kind.bends else ""
-        lobe = f"{self.fit.kind.family} lobe{bent} of half width {half_width}"
+        modified = "spline-modified " if self.fit.kind.spline_size else ""
+        lobe = f"{modified}{self.fit.kind.family} lobe of half width {half_width}"
         words = [
             f"{len(self.fit.names)} pictures give a {lobe}, from theta_d {low:.0f}° to {high:.0f}°; "
             f"{self.supported_share:.0%} of the entries with a value are supported (known to 5 %)."
@@ -318,7 +318,7 @@ class Reconstruction(Summarised):
             "lobe": {
                 "family": fit.kind.family,
                 "masking": fit.kind.masking,
-                "bent": fit.kind.bends > 0,
+                "spline_modified": fit.kind.spline_size > 0,
                 "anisotropic": fit.kind.stretched,
             },
             "parameters": {name: list(pair) for name, pair in self.parameters.items()},

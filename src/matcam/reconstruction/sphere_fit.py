@@ -62,7 +62,7 @@ class LayProblem(Protocol):
         slope: np.ndarray,
         *,
         diffuse: bool,
-        bend: float,
+        spline: float,
         disc: bool = True,
         keep: Sequence[ObservedPixels] | None = None,
     ) -> JointProblem:
@@ -150,7 +150,7 @@ def fit_sphere(
     *,
     masking: Masking = "smith",
     diffuse: bool = True,
-    bend: float = 0.0,
+    spline: float = 0.0,
     lamps: np.ndarray | None = None,
     start: SphereFit | None = None,
     widths: np.ndarray = _WIDTHS,
@@ -169,7 +169,7 @@ def fit_sphere(
         family: family of the lobe. Default: "ggx".
         masking: masking G of the lobe. Default: "smith".
         diffuse: True to include a Lambertian part. Default: True.
-        bend: prior standard deviation of the departure of ln D from its family (no unit). Default: 0, no departure.
+        spline: prior standard deviation of the departure of ln D from its family (no unit). Default: 0, no departure.
         lamps: directions to the lamps from the highlights, (pictures, 3), as the start of the search. Default: those of
             the scene.
         start: fit of these images, or of some of them, with any lobe, as the start. Default: None.
@@ -185,7 +185,7 @@ def fit_sphere(
         raise ArgumentError(f"a joint fit needs at least 2 pictures, got {len(pictures)}")
     again = lay is None
     lay = lay or sphere_problem
-    kind = LobeKind(family, masking, KNOTS if bend else 0, stretched=stretched)
+    kind = LobeKind(family, masking, KNOTS if spline else 0, stretched=stretched)
     channels = pictures[0].channels
     say = progress or (lambda _: None)
     known = scene if lamps is None else replace(scene, lamps=np.asarray(lamps, dtype=float))
@@ -195,7 +195,7 @@ def fit_sphere(
             between = _searched(pictures, known, kind, np.exp(lobe[0]) * _BETWEEN, lay)
             cost, lobe = min((cost, lobe), between, key=lambda one: one[0])
         for rival in rivals:
-            other = LobeKind(rival, masking, kind.bends)
+            other = LobeKind(rival, masking, kind.spline_size)
             least, found_lobe = _searched(pictures, known, other, np.exp(lobe[0]) * _ABOUT, lay)
             if least < cost:
                 cost, lobe, kind = least, found_lobe, other
@@ -227,7 +227,7 @@ def fit_sphere(
     for turn in range(rounds):
         tally.begin()
         last = None if solution is None else solution.problem.pixels
-        problem = lay(pictures, scene, known, layout, kind, p, slope, diffuse=diffuse, bend=bend, keep=last)
+        problem = lay(pictures, scene, known, layout, kind, p, slope, diffuse=diffuse, spline=spline, keep=last)
         p = p.copy()  # the previous round may be returned
         for k in range(layout.pictures):
             p[layout.own(k).start + 2 : layout.own(k).stop] = 0.0
@@ -299,7 +299,7 @@ def _searched(
         p[: len(lobe)] = np.log(lobe)
         _write_scene(p, layout, part)
         slope = np.zeros((layout.pictures, layout.channels))
-        problem = lay(some, part, part, layout, kind, p, slope, diffuse=True, bend=0.0, disc=False)
+        problem = lay(some, part, part, layout, kind, p, slope, diffuse=True, spline=0.0, disc=False)
         p = _with_strengths(problem, p, 0.05)
         judge = Likelihood(UnexplainedLight(0.05))
         cost = sum(
@@ -354,7 +354,7 @@ def sphere_problem(
     slope: np.ndarray,
     *,
     diffuse: bool,
-    bend: float,
+    spline: float,
     disc: bool = True,
     keep: Sequence[ObservedPixels] | None = None,
 ) -> JointProblem:
@@ -391,7 +391,7 @@ def sphere_problem(
         frames,
         slope,
         diffuse=diffuse,
-        bend=bend,
+        spline=spline,
         changes=changes,
         unstated=unstated,
     )

@@ -13,7 +13,7 @@ from matcam.camera.camera import Camera
 from matcam.camera.lens_field import Coefficient, LensField
 from matcam.inverse.fit.fit_parameters import LobeKind
 from matcam.inverse.operator.rig_axes import known_lens
-from matcam.material.ndf.free_lobe import KNOTS, bend_smoothness
+from matcam.material.ndf.free_lobe import KNOTS, spline_smoothness
 from matcam.reconstruction.joint.joint_problem import JointLayout, JointProblem, PixelModel
 from matcam.reconstruction.observed_pixels import ObservedPixels
 from matcam.reconstruction.picture_model import SCENE, LampFrame
@@ -110,7 +110,7 @@ def unstated_distortion(ball: MirrorBall) -> LensField:
 
 
 def prior_of(
-    layout: JointLayout, scene: SphereScene, frames: Sequence[LampFrame], bend: float, own: int
+    layout: JointLayout, scene: SphereScene, frames: Sequence[LampFrame], spline: float, own: int
 ) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
     """Build rows, values and sources of the prior: linear combinations of parameters with mean and unit variance."""
     rows: list[np.ndarray] = []
@@ -193,11 +193,11 @@ def prior_of(
         add("gain", row, float(line @ gains))
     for index in range(layout.diffuse_shape.start, layout.diffuse_shape.stop):
         unit("diffuse shape", index, _DEPARTURE, 0.0)
-    if bend:
-        smooth = bend_smoothness()
+    if spline:
+        smooth = spline_smoothness()
         for line in smooth:
             row = np.zeros(layout.size)
-            row[own : own + KNOTS] = line / bend
+            row[own : own + KNOTS] = line / spline
             add("smooth lobe", row, 0.0)
     return np.array(rows), np.array(values), tuple(sources)
 
@@ -212,7 +212,7 @@ def joint_problem(
     slope: np.ndarray,
     *,
     diffuse: bool,
-    bend: float,
+    spline: float,
     changes: Sequence[FieldChange] = (),
     unstated: Sequence[FieldChange] = (),
 ) -> JointProblem:
@@ -227,7 +227,7 @@ def joint_problem(
         frames: base direction of the lamp of each image.
         slope: d ln F / d theta_d of each image and channel, 1/rad.
         diffuse: True to include a Lambertian part.
-        bend: prior standard deviation of the departure of ln D from its family.
+        spline: prior standard deviation of the departure of ln D from its family.
         changes: effect of a change of the lens field on each image. Default: none, the field is not fitted.
         unstated: effect of an unstated distortion on each image. Default: none.
     """
@@ -241,7 +241,7 @@ def joint_problem(
     known_field = scene.camera.field
     for index in range(len(FIELD)):
         fixed[layout.field.start + index] = known_field is None or (known_field.k1, known_field.growth)[index].std == 0
-    rows, values, sources = prior_of(layout, scene, frames, bend, len(kind.family_names))
+    rows, values, sources = prior_of(layout, scene, frames, spline, len(kind.family_names))
     for place in (layout.lobe, layout.sample_radius):  # an exact lens, or a radius without distances relative to it
         fixed[place] |= not rows[:, place].any()
     for k, one in enumerate(pixels):  # a colour without pixels in an image

@@ -111,9 +111,9 @@ def _edges(picture: np.ndarray, noise: float, bright_inside: bool) -> tuple[np.n
     )
     ridge = (middle >= ahead) & (middle >= behind)
     index, along, middle, ahead, behind = index[ridge], along[:, ridge], middle[ridge], ahead[ridge], behind[ridge]
-    bend = 2 * middle - ahead - behind
+    curvature = 2 * middle - ahead - behind
     with np.errstate(invalid="ignore", divide="ignore"):
-        fine = np.where(bend > 0, (ahead - behind) / (2 * bend), 0.0)
+        fine = np.where(curvature > 0, (ahead - behind) / (2 * curvature), 0.0)
     place = index + (np.clip(fine, -0.5, 0.5) * along).T
     if len(place) > _EDGES:
         chosen = np.random.default_rng(1).choice(len(place), _EDGES, replace=False)

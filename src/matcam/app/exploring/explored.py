@@ -165,7 +165,7 @@ def as_pbrt(table: OpenedTable) -> bytes:
     fit: Any = table.record.get("fit") or {}
     params = fit.get("params", {})
     n, k = ([params.get(f"{name}[{channel}]") for channel in "RGB"] for name in "nk")
-    if fit.get("ndf") != "ggx" or fit.get("bent") or None in (*n, *k):
+    if fit.get("ndf") != "ggx" or fit.get("spline_modified") or None in (*n, *k):
         raise ArgumentError(
             "pbrt takes a GGX lobe with n and k: this material has no such fit; save the .bsdf for Mitsuba"
         )

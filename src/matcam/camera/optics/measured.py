@@ -151,8 +151,8 @@ def _spline(x: jax.Array, y: jax.Array, at: jax.Array) -> jax.Array:
     slope = _tridiagonal_solution(lower, diagonal, upper, right)
     piece = xp.clip(xp.searchsorted(x, at, side="right") - 1, 0, x.size - 2)
     left, low, h, secant, start, end = (xp.take(values, piece) for values in (x, y, width, rise, slope[:-1], slope[1:]))
-    t, bend = at - left, (start + end - 2 * secant) / h
-    return low + t * (start + t * ((secant - start) / h - bend + t * bend / h))
+    t, curvature = at - left, (start + end - 2 * secant) / h
+    return low + t * (start + t * ((secant - start) / h - curvature + t * curvature / h))
 
 
 def _tridiagonal_solution(lower: jax.Array, diagonal: jax.Array, upper: jax.Array, right: jax.Array) -> jax.Array:

@@ -22,7 +22,7 @@ from matcam.forward.frequencies.highlight_patch import PatchSize, lay_highlight,
 from matcam.forward.frequencies.limb_lines import LimbLines, lay_limb, limb_lines
 from matcam.forward.frequencies.regions import Regions, RegionWidths
 from matcam.forward.frequencies.taps import Taps
-from matcam.forward.frequencies.terminator import mend_bend
+from matcam.forward.frequencies.terminator import remove_kink
 from matcam.forward.integral.scene import Scene, highlight_x
 from matcam.sample.curved import Sphere
 from matcam.sample.shape import Curved
@@ -138,8 +138,8 @@ def _laid(
     for served in laying.lines:
         across, along = (x, y) if served.upright else (y, x)
         grid = lay_limb(grid, regions, served, across, along, taps)
-    grid = mend_bend(grid, regions, False, y, x)
-    grid = mend_bend(grid, regions, True, x, y)
+    grid = remove_kink(grid, regions, False, y, x)
+    grid = remove_kink(grid, regions, True, x, y)
     return lay_highlight(grid, regions, laying.patch, x, y, taps, alike)
 
 

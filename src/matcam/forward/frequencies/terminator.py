@@ -18,7 +18,7 @@ _STEP = 0.25
 """Distance over which the slope is determined, in steps of the grid."""
 
 
-def mend_bend(grid: jax.Array, regions: Regions, upright: bool, across: jax.Array, along: jax.Array) -> jax.Array:
+def remove_kink(grid: jax.Array, regions: Regions, upright: bool, across: jax.Array, along: jax.Array) -> jax.Array:
     """Add the correction of the sum of each row, or column, at the terminator to a grid.
 
     Args:

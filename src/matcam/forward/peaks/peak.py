@@ -35,7 +35,7 @@ def peak_response(
 
     In the tangent plane the response lies in (0, 1]. On a sphere, lobes much narrower than the kernel lose at most
     cos(theta) relative to theta = 0. The integral over the lobe is accurate to 1e-6 for every lobe and every isotropic
-    lens. The exact response may exceed 1 close to the limb, where the BRDF bends upwards. Its relative error is below
+    lens. The exact response may exceed 1 close to the limb, where the BRDF increases. Its relative error is below
     1e-6 for Gaussian lenses; other lenses are sums of Gaussians.
 
     Args:

@@ -179,7 +179,7 @@ class Correction(Summarised):
         elif found.undecided and not force_correction and _matters(fitted):
             remarks = (*remarks, _UNSEEN)
         table.attrs.update(
-            ndf=best.family, bent=int(best.is_bent), masking=masking or "none", glare=glare,
+            ndf=best.family, spline_modified=int(best.has_spline), masking=masking or "none", glare=glare,
             sampling=sampling, source=str(brdf.attrs.get("source", "")), remarks=to_attribute(remarks),
             camera_uncertainty=known_lens(rig.camera).words, withheld=int(said),
         )  # fmt: skip
@@ -263,12 +263,13 @@ class Correction(Summarised):
     def determination(self) -> str:
         """Summarise in a word or two whether the lobe is known.
 
-        It is "determined", "not determined", "family fails: bent", or "withheld": rig and data contradict each other.
+        It is "determined", "not determined", "family fails: spline-modified", or "withheld", where rig and data contradict
+        each other.
         """
         if self.withheld:
             return "withheld"
-        if self.fit.is_bent:
-            return "family fails: bent"
+        if self.fit.has_spline:
+            return "family fails: spline-modified"
         return "determined" if self._determined else "not determined"
 
     @property

@@ -23,7 +23,7 @@ import numpy as np
 
 from matcam.camera.sensor import PixelNoise
 from matcam.core.grid import merl_grid, sampling_of
-from matcam.inverse.correction.spline_lobe import TRIED_BENDS
+from matcam.inverse.correction.spline_lobe import TRIED_SPLINES
 from matcam.inverse.fit.fit_data import (
     FitData,
     cell_variance,
@@ -201,7 +201,7 @@ def explained(found: MaterialFit, noise: PixelNoise) -> Explained:
     return Explained(
         log_likelihood=-0.5 * float(np.log(variance[data.used]).sum() + _robust(u).sum()),
         log_misfit=-float(np.sqrt(misfit)) / _MISFIT_SCALE,
-        log_prior=-0.5 * distance - (np.log(TRIED_BENDS) if problem.layout.kind.bends else 0.0),
+        log_prior=-0.5 * distance - (np.log(TRIED_SPLINES) if problem.layout.kind.spline_size else 0.0),
         information=flat @ flat.T,
         prior=prior,
         of_strengths=power[power > 0],
@@ -278,7 +278,7 @@ def _priors(layout: Layout) -> tuple[np.ndarray, np.ndarray]:
     else:
         second = STUDENT if kind.family == STUDENT else "power"
         own = ["width", *[second] * (len(kind.family_names) - 1)]
-    lobe = own + ["spline"] * (kind.bends + kind.shadows)
+    lobe = own + ["spline"] * (kind.spline_size + kind.shadows)
     unit = ["fresnel"] * layout.fresnel_size + ["diffuse"] * layout.diffuse
     names = lobe * layout.lobes + ["rig"] * layout.axes + unit * layout.units
     mean, std = np.array([_PRIORS[name] for name in names]).T

@@ -38,7 +38,7 @@ from matcam.inverse.operator.sample_view import sample_view
 from matcam.material.masking import Masking
 from matcam.rigs import Rig
 
-_MOST_BEND = 1.0
+_WIDEST_SPLINE = 1.0
 """Standard deviation of the second differences of ln D at which a lobe is not bound to its family."""
 _STIFF = 0.125
 """Share of the half width of a lobe below which its spline modification is stiff, because broad lobes have no finer
@@ -152,7 +152,7 @@ class Explanation(NamedTuple):
     def remarks(self) -> tuple[Remark, ...]:
         """List the remarks on the explanations."""
         remarks = [*self.fit.remarks, *self.located.remarks]
-        if self.fit.is_bent:
+        if self.fit.has_spline:
             remarks.append(self.shape.remark(self.fit.family))
         if self.weighing.known and self.weighing.unexplained:
             remarks.append(
@@ -209,7 +209,9 @@ def explain(setup: FitSetup, located: LocatedRig, ndf: str) -> Explanation:
     weighing = _weighing(ranked, noise)
     if not any(weighing.complete(one.fit) for one in ranked):
         ranked += [_solved(few.with_(ndf=family)) for family in ((STUDENT, TWO_LOBES) if ndf == AUTO else ())]
-        ranked.append(_bent(_closest([one for one in ranked if one.setup.ndf in _SMOOTH_CORES] or ranked, noise)))
+        ranked.append(
+            _with_spline(_closest([one for one in ranked if one.setup.ndf in _SMOOTH_CORES] or ranked, noise))
+        )
     closest = _closest(ranked, noise)
     pairs = [(closest, _without_camera(closest, rig))]
     shadows: list[Member] = []
@@ -245,12 +247,12 @@ def explain(setup: FitSetup, located: LocatedRig, ndf: str) -> Explanation:
         for n, (one, share) in enumerate(zip(whole, shares, strict=True))
         if n != first and share > _NEGLIGIBLE
     )
-    shape = known_shape(found.fit, found.setup.bend)
-    if not found.fit.is_bent:
+    shape = known_shape(found.fit, found.setup.spline)
+    if not found.fit.has_spline:
         free = shape_uncertainty(found.fit, setup.noise, kappa)
         # a spline-modified lobe is a member of its own
         shape = known_shape(found.fit, free.scale) if free.family_fails else free
-    base = kept[first] if found.fit.is_bent else found
+    base = kept[first] if found.fit.has_spline else found
     return Explanation(
         located=located, setup=found.setup, candidates=[one.fit for one in whole], fit=found.fit, shape=shape,
         base=base.fit, others=averaged, refits=rig_refits(base.setup, rig, base.fit), blind_setup=blind.setup,
@@ -277,11 +279,11 @@ def _solved(setup: FitSetup) -> Member:
     return Member(setup, setup.solve())
 
 
-def _bent(core: Member) -> Member:
+def _with_spline(core: Member) -> Member:
     """Fit a spline-modified lobe, as free as the residuals of its family suggest."""
-    bend = min(shape_uncertainty(core.fit, core.setup.noise).scale, _MOST_BEND)
+    spline = min(shape_uncertainty(core.fit, core.setup.noise).scale, _WIDEST_SPLINE)
     stiff = _STIFF * core.fit.hwhm if np.isfinite(core.fit.hwhm) else 0.0
-    setup = core.setup.with_(bend=bend, stiff_below=stiff)
+    setup = core.setup.with_(spline=spline, stiff_below=stiff)
     return Member(setup, setup.solve(start=core.fit))
 
 
@@ -293,15 +295,15 @@ def _without_camera(best: Member, rig: Rig) -> Member:
         slice_step=own.slice_step, view=sample_view(rig), pixels=grid_of(rig), workspace=own.workspace,
     )  # fmt: skip
     plain = _solved(setup)
-    if not own.bend:
+    if not own.spline:
         return plain
-    bent = setup.with_(bend=own.bend, stiff_below=own.stiff_below)
-    return Member(bent, bent.solve(start=plain.fit))
+    modified = setup.with_(spline=own.spline, stiff_below=own.stiff_below)
+    return Member(modified, modified.solve(start=plain.fit))
 
 
 def with_free_masking(core: Member, rig: Rig) -> Member:
     """Fit free masking and a spline-modified lobe for each channel without a camera. core: fit whose family is used."""
-    blind = _without_camera(core._replace(setup=core.setup.with_(bend=_MOST_BEND)), rig)
+    blind = _without_camera(core._replace(setup=core.setup.with_(spline=_WIDEST_SPLINE)), rig)
     setup = blind.setup.with_(masking="smith-separable", per_channel=True, free_masking=True)
     return Member(setup, setup.solve(start=blind.fit, weights="start"))
 
@@ -310,7 +312,7 @@ def _in_more_slices(member: Member, slice_step: int) -> Member:
     """Fit the same lobe in every `slice_step`-th slice; estimate the smoothness of a spline modification before."""
     if member.setup.slice_step == slice_step:
         return member
-    if member.setup.bend:
+    if member.setup.spline:
         fit, setup = in_all_slices(member.fit, member.setup, slice_step)
         return Member(setup, fit)
     setup = member.setup.with_(slice_step=slice_step)

@@ -24,7 +24,7 @@ from matcam.inverse.fit.fit_statements import SMOOTH_LOBE, fit_statements, rig_s
 from matcam.inverse.fit.material_fit import MaterialFit
 from matcam.inverse.operator.lobe_operator import LobeOperator
 from matcam.material.lambda_table import quick_table
-from matcam.material.ndf.free_lobe import KNOTS, bend_smoothness, bend_sums
+from matcam.material.ndf.free_lobe import KNOTS, spline_smoothness, spline_sums
 from matcam.numerics.approximation import smoothness
 from matcam.numerics.fit_budget import Statement
 from matcam.numerics.linalg import scaled_inverse
@@ -75,7 +75,7 @@ def shape_records(
 
     def one(slice_: LobeOperator) -> jax.Array:
         lobe = slice_.weighted(ndf, kind.masking, shifts, table)
-        return jnp.concatenate([jnp.sum(lobe, axis=(-2, -1))[None], bend_sums(slice_.slope2, lobe, axes=2)])
+        return jnp.concatenate([jnp.sum(lobe, axis=(-2, -1))[None], spline_sums(slice_.slope2, lobe, axes=2)])
 
     both = jnp.moveaxis(operator.slice_by_slice(one), 0, 1)
     return both[0], both[1:]
@@ -93,7 +93,7 @@ def shape_uncertainty(found: MaterialFit, noise: PixelNoise | None, kappa: float
     count, shapes = len(columns), slice(len(linear.by_coordinates), len(linear.by_coordinates) + KNOTS)
     rig = slice(len(at.lobe), len(linear.by_coordinates))
     # a tail that departs from a stiff prior would enlarge the scale and leave the peak free
-    even, differences = smoothness(KNOTS), bend_smoothness()
+    even, differences = smoothness(KNOTS), spline_smoothness()
     assumed = solution.noise
     result = np.zeros(count)
     scale, covariance = _SCALES[0], np.zeros((count, count))

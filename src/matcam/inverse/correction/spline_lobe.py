@@ -16,7 +16,7 @@ from matcam.inverse.fit.material_fit import MaterialFit
 
 _LEAST = 0.03
 """Smallest scale that is tried, as a share of the largest."""
-TRIED_BENDS = 16
+TRIED_SPLINES = 16
 """Number of scales that are tried."""
 
 
@@ -24,11 +24,11 @@ def in_all_slices(few: MaterialFit, setup: FitSetup, slice_step: int) -> tuple[M
     """Fit a spline-modified lobe in every `slice_step`-th slice, and return it with its setup. few: the solution of
     `setup`, in fewer of them.
     """
-    whole = setup.with_(slice_step=slice_step, learned_bend=learned_bend(few, setup.bend))
+    whole = setup.with_(slice_step=slice_step, learned_spline=learned_spline(few, setup.spline))
     return whole.solve(start=few), whole
 
 
-def learned_bend(found: MaterialFit, most: float) -> float:
+def learned_spline(found: MaterialFit, most: float) -> float:
     """Estimate the standard deviation of the second differences, at most `most`, at the angles that the camera resolves."""
     linear = found.linearised()
     solution = linear.solution
@@ -42,10 +42,10 @@ def learned_bend(found: MaterialFit, most: float) -> float:
     right = information @ p + rows.T @ (rows @ p)
     information[layout.rig, layout.rig] += linear.rig_information
     first = layout.lobe(0).start + len(layout.kind.family_names)
-    bends = slice(first, first + layout.kind.bends)
+    own = slice(first, first + layout.kind.spline_size)
 
     def probability(scale: float) -> float:
-        smooth = prior._replace(learned=scale).rows(layout)[len(prior.root) :, bends]
-        return linear_evidence(information, right, bends, smooth)
+        smooth = prior._replace(learned=scale).rows(layout)[len(prior.root) :, own]
+        return linear_evidence(information, right, own, smooth)
 
-    return float(max(np.geomspace(_LEAST * most, most, TRIED_BENDS), key=probability))
+    return float(max(np.geomspace(_LEAST * most, most, TRIED_SPLINES), key=probability))

@@ -16,7 +16,7 @@ from matcam.core.jax import jax, jnp
 from matcam.core.registry import FAMILIES, FRESNEL_MODELS, WITH_POWER
 from matcam.material.masking import Masking
 from matcam.material.ndf.distribution import NDF, SlopeDistribution
-from matcam.material.ndf.free_lobe import BentNDF, ShadowedNDF
+from matcam.material.ndf.free_lobe import ShadowedNDF, SplineNDF
 from matcam.material.ndf.ggx import AnisotropicGGX
 from matcam.material.ndf.student_lobe import StudentLobe
 from matcam.material.ndf.two_lobes import TwoLobes
@@ -61,14 +61,14 @@ class LobeKind(NamedTuple):
     Attributes:
         family: key of `FAMILIES`, STUDENT or TWO_LOBES.
         masking: masking G of the lobe.
-        bends: number of parameters of the spline modification; 0 or KNOTS.
+        spline_size: number of coefficients of the spline modification; 0 or KNOTS.
         shadows: number of parameters of a free masking; 0 or SHADOWS.
         stretched: True if a "ggx" lobe has one roughness along the first tangent of the surface and one across.
     """
 
     family: str
     masking: Masking
-    bends: int = 0
+    spline_size: int = 0
     shadows: int = 0
     stretched: bool = False
 
@@ -82,18 +82,18 @@ class LobeKind(NamedTuple):
     @property
     def of_family(self) -> bool:
         """True if the parameters of a family describe the lobe."""
-        return not (self.bends or self.shadows or self.family in _UNNAMED)
+        return not (self.spline_size or self.shadows or self.family in _UNNAMED)
 
     @property
     def names(self) -> tuple[str, ...]:
         """Names of all coordinates: family, spline, free masking. Reported parameters are those of `lobe_readings`."""
-        bends = (f"bend{k}" for k in range(self.bends))
-        return (*self.family_names, *bends, *(f"shadow{k}" for k in range(self.shadows)))
+        splines = (f"spline{k}" for k in range(self.spline_size))
+        return (*self.family_names, *splines, *(f"shadow{k}" for k in range(self.shadows)))
 
     @property
     def size(self) -> int:
         """Count the parameters."""
-        return len(self.family_names) + self.bends + self.shadows
+        return len(self.family_names) + self.spline_size + self.shadows
 
     def ndf(self, q: jax.Array) -> NDF:
         """Build the NDF at coordinates: logarithms of the parameters of the family, then spline coefficients.
@@ -107,9 +107,9 @@ class LobeKind(NamedTuple):
             ndf = StudentLobe(jnp.exp(q[0]), jnp.exp(q[1]))
         else:
             ndf = FAMILIES[self.family](*(jnp.exp(one) for one in q[:own]))
-        bends, shadows = q[own : own + self.bends], q[own + self.bends : self.size]
-        if self.bends:
-            ndf = BentNDF(ndf, bends)
+        coefficients, shadows = q[own : own + self.spline_size], q[own + self.spline_size : self.size]
+        if self.spline_size:
+            ndf = SplineNDF(ndf, coefficients)
         return ShadowedNDF(ndf, shadows) if self.shadows else ndf
 
     def slopes(self, q: jax.Array) -> SlopeDistribution:
@@ -128,7 +128,7 @@ class LobeKind(NamedTuple):
         if self.family in WITH_POWER:
             low, high = _POWER_BOUNDS[self.family]
             bounds.append((float(np.log(low)), float(np.log(high))))
-        return bounds + [_SPLINE_BOUNDS] * (self.bends + self.shadows)
+        return bounds + [_SPLINE_BOUNDS] * (self.spline_size + self.shadows)
 
 
 @cache

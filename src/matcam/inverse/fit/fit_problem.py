@@ -28,7 +28,7 @@ from matcam.inverse.fit.strength_slopes import StrengthSlopes
 from matcam.inverse.operator.chosen_cells import ChosenCells
 from matcam.inverse.operator.lobe_operator import LobeOperator
 from matcam.inverse.operator.rig_axes import Axis
-from matcam.material.ndf.free_lobe import KNOTS, SHADOWS, STIFFER, bend_smoothness, slope_of_knot
+from matcam.material.ndf.free_lobe import KNOTS, SHADOWS, STIFFER, slope_of_knot, spline_smoothness
 from matcam.numerics.approximation import smoothness
 
 
@@ -38,14 +38,14 @@ class Prior(NamedTuple):
     Attributes:
         axes: fitted parameters of the rig.
         root: (rows, axes), root of the information matrix of their coordinates; 0 for unknown parameters.
-        bend: standard deviation of the second differences of the coefficients of a spline.
+        spline: standard deviation of the second differences of the coefficients of a spline.
         finest: slope below which the camera resolves no structure, so that the spline is ten times stiffer.
-        learned: value of `bend` estimated from the data where the spline is not stiff; None: `bend`.
+        learned: value of `spline` estimated from the data where the spline is not stiff; None: `spline`.
     """
 
     axes: tuple[Axis, ...] = ()
     root: np.ndarray = np.zeros((0, 0))
-    bend: float = 0.0
+    spline: float = 0.0
     finest: float = 0.0
     learned: float | None = None
 
@@ -56,7 +56,10 @@ class Prior(NamedTuple):
         rows = [rig]
         kind = layout.kind
         first = len(kind.family_names)
-        splines = ((first, kind.bends, self._of_bend), (first + kind.bends, kind.shadows, self._of_masking))
+        splines = (
+            (first, kind.spline_size, self._of_spline),
+            (first + kind.spline_size, kind.shadows, self._of_masking),
+        )
         for start, count, rows_of in splines:
             for lobe in range(layout.lobes if count else 0):
                 smooth = rows_of()
@@ -66,19 +69,19 @@ class Prior(NamedTuple):
                 rows.append(own)
         return np.concatenate(rows)
 
-    def _of_bend(self) -> np.ndarray:
-        smooth = bend_smoothness()
+    def _of_spline(self) -> np.ndarray:
+        smooth = spline_smoothness()
         middle = np.abs(smooth) @ np.arange(KNOTS) / np.abs(smooth).sum(axis=1)
         smooth[slope_of_knot(middle) < self.finest] *= (
             STIFFER  # below the resolution of the pixels the lobe follows its family
         )
         if self.learned is not None:
             shown = (smooth == smoothness(KNOTS)).all(axis=1) & (np.arange(len(smooth)) < KNOTS - 2)
-            smooth[shown] *= self.bend / self.learned
-        return smooth / self.bend
+            smooth[shown] *= self.spline / self.learned
+        return smooth / self.spline
 
     def _of_masking(self) -> np.ndarray:
-        return smoothness(SHADOWS) / self.bend
+        return smoothness(SHADOWS) / self.spline
 
     def rig_information(self) -> np.ndarray:
         """Return the information matrix of the coordinates of the rig; almost 0 for free parameters."""

@@ -91,10 +91,10 @@ class FitSetup:
         refitted: names of parameters that a later fit has in `also`, nearby; their rules are computed with those of this
             fit. Default: ().
         lens_shape: True to fit the shape of the kernel of the lens (`rig_axes.shape_axes`). Default: False.
-        bend: prior standard deviation of the departure of ln D from its family (no unit). Default: 0, no departure.
+        spline: prior standard deviation of the departure of ln D from its family (no unit). Default: 0, no departure.
         stiff_below: slope (no unit) below which the spline is ten times stiffer; below a pixel it always is. Default: 0.
-        learned_bend: value of `bend` estimated from the data for slopes where the spline is not stiff. Default: None,
-            `bend`.
+        learned_spline: value of `spline` estimated from the data for slopes where the spline is not stiff. Default: None,
+            `spline`.
         free_masking: True if G is any smooth function of the angle. Default: False.
         noise: noise of a pixel. Default: None, estimated from the residuals.
         slice_step: spacing of the slices of theta_d (no unit). Default: 1.
@@ -109,7 +109,7 @@ class FitSetup:
     Example:
         >>> setup = matcam.inverse.FitSetup((table,), matcam.rigs.merl(), slice_step=6)  # doctest: +SKIP
         >>> found = setup.solve()  # doctest: +SKIP
-        >>> bent = setup.with_(bend=1.0).solve(start=found)  # doctest: +SKIP
+        >>> modified = setup.with_(spline=1.0).solve(start=found)  # doctest: +SKIP
         >>> matcam.inverse.FitSetup((), None)
         Traceback (most recent call last):
         ...
@@ -129,9 +129,9 @@ class FitSetup:
     nearby: bool = False
     refitted: tuple[str, ...] = ()
     lens_shape: bool = False
-    bend: float = 0.0
+    spline: float = 0.0
     stiff_below: float = 0.0
-    learned_bend: float | None = None
+    learned_spline: float | None = None
     free_masking: bool = False
     noise: PixelNoise | None = None
     slice_step: int = 1
@@ -149,7 +149,7 @@ class FitSetup:
         checks.choice("fresnel", self.fresnel, tuple(FRESNEL_MODELS))
         checks.choice("masking", self.masking, MASKINGS)
         checks.whole_number("slice_step", self.slice_step, 1, 30)
-        checks.scalar("bend", checks.within("bend", self.bend, 0, 10))
+        checks.scalar("spline", checks.within("spline", self.spline, 0, 10))
         for name in ("diffuse", "per_channel", "nearby", "lens_shape", "free_masking"):
             checks.flag(name, getattr(self, name))
         checks.instance("workspace", default_workspace() if self.workspace is None else self.workspace, Workspace)
@@ -287,7 +287,7 @@ class FitSetup:
         """Return the order of the parameters."""
         channels = [table.sizes["channel"] for table in self.tables]
         lobes = range(sum(channels)) if self.per_channel else np.repeat(np.arange(len(channels)), channels)
-        kind = LobeKind(self.ndf, self.masking, KNOTS if self.bend else 0, SHADOWS if self.free_masking else 0)
+        kind = LobeKind(self.ndf, self.masking, KNOTS if self.spline else 0, SHADOWS if self.free_masking else 0)
         return Layout(kind, self.fresnel, self.diffuse, tuple(int(n) for n in lobes), len(self.prior.axes))
 
     @cached_property
@@ -299,7 +299,7 @@ class FitSetup:
                 raise ArgumentError(
                     "without a rig there is no camera to fit: camera_parameters must be None or 'fixed'"
                 )
-            return Prior(bend=self.bend, finest=self.stiff_below, learned=self.learned_bend)
+            return Prior(spline=self.spline, finest=self.stiff_below, learned=self.learned_spline)
         check_rig(self.rig)
         known = known_lens(self.rig.camera)
         if camera_parameters is None:
@@ -325,7 +325,7 @@ class FitSetup:
             shapes, stds = shape_axes(self.rig)
             axes, root = (*axes, *shapes), block_diag(root, np.diag(1 / np.array(stds)))
         finest = 2 * float(self.rig.camera.pixel.half_width) / sample_view(self.rig).radius
-        return Prior(axes, root, self.bend, max(finest, self.stiff_below), self.learned_bend)
+        return Prior(axes, root, self.spline, max(finest, self.stiff_below), self.learned_spline)
 
 
 def _stated_prior(rig: Rig, uncertainty: Uncertainty) -> tuple[tuple[Axis, ...], np.ndarray]:
@@ -357,7 +357,7 @@ def fit(
     masking: Masking = "smith",
     camera_parameters: CameraParameters | None = None,
     free: Sequence[str] = (LENS,),
-    bend: float = 0.0,
+    spline: float = 0.0,
     noise: PixelNoise | None = None,
     slice_step: int = 1,
     workspace: Workspace | None = None,
@@ -385,7 +385,7 @@ def fit(
             Default: None, "prior", or "fixed" if the camera is exact (a standard deviation of 0).
         free: names of the parameters of the rig that "free" fits. A width ("optics.sigma_px", "jitter", "aperture", a
             sphere's "lamp_radius") may be as small as 0. Default: the width of a Gaussian lens.
-        bend: allowed smooth departure of D from its family (no unit): the standard deviation of the second differences
+        spline: allowed smooth departure of D from its family (no unit): the standard deviation of the second differences
             of ln D between knots that are half a power of e apart. Default: 0, not at all; 1 hardly constrains the lobe
             to a family.
         noise: noise of a pixel and of the picture gain. Default: None, estimated from the residuals, which include misfit.
@@ -414,7 +414,7 @@ def fit(
     setup = FitSetup(
         tables=(brdf,) if isinstance(brdf, xr.DataArray) else tuple(brdf), rig=rig, ndf=ndf, fresnel=fresnel,
         diffuse=diffuse, per_channel=per_channel, masking=masking, camera_parameters=camera_parameters,
-        free=tuple(free), bend=bend, noise=noise, slice_step=slice_step, workspace=workspace,
+        free=tuple(free), spline=spline, noise=noise, slice_step=slice_step, workspace=workspace,
     )  # fmt: skip
     return setup.solve()
 

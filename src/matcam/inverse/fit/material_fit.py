@@ -129,14 +129,14 @@ class MaterialFit(Summarised):
         return np.array([np.sqrt(variance[layout.unit(u)][-1]) if layout.diffuse else 0.0 for u in range(layout.units)])
 
     @property
-    def is_bent(self) -> bool:
-        """Check whether the lobe may depart from its family (`bend`)."""
-        return bool(self.coordinates.kind.bends)
+    def has_spline(self) -> bool:
+        """Check whether the lobe may depart from its family (`spline`)."""
+        return bool(self.coordinates.kind.spline_size)
 
     @property
     def lobe_name(self) -> str:
         """Name of the family of the lobe, marked if it is spline-modified."""
-        return f"bent {self.family}" if self.is_bent else self.family
+        return f"spline-modified {self.family}" if self.has_spline else self.family
 
     @property
     def coordinates(self) -> FitCoordinates:
@@ -326,7 +326,7 @@ class MaterialFit(Summarised):
         scale = np.sqrt(np.diag(self.covariance))
         return {
             "ndf": self.family,
-            "bent": self.is_bent,
+            "spline_modified": self.has_spline,
             "params": self.params,
             "std": self.std,
             "correlation": (self.covariance / np.outer(scale, scale)).tolist(),

@@ -159,7 +159,7 @@ class Search:
     def _starts(self, weight: np.ndarray) -> list[np.ndarray]:
         """Return the lobes of a lattice that fit better than their neighbours, the two best first."""
         layout, problem = self.problem.layout, self.problem
-        kind = layout.kind._replace(bends=0, shadows=0)
+        kind = layout.kind._replace(spline_size=0, shadows=0)
         free = problem.with_layout(layout._replace(kind=kind, fresnel="free", diffuse=False))
         lattice = _lattice(kind.family)
         count = lattice.shape[-1]

@@ -26,7 +26,7 @@ from matcam.inverse.operator.rig_axes import Axis
 from matcam.material.lambda_table import COTS, by_entries, lambda_at, quick_table
 from matcam.material.masking import smith_rule
 from matcam.material.ndf.distribution import NDF
-from matcam.material.ndf.free_lobe import BentNDF, bend_at, bend_sums
+from matcam.material.ndf.free_lobe import SplineNDF, spline_at, spline_sums
 from matcam.numerics.approximation import lagrange_basis
 
 _FEW = 2
@@ -66,7 +66,7 @@ class _Lobe(NamedTuple):
     @classmethod
     def of(cls, kind: LobeKind, q: jax.Array) -> _Lobe:
         """Compute the quantities of a lobe that are common to all slices."""
-        by_norm = _by_norm(kind, q) if kind.bends else None
+        by_norm = _by_norm(kind, q) if kind.spline_size else None
         table, slopes = table_slopes(kind, q)
         if table is None or slopes is None:
             return cls(kind, q, by_norm, q, jnp.eye(q.size), tabulated=False)
@@ -86,20 +86,20 @@ def table_slopes(kind: LobeKind, q: jax.Array) -> tuple[jax.Array | None, jax.Ar
 
     None without masking, or if Lambda requires no table.
     """
-    if kind.masking is not None and kind.bends and not kind.shadows:
-        return _bent_table(kind, q)
+    if kind.masking is not None and kind.spline_size and not kind.shadows:
+        return _spline_table(kind, q)
     table = None if kind.masking is None else quick_table(kind.ndf(q))
     return table, None if table is None else jax.jacfwd(lambda q: quick_table(kind.ndf(q)))(q).T
 
 
-def _bent_table(kind: LobeKind, q: jax.Array) -> tuple[jax.Array, jax.Array]:
+def _spline_table(kind: LobeKind, q: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Compute the table of Lambda of a spline-modified lobe and its derivatives from common sums."""
     ndf = kind.ndf(q)
     slope2, weight = smith_rule(ndf.roughness, jnp.asarray(COTS))
     light, by_own = _lifted(kind, q, slope2, lambda ndf: ndf.slope_density(slope2))
     value = jnp.sum(weight * light, axis=-1)
     by_family = jnp.stack([jnp.sum(weight * slope, axis=-1) for slope in by_own])
-    slopes = jnp.concatenate([by_family, bend_sums(slope2, weight * light)]) - _by_norm(kind, q)[:, None] * value
+    slopes = jnp.concatenate([by_family, spline_sums(slope2, weight * light)]) - _by_norm(kind, q)[:, None] * value
     return jnp.log1p(value), slopes / (1 + value)
 
 
@@ -107,9 +107,9 @@ def _by_norm(kind: LobeKind, q: jax.Array) -> jax.Array:
     """Compute the derivatives of ln norm of a spline-modified lobe."""
 
     def log_norm(q: jax.Array) -> jax.Array:
-        bent = kind._replace(shadows=0).ndf(q)
-        assert isinstance(bent, BentNDF)
-        return jnp.log(bent.norm)
+        modified = kind._replace(shadows=0).ndf(q)
+        assert isinstance(modified, SplineNDF)
+        return jnp.log(modified.norm)
 
     return jax.jacfwd(log_norm)(q)
 
@@ -121,13 +121,13 @@ def _lifted(
 
     light_of: the light of a lobe without modification, at the squared slopes.
     """
-    plain, own = kind._replace(bends=0, shadows=0), len(kind.family_names)
+    plain, own = kind._replace(spline_size=0, shadows=0), len(kind.family_names)
     pairs = [jax.jvp(lambda own: light_of(plain.ndf(own)), (q[:own],), (unit,)) for unit in np.eye(own)]
-    if not kind.bends:
+    if not kind.spline_size:
         return pairs[0][0], [slope for _, slope in pairs]
-    bent = kind._replace(shadows=0).ndf(q)
-    assert isinstance(bent, BentNDF)
-    lift = jnp.exp(bend_at(bent.bends, slope2)) / bent.norm
+    modified = kind._replace(shadows=0).ndf(q)
+    assert isinstance(modified, SplineNDF)
+    lift = jnp.exp(spline_at(modified.coefficients, slope2)) / modified.norm
     return pairs[0][0] * lift, [slope * lift for _, slope in pairs]
 
 
@@ -170,8 +170,8 @@ def _slice(operator: LobeOperator, lobe: _Lobe, bases: list[tuple[jax.Array, jax
     visible = seen * light
     record = _over_nodes(weight * visible)
     by_family = jnp.stack([_over_nodes(weight * seen * slope) for slope in by_own])
-    by_bend = [bend_sums(operator.slope2, weight * visible, axes=2)] if kind.bends else []
-    by_lobe = jnp.pad(jnp.concatenate([by_family, *by_bend]), ((0, kind.shadows), (0, 0))) + by_lambda
+    by_spline = [spline_sums(operator.slope2, weight * visible, axes=2)] if kind.spline_size else []
+    by_lobe = jnp.pad(jnp.concatenate([by_family, *by_spline]), ((0, kind.shadows), (0, 0))) + by_lambda
     if lobe.by_norm is not None:
         by_lobe -= lobe.by_norm[:, None] * record
     by_rig = [

@@ -176,17 +176,17 @@ def _by_chords(view, blur: Blur, terms, disc: LampDisc, normal, at, variances): 
         there = _turned(from_, [a[:3, :, None] for a in to], normal)
         x, y = _rotated(*_place(view, there), cosine, sine)
         x, (y_0, y_1, y_2) = x - own_x, y - own_y
-        half, bend = (y_2 - y_0) / 2, (y_2 + y_0) / 2 - y_1
+        half, curvature = (y_2 - y_0) / 2, (y_2 + y_0) / 2 - y_1
         # position on the chord, in [-1, 1], that meets the pixel
         on = -y_1 / half
-        on = jnp.clip(on - bend * on**2 / half - less * (on**3 - on), -1, 1)
+        on = jnp.clip(on - curvature * on**2 / half - less * (on**3 - on), -1, 1)
         seen = sum(
             blur.weights[j]
             * blur.kernel(_parabola(*x, on), j, variances[0])
             * (blur.kernel_until(y_2, j, variances[1]) - blur.kernel_until(y_0, j, variances[1]))
             for j in terms
         )
-        density = 2 * (half * (1 + less * (3 * on**2 - 1)) + 2 * bend * on)
+        density = 2 * (half * (1 + less * (3 * on**2 - 1)) + 2 * curvature * on)
         return total + seen * _parabola(*light, on) / density
 
     def step(total, chord):  # type: ignore[no-untyped-def]

@@ -28,34 +28,34 @@ _END = float(np.arcsinh(_LAST / _FINEST))
 _NODES = np.polynomial.legendre.leggauss(160)
 
 
-class BentNDF(SlopeNDF):
+class SplineNDF(SlopeNDF):
     """Lobe multiplied by a smooth factor of the slope.
 
-    P22 of the base times exp(sum_k bends_k B_k), normalised again. B_k are cubic B-splines, evenly spaced in
+    P22 of the base times exp(sum_k c_k B_k), normalised again. B_k are cubic B-splines, evenly spaced in
     asinh(slope / 0.0015); the first has slope 0 at the peak, and all are constant beyond a slope of 26 (88 degrees).
     The range is so large because steep facets mask others: with splines up to 45 degrees only, the masking would be
     that of the family.
 
     Attributes:
         base: the lobe that is modified.
-        bends: coefficients, no unit, shape (KNOTS,); 0: the base itself.
+        coefficients: c_k, no unit, shape (KNOTS,); 0: the base itself.
         norm: integral of the modified density.
     """
 
     base: NDF
-    bends: jax.Array
+    coefficients: jax.Array
     norm: jax.Array
 
-    family = "bent"
+    family = "spline"
     largest = 1.0
 
-    def __init__(self, base: NDF, bends: jax.Array):
-        self.base, self.bends = base, bends
-        self.norm = _norm(base, bends)
+    def __init__(self, base: NDF, coefficients: jax.Array):
+        self.base, self.coefficients = base, coefficients
+        self.norm = _norm(base, coefficients)
 
     def slope_density(self, slope2: jax.Array) -> jax.Array:
         """Return the base times the modification, divided by the integral of the product."""
-        return self.base.slope_density(slope2) * jnp.exp(bend_at(self.bends, slope2)) / self.norm
+        return self.base.slope_density(slope2) * jnp.exp(spline_at(self.coefficients, slope2)) / self.norm
 
     def smith_lambda(self, cos: jax.Array) -> jax.Array:
         """Return Smith's Lambda by its integral over slopes."""
@@ -67,33 +67,33 @@ class BentNDF(SlopeNDF):
         return self.base.roughness
 
     def __repr__(self) -> str:
-        return f"BentNDF({self.base!r}, {jnp.asarray(self.bends).tolist()!r})"
+        return f"SplineNDF({self.base!r}, {jnp.asarray(self.coefficients).tolist()!r})"
 
 
 @kept_program
-def _norm(base: NDF, bends: jax.Array) -> jax.Array:
+def _norm(base: NDF, coefficients: jax.Array) -> jax.Array:
     """Integrate the modified P22 over the plane of slopes, on a grid that is even in asinh(slope / scale)."""
     scale = jnp.minimum(base.roughness, 0.3) / 4
     t = jnp.arcsinh(2e3 / scale) * (_NODES[0] + 1) / 2
     slope = scale * jnp.sinh(t)
     area = 2 * jnp.pi * slope * scale * jnp.cosh(t) * jnp.arcsinh(2e3 / scale) / 2 * _NODES[1]
-    return jnp.sum(area * base.slope_density(slope**2) * jnp.exp(bend_at(bends, slope**2)))
+    return jnp.sum(area * base.slope_density(slope**2) * jnp.exp(spline_at(coefficients, slope**2)))
 
 
-def bend_basis(slope2: jax.Array) -> jax.Array:
+def spline_basis(slope2: jax.Array) -> jax.Array:
     """Evaluate the functions B_k at squared slopes, (KNOTS, ...): cubic B-splines, mirrored at 0."""
     return cubic_basis(_knot_at(slope2), KNOTS)
 
 
-def bend_sums(slope2: jax.Array, weights: jax.Array, axes: int = 1) -> jax.Array:
+def spline_sums(slope2: jax.Array, weights: jax.Array, axes: int = 1) -> jax.Array:
     """Compute sum weights B_k over the last `axes` axes, (KNOTS, ...)."""
     return cubic_sums(_knot_at(slope2), weights, KNOTS, axes)
 
 
 @jax.custom_jvp
-def bend_at(bends: jax.Array, slope2: jax.Array) -> jax.Array:
-    """Compute sum_k bends_k B_k at squared slopes."""
-    return cubic_spline(bends, _knot_at(slope2))
+def spline_at(coefficients: jax.Array, slope2: jax.Array) -> jax.Array:
+    """Compute sum_k c_k B_k at squared slopes."""
+    return cubic_spline(coefficients, _knot_at(slope2))
 
 
 def _knot_at(slope2: jax.Array) -> jax.Array:
@@ -103,7 +103,7 @@ def _knot_at(slope2: jax.Array) -> jax.Array:
     return jnp.minimum(jnp.arcsinh(slope / _FINEST) / _END, 1.0) * (KNOTS - 1)
 
 
-def bend_smoothness() -> np.ndarray:
+def spline_smoothness() -> np.ndarray:
     """Build the smoothness penalty of the coefficients, (rows, KNOTS): `smoothness`, stiffer beyond 45 degrees.
 
     Only few cells, in the outermost pixels of the sphere, depend on such steep facets. The tail continues there as a
@@ -120,14 +120,14 @@ def slope_of_knot(place: np.ndarray) -> np.ndarray:
     return _FINEST * np.sinh(place / (KNOTS - 1) * _END)
 
 
-@bend_at.defjvp
-def _bend_slopes(
+@spline_at.defjvp
+def _spline_slopes(
     values: tuple[jax.Array, jax.Array], changes: tuple[jax.Array, jax.Array]
 ) -> tuple[jax.Array, jax.Array]:
     """Differentiate by the chain rule: the functions and their derivatives are evaluated once, not for every direction."""
-    bends, slope2 = values
-    value, by_slope2 = jax.jvp(lambda at: cubic_spline(bends, _knot_at(at)), (slope2,), (jnp.ones_like(slope2),))
-    return value, combined(changes[0], bend_basis(slope2)) + by_slope2 * changes[1]
+    coefficients, slope2 = values
+    value, by_slope2 = jax.jvp(lambda at: cubic_spline(coefficients, _knot_at(at)), (slope2,), (jnp.ones_like(slope2),))
+    return value, combined(changes[0], spline_basis(slope2)) + by_slope2 * changes[1]
 
 
 def shadow_basis(cos: ArrayLike) -> jax.Array:

@@ -52,8 +52,8 @@ def fit_cylinder(
     """
     if stretched and family != "ggx":
         raise ArgumentError(f"family must be ggx for a lobe of two roughnesses, got {family}")
-    if stretched and more.get("bend"):
-        raise ArgumentError("a lobe of two roughnesses cannot be spline-modified: bend must be 0")
+    if stretched and more.get("spline"):
+        raise ArgumentError("a lobe of two roughnesses cannot be spline-modified: spline must be 0")
     profiles = {picture.name: strip_profiles(picture, strips) for picture in pictures}
     lay = partial(_cylinder_problem, strips=strips, profiles=profiles)
     return fit_sphere(pictures, scene, family, stretched=stretched, lay=lay, **more)
@@ -69,7 +69,7 @@ def _cylinder_problem(
     slope: np.ndarray,
     *,
     diffuse: bool,
-    bend: float,
+    spline: float,
     disc: bool = True,
     keep: Sequence[ObservedPixels] | None = None,
     strips: Sequence[Strip],
@@ -99,4 +99,4 @@ def _cylinder_problem(
         place = CylinderPlace(axis, row, radius, camera, lamp, frames[k].base)
         last = None if keep is None else keep[k]
         pixels.append(chosen_columns(profiles[picture.name], strips, place, alphas, plateau=lit.plateau, keep=last))
-    return joint_problem(layout, kind, scene, model, pixels, frames, slope, diffuse=diffuse, bend=bend)
+    return joint_problem(layout, kind, scene, model, pixels, frames, slope, diffuse=diffuse, spline=spline)

@@ -188,8 +188,8 @@ class JointProblem:
         peak = int(np.argmax(np.where(pixels.used, recorded.lobe, -1.0)))
         theta = recorded.theta_d[peak]
         slope = self.slope[k][channel]
-        bend = 1 + slope * (recorded.theta_d - theta)
-        lobe, lambert = strength * bend * recorded.lobe, diffuse * recorded.lambert
+        tilt = 1 + slope * (recorded.theta_d - theta)
+        lobe, lambert = strength * tilt * recorded.lobe, diffuse * recorded.lambert
         value = gain * (lobe + lambert)
         if derivative is None:
             return PictureFit(value, None, theta, None)
@@ -197,7 +197,7 @@ class JointProblem:
         columns = layout.of_picture(k)
         by_theta = derivative.theta_d - derivative.theta_d[peak]
         jacobian[:, columns] = gain * (
-            (strength * bend)[:, None] * derivative.lobe
+            (strength * tilt)[:, None] * derivative.lobe
             + (strength * slope * recorded.lobe)[:, None] * by_theta
             + diffuse[:, None] * derivative.lambert
         )
@@ -214,7 +214,7 @@ class JointProblem:
             by_k1 = Recorded(*((np.asarray(a).ravel() - b[near]) / STEP for a, b in zip(moved, recorded, strict=True)))
             angle[of_k1] = by_k1.theta_d[peak] if peak < near.stop else 0.0
             jacobian[near, of_k1] = gain * (
-                (strength * bend)[near] * by_k1.lobe
+                (strength * tilt)[near] * by_k1.lobe
                 + (strength * slope * recorded.lobe)[near] * (by_k1.theta_d - angle[of_k1])
                 + diffuse[near] * by_k1.lambert
             )
@@ -224,7 +224,7 @@ class JointProblem:
             jacobian[far, of_k1] = -(jacobian[far][:, centre] * away).sum(axis=1)
         jacobian[:, layout.gain(k)] = value
         everything = np.arange(value.size)
-        jacobian[everything, layout.strengths(k).start + channel] = gain * bend * recorded.lobe
+        jacobian[everything, layout.strengths(k).start + channel] = gain * tilt * recorded.lobe
         jacobian[everything, layout.diffuse.start + channel] = gain * recorded.lambert
         return PictureFit(value, jacobian, float(theta), angle)
 

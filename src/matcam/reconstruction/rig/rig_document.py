@@ -63,7 +63,7 @@ class _Geometry(_Strict):
 class _Lobe(_Strict):
     family: str
     masking: str | None
-    bent: bool
+    spline_modified: bool
     anisotropic: bool = False
 
 

@@ -1,4 +1,4 @@
-"""What a reconstruction says of a bent lobe that its pictures do not tell from the lens."""
+"""Error budget of a spline-modified lobe that the pictures do not distinguish from the lens."""
 
 from types import SimpleNamespace
 
@@ -10,11 +10,11 @@ from matcam.material.ndf.free_lobe import KNOTS
 from matcam.reconstruction.error_budget import inseparable
 from matcam.reconstruction.rig.field_change import FIELD
 
-KIND = LobeKind("ggx", "smith", bends=KNOTS)
+KIND = LobeKind("ggx", "smith", spline_size=KNOTS)
 LENS = KIND.size  # the first of the scene
 
 
-def test_a_bent_lobe_that_the_lens_mimics_is_named_by_its_half_width():
+def test_a_modified_lobe_that_the_lens_mimics_is_named_by_its_half_width():
     """The pictures know half width times lens; the lens alone is stated."""
     q = np.r_[np.log(0.02), np.zeros(KNOTS)]
     size = KIND.size + 4 + 1 + len(FIELD)
@@ -38,4 +38,4 @@ def test_a_bent_lobe_that_the_lens_mimics_is_named_by_its_half_width():
     pairs = inseparable(SimpleNamespace(kind=KIND, solution=solution, channels=("G",)))
     print(pairs)
     assert ("lens", "hwhm_rad") in [pair.names for pair in pairs]
-    assert not any(name.startswith(("bend", "alpha")) for pair in pairs for name in pair.names)
+    assert not any(name.startswith(("spline", "alpha")) for pair in pairs for name in pair.names)
