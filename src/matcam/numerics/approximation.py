@@ -59,7 +59,7 @@ def four_about(place: jax.Array, entries: int) -> tuple[jax.Array, list[jax.Arra
     return left.astype(int) - 1, lagrange_basis(np.arange(-1.0, 3.0), place - left)
 
 
-def lagrange_basis(points: np.ndarray, at: Any) -> list[Any]:
+def lagrange_basis(points: Any, at: Any) -> list[Any]:
     """Evaluate Lagrange's basis polynomials of `points` (n,) at the positions `at`: n arrays of its shape and kind.
 
     The polynomial through values v_k is `sum_k v_k basis_k`. Its derivatives are also finite at the points.
@@ -71,7 +71,7 @@ def lagrange_basis(points: np.ndarray, at: Any) -> list[Any]:
     for k in range(points.size - 1):
         left.append(left[-1] * factors[k])
         right.append(right[-1] * factors[-1 - k])
-    return [below * above / np.prod(row) for below, above, row in zip(left, right[::-1], differences, strict=True)]
+    return [below * above / row.prod() for below, above, row in zip(left, right[::-1], differences, strict=True)]
 
 
 def cubic_basis(place: jax.Array, count: int) -> jax.Array:

@@ -117,11 +117,11 @@ def lobe_ratio(
     here = _plain(coarse, at, fitted)
     if fitted.any():
         log += on_table(here - _plain(coarse, at, np.zeros(len(axes))), coarse)
-    columns = _columns(coarse, at, fits.shape, fitted)
+    columns = _columns(coarse, at, axes, fitted)
     variance = np.maximum(on_table(_variance(columns, fits.shape), coarse), 0.0)
     parts = _peak_parts(columns, fits.fit, fits.shape, coarse, variance[PEAK])
     for name, from_, there, weight in fits.alternatives:
-        change = _at(coarse, there) - (here if from_ is at else _at(coarse, from_))
+        change = _at(coarse, there, axes) - (here if from_ is at else _at(coarse, from_, axes))
         added = (weight * on_table(change, coarse)) ** 2
         variance += added
         parts = (*parts, VariancePart(name, "B", added[PEAK]))
@@ -132,7 +132,7 @@ def lobe_ratio(
         moved = there.rig @ axis_selection(there.axes, axes)
         change = on_table(_plain(coarse, there, moved) - here, coarse)
         shape = known_shape(other.fit, 0.0)
-        own = np.maximum(on_table(_variance(_columns(coarse, there, shape, moved), shape), coarse), 0.0)
+        own = np.maximum(on_table(_variance(_columns(coarse, there, axes, moved), shape), coarse), 0.0)
         shift += other.probability * change
         spread += other.probability * (change**2 + own - variance)
         apart += other.probability * change[PEAK] ** 2
@@ -176,13 +176,13 @@ def _plain(where: ResponseLattice, at: FitCoordinates, shifts: np.ndarray) -> np
     return np.asarray(_log_ratio(where, at.kind, placed(at.lobe), placed(shifts)))
 
 
-def _at(where: ResponseLattice, at: FitCoordinates) -> np.ndarray:
-    return _plain(where, at, at.rig @ axis_selection(at.axes, where.recorded.axes))
+def _at(where: ResponseLattice, at: FitCoordinates, axes: tuple[Axis, ...]) -> np.ndarray:
+    return _plain(where, at, at.rig @ axis_selection(at.axes, axes))
 
 
 def _log_ratio_and_record(where: ResponseLattice, at: FitCoordinates) -> tuple[np.ndarray, np.ndarray]:
     """Compute ln(true / recorded) and ln(recorded), the rig as given."""
-    (recorded, _), (true, _) = _lobes_and_shares(where, at, np.zeros(len(where.recorded.axes)))
+    (recorded, _), (true, _) = _lobes_and_shares(where, at, np.zeros(len(where.recorded.points)))
     log_recorded = np.where(where.cells.valid, np.log(recorded), np.log(VANISHED))
     return np.where(where.cells.valid, np.log(true) - log_recorded, 0.0), log_recorded
 
@@ -202,12 +202,15 @@ def _lobes_and_shares(
     ]
 
 
-def _columns(where: ResponseLattice, at: FitCoordinates, shape: ShapeUncertainty, shifts: np.ndarray) -> np.ndarray:
-    """Compute the derivatives of the ratio by lobe, rig and shape, (coordinates, slices, cells)."""
+def _columns(where: ResponseLattice, at: FitCoordinates, axes: tuple[Axis, ...], shifts: np.ndarray) -> np.ndarray:
+    """Compute the derivatives of the ratio by lobe, rig and shape, (coordinates, slices, cells).
+
+    axes: of the lattice. shifts: coordinates along them.
+    """
     (_, by_recorded), (_, by_true) = _lobes_and_shares(where, at, shifts)
     slopes = np.asarray(_log_slopes(where, at.kind, placed(at.lobe), placed(shifts)))
     own = len(at.lobe)
-    by_rig = np.tensordot(axis_selection(at.axes, where.recorded.axes), slopes[own:], 1)
+    by_rig = np.tensordot(axis_selection(at.axes, axes), slopes[own:], 1)
     columns = np.concatenate([slopes[:own], by_rig, by_true - by_recorded])
     return np.where(where.cells.valid, columns, 0.0)
 

@@ -22,7 +22,6 @@ import numpy as np
 from matcam.core.jax import jax, jnp
 from matcam.inverse.fit.fit_parameters import LobeKind
 from matcam.inverse.operator.lobe_operator import LobeOperator
-from matcam.inverse.operator.rig_axes import Axis
 from matcam.material.lambda_table import COTS, by_entries, lambda_at, quick_table
 from matcam.material.masking import smith_rule
 from matcam.material.ndf.distribution import NDF
@@ -39,7 +38,7 @@ def slopes_by_slice(operator: LobeOperator, kind: LobeKind, q: jax.Array) -> tup
     q: coordinates of the lobe, then those along the operator's axes.
     """
     lobe = _Lobe.of(kind, q[: kind.size])
-    bases = [_basis(axis, shift) for axis, shift in zip(operator.axes, q[kind.size :], strict=True)]
+    bases = [_basis(points, shift) for points, shift in zip(operator.points, q[kind.size :], strict=True)]
     rows = operator.slice_by_slice(lambda one: _slice(one, lobe, bases))
     return rows[:, 0], jnp.moveaxis(rows[:, 1:], 0, 1)
 
@@ -185,7 +184,6 @@ def _over_nodes(values: jax.Array) -> jax.Array:
     return jnp.sum(values, axis=(-2, -1))
 
 
-def _basis(axis: Axis, shift: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Evaluate Lagrange's polynomials through the points of an axis at a shift, and their derivatives."""
-    points = np.array(axis.points)
+def _basis(points: jax.Array, shift: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Evaluate Lagrange's polynomials through points at a shift, and their derivatives."""
     return jax.jvp(lambda at: jnp.stack(lagrange_basis(points, at)), (shift,), (jnp.ones_like(shift),))

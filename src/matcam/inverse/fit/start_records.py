@@ -32,7 +32,7 @@ class StartRecords:
         key = f"records of starts\n{self._name}\n{kind}\n{starts.tobytes().hex()}"
 
         def make() -> dict[str, np.ndarray]:
-            stated = np.zeros(len(self.operator.axes))
+            stated = np.zeros(len(self.operator.points))
             rows = [np.asarray(lobe_record(self.operator, kind, placed(np.concatenate([q, stated])))) for q in starts]
             return {"records": np.stack(rows)}
 

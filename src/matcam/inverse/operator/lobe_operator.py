@@ -16,7 +16,7 @@ interpolates between few values. Interactions of two parameters are neglected, a
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import equinox as eqx
@@ -60,7 +60,7 @@ class LobeOperator(eqx.Module):
         place_o: the same of the view.
         azimuth: the same of the angle between the two, rad.
         through_samples: (nodes of a group, samples).
-        axes: parameters of the rig that may change.
+        points: points of each axis, (points,). They are arrays, so that one compiled program serves rigs of any values.
         shape: (slices, cells of each).
         share: shares of the two azimuths at which masking is evaluated, as `cos_i`; None: halves.
         moment: operator with these weights times the difference of theta_d from that of the cell, rad; None: no moment.
@@ -75,7 +75,7 @@ class LobeOperator(eqx.Module):
     place_o: jax.Array
     azimuth: jax.Array
     through_samples: jax.Array
-    axes: tuple[Axis, ...] = eqx.field(static=True)
+    points: tuple[jax.Array, ...]
     shape: tuple[int, int] = eqx.field(static=True)
     share: jax.Array | None = None
     moment: LobeOperator | None = None
@@ -96,11 +96,11 @@ class LobeOperator(eqx.Module):
         moment = None if self.moment is None else self.moment.in_slices(part)
         return dataclasses.replace(self._of_cells(own, cells.shape[0]), moment=moment)
 
-    def along_axes(self, axes: tuple[Axis, ...]) -> LobeOperator:
+    def along_axes(self, indices: Sequence[int]) -> LobeOperator:
         """Restrict the operator to some of the axes."""
-        own = tuple(self.along[self.axes.index(axis)] for axis in axes)
-        moment = None if self.moment is None else self.moment.along_axes(axes)
-        return dataclasses.replace(self, along=own, axes=axes, moment=moment)
+        along, points = (tuple(every[k] for k in indices) for every in (self.along, self.points))
+        moment = None if self.moment is None else self.moment.along_axes(indices)
+        return dataclasses.replace(self, along=along, points=points, moment=moment)
 
     def leaning(self, lean: np.ndarray) -> LobeOperator:
         """Apply an F that is 1 at theta_d of the cells, with slope. lean: slope of ln F, 1/rad, (slices,)."""
@@ -136,8 +136,8 @@ class LobeOperator(eqx.Module):
     def weighted(self, ndf: NDF, masking: Masking, shifts: jax.Array, table: jax.Array | None = None) -> jax.Array:
         """Evaluate D G at the nodes times their weights, (cells, directions, nodes). table: of Lambda, if it is available."""
         weight = self.weight
-        for axis, differences, shift in zip(self.axes, self.along, shifts, strict=True):
-            weight = weight + jnp.tensordot(jnp.stack(lagrange_basis(np.array(axis.points), shift)), differences, 1)
+        for points, differences, shift in zip(self.points, self.along, shifts, strict=True):
+            weight = weight + jnp.tensordot(jnp.stack(lagrange_basis(points, shift)), differences, 1)
         light = self.light(ndf)
         if masking is not None:
             light *= self.joint_masking(masking, *self.lambdas(ndf, quick_table(ndf) if table is None else table))
@@ -231,7 +231,7 @@ class _Rules(NamedTuple):
             place_o=placed(place_of(cos_o)),
             azimuth=azimuth,
             through_samples=placed(through),
-            axes=axes,
+            points=tuple(placed(np.array(axis.points)) for axis in axes),
             shape=(slices, count),
             share=None if self.sample_share is None else placed(self.sample_share),
         )
@@ -274,7 +274,7 @@ def lobe_operator(
     key = (known, sampling, slice_step, axes, pixels)
     if whole is not None and whole != (slice_step, axes):
         cells, operator = lobe_operator(rig, sampling, *whole, workspace)
-        operator = operator.along_axes(axes)
+        operator = operator.along_axes([whole.axes.index(axis) for axis in axes])
         if whole.slice_step == slice_step:
             return cells, operator
         part = slice(
