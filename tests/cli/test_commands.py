@@ -146,7 +146,7 @@ def test_json_is_alone_on_standard_output_and_profiles_are_used(matcam, measured
     with xr.open_dataset(tmp_path / "out" / "f.nc") as data:
         assert "optics.sigma_px" in data["source"].values
         assert data["budget_std"].dims == ("source", "theta_d", "channel")
-    assert found["camera_uncertainty"] == "stated"
+    assert found["camera_uncertainty"] == "specified"
     # the record is the tangent plane's, the fit the sphere's: close to the limb, that looks like a lens with a stretch
     assert found["width"] == pytest.approx(0.002, rel=1.5e-2)
     assert set(found["corrected"]) == {"R", "G", "B"}

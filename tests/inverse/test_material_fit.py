@@ -162,7 +162,7 @@ def test_bad_arguments_are_refused():
         ({"fresnel": "metal"}, "fresnel must be one of"),
         ({"camera_parameters": "guess"}, "camera_parameters must be one of"),
         ({"camera_parameters": "prior"}, "needs a camera with an uncertainty"),
-        ({"camera_parameters": "free", "free": ["optics.f_number"]}, "which this camera lacks"),
+        ({"camera_parameters": "free", "free": ["optics.f_number"]}, "free must name parameters of this rig"),
         ({"slice_step": 0}, "slice_step must be"),
         ({"noise": PixelNoise(-1, 0)}, "noise.relative"),
         ({"masking": "none"}, "masking must be one of"),

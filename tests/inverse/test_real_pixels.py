@@ -45,7 +45,7 @@ def test_the_phase_is_found(rule, phase):
     assert seen.rule == rule
     assert seen.found.phase == located.rig.pixel_phase
     other = recorded.rig(cell_value="nearest" if rule == "bilinear" else "bilinear")
-    with pytest.raises(FitError, match=r"state pixel_phase|state the sphere's radius"):
+    with pytest.raises(FitError, match=r"specify pixel_phase|specify the sphere's radius"):
         located_rig(other, table)
     stated = recorded.rig(cell_value=rule, pixel_phase=(0.0, 0.25))
     assert located_rig(stated, table) == (stated, 0.0, (), False)
@@ -99,7 +99,7 @@ def test_each_picture_may_have_its_own_phase():
     apart = np.stack([(ours - one + 0.5) % 1 - 0.5 for one in (truth, 2 * highlight - truth)])
     assert np.abs(apart).max(axis=-1).min(axis=0).max() < 0.02
     assert found.std < 0.03
-    assert "elsewhere in each picture" in found.remarks[0].text
+    assert "differ between the images" in found.remarks[0].text
     assert "90 pairs" in repr(found.rig)
 
 

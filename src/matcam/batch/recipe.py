@@ -146,7 +146,7 @@ class Recipe:
         """Describe the recipe in one line."""
         family = "GGX or EPD, the more probable" if self.options.ndf == "auto" else self.options.ndf
         camera = self.rig.camera
-        known = f"its uncertainty {known_lens(camera).words}"
+        known = f"uncertainty {known_lens(camera).words}"
         return (
             f"Lobe: {family}; masking: {self.options.masking or 'none'}; camera: {camera.optics!r}, {known}; "
             f"{self.rig.sample.in_words()}."

@@ -101,11 +101,11 @@ def _print_cells(cells: dict[str, Any]) -> None:
         where = f"no grid of pixels on a sphere of {cells['radius_px']:g} px fits: try another --radius"
     else:
         phases, std = cells["phase_px"], f"± {cells['phase_std_px']:.1g} px"
-        where = "the pixels' centres lie "
+        where = "the pixels' centres "
         if isinstance(phases[0], list):
-            where += f"elsewhere in each image, known to {std}"
+            where += f"differ between the images, {std} each"
         else:
-            where += f"at ({phases[0]:+.3f}, {phases[1]:+.3f}) {std} from the sphere's"
+            where += f"lie at ({phases[0]:+.3f}, {phases[1]:+.3f}) {std} from the sphere's"
     show.say(f"cells: {how} ({share}, {cells['distinct_values']:.0f} values a slice); {where}")
 
 

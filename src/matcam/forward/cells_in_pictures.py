@@ -65,7 +65,7 @@ class CellChoice(NamedTuple):
             return _table_cells(sample, self, lamp_nearness)
         if not sample.distant or lamp_nearness is not None:
             raise ArgumentError(
-                "a real pixel grid needs a distant camera and lamp: with near ones each cell has its own picture"
+                "a real pixel grid needs a distant camera and lamp: with near ones each cell has its own image"
             )
         if self.pixel_phase is None:
             raise ArgumentError(

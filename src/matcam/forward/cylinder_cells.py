@@ -54,7 +54,7 @@ def check_cylinder(rig: Rig, azimuth: float = 0.0) -> None:
         )
     if rig.cell_value not in ("centre", "edge", UNKNOWN):
         raise ArgumentError(
-            f"cells of '{rig.cell_value}' need a sphere: on a cylinder each cell has its own picture; cell_value must be "
+            f"cells of '{rig.cell_value}' need a sphere: on a cylinder each cell has its own image; cell_value must be "
             "'centre' or 'edge'"
         )
 

@@ -1,14 +1,15 @@
 """Source disc in the rule of a pixel: chords of the disc, over which the kernel of the pixel is integrated in closed form.
 
-A point of the lamp turns the half vector, and with it the lobe over the sphere. A normal at some angles from the half
-vector of the lamp's centre is therefore turned by the same rotation, and the kernel is evaluated at its new position
-(docs/model.md 3). That is exact for distant cameras and lamps, and at the highlight itself for near ones.
+The half vector of a point of the lamp differs from that of the lamp's centre by a rotation. The same rotation is applied
+to the normals, and the kernel is evaluated at their new positions (docs/model.md 3). This is exact for distant cameras
+and lamps; for near ones it is exact at the highlight.
 
-Chords (`numerics/disc_chords.py`) have images along the second axis of the pixel. The point of a chord that meets the
-pixel determines the sideways displacement of the image there, and its speed along the chord.
+The images of the chords (`numerics/disc_chords.py`) lie along the second axis of the pixel. The point of a chord whose
+image is at the height of the pixel determines the distance of the image from the pixel along the first axis, and the
+length of the image per length of the chord.
 
-An image that is much smaller than the blur is an ellipse, and few Gaussians represent it (`numerics/disc_gaussians.py`)
-in a twentieth of the time.
+An image that is much smaller than the blur is nearly an ellipse. A sum of few Gaussians represents it
+(`numerics/disc_gaussians.py`) at a twentieth of the computing time.
 """
 
 from __future__ import annotations
@@ -27,22 +28,28 @@ from matcam.numerics.disc_gaussians import DISC_GAUSSIANS, LARGEST
 from matcam.sample.shape import highlight_between
 
 _GAUSSIAN = 0.45
-"""Radius of the image of the lamp over the standard deviation of the blur up to which a Gaussian of its variance is
-within 1e-3.
+"""Ratio of the radius of the lamp's image to the standard deviation of the blur up to which the image is replaced by a
+Gaussian of the same variance, whose error is at most 1e-3.
 """
 DISC_RULE = (*CHORD_RULE, _GAUSSIAN, PIXELS_SHARE, LARGEST, len(DISC_GAUSSIANS))
 """Parameters that set the number of chords. A stored rule is valid only for the same parameters."""
 _SMALLEST = 1e-5
-"""Smallest angular radius of a disc, rad: that of a point source."""
+"""Smallest angular radius of a disc, rad. A point source is computed with this radius, so that its chords have a length."""
 _SLACK = 1.1
-"""Factor by which an image may be larger at the end of the kernel than at its middle."""
+"""Safety factor on the size of an image, which may be larger at the end of the kernel than at its middle."""
 _ALIGNED = 1e-9
-"""Sine of the angle between the pixel's axes and the plane of camera and lamp below which they are parallel."""
+"""Sine of the angle between the pixel's axes and the plane of camera and lamp below which they are treated as parallel.
+It exceeds the rounding error of the azimuth.
+"""
 _ROUND = np.pi * np.arange(16) / 8
+"""Azimuths of the points on the rim of the disc at which the shift of the highlight is computed, rad."""
 
 
 def _chords() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return distances from the centre, half lengths and shares of the light for each of `COUNTS`; padding has no light."""
+    """Tabulate distances from the centre, half lengths and shares of the light of the chords for each of `COUNTS`.
+
+    The arrays are padded with chords whose share is 0.
+    """
     at, half, share = np.zeros((3, len(COUNTS), COUNTS[-1]))
     half += 1.0
     for n, count in enumerate(COUNTS):
@@ -57,13 +64,13 @@ class LampDisc(NamedTuple):
     """Disc of a lamp and the chords that each pixel needs.
 
     Attributes:
-        radius: (pixels,), angular radius of the disc, rad.
-        lamp_angle: (pixels,), between the lamp's centre and the optical axis, rad.
-        chord: (pixels, 2), direction of the chords along the plane of camera and lamp, and across it.
-        rule: (pixels,), index into `COUNTS`.
-        turn: (pixels, 2), cosine and sine of the angle between the plane of camera and lamp and the first axis of the pixel.
-        image: (pixels, 2), motion of the highlight with the lamp along and across its plane, px/rad.
-        relative: (pixels,), half of the image's larger width over the blur's standard deviation.
+        radius: angular radius of the disc, rad, (pixels,).
+        lamp_angle: angle between the lamp's centre and the optical axis, rad, (pixels,).
+        chord: direction of the chords along the plane of camera and lamp, and across it, (pixels, 2).
+        rule: index into `COUNTS`, (pixels,).
+        turn: cosine and sine of the angle between the plane of camera and lamp and the first axis of the pixel, (pixels, 2).
+        image: shift of the highlight per shift of the lamp along and across its plane, px/rad, (pixels, 2).
+        relative: ratio of half the larger width of the image to the standard deviation of the blur, (pixels,).
     """
 
     radius: jax.Array | np.ndarray
@@ -78,11 +85,19 @@ class LampDisc(NamedTuple):
 def lamp_discs(
     view: SampleView, blurs: list[Blur], stds: list[float], lamp_angle: np.ndarray, x: np.ndarray, y: np.ndarray
 ) -> tuple[list[LampDisc | None], np.ndarray]:
-    """Compute the discs of some blurs, and their shifts of what pixels see, (blurs, 2, pixels), px along the axes of
-    the pixels.
+    """Compute the discs of some blurs, and the largest shifts of the image by points of each disc.
 
-    All are None where Gaussians of the same variances suffice; those of points always are. stds: of Gaussians as sharp
-    as the blurs, px. lamp_angle, x, y: of the pixels.
+    Args:
+        view: geometry of sphere, camera and lamp.
+        blurs: the blurs.
+        stds: standard deviations of Gaussians that are as sharp as the blurs, px.
+        lamp_angle: lamp angle of the pixels, rad, (pixels,).
+        x: distance of the pixels from the optical axis, towards the lamp, px, (pixels,).
+        y: the same across, px, (pixels,).
+
+    Returns:
+        Disc of each blur: None for a point source, and for all blurs if Gaussians of the same variances suffice. Shifts
+        along the axes of the pixels, px, (blurs, 2, pixels).
     """
     half = float(blurs[0].pixel.half_width)
     turn = view.azimuth - np.pi / 2 * np.round(view.azimuth / (np.pi / 2))  # a square has four axes
@@ -113,16 +128,16 @@ def lamp_kernel(
 ) -> jax.Array:
     """Integrate the kernel over the disc of a lamp at nodes, 1/px^2, (groups, nodes).
 
-    Differentiable in the disc's radius.
+    The integral is differentiable with respect to the radius of the disc.
 
     Args:
         view: geometry of sphere, camera and lamp.
-        blur: the blur under a point.
+        blur: the blur for a point source.
         terms: terms of the blur.
         disc: disc of the pixel of each group.
         normal: normals for the centre of the lamp, (groups, nodes) each.
         at: position of the pixel along the plane of camera and lamp and across it, (groups, 1) each, px.
-        variances: px^2, (groups, 1), that are added along x and y besides.
+        variances: variances that are added to the blur along x and y, px^2, (groups, 1) each.
     """
     if not (is_concrete(view.camera) and is_concrete(view.lamp) and view.distant):
         return _by_chords(view, blur, terms, disc, normal, at, variances)
@@ -136,7 +151,7 @@ def lamp_kernel(
 
 
 def _by_gaussians(view, blur: Blur, terms, disc: LampDisc, normal, at, variances):  # type: ignore[no-untyped-def]
-    """Integrate the kernel over a disc that is much smaller than the blur, as a sum of Gaussians."""
+    """Integrate the kernel over a disc that is much smaller than the blur and is replaced by a sum of Gaussians."""
     widening = dataclasses.replace(blur, varies=True)
     offset = at[0] - view.radius * normal[0], at[1] - view.radius * normal[1]
     half_widths = [(disc.radius * scale)[:, None] for scale in disc.image.T]
@@ -153,7 +168,7 @@ def _by_gaussians(view, blur: Blur, terms, disc: LampDisc, normal, at, variances
 
 
 def _by_chords(view, blur: Blur, terms, disc: LampDisc, normal, at, variances):  # type: ignore[no-untyped-def]
-    """Integrate the kernel over chords of a disc, in closed form over each."""
+    """Integrate the kernel over a disc as a sum over its chords; the integral over each is in closed form."""
     cosine, sine = (a[:, None] for a in disc.turn.T)
     own_x, own_y = _rotated(at[0], at[1], cosine, sine)
     radius, lamp = jnp.maximum(disc.radius, _SMALLEST), disc.lamp_angle
@@ -170,7 +185,8 @@ def _by_chords(view, blur: Blur, terms, disc: LampDisc, normal, at, variances): 
         )
         to, light = _highlights(view, u, v, radius, lamp)
         run = _rotated(*_place(view, to), *disc.turn.T)[1]
-        # the image's y is a cubic of the position on the chord: its linear part holds on a shorter part of the chord
+        # y of the image is a cubic of the position on the chord; `less` is the share of the third order in half the
+        # difference between the ends
         less = ((4 - 8 * (run[4] - run[3]) / (run[2] - run[0])) / 3)[:, None]
         light = [(share * part / own_light)[:, None] for part in light[:3]]
         there = _turned(from_, [a[:3, :, None] for a in to], normal)
@@ -200,7 +216,12 @@ def _by_chords(view, blur: Blur, terms, disc: LampDisc, normal, at, variances): 
 def _moved(
     view: SampleView, blur: Blur, lamp_angle: np.ndarray, x: np.ndarray, y: np.ndarray
 ) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray]:
-    """Compute the shift of the highlight by points of the rim, (rim, pixels) along x and y, and its largest value, px."""
+    """Compute the shift of the highlight by points of the rim of the disc, px.
+
+    Returns:
+        Shifts along x and y, (rim, pixels) each; largest shifts of highlight and pixel along the axes of the pixels,
+        (2, pixels).
+    """
     farthest = np.zeros((2, *x.shape))
     if float(blur.lamp_radius) == 0:
         return (farthest[:1], farthest[:1]), farthest
@@ -222,8 +243,8 @@ def _moved(
 
 
 def _image(view: SampleView, lamp_angle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Compute the shift of the highlight with the lamp along and across its plane, px/rad."""
-    step = 1e-4
+    """Compute the shift of the highlight per shift of the lamp along and across its plane, px/rad."""
+    step = 1e-4  # rad; the error of the differences is of second order
     ends = [_highlights(view, u, v, step, lamp_angle)[0] for u, v in ((1.0, 0.0), (-1.0, 0.0), (0.0, 1.0))]
     (x, _), (other, _), (_, y) = (_place(view, end) for end in ends)
     return np.asarray(x - other) / 2 / step, np.asarray(y) / step
@@ -232,13 +253,14 @@ def _image(view: SampleView, lamp_angle: np.ndarray) -> tuple[np.ndarray, np.nda
 def _highlights(view: SampleView, u: Any, v: Any, radius: Any, lamp_angle: Any) -> tuple[tuple, Any]:
     """Compute the normals at the highlights of points of the disc, and the light of the points.
 
-    u, v: of the points in radii of the disc, along the plane of camera and lamp, and across. The light is proportional
-    to the record of a point. For lamp angles of NumPy all operations are NumPy's, because JAX would compile each by
-    itself.
+    The light is proportional to the record of a point. NumPy computes NumPy arrays of lamp angles, because JAX would
+    compile each operation separately.
+
+    u, v: positions of the points along the plane of camera and lamp, and across it, in radii of the disc.
     """
     xp: Any = np if isinstance(lamp_angle, np.ndarray) else jnp
     square = u**2 + v**2
-    # a distant disc is uniform over its solid angle; a near one is flat and faces the centre
+    # the light of a distant disc is uniform over its solid angle; a near disc is flat and faces the centre
     sunk, distant = square * 2 * xp.sin(radius / 2) ** 2, view.lamp == 0
     up = xp.where(distant, 1 - sunk, 1.0)
     aside = xp.where(distant, np.sqrt(2) * xp.sin(radius / 2) * xp.sqrt(2 - sunk), xp.tan(radius))
@@ -283,5 +305,5 @@ def _place(view: SampleView, normal: Any) -> tuple[Any, Any]:
 
 
 def _parabola(first: Any, middle: Any, last: Any, on: Any) -> Any:
-    """Fit the parabola through values at -1, 0 and 1."""
+    """Evaluate the parabola through values at -1, 0 and 1."""
     return middle + on * ((last - first) / 2 + on * ((last + first) / 2 - middle))

@@ -1,9 +1,10 @@
 """Record of an isotropic lobe in one pixel of a cylinder, which shows the normals of one line (docs/model.md 3).
 
-Each cell has its own lamp, turned about the optical axis until the normal of the cell lies across the axis of the
-cylinder (`forward/cylinder_cells.py`). Along the line the angle to the half vector falls to a minimum and rises again.
-Both arms have their own nodes, at which the masking is exact. Nodes are even in asinh(turn / scale), where the turn is
-the angle from the minimum. A lobe is smooth in it for any distance of the line from the half vector.
+Each cell has its own lamp azimuth, at which the normal of the cell is perpendicular to the axis of the cylinder
+(`forward/cylinder_cells.py`). Along the line the angle between normal and half vector decreases to a minimum and increases
+again. The two arms on either side of the minimum have their own nodes, at which the masking is exact. The nodes are
+equally spaced in asinh(turn / scale), where the turn is the angle from the minimum. A lobe is smooth in this variable for
+any distance of the line from the half vector.
 """
 
 from __future__ import annotations
@@ -18,10 +19,13 @@ from matcam.forward.integral.blur import Blur, Spread
 from matcam.inverse.operator.theta_nodes import NODES, onto_nodes, stretched
 
 _PANEL = np.polynomial.legendre.leggauss(24)
+"""Gauss-Legendre nodes and weights of the panel between two neighbouring cuts of an arm."""
 _HALVES = np.array([0.5])
+"""Positions of additional cuts between the two ends of an arm, as shares of the distance of the ends."""
 _BLOCK = 128
+"""Number of pixels that are computed at a time. It divides `PIECE`, and limits the memory of the arrays."""
 _LEAST = 1e-12
-"""Length of an arm outside the window, rad: its weights are 0."""
+"""Smallest length of an arm, rad. An arm outside the window has this length, and weights of 0."""
 ARMS = (1.0, -1.0)
 """Sides of the normal closest to the half vector: away from the axis, and towards it."""
 
@@ -30,9 +34,9 @@ class ImagePlaces(NamedTuple):
     """Positions in the images of a sphere, at the same distance from the axis as on the cylinder; arrays of one shape.
 
     Attributes:
-        x: distance from the optical axis, the lamp towards +x, px.
-        y: the same across, px.
-        theta_d: rad.
+        x: distance from the optical axis towards the lamp, px.
+        y: distance from the optical axis across, px.
+        theta_d: difference angle, rad.
         factor: factor of the record.
     """
 
@@ -67,16 +71,16 @@ def line_rule(
     onto: jax.Array,
     arm: float,
 ) -> LineRule:
-    """Compute the rule of one arm for some terms of a blur; differentiable in its parameters.
+    """Compute the rule of one arm for some terms of a blur; it is differentiable with respect to its parameters.
 
     Args:
-        radius: radius of the cylinder in the picture, px.
+        radius: radius of the cylinder in the image, px.
         blur: the blur.
-        variance: px^2, (pixels,), that the blur's spread adds.
+        variance: variance that is added to the blur, px^2, (pixels,).
         terms: terms of the blur.
-        pixels: places as on a sphere under a lamp towards +x; a multiple of the block, see `padded`.
-        reach: half width of the window of a pixel, (pixels,), px.
-        onto: the same of the range of all nodes.
+        pixels: positions on a sphere with the lamp towards +x. Their number is a multiple of the block, see `padded`.
+        reach: half width of the window of a pixel, px, (pixels,).
+        onto: half width of the range of all nodes, px, (pixels,).
         arm: one of `ARMS`.
     """
 
@@ -92,7 +96,7 @@ def line_rule(
         lit = jnp.maximum(-jnp.pi / 2, middle - jnp.pi / 2), jnp.minimum(jnp.pi / 2, middle + jnp.pi / 2)
 
         def turns(at: jax.Array) -> jax.Array:
-            """Compute the angle along the arm of the normals at columns, rad."""
+            """Compute the angle along the arm, from the minimum, of the normals at columns, rad."""
             u = jnp.clip(jnp.arcsin(jnp.clip(at / radius, -1, 1)), *lit)
             return jnp.maximum(arm * (u - closest), 0.0)
 
@@ -107,7 +111,7 @@ def line_rule(
         at = closest + arm * scale * jnp.sinh(t)
         offset = column - radius * jnp.sin(at)
         spread = Spread(variance, variance, jnp.abs(blur.defocus(radius, jnp.cos(at))))
-        # light is uniform along the axis, so only the column of each chord matters
+        # the light is uniform along the axis, so the kernel depends on the column of each chord only
         kernel = sum(blur.weights[j] * blur.through_disc(j, spread, lambda along, _: along(offset)) for j in terms)
         place = 2 * (t - first) / (last - first) - 1
         weight = onto_nodes(place, factor * radius / 4 * kernel * step)

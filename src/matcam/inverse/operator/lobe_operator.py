@@ -1,16 +1,16 @@
 """Record of D G in chosen cells: one compiled function of lobe and camera for all materials.
 
-`record` is the integral of docs/model.md 3 without F. The value of a table is F(theta_d) times it, because a slice of a
-distant sphere under a distant lamp is one theta_d. The rule of each pixel depends on the rig alone; it is computed once
-(`sphere_rule`) and kept.
+`record` is the integral of docs/model.md 3 without F. The value of a table is F(theta_d) times this record, because a
+slice of a distant sphere under a distant lamp has one theta_d. The rule of each pixel depends on the rig only; it is
+computed once (`sphere_rule`) and stored.
 
-In front of a near camera or under a near lamp every node has its own theta_d. The value of the table is then F A + F'
-B, A the record at F = 1 and B the record of D G times the difference of theta_d from the cell's (`rise_of`). The
-operator `moment` of B is that of A with other weights. The second order is below 3e-5 of the value for lamps at three
-radii.
+With a near camera or lamp, theta_d differs between the nodes. The value of the table is then F A + F' B, where A is the
+record at F = 1, and B is the record of D G times the difference between theta_d of the node and of the cell (`rise_of`).
+The operator `moment` of B is the operator of A with other weights. The second-order term is below 3e-5 of the value for
+lamps at three radii.
 
-Uncertain parameters of the rig change the weights of the rule. Along the axis of each (`rig_axes`) a polynomial
-interpolates between few values. Interactions of two parameters are neglected, as products of two small errors.
+Uncertain parameters of the rig change the weights of the rule. Along the axis of each parameter (`rig_axes`) a polynomial
+interpolates between few values. The interaction of two parameters is a product of two small errors and is neglected.
 """
 
 from __future__ import annotations
@@ -51,18 +51,18 @@ class LobeOperator(eqx.Module):
     """Rule of all chosen cells. Masking is evaluated at fewer samples than the lobe.
 
     Attributes:
-        slope2: (cells of all slices, ways, nodes), squared tangent of the angle from the half vector.
-        weight: (cells, ways, nodes).
-        along: for each axis, (points, cells, ways, nodes): differences of the weights at the points of the axis.
-        cos_i: (cells, ways, groups of nodes, samples, 2), cosine of the light.
-        cos_o: the same of the view.
-        place_i: position of the light in the table of a Lambda (`lambda_table`), as `cos_i`.
-        place_o: the same of the view.
-        azimuth: the same of the angle between the two, rad.
-        through_samples: (nodes of a group, samples).
+        slope2: squared tangent of the angle between normal and half vector, (cells of all slices, directions, nodes).
+        weight: weight of each node, (cells, directions, nodes).
+        along: for each axis, differences of the weights at the points of the axis, (points, cells, directions, nodes).
+        cos_i: cosine of the angle of incidence, (cells, directions, groups of nodes, samples, 2).
+        cos_o: cosine of the viewing angle, in the shape of `cos_i`.
+        place_i: index of the angle of incidence in the table of a Lambda (`lambda_table`), in the shape of `cos_i`.
+        place_o: index of the viewing angle in that table, in the shape of `cos_i`.
+        azimuth: azimuth between the directions of incidence and view, rad, in the shape of `cos_i`.
+        through_samples: matrix that interpolates from the samples to the nodes of a group, (nodes of a group, samples).
         points: points of each axis, (points,). They are arrays, so that one compiled program serves rigs of any values.
-        shape: (slices, cells of each).
-        share: shares of the two azimuths at which masking is evaluated, as `cos_i`; None: halves.
+        shape: number of slices, and of cells in each.
+        share: shares of the two azimuths at which masking is evaluated, in the shape of `cos_i`; None: one half each.
         moment: operator with these weights times the difference of theta_d from that of the cell, rad; None: no moment.
     """
 
@@ -82,11 +82,11 @@ class LobeOperator(eqx.Module):
 
     @property
     def orders(self) -> tuple[LobeOperator, ...]:
-        """Return the operator, and that of its moment if it has one."""
+        """Return the operator, and the operator of its moment if it has one."""
         return (self,) if self.moment is None else (self, self.moment)
 
     def in_slices(self, part: slice) -> LobeOperator:
-        """Return the operator of some of the slices."""
+        """Restrict the operator to some of the slices."""
         slices, count = self.shape
         cells = np.arange(slices * count).reshape(slices, count)[part]
 
@@ -103,7 +103,7 @@ class LobeOperator(eqx.Module):
         return dataclasses.replace(self, along=along, points=points, moment=moment)
 
     def leaning(self, lean: np.ndarray) -> LobeOperator:
-        """Apply an F that is 1 at theta_d of the cells, with slope. lean: slope of ln F, 1/rad, (slices,)."""
+        """Apply an F that is 1 at theta_d of the cells. lean: slope of ln F, 1/rad, (slices,)."""
         if self.moment is None:
             return self
         rise = jnp.repeat(jnp.asarray(lean), self.shape[1])[:, None, None]
@@ -116,9 +116,9 @@ class LobeOperator(eqx.Module):
         )
 
     def record(self, ndf: NDF, masking: Masking, shifts: jax.Array) -> jax.Array:
-        """Integrate D G through the camera over cos_i, 1/sr at F = 1, mean of both directions; shape (slices, cells).
+        """Compute the record of D G over cos_i at F = 1, 1/sr, the mean of both directions, (slices, cells).
 
-        shifts: (axes,), coordinates along them.
+        shifts: coordinates along the axes, (axes,).
         """
         table = None if masking is None else quick_table(ndf)
         if table is None:
@@ -134,7 +134,10 @@ class LobeOperator(eqx.Module):
         return 2 * jnp.sum(self.weighted(ndf, masking, shifts), axis=-1).reshape(*self.shape, -1)
 
     def weighted(self, ndf: NDF, masking: Masking, shifts: jax.Array, table: jax.Array | None = None) -> jax.Array:
-        """Evaluate D G at the nodes times their weights, (cells, directions, nodes). table: of Lambda, if it is available."""
+        """Evaluate D G at the nodes, times their weights, (cells, directions, nodes).
+
+        table: table of Lambda. Default: None, it is computed if Lambda has no closed form.
+        """
         weight = self.weight
         for points, differences, shift in zip(self.points, self.along, shifts, strict=True):
             weight = weight + jnp.tensordot(jnp.stack(lagrange_basis(points, shift)), differences, 1)
@@ -144,7 +147,7 @@ class LobeOperator(eqx.Module):
         return weight * light
 
     def lambdas(self, ndf: NDF, table: jax.Array | None) -> tuple[jax.Array, jax.Array]:
-        """Evaluate Lambda of the light and of the view. table: of Lambda; None: a closed form exists."""
+        """Evaluate Lambda at the angles of incidence and view. table: table of Lambda; None: Lambda has a closed form."""
         if table is None:
             return ndf.smith_lambda(self.cos_i), ndf.smith_lambda(self.cos_o)
         return lambda_at(table, self.place_i), lambda_at(table, self.place_o)
@@ -154,26 +157,26 @@ class LobeOperator(eqx.Module):
         return ndf.slope_density(self.slope2) * (1 + self.slope2) ** 2
 
     def joint_masking(self, masking: Masking, lambda_i: jax.Array, lambda_o: jax.Array) -> jax.Array:
-        """Evaluate G at the nodes, from the Lambdas at its samples."""
+        """Evaluate G at the nodes from the values of Lambda at the samples."""
         both = g2(masking, lambda_i, lambda_o, self.azimuth)
         if self.share is None:
             mean = jnp.mean(both, axis=-1)
-        else:  # XLA takes five times as long for jnp.sum over the pair
+        else:  # jnp.sum over the pair takes XLA five times as long
             mean = both[..., 0] * self.share[..., 0] + both[..., 1] * self.share[..., 1]
         joint = mean @ self.through_samples.T
         return joint.reshape(self.slope2.shape)
 
     def slice_by_slice(self, function: Callable[[LobeOperator], jax.Array]) -> jax.Array:
-        """Apply a function to the operator of each slice, one slice after the other; shape (slices, ...).
+        """Apply a function to the operator of each slice, one slice after the other; the result has shape (slices, ...).
 
-        A function of all nodes would require hundreds of MB; that of a slice fits into the cache of the processor.
+        The arrays of all slices would require hundreds of MB. Those of one slice fit into the cache of the processor.
         """
 
         def one(place: jax.Array) -> jax.Array:
             return function(self._in_slice(place))
 
         places = jnp.arange(self.shape[0])
-        # a GPU is faster on all slices at once
+        # a GPU is faster if it processes all slices at once
         return jax.lax.map(one, places) if jax.default_backend() == "cpu" else jax.vmap(one)(places)
 
     def _in_slice(self, place: jax.Array) -> LobeOperator:
@@ -187,7 +190,8 @@ class LobeOperator(eqx.Module):
     def _of_cells(self, own: Callable[..., jax.Array], slices: int) -> LobeOperator:
         """Restrict the operator to some of the cells, without its moment.
 
-        own: selects from an array along the axis of its cells, by default the first. slices: number of slices of these cells.
+        own: function that selects the cells of an array along their axis, by default the first. slices: number of slices of
+        these cells.
         """
         return dataclasses.replace(
             self, slope2=own(self.slope2), weight=own(self.weight), along=tuple(own(one, 1) for one in self.along),
@@ -242,11 +246,11 @@ class _Rules(NamedTuple):
 
 
 class WholeRule(NamedTuple):
-    """Slices and axes of a rule from which a part is taken.
+    """Slices and axes of a rule from which a smaller rule is selected.
 
     Attributes:
-        slice_step: spacing of the slices; those of the part are among them.
-        axes: parameters of the rig that may change; those of the part are among them.
+        slice_step: spacing of the slices, which include those of the smaller rule.
+        axes: parameters of the rig that may change, which include those of the smaller rule.
     """
 
     slice_step: int
@@ -263,8 +267,8 @@ def lobe_operator(
 ) -> tuple[ChosenCells, LobeOperator]:
     """Build the chosen cells of every `slice_step`-th slice and their rule.
 
-    rig: None is a camera without blur. workspace: keeps the rule for the next call of the same rig. whole: a rule of
-    more slices or axes, of which this one is a part. Default: None, it is computed by itself.
+    rig: the rig; None: a camera without blur. workspace: store of the rule for further calls with the same rig. whole: rule
+    of more slices or axes from which this one is selected. Default: None, it is computed separately.
     """
     if rig is None:
         return perfect_operator(sampling, slice_step, FAR_AWAY, workspace)
@@ -294,7 +298,7 @@ def lobe_operator(
 
 
 def rig_key(rig: Rig) -> tuple:
-    """Describe all properties of a checked rig that its pixels depend on, to the last digit."""
+    """Check a rig, and list all properties that its pixels depend on, in full precision."""
     check_rig(rig)
     camera = eqx.tree_at(lambda c: (c.uncertainty, c.sensor), rig.camera, (None, None), is_leaf=lambda x: x is None)
     parameters = {name: float(value) for name, value in camera.parameters().items()}
@@ -304,27 +308,30 @@ def rig_key(rig: Rig) -> tuple:
 
 
 def check_rig(rig: Rig) -> None:
-    """Raise ArgumentError for a rig whose tables a lobe cannot be fitted to."""
+    """Raise ArgumentError for a rig to whose tables no lobe can be fitted."""
     if not isinstance(rig, Rig):
         raise ArgumentError(f"rig must be a Rig such as rigs.merl(), or None, got {type(rig).__name__}")
     if not isinstance(rig.sample, Sphere | Cylinder):
         raise ArgumentError(
-            f"a fit needs a table recorded from a Sphere or Cylinder, this rig has a {type(rig.sample).__name__}"
+            f"a fit needs a table recorded from a Sphere or Cylinder, but this rig has a {type(rig.sample).__name__}"
         )
     if isinstance(rig.sample, Cylinder):
         check_cylinder(rig)
         checked_isotropic(rig.camera.optics, "a fit of a cylinder")
     if rig.cell_value in (*ON_REAL_PIXELS, "mean") and not sample_view(rig).distant:
         raise ArgumentError(
-            f"cells of '{rig.cell_value}' need a distant camera and lamp: with near ones each cell has its own picture; "
-            "cell_value must be 'centre' or 'edge'"
+            f"cell_value '{rig.cell_value}' requires a distant camera and lamp, because with near ones each cell has its own "
+            "image: specify 'centre' or 'edge'"
         )
 
 
 def operator_in(
     rig: Rig, cells: ChosenCells, axes: tuple[Axis, ...], description: str, workspace: Workspace
 ) -> LobeOperator:
-    """Return the rule of any cells. description: all that it depends on, under which the workspace keeps it on disk."""
+    """Build the operator of any cells.
+
+    description: text of all quantities that the rule depends on; the workspace stores the rule on disk under this key.
+    """
     if float(rig.lamp_radius) > 0 or any(axis.name == LAMP for axis in axes):
         description = f"{description}, discs by {DISC_RULE}"
     if float(rig.aperture) > 0 or any(axis.name == APERTURE for axis in axes):
@@ -354,7 +361,7 @@ def perfect_operator(
 ) -> tuple[ChosenCells, LobeOperator]:
     """Build the rule of a camera without blur, in the cells that are chosen for a sphere.
 
-    pixels: the real grid that the cells are looked up in.
+    pixels: real grid from whose pixels the cells are read; None: each cell has its own pixels.
     """
 
     def make() -> tuple[ChosenCells, LobeOperator]:
@@ -366,7 +373,7 @@ def perfect_operator(
 
 
 def point_operator(cells: ChosenCells) -> LobeOperator:
-    """Build the rule of a camera without blur: one node, at the cell itself or at each of its pixels."""
+    """Build the rule of a camera without blur: one node at the position of the cell, or at each of its pixels."""
     valid, ways = cells.valid[..., None], cells.x.shape[-1]
     weight = np.where(valid, cells.weight / (4 * np.where(valid, cells.cos_i * cells.cos_o, 1.0)), 0.0)
     if cells.real is None:

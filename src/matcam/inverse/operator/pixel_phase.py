@@ -1,14 +1,15 @@
 """Positions of the pixels behind a table, estimated from the table alone (docs/correct.md, *Cells on real pixels*).
 
-Cells that were read from the nearest pixel repeat its value, to the last digit. A border between values is a border of
-a pixel. Near the highlight cells lie a twentieth of a pixel apart, so the borders in few slices give the phase of the
-grid to some thousandths of a pixel, for any material and noise.
+Cells that were read from the nearest pixel have exactly its value, so a border between values is a border of a pixel.
+Near the highlight, neighbouring cells are a twentieth of a pixel apart. The borders in few slices therefore determine the
+phase of the grid to a few thousandths of a pixel, for any material and noise.
 
-Cells that are means of the pixels inside are mostly too small to contain one, and repeat the nearest pixel as well. A
-cell that contains one pixel has its value, on either side, and therefore other borders.
+Cells that are means of the pixels inside are mostly too small to contain a pixel, and then have the value of the nearest
+one. A cell that contains one pixel has the value of this pixel, although it may not be the nearest. Its borders therefore
+differ from those of cells that were read from the nearest pixel.
 
-Cells that were interpolated are linear in the values of few pixels: a grid of the right phase explains hundreds of
-cells by a few dozen values exactly.
+Cells that were interpolated are linear functions of the values of few pixels. With the correct phase, a few dozen values
+explain hundreds of cells exactly.
 """
 
 from __future__ import annotations
@@ -39,41 +40,49 @@ from matcam.inverse.operator.sample_view import rig_behind, sample_view
 from matcam.rigs import ON_REAL_PIXELS, UNKNOWN, CellValue, PixelPhase, Rig
 
 _DIAGONAL = 1e-6
-"""Sine of four times an azimuth below which it is a multiple of 45 degrees."""
+"""Sine of four times an azimuth below which the azimuth is treated as a multiple of 45 degrees. It exceeds rounding errors."""
 _LEAST_REPEATS = 0.3
-"""Share of neighbouring cells in these rings that repeat a value if cells were read from the nearest pixel."""
+"""Smallest share of neighbouring cells near the highlight that have the same value if they were read from pixels."""
 _COMMON = 0.02
-"""Share of borders that a phase common to all images may miss; otherwise each image has its own."""
+"""Largest share of borders that a phase common to all images may leave unexplained. Above it each image has its own phase."""
 _MOST_OF_A_SLICE = 0.5
+"""Share of the cells of a slice that must have a value. A slice with fewer values is not used."""
 _COARSE, _FINE = 0.0625, 5e-4
-"""First and last step of the search, px."""
+"""First and last step of the search for a phase, px. The last step is below the accuracy of a phase, a few 1e-3 px."""
 _MOST_REPEATS = 0.95
+"""Share of equal neighbours above which the table is treated as a constant, which has no highlight."""
 _MOST_WRONG = 0.1
-"""Share of the borders between values that a grid may miss."""
+"""Largest share of the borders between values that a grid may leave unexplained."""
 _STRIDE = 1 << 16
+"""Number of pixels per row in the number of a pixel. It exceeds the width of any image."""
 _FEW_RINGS, _FEW_AZIMUTHS = 7, 6
+"""Number of rings, and step in azimuths, of the cells that determine the phase of an interpolated table."""
 _SIGN_RINGS, _SIGN_AZIMUTHS = 11, 4
+"""Number of rings, and step in azimuths, of the cells that decide between a phase and its mirror image."""
 _FLAT = 1e-10
+"""Relative variance of cells below which they are a constant, which any grid interpolates."""
 _CORNERS = np.array([[0.0, 0.0], [0.04, 0.0], [0.0, 0.04]])
+"""Offsets of the corners of the first simplex from its start, px. They are less than half the distance of the starts."""
 _FIRST_TRIES, _TRIES = 25, 90
-"""Number of phases that are tried to detect a grid of pixels, and to locate it."""
+"""Largest number of phases that are tried to detect a grid of pixels, and to locate it."""
 _FALLS = 0.2
-"""Ratio of residuals after the first tries and at the start, below which a grid is detected."""
+"""Ratio of the residual after the first tries to that of the start, below which a grid is detected."""
 _MOST_REST = 1e-6
-"""Share of the variance of interpolated cells that a grid may leave unexplained."""
+"""Largest share of the variance of interpolated cells that a grid may leave unexplained. It exceeds rounding errors."""
 READ_FROM: dict[CellValue, str] = {
     "nearest": "read from the nearest pixel",
     "bilinear": "interpolated between pixels",
-    "mean": "the means of the pixels inside, of the nearest where none is",
+    "mean": "the means of the pixels inside, or read from the nearest pixel if there are none",
 }
+"""Description of each rule by which cells are read from pixels, for messages."""
 
 
 class FoundPhase(NamedTuple):
     """Position of the pixels behind a table.
 
     Attributes:
-        phase: (x, y), px, or a pair for each slice.
-        std: standard deviation of either, px.
+        phase: phase of the grid in x and y, px, or such a pair for each slice.
+        std: standard deviation of each of the two, px.
         unexplained: share of the table's borders between values, or of its variance, that the grid does not explain.
     """
 
@@ -82,9 +91,11 @@ class FoundPhase(NamedTuple):
     unexplained: float
 
     def remark(self, rule: CellValue) -> Remark:
-        """Return the remarks for the user."""
+        """Build the remark on the position of the pixels."""
         how = READ_FROM[rule]
-        return Remark("real-pixels-found", f"cells were {how}, whose centres {self.words}, as the cells indicate")
+        return Remark(
+            "real-pixels-found", f"the table shows that cells were {how}; the centres of the pixels {self.words}"
+        )
 
     @property
     def words(self) -> str:
@@ -92,17 +103,17 @@ class FoundPhase(NamedTuple):
         phases = np.atleast_2d(self.phase)
         if len(phases) == 1:
             return f"lie at ({phases[0, 0]:+.3f}, {phases[0, 1]:+.3f}) +- {self.std:.1g} px from the sphere's"
-        return f"lie elsewhere in each picture, known to {self.std:.1g} px"
+        return f"differ between the images, with a standard deviation of {self.std:.1g} px for each"
 
 
 class LocatedRig(NamedTuple):
     """Rig with a known cell rule.
 
     Attributes:
-        rig: with the pixels' phase, where cells were looked up in real pixels.
-        std: standard deviation of a phase that was estimated from the table, px; 0 where it was specified.
-        remarks: findings from the table.
-        unexplained: whether cells repeat values in a way that no grid of pixels explains.
+        rig: the rig, with the phase of the pixels if cells were read from real pixels.
+        std: standard deviation of a phase that was estimated from the table, px. Default: 0, the phase was specified.
+        remarks: remarks on the table. Default: none.
+        unexplained: True if cells have equal values that no grid of pixels explains. Default: False.
     """
 
     rig: Rig
@@ -114,7 +125,9 @@ class LocatedRig(NamedTuple):
 def located_rig(rig: Rig, table: xr.DataArray) -> LocatedRig:
     """Determine the cell rule and the lamp azimuth of a rig, as specified or from the table.
 
-    FitError where the cells contradict the rig; ArgumentError where rig and table specify different azimuths.
+    Raises:
+        FitError: the cells contradict the rig.
+        ArgumentError: rig and table specify different azimuths.
     """
     rig = rig_behind(table, rig)
     table = table.assign_attrs(lamp_azimuth=rig.lamp_azimuth or 0.0)
@@ -144,22 +157,22 @@ def _with_cells(rig: Rig, rule: CellValue, phase: PixelPhase | None) -> Rig:
 def _repeats_remark(repeated: float, radius: float) -> Remark:
     return Remark(
         "cells-repeat",
-        f"{repeated:.0%} of the neighbours near the highlight hold one value, as if read from the nearest pixel, but no grid "
-        f"of pixels on a sphere of radius {radius:g} px fits: state the sphere's radius; cells are taken as centred on their "
-        "pixels",
+        f"{repeated:.0%} of the neighbours near the highlight have equal values, as if read from the nearest pixel, but no "
+        f"grid of pixels on a sphere of radius {radius:g} px explains them: specify the sphere's radius; cells are assumed to "
+        "be centred on their pixels",
     )
 
 
 def nearest_phase(table: xr.DataArray, radius: float) -> FoundPhase:
     """Estimate the phase of a table whose cells were read from the nearest pixel.
 
-    If no phase fits all images, each gets its own, because sphere or lamp were not exactly at their nominal positions.
+    If no phase fits all images, each image has its own, because sphere or lamp were not exactly at their nominal positions.
     """
     shown = repeats(table)
     if shown.share < _LEAST_REPEATS:
         raise FitError(
-            f"cells that are read from the nearest pixel repeat its value, and {shown.share:.0%} of the neighbours near the "
-            "highlight do: state pixel_phase, or another cell_value"
+            f"only {shown.share:.0%} of the neighbours near the highlight have equal values, as cells that were read from the "
+            "nearest pixel do: specify pixel_phase, or another cell_value"
         )
     sampling = sampling_of(table)
     common = _common_phase("nearest", table, radius, shown)
@@ -177,8 +190,8 @@ def nearest_phase(table: xr.DataArray, radius: float) -> FoundPhase:
     unexplained = float(np.median([found.unexplained for found in own.values()])) if own else 1.0
     if unexplained > _MOST_WRONG:
         raise FitError(
-            f"no grid of pixels on a sphere of radius {radius:g} px has the borders that the table's values show "
-            f"({unexplained:.0%} of them differ): state the sphere's radius, or another cell_value"
+            f"no grid of pixels on a sphere of radius {radius:g} px explains the borders between equal values of the table "
+            f"({unexplained:.0%} of them differ): specify the sphere's radius, or another cell_value"
         )
     known = [j for j, found in own.items() if found.unexplained <= _MOST_WRONG]
     nearest = [min(known, key=lambda k: abs(k - j)) for j in every]
@@ -187,13 +200,14 @@ def nearest_phase(table: xr.DataArray, radius: float) -> FoundPhase:
 
 
 def mean_phase(table: xr.DataArray, radius: float) -> FoundPhase:
-    """Estimate the phase of a table whose cells are means of the pixels inside; one for all images."""
+    """Estimate the phase of a table whose cells are means of the pixels inside; all images have the same phase."""
     shown = repeats(table)
     found = _common_phase("mean", table, radius, shown)
     if shown.share < _LEAST_REPEATS or found.unexplained > _COMMON:
         raise FitError(
-            f"no grid of pixels on a sphere of radius {radius:g} px, averaged in cells, has the borders that the values show "
-            f"({found.unexplained:.0%} of them differ): state pixel_phase and the sphere's radius, or another cell_value"
+            f"no grid of pixels on a sphere of radius {radius:g} px, averaged in cells, explains the borders between equal "
+            f"values ({found.unexplained:.0%} of them differ): specify pixel_phase and the sphere's radius, or another "
+            "cell_value"
         )
     return found
 
@@ -206,10 +220,11 @@ def _common_phase(rule: CellValue, table: xr.DataArray, radius: float, shown: Re
 
 
 _BORDERS: dict[CellValue, type[Borders]] = {"nearest": Borders, "mean": MeanBorders}
+"""Model of the borders between values for each rule with repeated values."""
 
 
 def _best_phase(borders: Borders) -> FoundPhase:
-    """Find the phase that misses fewest borders: on a coarse grid, then in finer steps about the best."""
+    """Find the phase with the fewest unexplained borders, on a coarse grid and then with decreasing steps."""
     line = np.arange(-8, 8) * _COARSE
     fewest, *best = min((borders.wrong(u, v), u, v) for u in line for v in line)
     step = _COARSE
@@ -222,11 +237,11 @@ def _best_phase(borders: Borders) -> FoundPhase:
 
 
 def _upright(found: FoundPhase, cells: list[_NearCells], azimuth: float) -> FoundPhase:
-    """Choose by the values between a phase and its mirror image across the plane of light, which have the same borders.
+    """Choose between a phase and its mirror image across the plane of camera and lamp, by the values of cells.
 
-    A cell is the mean of two positions on either side of that plane. Only one of the two makes all cells the means of
-    few pixels. Unless that plane lies along the pixels' rows, columns or diagonals, no grid is the mirror image of
-    another.
+    Both phases have the same borders. A cell is the mean of two positions on either side of the plane, and only for the
+    correct phase are all cells means of few pixels. If the plane is not parallel to the rows, columns or diagonals of the
+    pixels, the mirror image of a grid is not a grid of the same orientation, and the phase is returned unchanged.
     """
     if abs(np.sin(4 * azimuth)) > _DIAGONAL:
         return found
@@ -238,7 +253,13 @@ def _upright(found: FoundPhase, cells: list[_NearCells], azimuth: float) -> Foun
 
 
 class _NearCells(NamedTuple):
-    """Cells near the highlight of a slice: both positions of each (cells, 2) along the pixels' axes, px, and values."""
+    """Cells near the highlight of a slice.
+
+    Attributes:
+        x: the two positions of each cell along the rows of the pixels, px, (cells, 2).
+        y: the same along the columns.
+        values: values of the cells, (cells,).
+    """
 
     x: np.ndarray
     y: np.ndarray
@@ -246,7 +267,10 @@ class _NearCells(NamedTuple):
 
 
 def _near_cells(table: xr.DataArray, radius: float, slices: np.ndarray, rings: int, every: int) -> list[_NearCells]:
-    """Return cells of the slices that show most of them, in the brightest channel."""
+    """Select the cells near the highlight in the brightest channel, of slices with a value for more than half of them.
+
+    rings: number of rings. every: step in azimuths.
+    """
     places = shown_places(radius, sampling_of(table), slices, np.arange(rings), every, azimuth_of(table) or 0.0)
     values = table.values[:rings][:, slices, ::every].transpose(1, 0, 2, 3)
     channel = int(np.argmax(np.nan_to_num(values).max(axis=(0, 1, 2))))
@@ -259,7 +283,7 @@ def _near_cells(table: xr.DataArray, radius: float, slices: np.ndarray, rings: i
 
 
 def _rest(rule: CellValue, phase: tuple[float, float], cells: list[_NearCells]) -> float:
-    """Compute the share of the variance of cells that the values of the pixels of a grid leave, mean over slices."""
+    """Compute the share of the variance of cells that a grid of pixels does not explain, mean over slices."""
     return float(np.mean([_interpolation_rest(rule, one, phase) for one in cells])) if cells else 1.0
 
 
@@ -275,7 +299,7 @@ def bilinear_phase(table: xr.DataArray, radius: float) -> FoundPhase:
         return minimize(log_rest, corners[0], method="Nelder-Mead", options=options)
 
     def followed(before: float, u: float, v: float) -> OptimizeResult:
-        """Refine a start, unless the first steps detect no grid. before: residual of the start."""
+        """Refine a start, unless the first steps detect no grid. before: ln of the residual at the start."""
         first = descended(np.array([u, v]) + _CORNERS, _FIRST_TRIES)
         return first if first.fun > before + np.log(_FALLS) else descended(first.final_simplex[0], _TRIES)
 
@@ -285,14 +309,14 @@ def bilinear_phase(table: xr.DataArray, radius: float) -> FoundPhase:
     unexplained = float(np.exp(found.fun))
     if unexplained > _MOST_REST:
         raise FitError(
-            f"no grid of pixels on a sphere of radius {radius:g} px interpolates to the cells near the highlight "
-            f"({unexplained:.1g} of their variance is unexplained): state the sphere's radius, or another cell_value"
+            f"no grid of pixels on a sphere of radius {radius:g} px explains the cells near the highlight by interpolation "
+            f"({unexplained:.1g} of their variance is unexplained): specify the sphere's radius, or another cell_value"
         )
     return FoundPhase(_wrapped((found.x[0], found.x[1])), 1e-3, unexplained)
 
 
 def _interpolation_rest(rule: CellValue, cells: _NearCells, phase: tuple[float, float]) -> float:
-    """Compute the smallest share of the variance of a slice that the values of the pixels of a grid leave."""
+    """Compute the share of the variance of a slice that the best values of the pixels of a grid do not explain."""
     values = cells.values
     found = looked_up(rule, np.asarray(phase), cells.x, cells.y)
     number = np.rint(found.x - phase[0]) * _STRIDE + np.rint(found.y - phase[1])
@@ -318,9 +342,10 @@ class CellRule(NamedTuple):
 
     Attributes:
         rule: "nearest", "bilinear" or "mean"; None: there is no evidence that cells share pixels.
-        found: the pixels' phase; None: no grid on a sphere of that radius fits.
-        repeated: share of neighbouring cells near the highlight that hold one value.
-        values: distinct values near the highlight, mean over slices; for the nearest pixel, pairs of pixels.
+        found: phase of the pixels; None: no grid on a sphere of this radius explains the cells.
+        repeated: share of neighbouring cells near the highlight that have equal values.
+        values: number of distinct values near the highlight, mean over slices. For "nearest" it is the number of pairs of
+            pixels.
     """
 
     rule: CellValue | None
@@ -330,9 +355,9 @@ class CellRule(NamedTuple):
 
 
 def cell_rule(table: xr.DataArray, radius: float) -> CellRule:
-    """Determine from the values the rule by which the cells of a table were read from real pixels.
+    """Determine the rule by which the cells of a table were read from real pixels, from their values.
 
-    radius: of the sphere, px.
+    radius: radius of the sphere, px.
     """
     repeated, values = repeats(table).share, _distinct(table)
     if repeated > _MOST_REPEATS:  # a constant has no highlight
@@ -352,6 +377,7 @@ def cell_rule(table: xr.DataArray, radius: float) -> CellRule:
 _PHASES: dict[CellValue, Callable[[xr.DataArray, float], FoundPhase]] = {
     "nearest": nearest_phase, "bilinear": bilinear_phase, "mean": mean_phase,
 }  # fmt: skip
+"""Function that estimates the phase for each rule."""
 
 
 def _distinct(table: xr.DataArray) -> float:

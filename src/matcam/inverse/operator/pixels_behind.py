@@ -1,9 +1,9 @@
 """Pixels behind the cells of one image of a distant sphere, few for each cell (docs/model.md 3, *Cells on real pixels*).
 
-A fit models a cell as a weighted mean over at most eight positions of the image, four on either side of the plane of
-light and view. Cells that are read from the nearest pixel, or interpolated between four, are such means. A cell that is
-the mean of the pixels inside has up to some dozens. More than four on one side are replaced by four positions with the
-same mean and covariance, which is exact for quadratic functions.
+A fit models a cell as a weighted mean over at most eight positions in the image, four on either side of the plane of
+camera and lamp. Cells that are read from the nearest pixel, or interpolated between four pixels, are such means. A cell
+that is the mean of the pixels inside may contain dozens of pixels. If there are more than four on one side, they are
+replaced by four positions with the same mean and covariance, which is exact for quadratic functions.
 """
 
 from __future__ import annotations
@@ -17,21 +17,21 @@ from matcam.forward.pixel_grid import PixelGrid, looked_up, phase_of_slices, sli
 from matcam.inverse.operator.sample_view import BOTH_WAYS
 
 _STRIDE = 1 << 16
-"""Pixels per row in the number of a pixel."""
+"""Number of pixels per row in the number of a pixel. It exceeds the width of any image."""
 _POINTS = 4
-"""Positions that represent the pixels of a cell on one side."""
+"""Number of positions that represent the pixels of a cell on one side: two opposite pairs represent any covariance."""
 _GAUSS = 0.5 + np.array([-1.0, 1.0]) / np.sqrt(12)
-"""Two Gauss-Legendre points along a side of a cell."""
+"""Two Gauss-Legendre points along a side of a cell, as shares of its length."""
 
 
 class CellPlaces(NamedTuple):
-    """The two positions on a sphere that show a cell, on a last axis.
+    """Two positions on a sphere that show a cell, on a last axis.
 
     Attributes:
-        x: px from the optical axis, the lamp towards +x.
-        y: the same across.
-        cos_i: cosine of the light.
-        cos_o: cosine of the view.
+        x: distance from the optical axis towards the lamp, px.
+        y: distance from the optical axis across, px.
+        cos_i: cosine of the angle of incidence.
+        cos_o: cosine of the viewing angle.
     """
 
     x: np.ndarray
@@ -41,13 +41,13 @@ class CellPlaces(NamedTuple):
 
 
 class PixelsBehind(NamedTuple):
-    """Pixels behind cells; the last axis is over the pixels of a cell, of both directions.
+    """Pixels behind cells. The last axis is over the pixels of a cell in both directions.
 
     Attributes:
-        x: centres, px from the sphere's centre, the lamp towards +x.
-        y: the same across.
-        weight: share of each in its cell's value; 0 for padding.
-        noise_share: variance of a cell over that of a pixel, no last axis.
+        x: distance of the centres from that of the sphere, towards the lamp, px.
+        y: the same across, px.
+        weight: share of each pixel in the value of its cell; 0 for padding.
+        noise_share: ratio of the variance of a cell to that of a pixel, without the last axis.
     """
 
     x: np.ndarray
@@ -66,13 +66,13 @@ def cell_places(radius: float, theta_h: np.ndarray, theta_d: np.ndarray, phi_d: 
 
 
 def pixel_numbers(x: np.ndarray, y: np.ndarray, phase: np.ndarray, azimuth: float = 0.0) -> np.ndarray:
-    """Number the pixels that contain positions. azimuth: of the lamp relative to the rows of pixels, rad."""
+    """Number the pixels that contain positions. azimuth: azimuth of the lamp relative to the rows of pixels, rad."""
     x, y = turned(x, y, azimuth)
     return np.rint(x - phase[..., 0]) * _STRIDE + np.rint(y - phase[..., 1])
 
 
 def pixel_counts(radius: float, theta_d: np.ndarray) -> np.ndarray:
-    """Compute the number of pixels in each cell of some slices, both directions, averaged over phases: (90, slices, 1)."""
+    """Compute the mean number of pixels in each cell of some slices over all phases, both directions, (90, slices, 1)."""
     edges = theta_h_edges()
     theta_h = (edges[1:] + edges[:-1]) / 2
     solid = np.sin(theta_h) * np.diff(edges) * np.pi / GRID_SHAPE[2]
@@ -85,12 +85,12 @@ def pixels_behind(
     """Find the pixels behind cells of a slice.
 
     Args:
-        pixels: lookup of cells in pixels.
+        pixels: grid of pixels from which the cells are read.
         radius: radius of the sphere, px.
         theta_d: theta_d of the slice, rad.
         j: index of the slice.
-        i: (cells,), indices of theta_h.
-        k: (cells,), indices of phi_d.
+        i: indices of theta_h, (cells,).
+        k: indices of phi_d, (cells,).
     """
     if pixels.phase is None:
         return _anywhere_in(radius, theta_d, i, k, pixels.azimuth)
@@ -108,7 +108,7 @@ def pixels_behind(
 
 
 def _anywhere_in(radius: float, theta_d: float, i: np.ndarray, k: np.ndarray, azimuth: float) -> PixelsBehind:
-    """Represent pixels of any phase inside cells by Gauss-Legendre points, weighted by their area in the image."""
+    """Represent pixels of unknown phase inside cells by Gauss-Legendre points, weighted by their area in the image."""
     n_h, _, n_p = GRID_SHAPE
     share = (i[:, None, None, None] + _GAUSS[:, None, None]) / n_h
     theta_h = share**2 * np.pi / 2
@@ -130,7 +130,7 @@ def _anywhere_in(radius: float, theta_d: float, i: np.ndarray, k: np.ndarray, az
 def _inside(
     phase: np.ndarray, radius: float, theta_d: float, i: np.ndarray, k: np.ndarray, azimuth: float
 ) -> PixelsBehind:
-    """Find the pixels of one grid inside cells, or the nearest if there are none."""
+    """Find the pixels of a grid inside cells, or the nearest pixel if there are none."""
     n_p = GRID_SHAPE[2]
     whole = slice_pixels("mean", phase, radius, theta_d, azimuth=azimuth)
     rows = whole.share[i * n_p + k]

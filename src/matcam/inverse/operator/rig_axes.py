@@ -1,9 +1,8 @@
 """Parameters of a rig that a fit may change, each along its own axis, and their priors.
 
-A width - of the lens, the lamp, the registration - acts through its square, which adds to the variance of all other
-blurs. Its coordinate is half the logarithm of that total variance: the record of a pixel is smooth in it down to a
-width of 0. For parameters that are known to a few per cent or are not widths, the coordinate is ln(value / value of the
-rig).
+The square of a width (of the lens, the lamp or the registration) adds to the variance of all other blurs. The coordinate
+of a width is half the logarithm of this total variance, because the record of a pixel is smooth in it down to a width of
+0. For parameters that are known to a few per cent or are not widths, the coordinate is ln(value / value of the rig).
 """
 
 from __future__ import annotations
@@ -26,54 +25,58 @@ from matcam.sample.curved import Cylinder
 LENS = "optics.sigma_px"
 """Name of the width of a Gaussian lens."""
 LAMP, APERTURE = "lamp_radius", "aperture"
+"""Names of the angular radius of the source disc and of the relative aperture of the rig."""
 WIDTH = "lens_width"
-"""Name of the logarithm of the width of a lens that has no width parameter: 0 as in the rig."""
+"""Name of the logarithm of the width of a lens without a width parameter, relative to the lens of the rig, no unit."""
 SHAPE = "lens_shape"
-"""Name of the fourth moment of the kernel of the lens at constant variance: 0 as in the rig, -1 as flat as a disc, above 0
-with longer tails.
+"""Name of the change of the fourth moment of the kernel of the lens at constant variance, no unit. It is 0 for the lens of
+the rig, -1 for a disc in place of a Gaussian, and positive for longer tails.
 """
 SIXTH, EIGHTH = "lens_sixth_moment", "lens_eighth_moment"
-"""Names of the next even moments of the kernel of the lens at constant lower moments. The three together describe a disc
-to 2 % of its difference from the Gaussian of its variance, also at the limb, where a highlight is narrower than the lens.
+"""Names of the changes of the next even moments of the kernel of the lens at constant lower moments, no unit. With `SHAPE`
+they describe a disc to 2 % of its difference from the Gaussian of the same variance. This also holds at the limb, where a
+highlight is narrower than the lens.
 """
 STRETCH = "lens_stretch"
-"""Name of the stretch: variance of the kernel of the lens along the plane of camera and lamp less that across it, over the
-variance.
+"""Name of the stretch: variance of the kernel of the lens along the plane of camera and lamp minus that across it, divided
+by the variance.
 """
 WIDTHS = (LAMP, "jitter", APERTURE)
 """Fields of `Rig` that widen a highlight."""
 
 _FREE_RANGE = 0.5
-"""Half range of ln(value / value of the rig), for a free parameter that is not a width."""
+"""Half the range of ln(value / value of the rig) of a free parameter that is not a width."""
 _WIDEST_LENS, _WIDEST = 0.5, 0.2
-"""Largest coordinate of a free width: of the lens, and of the others, whose blur varies over the image."""
+"""Largest coordinate of the free width of a lens, and of another free width. The blur of the latter varies over the image,
+so that a polynomial is accurate in a smaller range only.
+"""
 _NEARBY = 0.03
-"""Largest coordinate of a lamp that is fitted only near the value of the rig."""
+"""Largest coordinate of the radius of a lamp that is fitted only near the value of the rig."""
 _SHARPEST = 0.1
-"""Width of a lens below which rules are extrapolated, px: the border of a pixel becomes a step that their nodes do not
-resolve.
+"""Width of a lens below which rules are extrapolated, px. For a sharper lens the border of a pixel is a step that the
+nodes of the rules do not resolve.
 """
 _NARROWEST = 1e-3
-"""Smallest width of a lens, px, so that its logarithm exists."""
+"""Smallest width of a lens, px. It is above 0, so that the logarithm of the width exists."""
 _PRIOR_RANGE = 5.0
-"""Half range in standard deviations, for a parameter with a prior."""
+"""Half the range of a parameter with a prior, in standard deviations. A fit beyond it contradicts the prior."""
 _GUESS = 0.25
-"""Relative standard deviation of the width of a lens above which it is a guess, whose width may be 0."""
+"""Relative standard deviation of the width of a lens above which the width is a guess, and may be 0."""
 _LENS_WIDTHS = ("sigma_px", "f_number", "blur_diameter_px")
-"""Parameters of lenses that scale their kernel."""
+"""Names of the parameters of lenses that scale their kernel."""
 ASSUMED = 0.1
-"""Relative standard deviation of the width of a lens if its profile gives none."""
+"""Relative standard deviation that is assumed for the width of a lens if its profile has no uncertainty."""
 _STEP = 0.4
-"""Relative difference in variance of the kernels of a change of the lens. A smaller step amplifies their errors."""
+"""Relative step in variance between the Gaussians of a finite difference. A smaller step would amplify their errors."""
 _COUNTS = ((0.03, 3), (0.15, 5), (np.inf, 9))
-"""Half range of an axis -> number of its points."""
+"""Largest half range of an axis, and number of points of a polynomial that is accurate in this range."""
 
 
 class KernelChange(NamedTuple):
-    """Change of the kernel of a lens along a coordinate: a polynomial through its points, linear where there is one point.
+    """Change of the kernel of a lens along a coordinate: the polynomial through given points and 0.
 
-    At a point it is a sum of Gaussians. Their variances are multiples of the variance of the Gaussian that is as wide as the
-    lens.
+    The change at a point is a sum of Gaussians. Their variances are given relative to that of the Gaussian that is as wide
+    as the lens.
 
     Attributes:
         points: for each coordinate, (variance along the plane of camera and lamp, variance across it, share) of each Gaussian,
@@ -90,18 +93,21 @@ class KernelChange(NamedTuple):
 
 
 def _difference(factor: float, *shares: int) -> dict[float, tuple[tuple[float, float, float], ...]]:
-    """Build a finite difference in the variance: round Gaussians at -2 to 2 steps, with shares in units of a factor."""
+    """Build a finite difference in the variance, of round Gaussians at -2 to 2 steps.
+
+    factor: factor of the shares. shares: shares of the five Gaussians.
+    """
     scales = (1 + step * _STEP for step in range(-2, 3))
     return {1.0: tuple((scale, scale, factor * share) for scale, share in zip(scales, shares, strict=True) if share)}
 
 
 def _widened(*points: float) -> dict[float, tuple[tuple[float, float, float], ...]]:
-    """Build Gaussians whose widths differ by factors with these logarithms."""
+    """Build differences between Gaussians of other widths and the lens. points: logarithms of the ratios of the widths."""
     return {point: ((np.exp(2 * point), np.exp(2 * point), 1.0), (1.0, 1.0, -1.0)) for point in points}
 
 
 def _stretched(*points: float) -> dict[float, tuple[tuple[float, float, float], ...]]:
-    """Build elliptical Gaussians of these stretches."""
+    """Build differences between elliptical Gaussians and the lens. points: stretches of the Gaussians."""
     return {point: ((1 + point / 2, 1 - point / 2, 1.0), (1.0, 1.0, -1.0)) for point in points}
 
 
@@ -113,21 +119,21 @@ CHANGES = {
     EIGHTH: KernelChange(_difference(1 / (72 * _STEP**4), 1, -4, 6, -4, 1), 1.0, -3.0, 3.0),
     STRETCH: KernelChange(_stretched(-1.0, 1.0), 0.5, -1.5, 1.5),  # third-order coma has 1
 }
-"""Changes of the kernel of the lens by name. For a disc, shape and sixth moment are -1 and 1, and the eighth is below 1."""
+"""Changes of the kernel of the lens by name. A disc has shape -1 and sixth moment 1, and its eighth moment is below 1."""
 
 
 class Axis(NamedTuple):
     """Axis of one parameter. Its coordinate is s = ln((value^2 + softening^2) / (base^2 + softening^2)) / 2.
 
     Attributes:
-        name: name of the parameter, as in `Camera.parameters`, or a field of `Rig`.
-        base: the rig's value, at coordinate 0.
-        softening: root of the variance of the other blurs, in the parameter's unit; 0: the coordinate is ln(value / base).
+        name: name of the parameter as in `Camera.parameters`, or of a field of `Rig`.
+        base: value of the rig, at coordinate 0.
+        softening: root of the variance of the other blurs, in the unit of the parameter; 0: the coordinate is
+            ln(value / base).
         low: smallest coordinate.
         high: largest coordinate.
         points: coordinates at which a rule is computed; 0 is among them.
-        by_variance: whether a lamp's disc counts by its variance alone, as a Gaussian, because its size is not known.
-            Default: False.
+        by_variance: True if a source disc of unknown size is replaced by a Gaussian of the same variance. Default: False.
     """
 
     name: str
@@ -145,14 +151,17 @@ class Axis(NamedTuple):
         return float(np.sqrt(self.square(coordinate, 0.0)[0]))
 
     def square(self, coordinate: float, std: float) -> tuple[float, float]:
-        """Return the square of the parameter and its standard deviation: blurs add in quadrature, so it is linear near 0."""
+        """Compute the square of the parameter and its standard deviation.
+
+        Blurs add in quadrature, so the square is linear in the coordinate near a width of 0.
+        """
         total = float((self.base**2 + self.softening**2) * np.exp(2 * coordinate))
         return max(total - self.softening**2, 0.0), 2 * total * std
 
     def slope(self, coordinate: float, std: float) -> float:
-        """Compute d value / d coordinate, as a secant to one standard deviation up.
+        """Compute d value / d coordinate as the slope of a secant to one standard deviation above the coordinate.
 
-        At a width of 0 the derivative is infinite.
+        The derivative itself is infinite at a width of 0.
         """
         if self.name in CHANGES:
             return 1.0
@@ -161,9 +170,9 @@ class Axis(NamedTuple):
 
 
 def shape_axes(rig: Rig) -> tuple[tuple[Axis, ...], tuple[float, ...]]:
-    """Return the axes of unknown shape of the kernel of a lens at its variance, and their standard deviations.
+    """Return the axes of the unknown shape of the kernel of a lens at its variance, and their standard deviations.
 
-    Images of a cylinder show one direction of the kernel.
+    A cylinder has no axis of the stretch, because its images depend on the kernel in one direction only.
     """
     names = (SHAPE, SIXTH, EIGHTH) if isinstance(rig.sample, Cylinder) else (SHAPE, SIXTH, EIGHTH, STRETCH)
     return tuple(map(change_axis, names)), tuple(CHANGES[name].std for name in names)
@@ -179,11 +188,11 @@ class KnownLens(NamedTuple):
     """Prior knowledge of a camera's lens.
 
     Attributes:
-        uncertainty: uncertainty of the camera's parameters; None: it has none, or the lens has no parameter for its
-            width.
-        words: the same, in words.
-        assumed: whether no uncertainty was specified, so that a tenth of the width is assumed.
-        exact: whether the lens is specified as exact, or has no width.
+        uncertainty: uncertainty of the camera's parameters; None: no uncertainty is specified and the lens has no width
+            parameter, or a width of 0.
+        words: description of the uncertainty, for messages.
+        assumed: True if no uncertainty was specified, and a tenth of the width is assumed.
+        exact: True if the lens is specified as exact, or has a width of 0.
     """
 
     uncertainty: Uncertainty | None
@@ -193,20 +202,22 @@ class KnownLens(NamedTuple):
 
 
 def known_lens(camera: Camera) -> KnownLens:
-    """Return the prior of the lens of a camera: that of its profile, or a tenth of its width."""
+    """Return the prior of the lens of a camera: that of its profile, or a standard deviation of a tenth of its width."""
     if camera.uncertainty is not None and camera.uncertainty.names:
         if any(std > 0 for std in camera.uncertainty.std().values()):
-            return KnownLens(camera.uncertainty, "stated", assumed=False, exact=False)
-        return KnownLens(camera.uncertainty, "stated as exact", assumed=False, exact=True)
+            return KnownLens(camera.uncertainty, "specified", assumed=False, exact=False)
+        return KnownLens(camera.uncertainty, "specified as exact", assumed=False, exact=True)
     widths = {
         name: ASSUMED * float(value)
         for name, value in camera.parameters().items()
         if _is_lens_width(name) and float(value) > 0
     }
     if not widths and any(_is_lens_width(name) for name in camera.parameters()):
-        return KnownLens(None, "none stated: taken as exact", assumed=False, exact=True)
+        return KnownLens(None, "not specified: assumed to be exact", assumed=False, exact=True)
     known = Uncertainty.of(widths) if widths else None
-    return KnownLens(known, f"none stated: {ASSUMED:.0%} of the lens's width", assumed=True, exact=False)
+    return KnownLens(
+        known, f"not specified: assumed to be {ASSUMED:.0%} of the lens's width", assumed=True, exact=False
+    )
 
 
 def _is_lens_width(name: str) -> bool:
@@ -214,44 +225,49 @@ def _is_lens_width(name: str) -> bool:
 
 
 def is_guess(name: str, relative: float) -> bool:
-    """Check whether a relative standard deviation makes a width a guess, whose axis is `free_axis`."""
+    """Check whether a width of this relative standard deviation is a guess, for which `free_axis` is used."""
     return name == LENS and relative >= _GUESS
 
 
 def guess_std(axis: Axis, relative: float) -> float:
-    """Return the standard deviation along a free axis of a width with a relative one: the step upwards."""
+    """Compute the standard deviation of a width along its free axis: the step to one standard deviation above its base.
+
+    relative: relative standard deviation of the width.
+    """
     wider = (axis.base * (1 + relative)) ** 2 + axis.softening**2
     return float(0.5 * np.log(wider / (axis.base**2 + axis.softening**2)))
 
 
 def prior_axis(name: str, base: float, std: float) -> Axis:
-    """Return the axis of a parameter with a relative standard deviation."""
+    """Build the axis of a parameter with a prior. std: relative standard deviation of the parameter."""
     half = round(float(np.clip(_PRIOR_RANGE * std, 0.02, _FREE_RANGE)), 6)
     return Axis(name, base, 0.0, -half, half, _points(-half, half))
 
 
 def widths_of(rig: Rig) -> tuple[str, ...]:
-    """Name the widths that may be free. The source disc of a cylinder is fixed."""
+    """List the names of the widths that may be free. The source disc of a cylinder is fixed."""
     return tuple(name for name in WIDTHS if name != LAMP or not isinstance(rig.sample, Cylinder))
 
 
 def free_axis(name: str, rig: Rig, *, nearby: bool = False) -> Axis:
-    """Return the axis of a parameter without a prior. ArgumentError for one that the rig lacks.
+    """Build the axis of a parameter without a prior. ArgumentError if the rig does not have the parameter.
 
-    nearby: whether the radius of the lamp is fitted only near the value of the rig, a point source by its variance.
-    This suffices where rig and data agree, and discs are slow.
+    nearby: True if the radius of the lamp is fitted only near the value of the rig, and a point source is widened as a
+    Gaussian. This suffices if rig and data agree, and is faster than the integration over discs.
     """
     parameters = rig.camera.parameters()
     if name not in parameters and name not in widths_of(rig):
         raise ArgumentError(
-            f"free names {name!r}, which this camera lacks; it has {', '.join(sorted(parameters))}; the rig has "
+            f"free must name parameters of this rig, got {name!r}; the camera has {', '.join(sorted(parameters))}; the rig has "
             f"{', '.join(widths_of(rig))}"
         )
     base = float(getattr(rig, name) if name in WIDTHS else parameters[name])
     softening = _softening(name, rig)
     if not softening:
         if base <= 0:
-            raise ArgumentError(f"{name} is 0 in this rig: it cannot be left free")
+            raise ArgumentError(
+                f"{name} is 0 in this rig and cannot be free: specify a positive value, or another parameter"
+            )
         return Axis(name, base, 0.0, -_FREE_RANGE, _FREE_RANGE, _points(-_FREE_RANGE, _FREE_RANGE))
     total = base**2 + softening**2
     narrowest = _NARROWEST if name == LENS else 0.0
@@ -279,8 +295,8 @@ class MovedBlur(NamedTuple):
 
     Attributes:
         blur: the blur.
-        rough: whether a source disc counts as a Gaussian at all positions. Default: False.
-        stretch: variances that are added to it along the plane of camera and lamp and across it, px^2. Default: none.
+        rough: True if a source disc is replaced by a Gaussian at all positions. Default: False.
+        stretch: variances that are added to the blur along the plane of camera and lamp and across it, px^2. Default: 0.
     """
 
     blur: Blur
@@ -289,7 +305,7 @@ class MovedBlur(NamedTuple):
 
 
 def blurs_along(rig: Rig, own: Blur, axes: Sequence[Axis]) -> list[MovedBlur]:
-    """Compute the blurs at the points of the axes of parameters of the rig. own: that of the rig."""
+    """Compute the blurs at the points of the axes of parameters of the rig. own: blur of the rig."""
     # the dependence of the residual on lens parameters is second order and is neglected
     rest = own.rest if own.rest is not None and own.rest.even else None
     whole = own.rest is not None
@@ -299,7 +315,7 @@ def blurs_along(rig: Rig, own: Blur, axes: Sequence[Axis]) -> list[MovedBlur]:
 
 
 def change_kernels(own: Blur, axes: Sequence[Axis]) -> list[MovedBlur]:
-    """Compute the Gaussians that the changes of the lens along axes consist of. own: blur of the rig."""
+    """Compute the Gaussians of the changes of the lens along axes. own: blur of the rig."""
     variance = own.std_of_half**2
     kernels = []
     for along, across in _change_variances(axes):
@@ -311,7 +327,7 @@ def change_kernels(own: Blur, axes: Sequence[Axis]) -> list[MovedBlur]:
 
 
 def _change_variances(axes: Sequence[Axis]) -> list[tuple[float, float]]:
-    """List the variances of the Gaussians that the changes along axes consist of, each once, round ones first."""
+    """List the variances of the Gaussians of the changes along axes without duplicates, round Gaussians first."""
     changes = (CHANGES[axis.name] for axis in axes if axis.name in CHANGES)
     terms = (term for change in changes for terms in change.points.values() for term in terms)
     variances = dict.fromkeys((along, across) for along, across, _ in terms)
@@ -319,9 +335,10 @@ def _change_variances(axes: Sequence[Axis]) -> list[tuple[float, float]]:
 
 
 def along_axes(axes: tuple[Axis, ...], name: str, along: str, values: Sequence[np.ndarray]) -> dict[str, np.ndarray]:
-    """Return the values of the rig by name, and their differences at every point of every axis.
+    """Compute the values of the rig and their differences at every point of every axis, by name.
 
-    values: of the rig, of each of `blurs_along`, and of each of `change_kernels`.
+    name: name of the values. along: start of the names of the differences. values: values for the rig, for each of
+    `blurs_along`, and for each of `change_kernels`.
     """
     own, *others = values
     variances = _change_variances(axes)
@@ -347,8 +364,9 @@ def axis_selection(axes: Sequence[Axis], among: Sequence[Axis]) -> np.ndarray:
 
 
 def _softening(name: str, rig: Rig) -> float:
-    """Compute the root of the variance of all other blurs at the middle of the sphere, in the unit of the parameter; 0
-    for no width.
+    """Compute the root of the variance of all other blurs at the middle of the sphere, in the unit of the parameter.
+
+    It is 0 for a parameter that is not a width.
     """
     pixel = float(rig.camera.pixel.half_width) / np.sqrt(3)
     if name == LENS:
@@ -357,14 +375,14 @@ def _softening(name: str, rig: Rig) -> float:
         return 0.0
     lens = blur_of(rig).std_of_half ** 2
     total = float(np.sqrt(max(lens - (float(rig.jitter) ** 2 if name == "jitter" else 0.0), 0.0) + pixel**2))
-    # docs/model.md 3: a lamp spreads light by a quarter of its radius on the sphere, focus by a quarter of the circle of
-    # confusion
+    # docs/model.md 3: the standard deviation of the blur is a quarter of the lamp's radius on the sphere, and a quarter of
+    # the circle of confusion
     per_px = {"jitter": 1.0, LAMP: 4 / float(rig.sample.radius), "aperture": 8 / float(rig.sample.radius)}  # type: ignore[attr-defined]
     return total * per_px[name]
 
 
 def _points(low: float, high: float) -> tuple[float, ...]:
-    """Return Chebyshev's points, with the one next to 0 moved to 0."""
+    """Compute Chebyshev points; the point closest to 0 is moved to 0."""
     half = (high - low) / 2
     count = next(count for largest, count in _COUNTS if half <= largest)
     points = (low + high) / 2 + half * np.cos(np.pi * np.arange(count) / (count - 1))
