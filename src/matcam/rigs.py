@@ -62,7 +62,7 @@ class Rig(Module):
             "bilinear", the interpolation between four pixels; "unknown", estimated from a table that is fitted, and
             "centre" without evidence or for a simulated table. Default: "centre".
         pixel_phase: position of the real pixels for "nearest", "bilinear" and "mean": their centres are whole numbers
-            plus this (x, y) from the sphere's centre, px, each in [-0.5, 0.5]; or 90 such pairs, one for the picture of
+            plus this (x, y) from the sphere's centre, px, each in [-0.5, 0.5]; or 90 such pairs, one for the image of
             each slice of theta_d. Default: None: a fit estimates it from the table, and averages a "mean" without
             evidence of pixels over all phases.
         lamp_azimuth: azimuth of the lamp about the optical axis in images and in the images of a table, from +x towards
@@ -234,7 +234,7 @@ def _checked_phase(phase: PixelPhase, cell_value: CellValue) -> PixelPhase:
 
 
 def picture_shape(name: str, shape: tuple[int, int]) -> tuple[int, int]:
-    """Check a picture's (height, width).
+    """Check an image's (height, width).
 
     Args:
         name: name of the argument, for the message.

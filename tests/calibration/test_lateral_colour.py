@@ -46,10 +46,10 @@ def test_it_is_said_where_it_can_be_seen(found):
 def test_maps_are_drawn(found):
     image = np.zeros((*SHAPE, 3))
     titles = [axes.get_title(loc="left") for axes in calibration_figure(found, image, ["a line"]).axes]
-    assert sum(title.startswith("Blur in parts of the picture, G") for title in titles) == 1
+    assert sum(title.startswith("Blur in parts of the image, G") for title in titles) == 1
     assert sum(title.startswith("Lateral colour") for title in titles) == 1
     without = [axes.get_title(loc="left") for axes in calibration_figure(found, None, []).axes]
-    assert not any("parts of the picture" in title for title in without)
+    assert not any("parts of the image" in title for title in without)
 
 
 def test_equal_colours_are_not_remarked_on():

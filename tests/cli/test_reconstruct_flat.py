@@ -49,7 +49,7 @@ def test_maps_of_a_tilted_stack(matcam, tmp_path):
     ("change", "message"),
     [
         ({"sample": {"kind": "flat", "tilt_deg": [0.0, 5.0]}}, "sample.tilt_deg has 2 angles for 5 lamp positions"),
-        ({"camera": {"profile": "camera.json", "cfa": "RGGB"}}, "needs grey pictures, got a mosaic"),
+        ({"camera": {"profile": "camera.json", "cfa": "RGGB"}}, "needs grey images, got a mosaic"),
     ],
 )
 def test_what_does_not_suit_a_flat_sample_is_one_line(matcam, tmp_path, change, message):

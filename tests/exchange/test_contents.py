@@ -80,9 +80,13 @@ def test_a_camera_a_chart_and_a_sidecar(tmp_path):
 @pytest.mark.parametrize(
     ("name", "thing", "words"),
     [
-        ("a.exr", table(), "a table on the MERL grid is not a picture: it goes into .binary, .csv, .nc, .zarr.zip"),
+        (
+            "a.exr",
+            table(),
+            "a table on the MERL grid is not an image and cannot be stored in .exr: use .binary, .csv, .nc, .zarr.zip",
+        ),
         ("a.bsdf", table(), "cannot be stored in .bsdf: use .binary, .csv, .nc, .zarr.zip"),
-        ("a.nc", np.ones((2, 2, 3)), "a picture goes into .exr, .tif, .tiff, not into .nc"),
+        ("a.nc", np.ones((2, 2, 3)), "an image cannot be stored in .nc: use .exr, .tif, .tiff"),
         ("a.obj", np.ones((2, 2, 3)), "the name must end in one of .binary, .bsdf, .csv"),
         ("a.nc", Camera(GaussianOptics(0.5)), "a Camera cannot be stored in .nc: use .json"),
         ("a.json", table(), "the name must end in one of .binary"),

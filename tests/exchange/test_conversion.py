@@ -117,8 +117,8 @@ def test_other_results_go_where_they_can(folder, tmp_path):
     convert(folder / "a.nc", tmp_path / "b.zarr.zip")
     for name, new, words in (
         ("a.nc", "c.binary", "cannot be stored in .binary"),
-        ("a.binary", "c.exr", "is not a picture"),
-        ("a.exr", "c.nc", "a picture goes into"),
+        ("a.binary", "c.exr", "is not an image"),
+        ("a.exr", "c.nc", "an image cannot be stored in"),
         ("a.binary", "c.obj", "the name must end in"),
     ):
         with pytest.raises(ArgumentError, match=words):

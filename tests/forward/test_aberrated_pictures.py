@@ -152,7 +152,7 @@ def test_a_cylinder_is_its_lines():
 @pytest.mark.parametrize(
     ("rig", "words"),
     [
-        (Rig(Camera(LENS), Cylinder(40.0), NearLamp(9.0)), "a cylinder's picture before a near camera or lamp"),
+        (Rig(Camera(LENS), Cylinder(40.0), NearLamp(9.0)), "a cylinder's image before a near camera or lamp"),
         (Rig(Camera(SeidelOptics(*PARTS, unit=40.0, coma=0.1)), Cylinder(40.0)), "the same all over the field"),
         (Rig(Camera(SeidelOptics(*PARTS, unit=4.0, coma=0.1)), Sphere(40.0)), "the wavefront error is"),
         (Rig(Camera(ZernikeOptics(1.0, 550e-9, 4e-6)), Sphere(40.0)), "give a larger f-number"),

@@ -38,7 +38,7 @@ def test_the_phase_is_found(rule, phase):
     located = located_rig(recorded.rig(cell_value=rule), table)
     np.testing.assert_allclose(located.rig.pixel_phase, phase, atol=0.002)
     assert 0 < located.std < 0.01
-    assert "centres lie at" in located.remarks[0].text
+    assert "centres of the pixels lie at" in located.remarks[0].text
     by_itself = located_rig(rigs.merl(), table)
     assert (by_itself.rig.cell_value, by_itself.rig.pixel_phase) == (rule, located.rig.pixel_phase)
     seen = cell_rule(table, 256.0)

@@ -85,7 +85,7 @@ def test_pictures_that_no_lobe_explains_end_with_a_verdict(tmp_path):
     result = reconstruct(capture.write(tmp_path), progress=lambda step, done, total: said.append(step))
     print(result.verdict, result.tried, len(said))
     assert "fit-stuck" in {remark.code for remark in result.remarks}
-    assert "No lobe explains the pictures" in result.verdict
+    assert "No lobe explains the images" in result.verdict
     rounds = [step for step in said if "round" in step]
     assert len(rounds) < 24
     assert any("s left" in step for step in rounds)

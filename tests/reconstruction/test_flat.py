@@ -100,7 +100,7 @@ def test_a_lamp_behind_the_sample_is_named():
 
 def test_small_pictures_are_refused():
     _, pictures = stack(0, stand=STAND._replace(shape=(60, 200)))
-    with pytest.raises(FitError, match="pictures of 60 x 200 px are too small"):
+    with pytest.raises(FitError, match="images of 60 x 200 px are too small"):
         reconstructed_flat(pictures, Camera(GaussianOptics(STAND.sigma)))
 
 

@@ -59,7 +59,7 @@ class Radiometry:
         gain: DN per electron, with standard deviation; NaN: not determined, and merged values are DN.
         read_noise: DN, with standard deviation.
         lamp_output: light of each lamp position from the reference, relative to the mean, with standard deviation; NaN
-            without a reference. Merged values are not divided by it: it is the prior of a picture's gain.
+            without a reference. Merged values are not divided by it: it is the prior of an image's gain.
         reference_light: merged value of the reference in each lamp position, by channel, with standard deviation; NaN
             where it is clipped.
         reference_between: standard deviation of the change of the lamp's light between an image of the reference and

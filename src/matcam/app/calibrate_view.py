@@ -286,7 +286,7 @@ class CalibrateView:
     def _measure(self) -> None:
         picture = self._current
         if picture is None:
-            self._complain("nothing is open: drop a picture first")
+            self._complain("nothing is open: drop an image first")
             return
         given = [field.value for field in self._region]
         x, y, width, height = (int(value or 0) for value in given)
@@ -312,7 +312,7 @@ class CalibrateView:
 
     def _calibrate(self) -> None:
         if not self._pictures:
-            self._complain("nothing is open: drop a picture first")
+            self._complain("nothing is open: drop an image first")
             return
         pictures, chart = list(self._pictures), self._chart
         paths = [picture.path for picture in pictures]

@@ -30,7 +30,7 @@ from matcam.app.worker import DRAINED, Newest
 
 _REST = 0.5  # s without a change before the exact values are computed
 _PICTURE_ERROR = 0.01  # error of the exact image, as a share of its peak
-_SIDE = 156  # px of the screen, of a picture's frame
+_SIDE = 156  # px of the screen, of an image's frame
 _VALUES = 128  # along a side of the sphere's preview
 _SHOWN = ("log exposure", "difference", "row profile")
 _PICTURES = {

@@ -48,9 +48,9 @@ class PixelNoise(NamedTuple):
 
     Attributes:
         relative: standard deviation over the value, no unit, [0, 1). Default: 0.01.
-        floor: standard deviation over the picture's brightest value, no unit, [0, 1). Default: 1e-4. Increase it if
+        floor: standard deviation over the image's brightest value, no unit, [0, 1). Default: 1e-4. Increase it if
             dark parts are noisier.
-        picture_gain: relative standard deviation of a picture's exposure, common to all its pixels, no unit, [0, 1).
+        picture_gain: relative standard deviation of an image's exposure, common to all its pixels, no unit, [0, 1).
             Default: 0. Increase it if lamp or shutter scatter. (A sensor's system gain, DN per electron, is
             `Sensor.gain`.)
 

@@ -80,7 +80,7 @@ def convert(
         ...     matcam.io.write_exr(picture, np.ones((4, 5)))
         ...     report = matcam.convert(picture, picture.with_suffix(".tif"))
         >>> report["holds"], report["resampled"]
-        ('a picture', None)
+        ('an image', None)
     """
     source, target = Path(source), Path(target)
     form = format_for(target, *MEASUREMENTS, "surface")

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from matcam.camera.camera import Camera
 
 _MARKS = {"R": "s", "G": "o", "B": "^", "Y": "o", "grey": "o"}
-_LARGEST = 900  # px of the picture as it is drawn
+_LARGEST = 900  # px of the image as it is drawn
 
 
 def edge_figure(result: EdgeMTF, image: np.ndarray, roi: Sequence[int] | None, name: str) -> Figure:
@@ -187,7 +187,7 @@ def calibration_figure(found: Calibration, picture: np.ndarray | None, lines: Se
 
 
 def _draw_picture(axes: Axes, fit: CameraFit, picture: np.ndarray | None, channel: str) -> None:
-    source = fit.edges.source[0] if fit.edges is not None else "no picture"
+    source = fit.edges.source[0] if fit.edges is not None else "no image"
     axes.set_title(f"Edges of {source}, {channel}", loc="left", parse_math=False)
     axes.grid(False)
     if picture is None or fit.edges is None:
@@ -276,7 +276,7 @@ def _draw_field(axes: Axes, found: Calibration, picture: np.ndarray | None) -> N
                 radius[which], edges.sigma[which], edges.sigma_std[which], fmt=_MARKS[name], ms=3.5, lw=0.7,
                 color=COLOURS[name], mfc=fill, label=f"{name}, {plane}",
             )  # fmt: skip
-    axes.set(xlabel="distance from the picture's middle [px]", ylabel="blur as Gaussian sigma [px]")
+    axes.set(xlabel="distance from the image's middle [px]", ylabel="blur as Gaussian sigma [px]")
     legend_above(axes, 2)
     axes.set_title("Blur over the field", loc="left")
 

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 COLOURS = {"R": VERMILION, "G": GREEN, "B": BLUE, "Y": BLACK, "grey": BLACK}
 """Colours in which channels are drawn."""
-_LONGER, _SHORTER = 8, 6  # parts along the sides of the picture
+_LONGER, _SHORTER = 8, 6  # parts along the sides of the image
 _FEWEST = 2  # number of edges in a part, for robustness against one bad edge
 _ROUNDING = 0.02  # share of the width: a smaller range of colours would show only noise
 
@@ -57,7 +57,7 @@ def blur_map(edges: EdgeTable, shape: tuple[int, int]) -> BlurMap:
 def draw_blur_map(axes: Axes, edges: EdgeTable, shape: tuple[int, int], channel: str) -> None:
     """Draw the blur in parts of the image, with its values."""
     found = blur_map(edges, shape)
-    axes.set_title(f"Blur in parts of the picture, {channel}: median sigma [px]", loc="left", parse_math=False)
+    axes.set_title(f"Blur in parts of the image, {channel}: median sigma [px]", loc="left", parse_math=False)
     axes.grid(False)
     axes.plot(edges.x, edges.y, ".", ms=2, color=BLACK, alpha=0.4, zorder=3)
     axes.set(xlabel="x [px]", ylabel="y [px]", xlim=found.x[[0, -1]], ylim=found.y[[-1, 0]], aspect="equal")
@@ -91,7 +91,7 @@ def draw_lateral_colour(axes: Axes, found: Calibration, shape: tuple[int, int]) 
             corner, lateral.corner, 2 * lateral.corner_std, fmt="o", ms=4, lw=1, capsize=3, color=COLOURS[name]
         )
     axes.axhline(0, color=BLACK, lw=0.6)
-    axes.set(xlabel="distance from the picture's middle [px]", ylabel="further out than G [px]")
+    axes.set(xlabel="distance from the image's middle [px]", ylabel="further out than G [px]")
     axes.legend(loc="best", fontsize=8.5)
     axes.set_title("Lateral colour, 2 std in the corners", loc="left")
 

@@ -22,9 +22,9 @@ def fitted_windows(result: Reconstruction) -> xr.Dataset:
         result: the reconstruction.
 
     Returns:
-        Dataset over picture, window_row and window_column: `window_recorded` and `window_fitted` in the unit of the
-        merged pictures, `window_residual`, recorded less fitted in standard deviations of the noise; NaN if a pixel was
-        not used; the residual is also NaN if it was clipped. Over picture: `picture_name`, `picture_theta_d` (rad), and
+        Dataset over `picture`, `window_row` and window_column: `window_recorded` and `window_fitted` in the unit of the
+        merged images, `window_residual`, recorded less fitted in standard deviations of the noise; NaN if a pixel was
+        not used; the residual is also NaN if it was clipped. Over `picture`: `picture_name`, `picture_theta_d` (rad), and
         in px `window_left` and `window_top`, the first column and row; `outline_column`, `outline_row` and
         `outline_radius`; `highlight_column` and `highlight_row`, the brightest pixel of the fitted window.
     """

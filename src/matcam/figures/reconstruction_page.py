@@ -81,13 +81,13 @@ def write_reconstruction_page(
 def _of_cylinder(result: Reconstruction) -> list[tuple[str, Figure]]:
     return [
         ("Profiles of the strips about their highlights: recorded and fitted", profile_figure(result)),
-        ("Fresnel term: strengths of the pictures, and the curve through them", reflectance_figure(result)),
+        ("Fresnel term: strengths of the images, and the curve through them", reflectance_figure(result)),
     ]
 
 
 def _of_sphere(result: Reconstruction, overview: MergedPicture | None) -> list[tuple[str, Figure]]:
     figures = [
-        ("Fresnel term: strengths of the pictures, and the curve through them", reflectance_figure(result)),
+        ("Fresnel term: strengths of the images, and the curve through them", reflectance_figure(result)),
         (
             "Lobe, as a perfect camera would have measured it, and from the same images by the pinhole model",
             lobe_figure(result),
@@ -136,13 +136,13 @@ def overview_figure(result: Reconstruction, picture: MergedPicture) -> Figure:
         axes.set_ylabel("row [px]")
         axes.legend(loc="lower left", facecolor="white", framealpha=0.9, frameon=True)
         figure.colorbar(
-            shown, ax=axes, label=r"$\log_{10}$ of the recorded light [unit of the merged pictures]", shrink=0.8
+            shown, ax=axes, label=r"$\log_{10}$ of the recorded light [unit of the merged images]", shrink=0.8
         )
     return figure
 
 
 def reflectance_figure(result: Reconstruction) -> Figure:
-    """Draw the strength of every picture with its error, and the curve through them, for each channel."""
+    """Draw the strength of every image with its error, and the curve through them, for each channel."""
     with styled():
         figure = Figure(figsize=(7.5, 4.2), layout="constrained")
         draw_reflectance(figure.subplots(), result)
@@ -150,7 +150,7 @@ def reflectance_figure(result: Reconstruction) -> Figure:
 
 
 def draw_reflectance(axes: Axes, result: Reconstruction) -> None:
-    """Draw the strength of every picture with its error, and the curve through them, for each channel."""
+    """Draw the strength of every image with its error, and the curve through them, for each channel."""
     fit = result.fit
     theta = fit.solution.theta_d
     units = np.array([one.value for one in result.units])

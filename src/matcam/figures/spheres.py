@@ -192,11 +192,11 @@ def spheres_figure(pictures: Mapping[str, np.ndarray], light: str, exposure: flo
 def picture_figure(data: xr.DataArray, title: str) -> Figure:
     """Draw the image of a rig beside the profile through its axis.
 
-    Left, the picture is encoded for display, with the 99.5th percentile of lit pixels as white. Right, the row through
+    Left, the image is encoded for display, with the 99.5th percentile of lit pixels as white. Right, the row through
     the optical axis on a logarithmic scale, which shows faint light.
 
     Args:
-        data: picture (row, column[, channel]), from `picture`.
+        data: image (row, column[, channel]), from `picture`.
         title: title.
     """
     values = np.nan_to_num(data.values)

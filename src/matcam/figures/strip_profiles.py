@@ -43,7 +43,7 @@ def profile_figure(result: Reconstruction) -> Figure:
             grid[0, place].set_title(f"{fit.names[k]}, {np.degrees(solution.theta_d[k]):.0f}°", loc="left", fontsize=8)
             grid[1, place].set_ylim(-5, 5)
             grid[1, place].set_xlabel("column [px]")
-        grid[0, 0].set_ylabel("light [unit of the merged pictures]")
+        grid[0, 0].set_ylabel("light [unit of the merged images]")
         grid[1, 0].set_ylabel("recorded - fitted [standard deviations]")
         grid[0, 0].legend(loc="lower left", fontsize=7)
     return figure

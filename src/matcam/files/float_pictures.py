@@ -68,7 +68,7 @@ def as_float32(picture: ArrayLike) -> np.ndarray:
 
 
 def write_float_tiff(path: str | Path, picture: ArrayLike, *, force: bool = False) -> None:
-    """Write a picture as a TIFF file of 32-bit floats.
+    """Write an image as a TIFF file of 32-bit floats.
 
     Args:
         path: file to write (.tif).
@@ -76,7 +76,7 @@ def write_float_tiff(path: str | Path, picture: ArrayLike, *, force: bool = Fals
         force: replace an existing file (no unit). Default: False.
 
     Raises:
-        ArgumentError: the picture has another shape, or values beyond float32.
+        ArgumentError: the image has another shape, or values beyond float32.
         OutputError: the file cannot be written, or exists and `force` is False.
 
     Example:
@@ -102,7 +102,7 @@ def write_float_tiff(path: str | Path, picture: ArrayLike, *, force: bool = Fals
 
 
 def read_float_tiff(path: str | Path) -> np.ndarray:
-    """Read a picture from a TIFF file of 32-bit floats.
+    """Read an image from a TIFF file of 32-bit floats.
 
     Args:
         path: TIFF file of one page.
@@ -123,7 +123,7 @@ def read_float_tiff(path: str | Path) -> np.ndarray:
     """
     path = Path(path)
     libraries = ("tifffile", "imagecodecs._zlib")
-    return read_apart(f"{_DECODERS}:decode_float_tiff", path, "a picture", libraries=libraries, there=picture_memory())
+    return read_apart(f"{_DECODERS}:decode_float_tiff", path, "an image", libraries=libraries, there=picture_memory())
 
 
 class _Skeleton(NamedTuple):
@@ -133,7 +133,7 @@ class _Skeleton(NamedTuple):
 
 
 def write_exr(path: str | Path, picture: ArrayLike, *, force: bool = False) -> None:
-    """Write a picture as an OpenEXR file of 32-bit floats.
+    """Write an image as an OpenEXR file of 32-bit floats.
 
     Args:
         path: file to write (.exr).
@@ -141,7 +141,7 @@ def write_exr(path: str | Path, picture: ArrayLike, *, force: bool = False) -> N
         force: replace an existing file (no unit). Default: False.
 
     Raises:
-        ArgumentError: the picture has another shape, or values beyond float32.
+        ArgumentError: the image has another shape, or values beyond float32.
         OutputError: the file cannot be written, or exists and `force` is False.
 
     Example:
@@ -163,7 +163,7 @@ def write_exr_layers(path: str | Path, layers: Mapping[str, ArrayLike], *, force
 
     Args:
         path: file to write (.exr).
-        layers: pictures of one size by name, (H, W) or (H, W, 3), row 0 on top; NaN where missing.
+        layers: images of one size by name, (H, W) or (H, W, 3), row 0 on top; NaN where missing.
         force: replace an existing file (no unit). Default: False.
     """
     channels: dict[str, np.ndarray] = {}
@@ -189,7 +189,7 @@ def _write_channels(path: str | Path, planes: Mapping[str, np.ndarray], force: b
 
 
 def read_exr(path: str | Path) -> np.ndarray:
-    """Read a picture from an OpenEXR file of 32-bit floats.
+    """Read an image from an OpenEXR file of 32-bit floats.
 
     Args:
         path: OpenEXR file of one part, scan lines, compressed without loss.
@@ -211,9 +211,7 @@ def read_exr(path: str | Path) -> np.ndarray:
     path = Path(path)
     skeleton = _checked_skeleton(path)
     check_memory(path, skeleton.height, skeleton.width, len(skeleton.channels), 4, picture_memory())
-    stored = read_apart(
-        f"{_DECODERS}:decode_exr", path, "a picture", libraries=("OpenEXR",), channels=skeleton.channels
-    )
+    stored = read_apart(f"{_DECODERS}:decode_exr", path, "an image", libraries=("OpenEXR",), channels=skeleton.channels)
     planes = [stored[name] for name in skeleton.channels]
     if any(p.shape != (skeleton.height, skeleton.width) or p.dtype != np.float32 for p in planes):
         raise FileFormatError(f"{path}: damaged OpenEXR file: its channels differ from its header")
@@ -229,7 +227,7 @@ def _names(channels: int | None) -> tuple[str, ...]:
 
 def _checked_skeleton(path: Path) -> _Skeleton:
     try:
-        with reading(path, "a picture"), path.open("rb") as file:
+        with reading(path, "an image"), path.open("rb") as file:
             size = path.stat().st_size
             head = file.read(min(size, _LONGEST_HEADER))
             if len(head) < 8 or struct.unpack_from("<i", head)[0] != _MAGIC:

@@ -24,7 +24,7 @@ CONTENTS = {
     "fields": "a BRDF in RGL's parameterisation",
     "samples": "scattered samples",
     "result": "a result other than a BRDF",
-    "picture": "a picture",
+    "picture": "an image",
     "camera": "a camera profile",
     "sidecar": "a picture sidecar",
     "chart": "a chart's description",
@@ -77,9 +77,9 @@ class Format:
             return _function(self.writers[content])
         choice, suffix = ", ".join(suffixes_for(content)), self.suffixes[0]
         if content == "picture":
-            raise ArgumentError(f"a picture goes into {choice}, not into {suffix}")
+            raise ArgumentError(f"an image cannot be stored in {suffix}: use {choice}")
         if "picture" in self.holds:
-            raise ArgumentError(f"{CONTENTS[content]} is not a picture: it goes into {choice}, not into {suffix}")
+            raise ArgumentError(f"{CONTENTS[content]} is not an image and cannot be stored in {suffix}: use {choice}")
         raise ArgumentError(f"{CONTENTS[content]} cannot be stored in {suffix}: use {choice}")
 
 

@@ -56,7 +56,7 @@ def read_raw(path: str | Path, region: tuple[int, int, int, int] | None = None) 
     there = _memory_for(path)
     if importlib.util.find_spec("rawpy") is None:
         raise FileFormatError(f"{path}: camera raw needs rawpy: python -m pip install 'matcam[raw]'")
-    found = read_apart(f"{_DECODERS}:decode_raw", path, "a picture", libraries=("rawpy",), there=there, region=region)
+    found = read_apart(f"{_DECODERS}:decode_raw", path, "an image", libraries=("rawpy",), there=there, region=region)
     return Mosaic(found["values"], found["cfa"], found["saturation"])
 
 
@@ -86,7 +86,7 @@ def open_photograph(path: str | Path, region: tuple[int, int, int, int] | None =
     than the region, or too large for the memory.
     """
     path = Path(path)
-    with reading(path, "a picture"), path.open("rb") as file:
+    with reading(path, "an image"), path.open("rb") as file:
         start = file.read(len(_EXR))
         exif = read_exif(path)
     if exif.dng or (path.suffix.lower() in SUFFIXES and is_file(path)):
@@ -105,20 +105,20 @@ def read_photograph(path: str | Path, region: tuple[int, int, int, int] | None =
     path = Path(path)
     there = _memory_for(path)
     return read_apart(
-        f"{_DECODERS}:decode_photograph", path, "a picture", libraries=_LIBRARIES, there=there, region=region
+        f"{_DECODERS}:decode_photograph", path, "an image", libraries=_LIBRARIES, there=there, region=region
     )
 
 
 def _read_exr(path: Path) -> np.ndarray:
     picture = read_exr(path)
     if picture.ndim == 3 and picture.shape[2] != 3:
-        raise FileFormatError(f"{path}: a picture of {picture.shape[2]} channels is neither grey nor red, green, blue")
+        raise FileFormatError(f"{path}: an image of {picture.shape[2]} channels is neither grey nor red, green, blue")
     return picture
 
 
 def _memory_for(path: Path) -> int:
     """Compute the available memory for an image, bytes; FileFormatError for a file that is too large."""
-    with reading(path, "a picture"):
+    with reading(path, "an image"):
         if path.stat().st_size > _LARGEST:
             raise FileFormatError(f"{path}: {path.stat().st_size} bytes is too large for a photograph")
     return picture_memory()

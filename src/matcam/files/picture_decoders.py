@@ -35,7 +35,7 @@ def decode_photograph(path: Path, *, there: int, region: Sequence[int] | None = 
     if picture.ndim == 3 and picture.shape[2] == 1:
         picture = picture[..., 0]
     if picture.ndim not in (2, 3) or picture.size == 0 or (picture.ndim == 3 and picture.shape[2] != 3):
-        raise FileFormatError(f"{path}: a picture of shape {picture.shape} is neither grey nor red, green, blue")
+        raise FileFormatError(f"{path}: an image of shape {picture.shape} is neither grey nor red, green, blue")
     if picture.dtype.kind not in "uif":
         raise FileFormatError(f"{path}: samples of type {picture.dtype} are not supported")
     return cut(picture, region, path)
@@ -124,7 +124,7 @@ def decode_float_tiff(path: Path, *, there: int) -> np.ndarray:
             raise FileFormatError(f"{path}: has {page.dtype or 'unknown numbers'}; 32-bit floats are read")
         shape = file.series[0].shape if file.is_shaped else page.shape
         if len(shape) not in (2, 3) or page.planarconfig != 1:
-            raise FileFormatError(f"{path}: a picture of shape {shape}; (H, W) or (H, W, channels) is read")
+            raise FileFormatError(f"{path}: an image of shape {shape}; (H, W) or (H, W, channels) is read")
         height, width, channels = (*page.shape, 1)[:3]
         check_promised(path, height, width, channels, size)
         check_memory(path, height, width, channels, 4, there)

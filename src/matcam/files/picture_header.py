@@ -56,13 +56,13 @@ def check_memory(path: Path, height: int, width: int, channels: int, depth: int,
     needed = decoded + height * width * _WORKING
     if needed > there:
         raise FileFormatError(
-            f"{path}: a picture of {width} x {height} px needs {needed / 2**30:.1f} GiB; only "
+            f"{path}: an image of {width} x {height} px needs {needed / 2**30:.1f} GiB; only "
             f"{there / 2**30:.1f} GiB of the memory may be used"
         )
     size = path.stat().st_size
     if needed > _UNASKED and decoded > _MOST_TIMES * size and not files_are_trusted():
         raise FileFormatError(
-            f"{path}: a picture of {width} x {height} px in {size} bytes is compressed too strongly: it needs "
+            f"{path}: an image of {width} x {height} px in {size} bytes is compressed too strongly: it needs "
             f"{needed / 2**30:.1f} GiB of memory"
         )
 
@@ -77,7 +77,7 @@ def cut(picture: np.ndarray, region: Sequence[int] | None, path: Path) -> np.nda
     column, row, width, height = region
     if column + width > picture.shape[1] or row + height > picture.shape[0] or min(column, row) < 0:
         raise FileFormatError(
-            f"{path}: a picture of {picture.shape[1]} x {picture.shape[0]} px has no region of {width} x {height} "
+            f"{path}: an image of {picture.shape[1]} x {picture.shape[0]} px has no region of {width} x {height} "
             f"px at column {column}, row {row}: check that all images have the same size"
         )
     return picture[row : row + height, column : column + width]

@@ -48,7 +48,7 @@ class _Strict(BaseModel):
 
 def _not_a_folder(name: str) -> str:
     if name in (".", ".."):
-        raise ValueError("is a folder: a picture lies beside its sidecar")
+        raise ValueError("is a folder: an image lies beside its sidecar")
     return name
 
 
@@ -147,7 +147,7 @@ def write_sidecar(
     notes: str = "",
     force: bool = False,
 ) -> None:
-    """Write the sidecar of a picture from its sections.
+    """Write the sidecar of an image from its sections.
 
     docs/forward.md and the published schema (docs/picture-sidecar-v1.schema.json) list the fields; units are in their
     names.
@@ -209,7 +209,7 @@ def write_sidecar(
 
 
 def read_sidecar(path: str | Path) -> dict[str, Any]:
-    """Read the sidecar of a picture.
+    """Read the sidecar of an image.
 
     Args:
         path: JSON file, as from `sidecar_path`.

@@ -37,7 +37,7 @@ class CellChoice(NamedTuple):
     Attributes:
         cell_value: meaning of a cell's value.
         crop: (height, width) of the sensor, px; None: unlimited.
-        azimuth: azimuth of the lamp in all pictures, rad.
+        azimuth: azimuth of the lamp in all images, rad.
         pixel_phase: phase of the real pixels that are looked up, px; None: every cell has its own pixels.
         even: True if images through the lens are symmetric above and below.
         shift: shift of the images, (right, up), px.

@@ -98,7 +98,7 @@ def picture(
         (('row', 'column', 'channel'), (3, 5, 1))
     """
     if error is not None:
-        error = float(checks.within("error", error, 1e-6, 0.1, "of the picture's peak"))
+        error = float(checks.within("error", error, 1e-6, 0.1, "of the image's peak"))
     view = view_of(material, rig, (lamp_angle, azimuth), shape, error)
     offset = np.asarray(checks.within("shift", shift, -1e4, 1e4, "px"))  # type: ignore[arg-type]
     if offset.shape != (2,):

@@ -74,7 +74,7 @@ def highlight_stamps(camera: Camera, size: int, highlights: Highlights) -> jax.A
         highlights: the highlights; their broadcast shape gives the leading axes of the result.
 
     Returns:
-        Pictures, (..., size, size), in units of flux per px^2. Differentiable in all parameters, and usable inside jax.jit.
+        Images, (..., size, size), in units of flux per px^2. Differentiable in all parameters, and usable inside jax.jit.
 
     Raises:
         ArgumentError: the lens or the pixel is of another kind, a value is not finite, or shapes do not broadcast.

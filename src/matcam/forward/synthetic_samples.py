@@ -23,7 +23,7 @@ RADIUS_MM = 25.0
 MARGIN = 48
 """Border of an image beside a curved sample, px, which contains the reference."""
 _ROWS = 96
-"""Height of a cylinder's picture, px."""
+"""Height of a cylinder's image, px."""
 _LARGEST_TILT = math.radians(40)
 _LAMP_OF_FLAT = math.radians(20)
 """Angle of the fixed lamp over a flat sample, rad. Tilting it gives half angles from 10 degrees through 0 to 30."""
@@ -73,12 +73,12 @@ def synthetic_sample(rig: Rig, shape: tuple[int, int] | None, seed: int) -> Synt
         seed: seed of a flat sample's textures.
 
     Raises:
-        ArgumentError: the sample has no pictures, or a shape is given for a curved one.
+        ArgumentError: the sample has no images, or a shape is given for a curved one.
     """
     if isinstance(rig.sample, Flat):
         return _FlatSample(rig, shape or (256, 256), seed)
     if shape is not None:
-        raise ArgumentError("the size of the pictures follows from the radius: leave it out for a sphere or cylinder")
+        raise ArgumentError("the size of the images follows from the radius: leave it out for a sphere or cylinder")
     if isinstance(rig.sample, Sphere):
         return _SphereSample(rig, rig.sample)
     if isinstance(rig.sample, Cylinder):
@@ -198,7 +198,7 @@ class _FlatSample:
             raise ArgumentError("a flat sample needs a grey sensor: give a camera whose sensor has no cfa")
         self.rig, self.shape = rig, shape
         rng = np.random.default_rng(seed + 1_000_000)
-        size = (2 * shape[0], 2 * shape[1])  # the tilted sample shows more than the pictures contain head-on
+        size = (2 * shape[0], 2 * shape[1])  # the tilted sample shows more than the images contain head-on
         self.textures = [1 + contrast * _noise(size, rng) for contrast in _CONTRASTS]
         self._tilts: list[float] = []
 

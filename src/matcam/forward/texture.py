@@ -70,14 +70,14 @@ def textured_picture(
         texture: albedo, or any factor of the light, (H, W) or (H, W, channels), finite and >= 0; row 0 on top.
         rig: a rig with a `Flat` sample.
         theta_o: angle of the tilt, in [0, pi/2), rad.
-        shape: (rows, columns) of the picture, px. Default: the texture's.
+        shape: (rows, columns) of the image, px. Default: the texture's.
         texture_pitch: distance of neighbouring texels on the sensor, head-on, px. Default: 1.
         texels: signal between the texels' centres. Default: "band-limited", the smoothest periodic signal through their
             values: a sampled sine is reproduced, and edges overshoot, even below 0. With "squares" each texel is a
                 square of constant albedo (a chart, a print): the image through a positive kernel is >= 0.
 
     Returns:
-        Picture in the texture's unit, (rows, columns) or (rows, columns, channels). A uniform texture keeps its value.
+        Image in the texture's unit, (rows, columns) or (rows, columns, channels). A uniform texture keeps its value.
         Differentiable in texture, angle and camera.
 
     Raises:

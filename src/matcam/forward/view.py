@@ -37,7 +37,7 @@ from matcam.sample.shape import Curved
 
 _AT_ONCE = 1 << 18
 """Number of positions of a fine record that are recorded at once."""
-_FARTHEST_REACH = 8.0  # px beyond the limb that a picture holds unless it is given a shape
+_FARTHEST_REACH = 8.0  # px beyond the limb that an image holds unless it is given a shape
 
 
 class View(NamedTuple):
@@ -77,7 +77,7 @@ def view_of(
         material: material of the sample.
         rig: camera, sample and lamp.
         lamp: angle between lamp and optical axis, and its azimuth; None: the rig's, rad.
-        shape: (height, width) of the picture, px. None: an area that contains the sample.
+        shape: (height, width) of the image, px. None: an area that contains the sample.
         error: twice the target for the largest error of a transfer function. Default: None, full accuracy.
 
     Raises:
@@ -118,11 +118,11 @@ def _lens_of(material: Material, rig: Rig, sample: Curved, error: float | None) 
     optics = rig.camera.optics
     # a cylinder extends beyond any image: in a distant rig one row represents all
     if isinstance(sample, Cylinder) and not (sample.distant and rig.lamp.nearness is None):
-        checked_isotropic(optics, "a cylinder's picture before a near camera or lamp")
+        checked_isotropic(optics, "a cylinder's image before a near camera or lamp")
         return None
     aimed = None if error is None else error / 2  # of the transfer function: half of it is visible at the peak
     if isinstance(sample, Cylinder) and varies_over_field(optics):
-        raise ArgumentError("a cylinder's picture needs a lens that is the same all over the field: use a Sphere")
+        raise ArgumentError("a cylinder's image needs a lens that is the same all over the field: use a Sphere")
     lens = picture_lens(rig.camera, float(jax.lax.stop_gradient(sample.radius)), aimed)
     if lens is None:
         return None

@@ -12,7 +12,7 @@ from matcam.inverse.fit.fit_statements import fit_readings_source, fit_statement
 from matcam.inverse.fit.material_fit import MaterialFit
 from matcam.numerics.fit_budget import VariancePart, statement_parts
 
-GAIN = "gains of the pictures"
+GAIN = "gains of the images"
 OTHER_LOBES = "other lobes that explain the table"
 NO_CAMERA = "no camera, rather than this one"
 
@@ -64,7 +64,7 @@ class NormalisedFresnel:
         return self.normalised * np.sqrt(np.clip(variance, 0, None))
 
     def with_gain(self, gain: float) -> NormalisedFresnel:
-        """Add the gain of each picture to the noise."""
+        """Add the gain of each image to the noise."""
         one = gain**2 * np.eye(self.normalised.shape[1])
         own = self._normalised_std(np.broadcast_to(one, self.relative.shape))
         self.std_noise = np.hypot(self.std_noise, own)

@@ -60,7 +60,7 @@ def gain_remarks(gain: float) -> tuple[Remark, ...]:
     """List the remark on a gain, if there is one."""
     if not gain:
         return ()
-    text = f"F scatters between pictures by {gain:.1%}: the standard deviation of F includes this gain of each picture"
+    text = f"F scatters between images by {gain:.1%}: the standard deviation of F includes this gain of each image"
     return (Remark("picture-gain", text),)
 
 

@@ -71,7 +71,7 @@ def limits(
         rig: the rig: a camera with a Gaussian lens, a sphere, and a lamp; distant or near.
         ndf: family of the lobe, with roughness as its only parameter. Default: "ggx". "auto" is not available.
         roughness: roughnesses, no unit (n,). Default: ten from 0.0003 to 0.2.
-        noise: noise of a pixel and of the picture gain. Default: None, 1 % of the value, 1e-4 of the peak and 1 % of gain.
+        noise: noise of a pixel and of the image gain. Default: None, 1 % of the value, 1e-4 of the peak and 1 % of gain.
         slice_step: spacing of the slices of theta_d (no unit). Default: 10, unlike `fit`, because few slices suffice to
             compare rigs. Bounds decrease with more slices.
         workspace: store of results that depend only on the rig. Default: None, that of the process.
@@ -82,7 +82,7 @@ def limits(
         - `width_std`: bound of ln roughness, camera exact. `width_std_stated`: with the uncertainty of the lens as in
             its profile, NaN if it has none. `width_std_free`: with the lens free.
         - `lens_std_free`: bound of ln sigma_mtf with the lens free.
-        - `fresnel_std`: relative bound of F at each theta_d, without the picture gain. The lens is as specified by its
+        - `fresnel_std`: relative bound of F at each theta_d, without the image gain. The lens is as specified by its
            profile, otherwise exact.
         - `alike`, (roughness, blur): correlation of the effect of a blur with that of a wider lens, after roughness and
             F are fitted. 1 is indistinguishable.
@@ -165,7 +165,7 @@ def changed_rigs(rig: Rig) -> dict[str, Rig]:
         return eqx.tree_at(lambda r: (r.sample, r.camera), rig, (type(rig.sample)(radius, **distance), lens))  # type: ignore[call-arg]
 
     return {
-        f"{rig.sample.kind} twice as large in the picture": with_(2 * radius, sigma),
+        f"{rig.sample.kind} twice as large in the image": with_(2 * radius, sigma),
         "lens half as blurred (aperture, focus)": with_(radius, sigma / 2),
         "twice the pixels, same lens": with_(2 * radius, 2 * sigma),
     }
@@ -177,7 +177,7 @@ class _View(NamedTuple):
     Attributes:
         rig: the rig.
         ndf: family of the lobe.
-        noise: noise of a pixel and of the picture gain.
+        noise: noise of a pixel and of the image gain.
         slice_step: spacing of the slices of theta_d.
         workspace: store of results that depend only on the rig.
     """

@@ -87,7 +87,7 @@ def chosen_fit(
     """Fit lobes of the candidate families and return the most probable.
 
     Args:
-        pictures: merged pictures.
+        pictures: merged images.
         scene: prior knowledge of the rig.
         lamps: directions to the lamps from the highlights, (pictures, 3).
         family: family of the lobe; "auto": the most probable candidate, spline-modified if that reduces the residual.
@@ -110,7 +110,7 @@ def chosen_fit(
             family,
             masking=masking,
             diffuse=diffuse,
-            progress=lambda line: say(f"{_SOME} of {len(pictures)} pictures: {line}"),
+            progress=lambda line: say(f"{_SOME} of {len(pictures)} images: {line}"),
             fit_pictures=fit_pictures,
         )
         first, remarks = few.fit.kind.family, [one for one in few.remarks if one.code != "picture-left-out"]
@@ -265,7 +265,7 @@ def chosen_fit(
         text = "Lambert's law does not explain the diffuse part: its shape was fitted"
         remarks.append(Remark("diffuse-not-lambertian", text))
     if best.kind.spline_size:
-        text = f"no lobe of a single family explains the pictures: {best.kind.family} was modified by a spline"
+        text = f"no lobe of a single family explains the images: {best.kind.family} was modified by a spline"
         remarks.append(Remark("lobe-spline-modified", text))
     first = best.kind.family
     return ChosenFit(final(best), tried, tuple(remarks), widened)

@@ -31,13 +31,13 @@ _WIDENED = {
     "lens": "the lens differs from its profile",
     "distortion": "the lens's distortion is not as its profile states",
     "outline": "the highlights indicate another outline than the limb",
-    "shift": "the sphere moves between the pictures by more than its limb indicates",
+    "shift": "the sphere moves between the images by more than its limb indicates",
     "lamp": "the lamps are not at the directions of the table",
     "camera distance": "the camera distance differs from the specified value",
     "lamp distance": "the lamp distance differs from the specified value",
     "sample radius": "the sample radius in mm differs from the specified value",
     "rig": "the rig differs from that of the earlier reconstruction",
-    "gain": "the light of the pictures varies more than specified",
+    "gain": "the light of the images varies more than specified",
 }
 
 
@@ -89,7 +89,7 @@ def contradiction(fit: SphereFit, scene: SphereScene) -> tuple[str, float, Remar
     if blamed.source == "sample radius" and scene.sample_radius is not None:
         stated = scene.sample_radius.value
         wanted = stated * np.exp(float((fit.solution.p + blamed.step)[problem.layout.sample_radius]))
-        text += f" (the pictures indicate {wanted:.4g} mm, {stated:.4g} mm is specified)"
+        text += f" (the images indicate {wanted:.4g} mm, {stated:.4g} mm is specified)"
     remark = Remark(
         f"{blamed.source.replace(' ', '-')}-contradicted",
         f"{text}: {times_off(pull)} the given standard deviation, which was enlarged; the distance is extrapolated from the "

@@ -290,7 +290,7 @@ def reflectance_readings(
             level = float(curve.at(at).mean()) / unit.value
             one = _of_curve(fit, curve, index, level, curve.slopes(at).mean(axis=0) / unit.value)
             source = UncertaintySource(
-                f"{REFERENCE}: value of the pictures for F = 1",
+                f"{REFERENCE}: value of the images for F = 1",
                 unit.value,
                 unit.std * unit.value,
                 -level / unit.value,

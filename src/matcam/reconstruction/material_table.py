@@ -24,7 +24,7 @@ _BEYOND = np.radians(2.0)
 ATTRIBUTES: dict[str, dict[str, str | int]] = {
     "brdf": {"units": "1/sr", "long_name": "BRDF reconstructed from photographs", CORRECTED: 1},
     "brdf_std": {"units": "1/sr", "long_name": "standard deviation of brdf: all sources of the error budget"},
-    "supported": {"units": "1", "long_name": "within the pictures' angles, and standard deviation of brdf under 5 %"},
+    "supported": {"units": "1", "long_name": "within the images' angles, and standard deviation of brdf under 5 %"},
 }
 
 

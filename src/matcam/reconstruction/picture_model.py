@@ -22,7 +22,7 @@ from matcam.reconstruction.picture_rule import Window
 from matcam.reconstruction.sphere_in_picture import light_and_view, normal_at, radiance, sphere_shading
 
 SCENE = ("lens", "radius", "camera", "lamp")
-"""Parameters of all pictures behind those of the lobe: ln of the lens's scale, radius in px, both nearnesses. The terms of the
+"""Parameters of all images behind those of the lobe: ln of the lens's scale, radius in px, both nearnesses. The terms of the
 diffuse part follow, if any."""
 OWN = ("column", "row", "lamp_a", "lamp_b")
 """Parameters of one image: centre of the outline, px, and the turn of the lamp from its base direction along two

@@ -14,7 +14,7 @@ from matcam.reconstruction.sphere_fit import SphereFit
 
 
 def pinhole_reading(pictures: Iterable[MergedPicture], fit: SphereFit, units: np.ndarray) -> xr.DataArray:
-    """Bin the pixels of all pictures as if the camera were perfect.
+    """Bin the pixels of all images as if the camera were perfect.
 
     Args:
         pictures: images in the order of the fit.

@@ -241,24 +241,24 @@ class Reconstruction(Summarised):
         modified = "spline-modified " if self.fit.kind.spline_size else ""
         lobe = f"{modified}{self.fit.kind.family} lobe of half width {half_width}"
         words = [
-            f"{len(self.fit.names)} pictures give a {lobe}, from theta_d {low:.0f}° to {high:.0f}°; "
+            f"{len(self.fit.names)} images give a {lobe}, from theta_d {low:.0f}° to {high:.0f}°; "
             f"{self.supported_share:.0%} of the entries with a value are supported (known to 5 %)."
         ]
         if self.fit.stuck:
             words.append(
-                "No lobe explains the pictures, and further rounds of the fit do not help: do not use these values."
+                "No lobe explains the images, and further rounds of the fit do not help: do not use these values."
             )
         if self.fit.solution.unexplained > _POOR:
             words.append(
                 f"The model does not explain {self.fit.solution.unexplained:.0%} of the light, which increases every "
-                "error: check the residual pictures."
+                "error: check the residual images."
             )
         pairs = [
             f"{one.names[0]} from {one.names[1]} (correlation {one.correlation:.3f})" for one in self.not_determined
         ]
         if pairs:
             words.append(
-                f"The pictures alone do not separate {', nor '.join(pairs)}: the result depends on their specified values."
+                f"The images alone do not separate {', nor '.join(pairs)}: the result depends on their specified values."
             )
         if not self.absolute:
             words.append("There was no reference of known reflectance: F is relative, scaled to 1 at most.")
@@ -363,7 +363,7 @@ def reconstructed(
     """Reconstruct a material from merged images with approximate geometry.
 
     Args:
-        pictures: merged pictures, one per lamp position.
+        pictures: merged images, one per lamp position.
         scene: prior knowledge of camera, outline, lamps and distances.
         lamps: directions to the lamps from the highlights, (pictures, 3).
         units: unit of each channel, value per radiance under unit irradiance, with its relative standard deviation.
@@ -409,7 +409,7 @@ def reconstructed(
     every.extend(
         Remark(
             "not-determined",
-            f"the pictures alone do not separate {one.names[0]} from {one.names[1]}: correlation {one.correlation:.3f}",
+            f"the images alone do not separate {one.names[0]} from {one.names[1]}: correlation {one.correlation:.3f}",
         )
         for one in pairs
     )

@@ -78,7 +78,7 @@ class SphereFit:
         kind: family, masking and splines of the lobe.
         solution: parameters and covariance.
         channels: names of the colours.
-        names: names of the pictures.
+        names: names of the images.
         stuck: unexplained share after each round, if the rounds were ended because it increased. Default: ().
     """
 
@@ -104,7 +104,7 @@ class SphereFit:
 
     @property
     def strengths(self) -> np.ndarray:
-        """Strength of the lobe in each picture and channel, (pictures, channels)."""
+        """Strength of the lobe in each image and channel, (pictures, channels)."""
         return np.array([self.solution.p[self.layout.strengths(k)] for k in range(self.layout.pictures)])
 
     @property
@@ -161,10 +161,10 @@ def fit_sphere(
     rivals: Sequence[str] = (),
     shaped: bool = False,
 ) -> SphereFit:
-    """Fit lobe, strengths, lens, outline, lamps and distances to all pictures of a sphere, or of another sample.
+    """Fit lobe, strengths, lens, outline, lamps and distances to all images of a sphere, or of another sample.
 
     Args:
-        pictures: merged pictures, one per lamp position.
+        pictures: merged images, one per lamp position.
         scene: prior knowledge of the scene.
         family: family of the lobe. Default: "ggx".
         masking: masking G of the lobe. Default: "smith".
@@ -182,7 +182,7 @@ def fit_sphere(
         rivals: families that replace `family` if their lattice gives a smaller residual. Default: ().
     """
     if len(pictures) < 2:
-        raise ArgumentError(f"a joint fit needs at least 2 pictures, got {len(pictures)}")
+        raise ArgumentError(f"a joint fit needs at least 2 images, got {len(pictures)}")
     again = lay is None
     lay = lay or sphere_problem
     kind = LobeKind(family, masking, KNOTS if spline else 0, stretched=stretched)

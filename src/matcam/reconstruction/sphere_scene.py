@@ -46,7 +46,7 @@ class SphereScene:
         lens_std: relative standard deviation of the lens width; 0: exact.
         centres: column and row of the outline's centre in each image, px, (pictures, 2).
         radius: radius of the outline, px.
-        outline_covariance: covariance of column, row and radius that all pictures share, px^2, (3, 3).
+        outline_covariance: covariance of column, row and radius that all images share, px^2, (3, 3).
         shift_std: standard deviation of the centre in each image, px.
         camera_nearness: inverse of the camera's distance, 1/radii.
         lamp_nearness: inverse of the lamp's distance, 1/radii.
@@ -223,7 +223,7 @@ def joint_problem(
         kind: family, masking and splines of the lobe.
         scene: prior knowledge of the scene.
         model: model of the pixels.
-        pixels: pixels of each picture.
+        pixels: pixels of each image.
         frames: base direction of the lamp of each image.
         slope: d ln F / d theta_d of each image and channel, 1/rad.
         diffuse: True to include a Lambertian part.

@@ -35,7 +35,7 @@ class Sphere(Curved):
     u and v are the longitude and latitude of the normal about the y axis.
 
     Args:
-        radius: radius of its limb in the picture, in (0, 1e100] px.
+        radius: radius of its limb in the image, in (0, 1e100] px.
         distance: distance of the camera from its centre, in radii of the sphere, above 1. Default: infinite, an
             orthographic camera. Specify it if the camera is closer than some hundred radii, because less than half of
             the sphere is visible from a near camera.

@@ -106,7 +106,7 @@ class PhotographsPanel:
                 title, _WINDOW_SIDE, "column [px]", "row [px]", tools="", toolbar_location=None, **self._ranges
             )  # fmt: skip
             drawn = plot.image(name, x="x", y="y", dw="dw", dh="dh", source=self._values, color_mapper=mapper)
-            unit = "standard deviations" if name == WINDOWS[2] else "of the merged pictures' unit"
+            unit = "standard deviations" if name == WINDOWS[2] else "of the merged images' unit"
             hover(plot, [drawn], [("column, row", "$x{0}, $y{0} px"), ("value", f"@image {unit}")])
             if name != WINDOWS[0]:
                 plot.add_layout(ColorBar(color_mapper=mapper, width=10, major_label_text_font_size="9px"), "right")

@@ -211,7 +211,7 @@ def filtered(record: FineRecord, optics: Optics, pixel: PixelResponse, limit: Ba
         optics: the lens.
         pixel: the pixel.
         limit: sampling of the record.
-        shift: shift of the picture, (right, up), px.
+        shift: shift of the image, (right, up), px.
 
     Returns:
         Transform of the filtered record.

@@ -96,7 +96,7 @@ def picture_lens(camera: Camera, radius: float, error: float | None = None) -> P
         limit = band_limit(camera, error or EXACT)
         return None if limit is None else PictureLens(camera.pixel, limit, (_colour(optics, None),), None, limit.error)
     if not concrete(camera):
-        raise ArgumentError(f"a picture through {type(optics).__name__} cannot be taken inside jax.jit or vmap")
+        raise ArgumentError(f"an image through {type(optics).__name__} cannot be taken inside jax.jit or vmap")
     if isinstance(optics, ColourOptics):
         parts: tuple[Optics, ...] = optics.lenses
         shifts: tuple[jax.Array, ...] = optics.shifts
@@ -107,7 +107,7 @@ def picture_lens(camera: Camera, radius: float, error: float | None = None) -> P
     limit = sampling_of([lens for colour in colours for lens in colour.lenses], camera.pixel, error or EXACT)
     if limit.error > _TOLERABLE:
         raise ArgumentError(
-            f"the {type(optics).__name__} passes up to {optics.band():.2g} cycles/px, more than a picture is filtered for (an "
+            f"the {type(optics).__name__} passes up to {optics.band():.2g} cycles/px, more than an image is filtered for (an "
             f"error of {limit.error:.1g}): give a larger f-number, or wider Gaussians"
         )
     if shares is not None:

@@ -288,7 +288,7 @@ class Correction(Summarised):
         lost = [
             f"{loss:.0%} at {angle}°" for angle, loss in zip(_ANGLES, self.peak_loss(np.radians(_ANGLES)), strict=True)
         ]
-        known = "well determined" if self._determined else "NOT determined by these pictures"
+        known = "well determined" if self._determined else "NOT determined by these images"
         rows = self._grid.index(theta_h=0.0, theta_d=np.radians(np.arange(_ANGLES[0], _ANGLES[-1] + 1)))
         supported, recorded = self.table["supported"].values[rows], np.isfinite(self.recorded.values[rows])
         peaks = (

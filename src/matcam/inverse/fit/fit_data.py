@@ -1,7 +1,7 @@
 """Values that a material is fitted to, and the likelihood of their noise (docs/model.md 8).
 
 Noise is a property of pixels, and each slice of theta_d is one image with its own exposure. Let V be the variance of a
-cell according to the model, and g the standard deviation of the picture gain common to a slice m. The covariance of the
+cell according to the model, and g the standard deviation of the image gain common to a slice m. The covariance of the
 cells of the slice is V + g^2 m m'. Its inverse root has a closed form: divide by sqrt V, then multiply the component
 along a = m / sqrt V by 1 / sqrt(1 + g^2 |a|^2). An unknown strength of each slice is the limit of an infinite g, in
 which this component vanishes.
@@ -139,7 +139,7 @@ def cell_variance(data: FitData, model: np.ndarray, noise: PixelNoise) -> np.nda
 def whitening(data: FitData, weight: np.ndarray, along: np.ndarray, gain: float) -> Whitening:
     """Build the whitening from robust weights 1 / V.
 
-    along: the model that the gain of the image multiplies. gain: standard deviation of the picture gain; infinite for
+    along: the model that the gain of the image multiplies. gain: standard deviation of the image gain; infinite for
         free strengths.
     """
     root = np.sqrt(np.where(data.used, weight, 0.0))
@@ -154,7 +154,7 @@ def standardised_residual(
 ) -> np.ndarray:
     """Compute residuals in standard deviations, (u, s, n), after removal of the most probable gain of each slice.
 
-    gain: standard deviation of the picture gain; infinite for free strengths.
+    gain: standard deviation of the image gain; infinite for free strengths.
     """
     root = np.sqrt(np.where(data.used, 1 / cell_variance(data, model, noise), 0.0))
     u, a = residual * root, model * root
@@ -171,7 +171,7 @@ def huber_weights(u: np.ndarray) -> np.ndarray:
 def estimate_noise(
     data: FitData, residual: np.ndarray, model: np.ndarray, fitted: int, start: PixelNoise
 ) -> PixelNoise:
-    """Estimate relative noise, floor and picture gain from the residuals, by maximum likelihood.
+    """Estimate relative noise, floor and image gain from the residuals, by maximum likelihood.
 
     fitted: number of fitted parameters.
     """

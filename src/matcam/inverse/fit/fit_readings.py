@@ -124,7 +124,7 @@ def strengths_with_covariance(solution: Solution) -> Strengths:
 
 
 def strength_curves(solution: Solution) -> tuple[np.ndarray, np.ndarray]:
-    """Compute F of every unit and slice and its standard deviation, which includes the picture gain if F is free."""
+    """Compute F of every unit and slice and its standard deviation, which includes the image gain if F is free."""
     problem, layout = solution.problem, solution.problem.layout
     strength = solution.model.strength.copy()
     if layout.fresnel != "free":
@@ -232,7 +232,7 @@ def fit_remarks(
         remarks.append(Remark("misfit", text))
     if not noise_given and max(noise.relative, 20 * noise.floor) > 0.05:
         text = (
-            f"the residuals are {noise.relative:.0%} of a pixel's value and {noise.floor:.1%} of its picture's peak, more than "
+            f"the residuals are {noise.relative:.0%} of a pixel's value and {noise.floor:.1%} of its image's peak, more than "
             "the noise of any camera: the camera or the family of the lobe is wrong"
         )
         remarks.append(Remark("misfit", text))

@@ -388,7 +388,7 @@ def fit(
         spline: allowed smooth departure of D from its family (no unit): the standard deviation of the second differences
             of ln D between knots that are half a power of e apart. Default: 0, not at all; 1 hardly constrains the lobe
             to a family.
-        noise: noise of a pixel and of the picture gain. Default: None, estimated from the residuals, which include misfit.
+        noise: noise of a pixel and of the image gain. Default: None, estimated from the residuals, which include misfit.
         slice_step: spacing of the slices of theta_d that are used (no unit). Default: 1, all of them; more is quicker.
         workspace: store of results that depend only on the rig. Default: None, that of the process.
 

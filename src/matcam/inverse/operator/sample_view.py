@@ -27,7 +27,7 @@ class SampleView(NamedTuple):
     """Geometry of a curved sample, a camera and a lamp, as numbers, so that views can be compared.
 
     Attributes:
-        radius: radius of the limb in the picture, px.
+        radius: radius of the limb in the image, px.
         camera: inverse of the camera's distance, 1/radii; 0: distant.
         lamp: inverse of the lamp's distance, 1/radii; 0: distant.
         azimuth: azimuth of the plane of camera and lamp relative to the rows of pixels, rad; in [0, pi/2) for an

@@ -44,7 +44,7 @@ class CapturedCylinder(NamedTuple):
     """Data of a capture of a cylinder before the joint fit.
 
     Attributes:
-        scene: merged pictures, prior knowledge of the rig, directions to the lamps, radiometry, remarks.
+        scene: merged images, prior knowledge of the rig, directions to the lamps, radiometry, remarks.
         strips: strips of material.
         outline: outline of the cylinder.
     """

@@ -37,13 +37,13 @@ def fit_cylinder(
     stretched: bool = False,
     **more: Any,
 ) -> SphereFit:
-    """Fit lobe, strengths, lens, outline, lamps and distances to all pictures of a cylinder.
+    """Fit lobe, strengths, lens, outline, lamps and distances to all images of a cylinder.
 
     The parameters are those of a sphere: the centre of an image is the column of the axis, and the row in the plane of
     lamp and camera.
 
     Args:
-        pictures: merged pictures, one per lamp position.
+        pictures: merged images, one per lamp position.
         scene: prior knowledge of the rig; its radius is half the width of the outline.
         family: family of the lobe. Default: "ggx".
         strips: strips of material, with their turns.

@@ -39,7 +39,7 @@ class Strip(NamedTuple):
 
 
 class StripProfiles(NamedTuple):
-    """Profiles of one picture, arrays of shape (channels, strips, columns).
+    """Profiles of one image, arrays of shape (channels, strips, columns).
 
     Attributes:
         column: positions in the frame, px, (columns,).
@@ -67,7 +67,7 @@ def strip_profiles(picture: MergedPicture, strips: Sequence[Strip]) -> StripProf
         The profiles.
 
     Raises:
-        FitError: a strip has too few rows in the picture.
+        FitError: a strip has too few rows in the image.
     """
     width, count = picture.values.shape[1], len(picture.channels)
     shape = (count, len(strips), width)

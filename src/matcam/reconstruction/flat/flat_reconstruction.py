@@ -109,7 +109,7 @@ class FlatReconstruction(Summarised):
         alpha, std = self.parameters["alpha"]
         resolved = "; ".join(f"{name} up to {self._resolution(name)}" for name in MAPS)
         return (
-            f"{len(self.names)} pictures give a {self.family} lobe of roughness {alpha:.4g} +- {std:.1g} and two maps. "
+            f"{len(self.names)} images give a {self.family} lobe of roughness {alpha:.4g} +- {std:.1g} and two maps. "
             f"Resolved: {resolved}. Finer texture is lost; the errors of the maps include it."
         )
 
@@ -202,7 +202,7 @@ def reconstruct_flat(
             break
     if len(reader.channels) > 1:
         raise FitError(
-            f"{capture.folder}: a flat sample needs grey pictures, got a mosaic: each colour shows a quarter of the texels"
+            f"{capture.folder}: a flat sample needs grey images, got a mosaic: each colour shows a quarter of the texels"
         )
     merged, radiometry = merge(capture, capture.region, progress, workers=workers, kept=kept)
     merged = under_one_light(merged, capture)
@@ -223,9 +223,7 @@ def reconstruct_flat(
             pictures.append(FlatPicture(one, tilts[one.name], towards, std))
     remarks.extend(Remark("picture-left-out", f"{text}; left out") for text in lost)
     if len(pictures) < _FEWEST:
-        raise FitError(
-            f"{capture.folder}: {len(pictures)} pictures of the flat sample can be used; {_FEWEST} are needed"
-        )
+        raise FitError(f"{capture.folder}: {len(pictures)} images of the flat sample can be used; {_FEWEST} are needed")
     size = capture.stated("mm_per_px")
     left_out = tuple(text.split(" ")[0] for text in lost)
     return reconstructed_flat(
@@ -244,16 +242,16 @@ def reconstructed_flat(
     left_out: tuple[str, ...] = (),
     remarks: Sequence[Remark] = (),
 ) -> FlatReconstruction:
-    """Reconstruct the maps of a flat sample from merged pictures.
+    """Reconstruct the maps of a flat sample from merged images.
 
     Args:
-        pictures: merged pictures with tilt and lamp.
+        pictures: merged images with tilt and lamp.
         camera: lens and pixel.
         family: family of the lobe, with roughness as its only parameter. Default: "ggx".
         masking: masking G of the lobe. Default: "smith".
         lens_std: relative standard deviation of the lens width. Default: 0, exact.
         mm_per_px: size of a texel and its standard deviation, mm. Default: None, unknown.
-        left_out: names of pictures that could not be used. Default: ().
+        left_out: names of images that could not be used. Default: ().
         remarks: remarks of the steps before. Default: ().
     """
     shares = LobeShares(
@@ -291,14 +289,14 @@ def reconstructed_flat(
 
 def _budgets(fitted: FlatRoughness, mean: MeanMaps, alpha: float, unit: float) -> tuple[UncertaintyBudget, ...]:
     """Build the budgets of the roughness and of the mean of both maps. unit: value to which both maps are relative."""
-    stated = [Statement("gains of the pictures, as specified", fitted.stated)]
-    readings = Readings("pictures: texture of coarse frequencies", "A", fitted.freedom)
+    stated = [Statement("gains of the images, as specified", fitted.stated)]
+    readings = Readings("images: texture of coarse frequencies", "A", fitted.freedom)
     by_alpha = np.zeros(len(fitted.covariance))
     by_alpha[0] = alpha
     budgets = [posterior_budget("alpha", alpha, by_alpha, fitted.covariance, stated, readings)]
     for i, name in enumerate(MAPS):
         noise = UncertaintySource(
-            "noise of the means of the pictures", 0.0, float(np.sqrt(mean.by_noise[i, i])) / unit, 1.0, "A"
+            "noise of the means of the images", 0.0, float(np.sqrt(mean.by_noise[i, i])) / unit, 1.0, "A"
         )
         value, slope = float(mean.value[i] / unit), mean.by_shared[i] / unit
         budgets.append(posterior_budget(f"mean_{name}", value, slope, fitted.covariance, stated, readings, [noise]))
@@ -359,7 +357,7 @@ def _maps(
             name: f"{name} part, relative",
             f"{name}_std": f"standard deviation of {name} about its mean, including lost texture",
             f"{name}_error": f"variance of {name} at each frequency; their mean is the variance of a texel",
-            f"{name}_resolved": "share of the prior variance that the pictures remove",
+            f"{name}_resolved": "share of the prior variance that the images remove",
         }
     along, across = (np.fft.fftshift(one.ravel()) for one in stack.frequency)
     attrs: dict[str, Any] = {

@@ -27,15 +27,15 @@ _BAND = 0.44  # cycles/px on the sensor, up to which the windowed sinc is transp
 _STEP = 1e-3
 _PASSED = 1e-3
 """MTF of a lens below which its derivative is neglected."""
-_CLIPPED = 0.001  # share of clipped pixels up to which a picture is used
+_CLIPPED = 0.001  # share of clipped pixels up to which an image is used
 
 
 class FlatPicture(NamedTuple):
     """Image with its acquisition parameters.
 
     Attributes:
-        picture: merged picture, grey.
-        tilt: tilt of the sample about the picture's vertical axis, its normal towards +x, rad.
+        picture: merged image, grey.
+        tilt: tilt of the sample about the image's vertical axis, its normal towards +x, rad.
         towards: direction to the lamp, x right, y up, z to the camera, (3,).
         gain_std: standard deviation of ln of the light of the image.
     """
@@ -50,7 +50,7 @@ class FlatStack(NamedTuple):
     """Transforms of images over the grid of texels.
 
     Attributes:
-        mean: mean of each picture, (pictures,).
+        mean: mean of each image, (pictures,).
         mean_std: standard deviation of the mean, (pictures,).
         spectrum: transform of each image less its mean, per root of the area, (pictures, rows, columns).
         transfer: transfer function of the camera at each texel frequency; 0 beyond the sensor's band, same shape.
@@ -92,19 +92,21 @@ def flat_stack(pictures: Sequence[FlatPicture], camera: Camera) -> FlatStack:
     """Resample the images of a flat sample onto its texels.
 
     Args:
-        pictures: pictures of one shape.
+        pictures: images of one shape.
         camera: lens and pixel.
 
     Returns:
         Transforms of the images, with noise.
 
     Raises:
-        FitError: the pictures are too small for borders of 24 texels.
+        FitError: the images are too small for borders of 24 texels.
     """
     checked_isotropic(camera.optics, "a reconstruction")
     height, width = pictures[0].picture.values.shape
     if min(height, width) < 4 * MARGIN:
-        raise FitError(f"pictures of {height} x {width} px are too small: a flat sample needs {4 * MARGIN} px each way")
+        raise FitError(
+            f"images of {height} x {width} px are too small: a flat sample needs {4 * MARGIN} px in each direction"
+        )
     taper = _taper(height)[:, None] * _taper(width)
     area = (taper**2).sum()
     across, along = np.fft.fftfreq(height)[:, None], np.fft.fftfreq(width)[None, :]

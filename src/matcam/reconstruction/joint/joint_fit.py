@@ -45,7 +45,7 @@ class JointSolution(NamedTuple):
         left: unexplained light.
         theta_d: angle to which the strengths of each image apply, rad, (pictures,).
         theta_d_slope: derivatives of these angles, (pictures, parameters).
-        chi2: mean squared residual of each picture, in standard deviations of photon and read noise, (pictures,).
+        chi2: mean squared residual of each image, in standard deviations of photon and read noise, (pictures,).
         left_out: number of pixels beyond 6 standard deviations in each image, (pictures,).
     """
 
@@ -191,7 +191,7 @@ def solve(problem: JointProblem, start: np.ndarray, left: UnexplainedLight, enou
             break
     if not np.all(np.isfinite(p)):
         raise FitError(
-            "the fit of the pictures produced non-finite parameters: check that they show the highlights of the sample"
+            "the fit of the images produced non-finite parameters: check that they show the highlights of the sample"
         )
     return p
 

@@ -1,6 +1,6 @@
 """Problem of the joint fit of all images: parameters, pixels, model with derivatives, and prior (docs/model.md 10).
 
-The model of pixel i of channel c in picture k is
+The model of pixel i of channel c in image k is
 
     exp(g_k) [F_kc (1 + slope (theta_i - theta_k)) lobe_i + diffuse_c lambert_i]
 
@@ -26,7 +26,7 @@ class JointLayout(NamedTuple):
     Attributes:
         lobe: number of the lobe's parameters.
         channels: number of channels.
-        pictures: number of pictures.
+        pictures: number of images.
         shape: number of terms by which the diffuse part departs from Lambert's law. Default: 0.
     """
 
@@ -116,14 +116,14 @@ class JointProblem:
     Attributes:
         model: model of the pixels.
         layout: order of the parameters.
-        pixels: chosen pixels of each picture.
-        frames: base direction of each picture's lamp.
+        pixels: chosen pixels of each image.
+        frames: base direction of each image's lamp.
         prior_rows: linear combinations of the parameters with a prior of standard deviation 1, (rows, size).
         prior_values: prior means of these combinations, (rows,).
         prior_sources: source of each row: "lens", "outline", "lamp", "gain", ...
         low: smallest value of each parameter.
         high: largest value of each parameter.
-        slope: d ln F / d theta_d of each picture and channel, 1/rad, (pictures, channels).
+        slope: d ln F / d theta_d of each image and channel, 1/rad, (pictures, channels).
         fixed: parameters that are constant, (size,).
         changes: effect of a change of the lens field on each image; empty if the field is exact.
         unstated: effect of an unstated distortion on each image. It is not fitted, but included in the covariance.

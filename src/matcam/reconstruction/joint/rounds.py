@@ -34,7 +34,7 @@ class Rounds:
     def begin(self) -> None:
         """Announce a round; after the first, with an upper bound of the remaining time."""
         done = len(self.shares)
-        line = f"round {done + 1} of at most {self.most}, {self.pictures} pictures"
+        line = f"round {done + 1} of at most {self.most}, {self.pictures} images"
         if done:
             left = (time.monotonic() - self._started) / done * (self.most - done)
             line += f", {self.shares[-1]:.1%} unexplained so far, at most {left:.0f} s left"

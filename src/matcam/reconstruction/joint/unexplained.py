@@ -67,12 +67,12 @@ def unexplained_by(problem: JointProblem, p: np.ndarray) -> UnexplainedLight:
 
 
 def unexplained_in(problem: JointProblem, p: np.ndarray, k: int) -> float:
-    """Compute the unexplained share of the light of one picture.
+    """Compute the unexplained share of the light of one image.
 
     Args:
         problem: problem of the fit.
         p: parameters, (size,).
-        k: index of the picture.
+        k: index of the image.
     """
     return _share([_Bright.of(problem, p, k)])
 

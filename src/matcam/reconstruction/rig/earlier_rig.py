@@ -56,7 +56,7 @@ class KnownRig(NamedTuple):
             size: number of all parameters.
             places: indices of the five values among the parameters.
             own: index of the first of the two turns of the lamp of each image.
-            frames: frames of the pictures' lamps.
+            frames: frames of the images' lamps.
         """
         chosen, rows, values = [], [], []
         for index in np.flatnonzero(self.knows).tolist():

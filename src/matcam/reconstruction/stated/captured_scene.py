@@ -63,7 +63,7 @@ class CapturedScene(NamedTuple):
     """Data of a capture before the joint fit.
 
     Attributes:
-        pictures: merged pictures that can be fitted.
+        pictures: merged images that can be fitted.
         scene: prior knowledge of the scene.
         lamps: directions to the lamps as the start of the fit, mostly from the highlights, (pictures, 3).
         radiometry: meaning of the codes.
@@ -161,7 +161,7 @@ def captured_scene(
     left_out = tuple(one.name for k, one in enumerate(pictures) if k not in seen)
     if len(seen) < FEWEST:
         raise FitError(
-            f"{capture.folder}: {len(seen)} of {len(pictures)} pictures show a highlight on the sphere; "
+            f"{capture.folder}: {len(seen)} of {len(pictures)} images show a highlight on the sphere; "
             f"at least {FEWEST} are needed"
         )
     mirrored = [lamp_from_highlight(one, ball, far) for one in highlights if one is not None]

@@ -31,7 +31,7 @@ def under_one_light(pictures: Sequence[MergedPicture], capture: Capture) -> list
         light = stated[one.name] / mean
         if len(light) not in (1, len(one.channels)):
             raise FitError(
-                f"{capture.folder}: lamp {one.name} has {len(light)} intensities and its pictures {len(one.channels)} "
+                f"{capture.folder}: lamp {one.name} has {len(light)} intensities and its images {len(one.channels)} "
                 "colours: give one intensity, or one per colour"
             )
         share = np.broadcast_to(light, len(one.channels))[one.channel]
@@ -68,7 +68,7 @@ def gains_of(
             between=radiometry.reference_between,
         )
         if found is None:
-            text = "the diffuse reference is dark, clipped or lit at grazing in every picture: F is relative"
+            text = "the diffuse reference is dark, clipped or lit at grazing in every image: F is relative"
             remarks.append(Remark("no-reference", text))
         elif found.units is None:
             text = "reference.reflectance is not given: F is relative"
@@ -79,7 +79,7 @@ def gains_of(
     if not known.any():
         return stated
     if radiometry.reference_between >= drift:
-        text = f"the light changes by {radiometry.reference_between:.1%} between pictures of reference and sample: "
+        text = f"the light changes by {radiometry.reference_between:.1%} between images of reference and sample: "
         remarks.append(Remark("reference-unsteady", f"{text}the value of lamp.gain_std was kept"))
         return stated
     gain = np.array([one.value if good and one is not None else 1.0 for one, good in zip(output, known, strict=True)])
