@@ -127,7 +127,7 @@ METAL = Microfacet(GGX(0.1), 0.9)
         (lambda: ZernikeOptics(*PARTS, coma=(np.nan, 0)), "coma must lie in [-5, 5] waves rms"),
         (
             lambda: ZernikeOptics(*PARTS, coma=(5e-8, 0)),
-            "must be waves rms, not metres, got 5e-08 at most: 5e-08 m are 0.0909",
+            "must be waves rms, not metres, but the largest is 5e-08: 5e-08 m are 0.0909",
         ),
         (lambda: ZernikeOptics(*PARTS, coma=50), "coma must lie in"),
         (lambda: ZernikeOptics(*PARTS, coma=0.1), "coma must be two numbers"),

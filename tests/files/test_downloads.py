@@ -197,10 +197,14 @@ def ranged(value):
     [
         ("folder", endless, "sends more than the 5120000 bytes"),
         ("folder", dripping, "not finished after 1 s"),
-        ("a.zip", endless, "answered a range request with ''"),
-        ("a.zip", ranged("bytes 0-0/5000000000"), "answered a range request with 'bytes 0-0/5000000000'"),
-        ("a.zip", ranged("bytes 0-0/*"), "answered a range request with 'bytes 0-0/*'"),
-        ("a.zip", ranged("bytes 0-0/" + 20 * "9"), "answered a range request"),
+        ("a.zip", endless, "answered a request for a range of bytes with ''"),
+        (
+            "a.zip",
+            ranged("bytes 0-0/5000000000"),
+            "answered a request for a range of bytes with 'bytes 0-0/5000000000'",
+        ),
+        ("a.zip", ranged("bytes 0-0/*"), "answered a request for a range of bytes with 'bytes 0-0/*'"),
+        ("a.zip", ranged("bytes 0-0/" + 20 * "9"), "answered a request for a range of bytes"),
         ("a.zip", ranged("bytes 0-0/0"), "is not a zip archive"),
         ("a.zip", ranged("bytes 0-0/100"), "is not a zip archive"),
     ],

@@ -78,7 +78,7 @@ def test_bird_documents_are_valid_by_the_schemas_of_the_project(tmp_path, sample
         (lambda d: d.pop("data"), 'has no object "data"'),
         (lambda d: d["data"].pop("BRDF"), "data.BRDF is missing"),
         (lambda d: d["data"]["theta_i"].update(unit="grad"), "data.theta_i.unit must be one of rad, deg"),
-        (lambda d: d["data"]["theta_r"]["values"].pop(), "data.theta_r has 79 values, data.BRDF has 80"),
+        (lambda d: d["data"]["theta_r"]["values"].pop(), "data.theta_r has 79 values, but data.BRDF has 80"),
         (lambda d: d["data"]["theta_r"]["values"].__setitem__(0, 100), r"data.theta_r must lie in \[0, 90\] degrees"),
         (lambda d: d["data"]["BRDF"]["values"].__setitem__(0, "x"), "data.BRDF.values must be finite numbers"),
         (lambda d: d["data"]["BRDF"]["values"].__setitem__(0, 10**400), "data.BRDF.values must be finite numbers"),

@@ -58,7 +58,7 @@ class AppServer:
             sockets = bind_sockets(port, host)
         except (OSError, UnicodeError) as error:
             raise ArgumentError(
-                f"host {host!r} and port {port} cannot be listened on: {getattr(error, 'strerror', None) or error}"
+                f"cannot listen on host {host!r} and port {port}: {getattr(error, 'strerror', None) or error}"
             ) from None
         self.port = int(sockets[0].getsockname()[1])
         self.downloads = Downloads()

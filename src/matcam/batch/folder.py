@@ -102,7 +102,7 @@ class RunFolder:
                     continue
                 found.setdefault(file.resolve(), file)
         if not found and not refused:
-            raise ArgumentError(f"{', '.join(map(str, given)) or 'no path'}: no *.binary in it")
+            raise ArgumentError(f"{', '.join(map(str, given)) or 'no path'}: contains no *.binary file")
         namesakes: dict[str, list[Path]] = {}
         for file in found.values():
             # some file systems are not case sensitive

@@ -271,7 +271,9 @@ def _executor(workers: int | None, cluster: str | None, time_limit: float) -> Ex
     if cluster is not None:
         chosen = ClusterExecutor(cluster)
         if workers is not None:
-            raise ArgumentError("workers are on this machine, cluster is elsewhere: give one of them")
+            raise ArgumentError(
+                "workers specifies processes on this machine, and cluster other machines: give only one of them"
+            )
         return chosen
     if workers is None:
         return ProcessExecutor(available_cores(), time_limit)

@@ -183,7 +183,7 @@ def _check_arrays(store: Path) -> None:
             else:
                 continue  # it is never opened
             if shape[0] > _MOST_ROWS:
-                raise FileFormatError(f"{described}: {shape[0]} materials")
+                raise FileFormatError(f"{described}: lists {shape[0]} materials, more than the {_MOST_ROWS} of a run")
             if (shape[1:], chunks, kind) != expected:
                 raise FileFormatError(f"{described}: {shape} values of {kind!r:.20} in chunks of {chunks}")
         except (FileFormatError, KeyError, TypeError, IndexError) as error:

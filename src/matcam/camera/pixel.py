@@ -61,7 +61,7 @@ class PixelResponse(Module):
 
     @abstractmethod
     def mtf(self, f: ArrayLike) -> jax.Array:
-        """Return the pixel's transfer function along a row, signed; the lens is not in it.
+        """Return the signed transfer function of the pixel along a row, without the lens.
 
         Args:
             f: frequency, cycles/px, any shape.

@@ -156,7 +156,9 @@ def command(
     from matcam.core.workspace import Workspace
 
     if device == "gpu" and not alone:
-        raise ArgumentError("--device gpu is for one table: a run is as fast with a process on each core")
+        raise ArgumentError(
+            "--device gpu is for one table: omit it for several, because a process on each core is as fast"
+        )
     choose_device(device)
     use_compilation_cache()
     workspace = Workspace.user()

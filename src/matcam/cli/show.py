@@ -191,9 +191,9 @@ def tallying(what: str) -> Iterator[Any]:
 
 @contextlib.contextmanager
 def stepping() -> Iterator[Any]:
-    """Show the steps of long work on standard error; yield update(step, done, total), total 0 if unknown.
+    """Show the steps of long work on standard error, and yield the function update(step, done, total).
 
-    If that is not a terminal, a line appears there at most twice a minute.
+    `total` is 0 if it is unknown. If standard error is not a terminal, at most two lines a minute are written.
     """
     if sys.stderr.isatty():
         with activity.doing("starting"):

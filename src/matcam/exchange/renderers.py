@@ -68,7 +68,7 @@ def mitsuba_material(material: Microfacet) -> dict[str, Any]:
     share = float(albedo.max())
     if share >= 1:
         raise ArgumentError(
-            "a diffuse albedo of 1 leaves no share for the highlight in Mitsuba's blendbsdf: it must be less"
+            "a diffuse albedo of 1 leaves no share for the highlight in Mitsuba's blendbsdf: give an albedo below 1"
         )
     if isinstance(material.fresnel, Conductor):
         facets |= {"eta": _colour(_rgb(material.fresnel.n)), "k": _colour(_rgb(material.fresnel.k))}

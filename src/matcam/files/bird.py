@@ -81,7 +81,9 @@ def read_bird(path: str | Path) -> xr.DataArray:
     values = _column(path, data, "BRDF", dict.fromkeys(_VALUE_UNITS, 1.0))
     for name, angle in zip(_ANGLES, angles, strict=True):
         if len(angle) != len(values):
-            raise FileFormatError(f"{path}: data.{name} has {len(angle)} values, data.BRDF has {len(values)}")
+            raise FileFormatError(
+                f"{path}: data.{name} has {len(angle)} values, but data.BRDF has {len(values)}: give one angle for each value"
+            )
         if name.startswith("theta") and not ((angle >= 0) & (angle <= math.pi / 2 + 1e-6)).all():
             raise FileFormatError(f"{path}: data.{name} must lie in [0, 90] degrees")
     channel = _channels(path, data, len(values))

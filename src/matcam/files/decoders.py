@@ -47,7 +47,9 @@ def check_stored_sizes(path: Path, size: int, variables: Mapping[str, tuple[tupl
     the bytes of the file, which is then damaged or compressed too strongly.
     """
     if len(variables) > _MOST_VARIABLES:
-        raise FileFormatError(f"{path}: {len(variables)} variables: damaged, or not a result")
+        raise FileFormatError(
+            f"{path}: contains {len(variables)} variables, more than a result: damaged, or of another format"
+        )
     total = 0
     for name, (shape, kind) in variables.items():
         check_lengths(path, name, shape)

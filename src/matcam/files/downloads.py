@@ -178,7 +178,9 @@ class _Web:
             )
         stated = reply.headers.get("Content-Range", "")
         if not re.fullmatch(rf"bytes {span[0]}-[0-9]{{1,18}}/[0-9]{{1,18}}", stated):
-            raise DownloadError(f"{address}: answered a range request with {stated!r:.60}")
+            raise DownloadError(
+                f"{address}: the server answered a request for a range of bytes with {stated!r:.60}; download the file yourself"
+            )
 
     def size(self, address: str) -> int:
         """Return the size of a file, bytes, by a request for one byte, because some servers answer HEAD differently."""

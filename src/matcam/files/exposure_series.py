@@ -45,7 +45,7 @@ class ExposureSet(NamedTuple):
     Attributes:
         lit: True if the field was lit.
         time: exposure time, s.
-        photons: photons per pixel; NaN: unknown, and the light is proportional to the time.
+        photons: photons per pixel; NaN: unknown, and the light is assumed to be proportional to the time.
         files: the frames.
     """
 

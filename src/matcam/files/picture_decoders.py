@@ -94,7 +94,7 @@ def decode_raw(path: Path, *, there: int, region: Sequence[int] | None = None) -
             black = np.asarray(raw.black_level_per_channel, dtype=np.float32)
             white = float(raw.white_level)
     except rawpy.LibRawFileUnsupportedError:
-        raise FileFormatError(f"{path}: unknown camera raw: LibRaw does not know this format or camera") from None
+        raise FileFormatError(f"{path}: unknown camera raw: LibRaw does not support this format or camera") from None
     except rawpy.LibRawError as error:
         what = error.args[0] if error.args else error
         what = what.decode("ascii", "replace") if isinstance(what, bytes) else str(what)

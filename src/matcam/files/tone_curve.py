@@ -81,7 +81,7 @@ def checked_curve(values: np.ndarray) -> np.ndarray:
             f"tone curve must have at least 2 codes with one or three linear values each, got shape {values.shape}"
         )
     if not np.isfinite(values).all():
-        raise ArgumentError("tone curve must be finite numbers")
+        raise ArgumentError("tone curve must contain finite values only")
     falls = (np.diff(values, axis=0) < 0).reshape(len(values) - 1, -1).any(1)
     if falls.any():
         code = int(np.argmax(falls))

@@ -103,9 +103,7 @@ def measure(
     """
     recorded, pixels = table_values(material, rig, workspace, azimuth=azimuth)
     if recorded.shape[-1] not in (1, len(CHANNELS)):
-        raise ArgumentError(
-            f"a table takes {len(CHANNELS)} channels or a grey material's one, got {recorded.shape[-1]}"
-        )
+        raise ArgumentError(f"a table needs a material with 1 or {len(CHANNELS)} channels, got {recorded.shape[-1]}")
     values = np.broadcast_to(np.asarray(recorded), (*GRID_SHAPE, len(CHANNELS))).copy()
     lenses = [one for one, _ in _colours(rig)]
     by_frequencies = [served_by_frequencies(one, material) for one in lenses]

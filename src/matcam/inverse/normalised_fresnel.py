@@ -168,5 +168,5 @@ def nothing_to_normalise_by(normalise: tuple[float, float]) -> FitError:
     """Build the error for a table without a highlight in the range of theta_d, rad, over which F is normalised."""
     low, high = np.degrees(normalise)
     return FitError(
-        f"no theta_d between {low:g} and {high:g} degrees has a highlight in every channel: cannot normalise"
+        f"no theta_d between {low:g} and {high:g} degrees has a highlight in every channel: give other angles to normalise"
     )

@@ -67,7 +67,7 @@ def gain_remarks(gain: float) -> tuple[Remark, ...]:
 def _likelihood(curve: np.ndarray, covariance: np.ndarray) -> tuple[float, np.ndarray] | None:
     """Compute the mean variance of the noise, and ln likelihood without a gain and with each gain of `_GRID`.
 
-    None for too few slices.
+    The result is None if there are too few slices.
     """
     good = np.isfinite(curve) & (curve > 0) & np.isfinite(np.diagonal(covariance))
     size = len(_FOURTH)

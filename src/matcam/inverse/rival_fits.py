@@ -37,10 +37,10 @@ class Rival(NamedTuple):
     log_evidence: float
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the comparison as numbers.
+        """Return the numbers of the comparison by name.
 
         Returns:
-            Evidence, and misfit of the fit.
+            Logarithm of the evidence; misfit, degrees of freedom and noise of the fit.
         """
         return {
             "log_evidence": self.log_evidence,

@@ -70,7 +70,7 @@ class FitOfPictures(Protocol):
     def __call__(
         self, pictures: Sequence[MergedPicture], scene: SphereScene, family: str = "ggx", **more: object
     ) -> SphereFit:
-        """Fit the images; arguments as of `fit_sphere`."""
+        """Fit the images. The arguments are those of `fit_sphere`."""
 
 
 def chosen_fit(
@@ -211,7 +211,7 @@ def chosen_fit(
         )
 
     def final(best: SphereFit) -> SphereFit:
-        """Complete the fit, with a free light for images that deviate strongly."""
+        """Complete the fit, with a wider prior of the gain for images that deviate strongly."""
         odd = _odd_pictures(best)
         if odd:
             gains = np.array(np.broadcast_to(scene.gain_std, len(pictures)), dtype=float)

@@ -353,7 +353,10 @@ def _statements(fit: SphereFit) -> list[Statement]:
 
 
 def _lobe_readings(fit: SphereFit) -> dict[str, FitReading]:
-    """Derive the parameters of the lobe, and half widths, rad, except for a spline-modified lobe."""
+    """Derive the parameters of the lobe.
+
+    A lobe of a family also has its half widths, rad; a spline-modified lobe has one among its parameters.
+    """
     kind, size = fit.kind, fit.layout.size
     q = fit.solution.p[: kind.size]
 

@@ -332,7 +332,10 @@ class Curved(Sample):
 
     @abstractmethod
     def _turn_across(self, half_vector: jax.Array) -> jax.Array:
-        """Return the angle between normal and half vector per radius along y, given the share of the half vector."""
+        """Return the angle between normal and half vector per radius along y.
+
+        half_vector: rotation of the half vector per radius.
+        """
 
     def line_of_sight(self, normal: Vector, y: jax.Array) -> tuple[Vector, jax.Array, jax.Array]:
         """Return direction to the camera, its length, and depth of the points.

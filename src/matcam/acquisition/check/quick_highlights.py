@@ -147,7 +147,7 @@ def _top_codes(codes: np.ndarray, frame: CaptureFrame, reader: MosaicReader, rad
 
 
 def _piled(tops: list[TopCodes], radiometry: Radiometry | None) -> dict[int, int]:
-    """Count the pixels that pile up at the largest code, by the index of the frame."""
+    """Count the pixels at the largest code in each frame, by its index."""
     if radiometry is None or not tops:
         return {}
     value, std = radiometry.gain

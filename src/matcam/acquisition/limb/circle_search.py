@@ -41,7 +41,7 @@ class FoundCircle(NamedTuple):
 
 
 def find_circles(values: np.ndarray, std: np.ndarray, *, bright_inside: bool, mosaic: bool) -> list[FoundCircle]:
-    """Find the circles of an image that do not contain each other, the longest first; at most two.
+    """Find at most two circles in an image whose centres lie outside the other circle.
 
     Args:
         values: linear radiance (height, width); NaN for missing values.

@@ -64,7 +64,7 @@ def mask_outline(
     area = int(sphere.sum())
     if area < _FEWEST or (border != border[0]).any():
         raise FitError(
-            f"{path}: shows no disc inside of the frame: give an image of two values, one of the whole sphere, one around it"
+            f"{path}: shows no disc inside the frame: give an image with one value on the whole sphere and another around it"
         )
     rows, columns = np.nonzero(sphere)
     row, column, radius = float(rows.mean()), float(columns.mean()), float(np.sqrt(area / np.pi))

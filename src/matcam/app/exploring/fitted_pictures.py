@@ -127,7 +127,8 @@ class Shot:
         top, bottom = (int(np.clip(edge, 0, height)) // 2 * 2 for edge in (row - reach, row + reach + 2))
         if right - left < 2 or bottom - top < 2:
             raise FileFormatError(
-                f"{self.label}: {width} x {height} px: does not contain the fitted outline: open the capture of this result"
+                f"{self.label}: an image of {width} x {height} px does not contain the fitted outline: open the capture of "
+                "this result"
             )
         shown, step = drawn_values(values[top:bottom, left:right], linear=True)
         high, wide = shown.shape

@@ -230,7 +230,7 @@ def fit_jointly(
         theta, edges = _after_step(theta, edges, step, response)
         if (np.abs(wanted) <= _DONE * np.sqrt(np.diag(covariance))).all():
             return JointFit(theta, covariance, shares, prior)
-    raise FitError("the measurements do not determine the camera: the fit did not converge")
+    raise FitError("the measurements do not determine the camera, and the fit did not converge: add edges or targets")
 
 
 def edge_measurements(stacks: Sequence[tuple[EdgeStack, LensModel]]) -> EdgeMeasurements | None:

@@ -143,8 +143,8 @@ def measure_transfer(
     if used.sum() < _FEWEST or (outside.sum() > 0.5 * inside.sum()):
         left = "; ".join(str(remark) for remark in remarks) or f"{len(lit)} lit exposures were given"
         raise FitError(
-            f"{lit[0].exposure.files[0].parent}: {used.sum()} exposures are linear and below 70 % of saturation, at least "
-            f"{_FEWEST} are needed: {left}"
+            f"{lit[0].exposure.files[0].parent}: only {used.sum()} exposures are linear and below 70 % of saturation, but at "
+            f"least {_FEWEST} are needed: {left}"
         )
     responsivity = _through_origin(light[used], signal[used])
     times = np.array([one.exposure.time for one in lit])

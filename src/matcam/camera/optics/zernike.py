@@ -259,7 +259,7 @@ def _refuse_metres(terms: jax.Array, wavelength: jax.Array) -> None:
     if 0 < largest < _LEAST:
         waves = f": {largest:g} m are {largest / float(wavelength):.3g} waves" if is_concrete(wavelength) else ""
         raise ArgumentError(
-            f"coefficients must be waves rms, not metres, got {largest:g} at most{waves}; give 0 for none"
+            f"coefficients must be waves rms, not metres, but the largest is {largest:g}{waves}; give 0 for no aberration"
         )
 
 

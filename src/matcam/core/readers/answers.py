@@ -66,7 +66,7 @@ def read_answer(take: Callable[[int], bytearray], path: Path, memory: int) -> An
     """Read the answer that `take` yields piece by piece."""
     (length,) = struct.unpack("<Q", take(8))
     if length > _LONGEST_ANSWER:
-        raise FileFormatError(f"{path}: its metadata alone take {length} bytes: damaged")
+        raise FileFormatError(f"{path}: the file is damaged: its metadata take {length} bytes")
     message = json.loads(bytes(take(length)))
     if "error" in message:
         kind = getattr(errors, message["error"], FileFormatError)

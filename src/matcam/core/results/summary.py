@@ -37,8 +37,8 @@ class Quantity(NamedTuple):
     Attributes:
         name: name of the quantity.
         value: the value, or a text.
-        std: standard deviation, in the value's unit. Default: NaN, none is given.
-        unit: unit. Default: "", no unit, or the name has it.
+        std: standard deviation, in the unit of the value. Default: NaN, it is unknown.
+        unit: unit. Default: "", the quantity has no unit, or its name includes the unit.
     """
 
     name: str

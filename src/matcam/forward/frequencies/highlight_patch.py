@@ -41,10 +41,10 @@ def patch_size(widths: RegionWidths, squeezed: float, step: float, taps: Taps, a
 
     Args:
         widths: widths of the regions.
-        squeezed: cosine of the view at the highlight.
+        squeezed: cosine of the viewing angle at the highlight.
         step: step of the grid, px.
-        taps: weights of light on the grid.
-        alike: True if only the upper half is computed.
+        taps: weights of a point of light at the points of the grid.
+        alike: True if only the upper half is computed, for symmetric light.
         turned: True if the sensor is turned relative to the scene.
     """
     squeezed = max(squeezed, STEEPEST)

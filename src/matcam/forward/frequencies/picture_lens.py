@@ -107,8 +107,8 @@ def picture_lens(camera: Camera, radius: float, error: float | None = None) -> P
     limit = sampling_of([lens for colour in colours for lens in colour.lenses], camera.pixel, error or EXACT)
     if limit.error > _TOLERABLE:
         raise ArgumentError(
-            f"the {type(optics).__name__} passes up to {optics.band():.2g} cycles/px, more than an image is filtered for (an "
-            f"error of {limit.error:.1g}): give a larger f-number, or wider Gaussians"
+            f"the {type(optics).__name__} passes up to {optics.band():.2g} cycles/px, which exceeds the band of the filter of "
+            f"an image (error {limit.error:.1g}): give a larger f-number, or wider Gaussians"
         )
     if shares is not None:
         varying = [one for one in parts if isinstance(one, SeidelOptics)]

@@ -34,7 +34,7 @@ class RegionWidths(NamedTuple):
     """Widths of the regions, which depend on the grid and not on the scene.
 
     Attributes:
-        sigma: standard deviation of a border, px.
+        sigma: standard deviation of the smooth transition of a weight at a border, px.
     """
 
     sigma: float

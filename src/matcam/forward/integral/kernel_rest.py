@@ -96,7 +96,11 @@ class KernelRest(eqx.Module):
         return sum(rows, jnp.zeros(()))
 
     def line(self, polynomials: jax.Array, offset: jax.Array, variance: jax.Array | None) -> jax.Array:
-        """Evaluate one line at offsets, px. polynomials: (intervals, degree + 1). variance: of its blur, px^2."""
+        """Evaluate one function of a product at offsets, px.
+
+        polynomials: coefficients of the function, (intervals, degree + 1). variance: variance of an additional Gaussian
+        blur, px^2; None: no blur.
+        """
         if variance is None:
             return self._at(polynomials, offset)
         std = jnp.sqrt(variance)

@@ -66,7 +66,7 @@ def response_at_peak(rig: Rig, ndf: SlopeDistribution, theta: jax.Array, dims: i
 
 
 def lobe_record(rig: Rig, ndf: NDF, theta_o: AnyArray, x: AnyArray, y: AnyArray) -> jax.Array:
-    """Record a lobe at offsets from its peak, relative to the true peak.
+    """Compute the record of a lobe at offsets from its peak, relative to the true peak.
 
     Args:
         rig: the rig. A flat sample records the lobe unchanged.

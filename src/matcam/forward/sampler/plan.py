@@ -194,7 +194,7 @@ def _near(view: SphereView, pixels: Windows, distance: float) -> np.ndarray:
 
 
 def _crowded(view: SphereView, pixels: Windows) -> np.ndarray:
-    """Find pixels for which the highlight is closer, as an angle, than the foreshortened length of the kernel."""
+    """Find pixels whose angular distance from the highlight is below the foreshortened length of the kernel."""
     n_x, n_y, n_z = view.normals(*pixels.to_lamp(pixels.x, pixels.y))
     sine, cosine = np.sin(pixels.peak), np.cos(pixels.peak)
     between = np.arctan2(np.hypot(n_x * cosine - n_z * sine, n_y), n_x * sine + n_z * cosine)

@@ -1,4 +1,4 @@
-"""Record of pixels in smooth light, by few nodes on the sensor: the kernel is the weight function of their rule."""
+"""Record of pixels where the light is smooth: quadrature with the kernel as weight function."""
 
 from __future__ import annotations
 

@@ -48,13 +48,14 @@ _MATTERS = 0.01
 """Relative change of the peak above which a withheld correction gets a remark."""
 _WITHHELD = Remark(
     "correction-withheld",
-    "rig and data contradict each other: the table stays as it is, and what the rig would have changed is the standard "
-    "deviation of the correction; force_correction=True corrects it",
+    "rig and data contradict each other: the table is not corrected, and the change that the rig predicts is the standard "
+    "deviation of the correction; check the rig, or correct the table with force_correction=True",
 )
 _UNSEEN = Remark(
     "blur-not-seen",
-    "the lens is a guess, and the data do not show whether it blurs: the table stays as it is, and what the rig would have "
-    "changed is the standard deviation of the correction; state the lens, or force_correction=True corrects it",
+    "the lens is a guess, and the data do not show whether it blurs: the table is not corrected, and the change that the rig "
+    "predicts is the standard deviation of the correction; specify the lens, or correct the table with "
+    "force_correction=True",
 )
 _ANGLES = (5, 45, 75)
 """Degrees of theta_d at which the loss of the peak is reported."""

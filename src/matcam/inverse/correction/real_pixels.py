@@ -128,10 +128,10 @@ def _record(where: ResponseLattice, at: FitCoordinates, shifts: np.ndarray) -> n
 
 
 def _log_change(before: np.ndarray, after: np.ndarray) -> np.ndarray:
-    """Compute the change of the log record on a lattice, which vanishes where records are below the operator's accuracy.
+    """Compute the change of the log record on a lattice.
 
-    A change of the lens is a polynomial of its coordinates, so a faint record may be negative. Its logarithm would
-    jump there, and splines would spread the jump to brighter rings.
+    It is 0 for records below the accuracy of the operator. A change of the lens is a polynomial of its coordinates, so a
+    faint record may be negative. Its logarithm would jump there, and splines would spread the jump to brighter rings.
     """
     accuracy = OPERATOR_ACCURACY * np.nanmax(before, axis=(1, 2), keepdims=True)
     return np.log(np.maximum(after, 0) + accuracy) - np.log(np.maximum(before, 0) + accuracy)

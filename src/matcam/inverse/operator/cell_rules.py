@@ -311,7 +311,7 @@ def _sphere_rules(
         return sphere_rule(view, pixels, kernel, circles, onto, theta_d)
 
     def parts(through: _Blurs, n: int) -> list[SphereRule]:
-        """Return the rules whose sum is that of a blur: one for each part of its range with circles of its own."""
+        """Compute the rules that add up to that of a blur, one for each angular range."""
         seen = sphere_range(view, pixels, through.reaches[n])[0]
         ranges = [seen._replace(finest=own)] if through.blurs[n].rest is None else seen.parts()
         return [rule(through, n, one, through.reaches[n]) for one in ranges]

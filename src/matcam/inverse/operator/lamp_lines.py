@@ -46,9 +46,10 @@ _ROUND = np.pi * np.arange(16) / 8
 
 
 def _chords() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Tabulate distances from the centre, half lengths and shares of the light of the chords for each of `COUNTS`.
+    """Tabulate the chords of a disc for each of `COUNTS`.
 
-    The arrays are padded with chords whose share is 0.
+    The tables are the distances from the centre, the half lengths and the shares of the light. They are padded with chords
+    whose share is 0.
     """
     at, half, share = np.zeros((3, len(COUNTS), COUNTS[-1]))
     half += 1.0
@@ -85,7 +86,7 @@ class LampDisc(NamedTuple):
 def lamp_discs(
     view: SampleView, blurs: list[Blur], stds: list[float], lamp_angle: np.ndarray, x: np.ndarray, y: np.ndarray
 ) -> tuple[list[LampDisc | None], np.ndarray]:
-    """Compute the discs of some blurs, and the largest shifts of the image by points of each disc.
+    """Compute the discs of some blurs, and the largest shifts of the image by each.
 
     Args:
         view: geometry of sphere, camera and lamp.
@@ -151,7 +152,7 @@ def lamp_kernel(
 
 
 def _by_gaussians(view, blur: Blur, terms, disc: LampDisc, normal, at, variances):  # type: ignore[no-untyped-def]
-    """Integrate the kernel over a disc that is much smaller than the blur and is replaced by a sum of Gaussians."""
+    """Integrate the kernel over a disc much smaller than the blur, as a sum of Gaussians."""
     widening = dataclasses.replace(blur, varies=True)
     offset = at[0] - view.radius * normal[0], at[1] - view.radius * normal[1]
     half_widths = [(disc.radius * scale)[:, None] for scale in disc.image.T]
@@ -168,7 +169,7 @@ def _by_gaussians(view, blur: Blur, terms, disc: LampDisc, normal, at, variances
 
 
 def _by_chords(view, blur: Blur, terms, disc: LampDisc, normal, at, variances):  # type: ignore[no-untyped-def]
-    """Integrate the kernel over a disc as a sum over its chords; the integral over each is in closed form."""
+    """Integrate the kernel over a disc by its chords, along each in closed form."""
     cosine, sine = (a[:, None] for a in disc.turn.T)
     own_x, own_y = _rotated(at[0], at[1], cosine, sine)
     radius, lamp = jnp.maximum(disc.radius, _SMALLEST), disc.lamp_angle
@@ -243,7 +244,7 @@ def _moved(
 
 
 def _image(view: SampleView, lamp_angle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Compute the shift of the highlight per shift of the lamp along and across its plane, px/rad."""
+    """Compute the shift of the highlight per shift of the lamp along and across, px/rad."""
     step = 1e-4  # rad; the error of the differences is of second order
     ends = [_highlights(view, u, v, step, lamp_angle)[0] for u, v in ((1.0, 0.0), (-1.0, 0.0), (0.0, 1.0))]
     (x, _), (other, _), (_, y) = (_place(view, end) for end in ends)

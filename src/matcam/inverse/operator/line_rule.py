@@ -71,7 +71,9 @@ def line_rule(
     onto: jax.Array,
     arm: float,
 ) -> LineRule:
-    """Compute the rule of one arm for some terms of a blur; it is differentiable with respect to its parameters.
+    """Compute the rule of one arm for some terms of a blur.
+
+    The rule is differentiable with respect to the parameters.
 
     Args:
         radius: radius of the cylinder in the image, px.

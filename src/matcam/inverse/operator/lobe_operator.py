@@ -116,9 +116,9 @@ class LobeOperator(eqx.Module):
         )
 
     def record(self, ndf: NDF, masking: Masking, shifts: jax.Array) -> jax.Array:
-        """Compute the record of D G over cos_i at F = 1, 1/sr, the mean of both directions, (slices, cells).
+        """Compute the record of D G over cos_i at F = 1, 1/sr, (slices, cells).
 
-        shifts: coordinates along the axes, (axes,).
+        It is the mean of both directions. shifts: coordinates along the axes, (axes,).
         """
         table = None if masking is None else quick_table(ndf)
         if table is None:
@@ -167,7 +167,7 @@ class LobeOperator(eqx.Module):
         return joint.reshape(self.slope2.shape)
 
     def slice_by_slice(self, function: Callable[[LobeOperator], jax.Array]) -> jax.Array:
-        """Apply a function to the operator of each slice, one slice after the other; the result has shape (slices, ...).
+        """Apply a function to the operator of each slice, one after the other; shape (slices, ...).
 
         The arrays of all slices would require hundreds of MB. Those of one slice fit into the cache of the processor.
         """
@@ -373,7 +373,7 @@ def perfect_operator(
 
 
 def point_operator(cells: ChosenCells) -> LobeOperator:
-    """Build the rule of a camera without blur: one node at the position of the cell, or at each of its pixels."""
+    """Build the rule of a camera without blur, with one node at each cell or pixel."""
     valid, ways = cells.valid[..., None], cells.x.shape[-1]
     weight = np.where(valid, cells.weight / (4 * np.where(valid, cells.cos_i * cells.cos_o, 1.0)), 0.0)
     if cells.real is None:

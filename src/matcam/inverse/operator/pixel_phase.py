@@ -200,7 +200,7 @@ def nearest_phase(table: xr.DataArray, radius: float) -> FoundPhase:
 
 
 def mean_phase(table: xr.DataArray, radius: float) -> FoundPhase:
-    """Estimate the phase of a table whose cells are means of the pixels inside; all images have the same phase."""
+    """Estimate the common phase of all images of a table whose cells are means of pixels."""
     shown = repeats(table)
     found = _common_phase("mean", table, radius, shown)
     if shown.share < _LEAST_REPEATS or found.unexplained > _COMMON:
@@ -224,7 +224,7 @@ _BORDERS: dict[CellValue, type[Borders]] = {"nearest": Borders, "mean": MeanBord
 
 
 def _best_phase(borders: Borders) -> FoundPhase:
-    """Find the phase with the fewest unexplained borders, on a coarse grid and then with decreasing steps."""
+    """Find the phase with the fewest unexplained borders, by a search with decreasing steps."""
     line = np.arange(-8, 8) * _COARSE
     fewest, *best = min((borders.wrong(u, v), u, v) for u in line for v in line)
     step = _COARSE
@@ -237,10 +237,10 @@ def _best_phase(borders: Borders) -> FoundPhase:
 
 
 def _upright(found: FoundPhase, cells: list[_NearCells], azimuth: float) -> FoundPhase:
-    """Choose between a phase and its mirror image across the plane of camera and lamp, by the values of cells.
+    """Choose between a phase and its mirror image across the plane of camera and lamp.
 
-    Both phases have the same borders. A cell is the mean of two positions on either side of the plane, and only for the
-    correct phase are all cells means of few pixels. If the plane is not parallel to the rows, columns or diagonals of the
+    The choice depends on the values of cells, because both phases have the same borders. A cell is the mean of two positions
+    on either side of the plane, and only for the correct phase are all cells means of few pixels. If the plane is not parallel to the rows, columns or diagonals of the
     pixels, the mirror image of a grid is not a grid of the same orientation, and the phase is returned unchanged.
     """
     if abs(np.sin(4 * azimuth)) > _DIAGONAL:
@@ -267,9 +267,9 @@ class _NearCells(NamedTuple):
 
 
 def _near_cells(table: xr.DataArray, radius: float, slices: np.ndarray, rings: int, every: int) -> list[_NearCells]:
-    """Select the cells near the highlight in the brightest channel, of slices with a value for more than half of them.
+    """Select the cells near the highlight in the brightest channel.
 
-    rings: number of rings. every: step in azimuths.
+    Slices are omitted if half of these cells or more have no value. rings: number of rings. every: step in azimuths.
     """
     places = shown_places(radius, sampling_of(table), slices, np.arange(rings), every, azimuth_of(table) or 0.0)
     values = table.values[:rings][:, slices, ::every].transpose(1, 0, 2, 3)
@@ -283,7 +283,7 @@ def _near_cells(table: xr.DataArray, radius: float, slices: np.ndarray, rings: i
 
 
 def _rest(rule: CellValue, phase: tuple[float, float], cells: list[_NearCells]) -> float:
-    """Compute the share of the variance of cells that a grid of pixels does not explain, mean over slices."""
+    """Compute the mean share of the variance of slices that a grid does not explain."""
     return float(np.mean([_interpolation_rest(rule, one, phase) for one in cells])) if cells else 1.0
 
 
@@ -316,7 +316,7 @@ def bilinear_phase(table: xr.DataArray, radius: float) -> FoundPhase:
 
 
 def _interpolation_rest(rule: CellValue, cells: _NearCells, phase: tuple[float, float]) -> float:
-    """Compute the share of the variance of a slice that the best values of the pixels of a grid do not explain."""
+    """Compute the share of the variance of a slice that a grid does not explain."""
     values = cells.values
     found = looked_up(rule, np.asarray(phase), cells.x, cells.y)
     number = np.rint(found.x - phase[0]) * _STRIDE + np.rint(found.y - phase[1])
@@ -355,7 +355,7 @@ class CellRule(NamedTuple):
 
 
 def cell_rule(table: xr.DataArray, radius: float) -> CellRule:
-    """Determine the rule by which the cells of a table were read from real pixels, from their values.
+    """Determine the rule by which cells of a table were read from real pixels.
 
     radius: radius of the sphere, px.
     """

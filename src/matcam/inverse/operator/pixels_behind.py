@@ -72,7 +72,7 @@ def pixel_numbers(x: np.ndarray, y: np.ndarray, phase: np.ndarray, azimuth: floa
 
 
 def pixel_counts(radius: float, theta_d: np.ndarray) -> np.ndarray:
-    """Compute the mean number of pixels in each cell of some slices over all phases, both directions, (90, slices, 1)."""
+    """Compute the mean number of pixels in each cell in both directions, (90, slices, 1)."""
     edges = theta_h_edges()
     theta_h = (edges[1:] + edges[:-1]) / 2
     solid = np.sin(theta_h) * np.diff(edges) * np.pi / GRID_SHAPE[2]
@@ -108,7 +108,7 @@ def pixels_behind(
 
 
 def _anywhere_in(radius: float, theta_d: float, i: np.ndarray, k: np.ndarray, azimuth: float) -> PixelsBehind:
-    """Represent pixels of unknown phase inside cells by Gauss-Legendre points, weighted by their area in the image."""
+    """Represent pixels of unknown phase inside cells by Gauss-Legendre points, weighted by area in the image."""
     n_h, _, n_p = GRID_SHAPE
     share = (i[:, None, None, None] + _GAUSS[:, None, None]) / n_h
     theta_h = share**2 * np.pi / 2

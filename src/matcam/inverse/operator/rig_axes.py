@@ -73,10 +73,10 @@ _COUNTS = ((0.03, 3), (0.15, 5), (np.inf, 9))
 
 
 class KernelChange(NamedTuple):
-    """Change of the kernel of a lens along a coordinate: the polynomial through given points and 0.
+    """Change of the kernel of a lens along a coordinate.
 
-    The change at a point is a sum of Gaussians. Their variances are given relative to that of the Gaussian that is as wide
-    as the lens.
+    It is the polynomial through given points and 0. The change at a point is a sum of Gaussians. Their variances are given
+    relative to that of the Gaussian that is as wide as the lens.
 
     Attributes:
         points: for each coordinate, (variance along the plane of camera and lamp, variance across it, share) of each Gaussian,
@@ -102,7 +102,7 @@ def _difference(factor: float, *shares: int) -> dict[float, tuple[tuple[float, f
 
 
 def _widened(*points: float) -> dict[float, tuple[tuple[float, float, float], ...]]:
-    """Build differences between Gaussians of other widths and the lens. points: logarithms of the ratios of the widths."""
+    """Build differences between wider or narrower Gaussians and the lens. points: logarithms of the ratios of the widths."""
     return {point: ((np.exp(2 * point), np.exp(2 * point), 1.0), (1.0, 1.0, -1.0)) for point in points}
 
 
@@ -159,9 +159,9 @@ class Axis(NamedTuple):
         return max(total - self.softening**2, 0.0), 2 * total * std
 
     def slope(self, coordinate: float, std: float) -> float:
-        """Compute d value / d coordinate as the slope of a secant to one standard deviation above the coordinate.
+        """Compute d value / d coordinate as the slope of a secant.
 
-        The derivative itself is infinite at a width of 0.
+        The secant ends one standard deviation above the coordinate. The derivative itself is infinite at a width of 0.
         """
         if self.name in CHANGES:
             return 1.0
@@ -170,7 +170,7 @@ class Axis(NamedTuple):
 
 
 def shape_axes(rig: Rig) -> tuple[tuple[Axis, ...], tuple[float, ...]]:
-    """Return the axes of the unknown shape of the kernel of a lens at its variance, and their standard deviations.
+    """Return the axes of the unknown shape of a lens's kernel, and their standard deviations.
 
     A cylinder has no axis of the stretch, because its images depend on the kernel in one direction only.
     """
@@ -202,7 +202,7 @@ class KnownLens(NamedTuple):
 
 
 def known_lens(camera: Camera) -> KnownLens:
-    """Return the prior of the lens of a camera: that of its profile, or a standard deviation of a tenth of its width."""
+    """Return the prior of the lens of a camera, from its profile or by default."""
     if camera.uncertainty is not None and camera.uncertainty.names:
         if any(std > 0 for std in camera.uncertainty.std().values()):
             return KnownLens(camera.uncertainty, "specified", assumed=False, exact=False)
@@ -225,14 +225,14 @@ def _is_lens_width(name: str) -> bool:
 
 
 def is_guess(name: str, relative: float) -> bool:
-    """Check whether a width of this relative standard deviation is a guess, for which `free_axis` is used."""
+    """Check whether a width with this relative standard deviation is a guess, which requires `free_axis`."""
     return name == LENS and relative >= _GUESS
 
 
 def guess_std(axis: Axis, relative: float) -> float:
-    """Compute the standard deviation of a width along its free axis: the step to one standard deviation above its base.
+    """Compute the standard deviation of a width along its free axis.
 
-    relative: relative standard deviation of the width.
+    It is the step to one standard deviation above the base. relative: relative standard deviation of the width.
     """
     wider = (axis.base * (1 + relative)) ** 2 + axis.softening**2
     return float(0.5 * np.log(wider / (axis.base**2 + axis.softening**2)))
@@ -335,7 +335,7 @@ def _change_variances(axes: Sequence[Axis]) -> list[tuple[float, float]]:
 
 
 def along_axes(axes: tuple[Axis, ...], name: str, along: str, values: Sequence[np.ndarray]) -> dict[str, np.ndarray]:
-    """Compute the values of the rig and their differences at every point of every axis, by name.
+    """Compute the values of a rig and their differences at points of all axes, by name.
 
     name: name of the values. along: start of the names of the differences. values: values for the rig, for each of
     `blurs_along`, and for each of `change_kernels`.
@@ -364,9 +364,9 @@ def axis_selection(axes: Sequence[Axis], among: Sequence[Axis]) -> np.ndarray:
 
 
 def _softening(name: str, rig: Rig) -> float:
-    """Compute the root of the variance of all other blurs at the middle of the sphere, in the unit of the parameter.
+    """Compute the root of the variance of all other blurs, in the unit of the parameter.
 
-    It is 0 for a parameter that is not a width.
+    It applies to the middle of the sphere, and is 0 for a parameter that is not a width.
     """
     pixel = float(rig.camera.pixel.half_width) / np.sqrt(3)
     if name == LENS:

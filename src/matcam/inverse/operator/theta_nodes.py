@@ -254,5 +254,5 @@ def nearest_seen(seen: np.ndarray) -> np.ndarray:
 
 
 def padded(array: np.ndarray) -> np.ndarray:
-    """Repeat the last of an array of pixels up to a whole number of pieces."""
+    """Pad an array of pixels with its last element to a multiple of `PIECE`."""
     return np.concatenate([array, np.repeat(array[-1:], -array.size % PIECE)])

@@ -130,7 +130,7 @@ class Likelihood:
         return np.where(used, residual, 0.0), np.where(used, slope, 0.0), np.where(used, weight, 0.0)
 
     def cost(self, pixels: ObservedPixels, value: np.ndarray, level: np.ndarray | None = None) -> float:
-        """Compute Huber's cost of an image. Arguments as of `residual`."""
+        """Compute Huber's cost of an image. The arguments are those of `residual`."""
         residual, _, _ = self.residual(pixels, value, level)
         size = np.abs(residual)
         huber = np.where(size > _HUBER, 2 * _HUBER * size - _HUBER**2, size**2)

@@ -101,12 +101,12 @@ class PixelModel(Protocol):
     """Model of pixels at unit strengths, with derivatives by the parameters of one image on request."""
 
     def window(self, p: np.ndarray, frame: LampFrame, window: Any, *, slopes: bool) -> tuple[Recorded, Recorded | None]:
-        """Compute the record of the pixels about the highlight; two axes, flattened in order."""
+        """Compute the record of the window about the highlight, which has two axes."""
 
     def pixels(
         self, p: np.ndarray, frame: LampFrame, column: np.ndarray, row: np.ndarray, *, slopes: bool
     ) -> tuple[Recorded, Recorded | None]:
-        """Compute the record of the other pixels; one axis."""
+        """Compute the record of single pixels, (pixels,)."""
 
 
 @dataclass(frozen=True)
