@@ -1,7 +1,7 @@
 """Binning of images of a sphere as if the camera were a pinhole: a table without correction for the lens.
 
-Each pixel represents the normal at its centre. Its light over its irradiance goes into the cell of its half and
-difference angles; a cell is the mean of its pixels. Measured tables were made in this way; next to a reconstruction it
+Each pixel represents the normal at its centre. The ratio of its light to its irradiance is added to the cell of its half
+and difference angles, and a cell is the mean of its pixels. Measured tables were made in this way; next to a reconstruction it
 shows the effect of the camera. Images are added one at a time, so that memory does not grow with their number.
 """
 

@@ -162,7 +162,7 @@ class RunFolder:
         """Return the waiting jobs, each with its row of the Zarr of the run.
 
         Finished materials without a row, because the Zarr was requested later or lost, are copied from their NetCDF
-        files. Errors as of `open_rows` and `StoreRow.write`.
+        files. The errors are those of `open_rows` and `StoreRow.write`.
         """
         if not jobs:
             return list(waiting)

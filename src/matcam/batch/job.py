@@ -122,7 +122,7 @@ class Outcome(NamedTuple):
 def attempt(job: Job, workspace: Workspace | None = None) -> Outcome:
     """Run a job, and report errors as its outcome, so that other jobs continue.
 
-    workspace: that of the worker, instead of that of the job.
+    workspace: workspace of the worker, in place of that of the job.
     """
     started = time.perf_counter()
 
@@ -145,9 +145,12 @@ def attempt(job: Job, workspace: Workspace | None = None) -> Outcome:
 def write_corrected(job: Job, workspace: Workspace | None = None) -> dict[str, Any]:
     """Correct one table, write its files, and return its record.
 
-    workspace: that of the worker, instead of that of the job. ArgumentError or OutputError before any work if a file
-    could not be written; FileFormatError if the input is not a table, or changed while it was read; otherwise errors of
-    the corrector.
+    workspace: workspace of the worker, in place of that of the job.
+
+    Raises:
+        ArgumentError, OutputError: a file could not be written; raised before any work.
+        FileFormatError: the input is not a table, or changed while it was read.
+        MatcamError: an error of the corrector.
     """
     version = metadata.version("matcam")
     if job.recipe.version != version:

@@ -79,7 +79,7 @@ Corrector = Callable[[xr.DataArray, Rig, Options], CorrectedTable]
 
 
 def correct_table(table: xr.DataArray, rig: Rig, options: Options) -> CorrectedTable:
-    """Correct a table for its camera. Errors as of `correct`."""
+    """Correct a table for its camera. The errors are those of `correct`."""
     done = Correction.of(
         table,
         rig,

@@ -223,7 +223,7 @@ class Sensor(Module):
             time: duration, s, for the dark current. Default: 0.
 
         Returns:
-            The image, DN, shape as of `expected_electrons`.
+            The image, DN, in the shape of `expected_electrons`.
 
         Raises:
             ArgumentError: an argument is out of range or has the wrong shape.

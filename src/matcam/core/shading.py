@@ -19,8 +19,8 @@ class Shading(NamedTuple):
     """Arguments of a BRDF, as arrays that broadcast.
 
     Attributes:
-        cos_i: cosine of the light's angle to the normal.
-        cos_o: cosine of the view's angle to the normal.
+        cos_i: cosine of the angle of incidence.
+        cos_o: cosine of the viewing angle.
         slope_along: half vector as the slope of a facet that mirrors light into view, along the surface's first
             tangent.
         slope_across: slope of the half vector along the second tangent (normal x first).

@@ -86,7 +86,7 @@ class TableCells(NamedTuple):
         places: positions of the visible points, and of those from which rings are interpolated.
         flat_index: indices of the visible points, except those on rings, in the flattened arrays.
         rings: cells that are interpolated.
-        irradiance: cosine of the light at each cell, times the irradiance of a near lamp relative to the centre.
+        irradiance: cosine of the angle of incidence at each cell, times the irradiance of a near lamp relative to the centre.
         weight: share of each point in the value of its cell; 0 for invisible points.
         pixels: pixels behind the cells, (theta_h, theta_d, phi_d).
         mirrored: True where reversing phi_d gives the other direction.
@@ -160,7 +160,7 @@ class RealCells(NamedTuple):
 
     Attributes:
         places: the pixels, of all slices.
-        irradiance: (pixels,), cosine of the light at each.
+        irradiance: (pixels,), cosine of the angle of incidence at each.
         cell: (entries,), index of a cell in the flattened (theta_d, theta_h, phi_d).
         pixel: (entries,), index of a pixel behind it.
         share: (entries,), share of the pixel in the value of the cell.

@@ -2,8 +2,8 @@
 
 One image of a sphere, with lamp and camera 2 theta_d apart, is one theta_d slice of a table. Each cell occurs twice in
 it: at azimuth pi - phi_d about the half vector, and opposite. The value of a cell is the mean of the two records, each
-divided by the cosine of the light there. Positions and integrals depend only on the rig, so a workspace keeps the plan
-for further materials. Cells on one pixel share its noise (docs/model.md 8).
+divided by the cosine of the angle of incidence there. Positions and integrals depend only on the rig, so a workspace
+keeps the plan for further materials. Cells on one pixel share its noise (docs/model.md 8).
 """
 
 from __future__ import annotations
@@ -61,8 +61,8 @@ def measure(
     The value of a cell comes from a pixel centred on the point of the cell that `cell_value` of the rig specifies;
     "mean" is the mean over the pixels inside. "nearest" and "bilinear" look the cell up in a real grid of pixels, and
     so does "mean" if the rig has a `pixel_phase`. Several cells near the peak then have the value of the same pixel.
-    The record is divided by the cosine of the light at the centre of the pixel, and averaged over the two positions of
-    the cell (reciprocity). The light of a flat sample is uniform and is not blurred.
+    The record is divided by the cosine of the angle of incidence at the centre of the pixel, and averaged over the two
+    positions of the cell (reciprocity). The light of a flat sample is uniform and is not blurred.
 
     In a near rig each cell comes from the image in which it is visible at its angles, and is divided by the irradiance
     of the lamp there. A complete table takes about 15 s on two cores, for each of the 20 or more points of a source

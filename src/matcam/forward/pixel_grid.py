@@ -3,7 +3,7 @@
 The pixels of a measured table do not lie at the positions of its cells. The image has its own grid, and the value of a
 cell is looked up in it: the pixel whose centre is nearest to the cell, the bilinear interpolation between four, or the
 mean of the pixels that show directions of the cell. Near the peak many cells repeat one pixel. The value of a pixel is
-its radiance over the cosine of the light at its own centre, so repeated values agree to the last digit.
+its radiance over the cosine of the angle of incidence at its own centre, so repeated values agree to the last digit.
 
 The phase of the grid specifies the positions of the pixels: their centres are whole numbers of px plus the phase from
 the centre of the sphere.
@@ -77,7 +77,7 @@ class SlicePixels(NamedTuple):
     Attributes:
         x: (pixels,), centres in the plane of light and view, px from the sphere's centre, the lamp towards +x.
         y: (pixels,), centres across this plane, px.
-        cos_i: (pixels,), cosine of the light at each centre.
+        cos_i: (pixels,), cosine of the angle of incidence at each centre.
         share: (cells, pixels) matrix, cells over (theta_h, phi_d); rows add up to 1, or to 0 for invisible cells.
     """
 
@@ -115,8 +115,8 @@ class PixelAngles(NamedTuple):
     Attributes:
         theta_h: half angle, rad.
         psi: azimuth about the half vector from the lamp's side, rad.
-        cos_i: cosine of the light; -1 outside the sphere.
-        cos_o: cosine of the view; -1 outside the sphere.
+        cos_i: cosine of the angle of incidence; -1 outside the sphere.
+        cos_o: cosine of the viewing angle; -1 outside the sphere.
     """
 
     theta_h: np.ndarray

@@ -147,7 +147,7 @@ def closeness(lamp_nearness: ArrayLike | None, cos_i: jax.Array) -> jax.Array:
 
     Args:
         lamp_nearness: inverse of the lamp's distance from the centre, 1/radii; None: a distant lamp.
-        cos_i: cosine of the light's angle to the surface's normal, no unit.
+        cos_i: cosine of the angle of incidence, no unit.
     """
     if lamp_nearness is None:
         return xp.ones_like(cos_i)

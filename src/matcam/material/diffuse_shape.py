@@ -20,8 +20,8 @@ def departure(coefficients: ArrayLike, cos_i: ArrayLike, cos_o: ArrayLike, theta
 
     Args:
         coefficients: coefficients of the terms, no unit, (TERMS,), or (0,) for a Lambertian part.
-        cos_i: cosine of the light's angle to the normal, no unit.
-        cos_o: cosine of the view's angle to the normal, no unit.
+        cos_i: cosine of the angle of incidence, no unit.
+        cos_o: cosine of the viewing angle, no unit.
         theta_d: half the angle between light and view, rad.
 
     Returns:

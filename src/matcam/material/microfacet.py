@@ -96,7 +96,7 @@ class Microfacet(Material):
             shading: directions of light and view; its arrays broadcast.
 
         Returns:
-            Shape as of `reflected`; 0 below the horizon.
+            The shape is that of `reflected`; the value is 0 below the horizon.
         """
         shading, above = above_horizon(shading)
         factor = jnp.where(above, self._joint_masking(shading) / (4 * shading.cos_i * shading.cos_o), 0.0)

@@ -64,7 +64,7 @@ class Statement(NamedTuple):
         return np.einsum("...p,pq,...q->...", moved, self.information, moved)
 
     def sources(self, slope: np.ndarray, covariance: np.ndarray) -> tuple[list[UncertaintySource], np.ndarray]:
-        """List the sources of one result, and their correlation. Arguments as of `variance`."""
+        """List the sources of one result, and their correlation. The arguments are those of `variance`."""
         if not self.stated:
             whole = math.sqrt(max(float(self.variance(slope, covariance)), 0.0))
             return [UncertaintySource(self.name, 0.0, whole, 1.0, "B")], np.eye(1)

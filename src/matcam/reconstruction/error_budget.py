@@ -1,7 +1,7 @@
 """Sources of the uncertainty of a joint fit, and parameters that its images do not distinguish.
 
 There are two budgets. `error_budget` gives the reduction of the variance if a source were exact. `reading_budget` is
-the the budget of the GUM: variances of independent sources, whose sum is the variance of the result.
+the budget of the GUM: variances of independent sources, whose sum is the variance of the result.
 """
 
 from __future__ import annotations
@@ -278,7 +278,7 @@ def reflectance_readings(
 ) -> dict[str, FitReading]:
     """Derive F of each channel at an angle over its mean from 10 to 45 degrees, and that mean if F is absolute.
 
-    curves, units: as of `parameter_readings`. theta_d: rad.
+    curves, units: arguments of `parameter_readings`. theta_d: difference angle, rad.
     """
     found = {}
     at = _normal_angles(fit)

@@ -1,7 +1,7 @@
 """Joint fit of merged images of a scene: priors, a start, and rounds of refinement.
 
 The lobe is searched on a lattice of widths, with the strengths of each image solved for. Then all parameters are
-fitted, and and the windows are placed again about the fitted highlights, until convergence.
+fitted, and the windows are placed again about the fitted highlights, until convergence.
 """
 
 from __future__ import annotations

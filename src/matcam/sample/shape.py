@@ -36,8 +36,8 @@ class Element(NamedTuple):
         view: direction to the camera.
         x: position in the image, px.
         y: position in the image, px.
-        area: area in the image over the cosine of the view. This cosine cancels in the light towards the camera, so the
-            product is regular at the limb. px^2 per du dv for an element at (u, v), per px^2 for one at (x, y).
+        area: area in the image over the cosine of the viewing angle. This cosine cancels in the light towards the camera,
+            so the product is regular at the limb. px^2 per du dv for an element at (u, v), per px^2 for one at (x, y).
     """
 
     normal: Vector

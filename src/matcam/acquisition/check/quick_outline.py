@@ -121,7 +121,7 @@ def _measured(
         return QuickOutline(stripe.column, math.nan, stripe.radius + hidden, std), [*found, *stripe.remarks]
     column, row, radius = dark_disc(codes)
     if not math.isfinite(radius):
-        return None, [*found, Remark("no-disc", f"{path}: shows no dark disc inside of a bright field")]
+        return None, [*found, Remark("no-disc", f"{path}: shows no dark disc inside a bright field")]
     mirrored, spread = grazing_reflection(radius, reach)
     std = np.array([_DISC_STD, _DISC_STD, math.hypot(_DISC_STD, spread, hidden)])
     return QuickOutline(column + origin[1], row + origin[0], radius + mirrored + hidden, std), found

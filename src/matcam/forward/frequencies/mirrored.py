@@ -3,7 +3,7 @@
 The transform of half an image with its mirror image below is a cosine transform. Apart from a phase this is the
 transform of the half with its even rows first, followed by its odd rows in reverse order (Makhoul 1980, A fast cosine
 transform in one and two dimensions). The phases of both transforms are included in the transfer function, which mixes
-every frequency of of the half with its mirror image.
+every frequency of the half with its mirror image.
 """
 
 from __future__ import annotations

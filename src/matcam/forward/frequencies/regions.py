@@ -18,7 +18,7 @@ from matcam.forward.integral.scene import Scene, highlight_x
 from matcam.numerics.elementary import plane_length
 
 STEEPEST = 0.1
-"""Smallest cosine of the view by which a patch around a highlight is stretched."""
+"""Smallest cosine of the viewing angle by which a patch around a highlight is stretched."""
 _SMOOTH = 0.84
 """Standard deviation of a border, times the lowest aliased frequency."""
 _ENDS = 4.9
@@ -67,7 +67,7 @@ class Regions(NamedTuple):
         scene: a sphere in front of a distant camera, under one lamp.
         widths: widths of the regions.
         peak: position of the highlight on the scene's x axis, px.
-        squeezed: cosine of the view at the highlight, at least `STEEPEST`.
+        squeezed: cosine of the viewing angle at the highlight, at least `STEEPEST`.
         all_limb: True if the light is a thin crescent that belongs entirely to the region of the limb.
         depth: depth of the region of the limb, px.
     """

@@ -2,7 +2,7 @@
 
 One image of the sphere is one theta_d slice of a table. Its light is computed on a grid (`light_grid.py`), the
 transform of the grid is multiplied by that of lens and pixel, and the result is interpolated at the cells. The lens is
-described by described by its transfer function, with all aberrations. Camera and point lamp must be distant, so that
+described by its transfer function, with all aberrations. Camera and point lamp must be distant, so that
 all cells of a slice lie in one image.
 """
 

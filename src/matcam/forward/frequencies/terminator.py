@@ -3,7 +3,7 @@
 A sum over points at step h, of a function that starts at 0 with slope s, is its integral less h^2 s B_2(d) / 2, where d
 is the distance of the first point from the start in steps (Euler and Maclaurin; B_2 is the second Bernoulli
 polynomial). This term is added to the two points about the start. It is computed along rows and along columns, and the
-results are weighted by results are weighted by the squared slopes of the cosine of the light along them.
+results are weighted by the squared slopes of the cosine of the angle of incidence along them.
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@ The axes of the pixel are those of the cylinder, so the kernel is a product acro
     R(x, y) = integral over rows of  k(y - row)  integral over the visible, lit u of  k(x - x(u)) rho cos_i cos_o ... du.
 
 In a distant rig light is constant along the cylinder, and the outer integral is 1. Otherwise the mirror point of a lamp
-is is found as in a plane, because a path reflected by a cylinder has a constant slope along its axis.
+is found as in a plane, because a path reflected by a cylinder has a constant slope along its axis.
 
 - Where light is smooth on the kernel's scale, in one direction or in both, the Gauss rule of the kernel is used (`Blur.rule`).
 - Elsewhere panels become smaller towards the position closest to the half vector, on the scale of the lobe. They end at

@@ -7,7 +7,7 @@ few products
     rest(x, y) = sum over r of  u_r(x) v_r(y),
 
 which the operator for Gaussians can use, because Gaussians are also such products. The functions u and v are
-polynomials between between knots. Single positions are interpolated from the grid.
+polynomials between knots. Single positions are interpolated from the grid.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ class KernelRest(eqx.Module):
     even: bool = eqx.field(static=True)
 
     def at(self, x: jax.Array, y: jax.Array, variances: tuple[jax.Array, jax.Array] | None) -> jax.Array:
-        """Evaluate the residual at offsets along x and y, px. variances: of an additional Gaussian blur, px^2."""
+        """Evaluate the residual at offsets along x and y, px. variances: variances of additional blur, px^2."""
         if variances is None:
             return self._read(x, y)
         along, across = (jnp.sqrt(variance) for variance in variances)

@@ -35,7 +35,7 @@ _LONGEST = 1.3
 _AROUND = np.pi / 8 * np.arange(16)
 """Azimuths of positions around a pixel at which light must be visible for a smooth surrounding."""
 _GRAZING = 1e-3
-"""Smallest cosine of the view by which the size of a window on the sphere is estimated."""
+"""Smallest cosine of the viewing angle by which the size of a window on the sphere is estimated."""
 _NO_CRESCENT = 0.6
 """Share of the support radius of a residual within which all surface must be lit for smooth light up to the limb."""
 
@@ -163,7 +163,7 @@ def _part(imaging: Imaging, group: BlurGroup, places: RecordPlaces, finest: floa
 
 
 def _pixels(imaging: Imaging, places: RecordPlaces, half: float) -> Windows:
-    """Return the windows of pixels. half: of their side, px."""
+    """Build the windows of pixels. half: half the side of a window, px."""
     size = places.x.size
     turn = places.turn or Turn(np.ones(size), np.zeros(size))  # type: ignore[arg-type]
     lamps, which = np.unique(places.lamp_angle, return_inverse=True)

@@ -55,7 +55,8 @@ def corrected_table(
 ) -> tuple[xr.Dataset, EnergyLimit, tuple[VariancePart, ...]]:
     """Correct a table; return it with the energy limit and the sources of the variance of the peaks.
 
-    noise_share: of a pixel's variance, in each entry. scattered: most light of the highlight that glare adds to it.
+    noise_share: ratio of the variance of each entry to that of a pixel. scattered: largest light of the highlight that glare
+    adds to each entry.
     """
     data, sampling = brdf.values, sampling_of(brdf)
     body, body_std = np.maximum(found.diffuse, 0) / np.pi, found.diffuse_std / np.pi

@@ -3,7 +3,7 @@
 - The ratio of true over recorded lobe shrinks to 1 by its own variance: the logarithm L, of standard deviation s, becomes
   L (1 - s^2 / L^2), and 0 where s exceeds |L| (the positive part of James & Stein's estimate). Well determined
   corrections stay.
-- Where rig and data contradict each other the ratio is 1, and the change that it would have made is its standard deviation.
+- Where rig and data contradict each other the ratio is 1, and the change that the rig predicts is its standard deviation.
 - The light that leaves a surface in all directions is at most the light that falls on it (albedo, docs/model.md 1). Where a
   correction would break that, its additions are lowered within their standard deviation.
 """
@@ -53,7 +53,8 @@ class LobeRatio(NamedTuple):
     def parts_with(self, name: str, added: np.ndarray, factor: np.ndarray | float = 1.0) -> tuple[VariancePart, ...]:
         """Update the sources after a change of the variance.
 
-        name: of a source that is added. added: its variance, (90, 90, 180). factor: by which the others are multiplied.
+        name: name of the added source. added: variance of the added source, (90, 90, 180). factor: factor of the variances of
+        the other sources.
         """
         if not self.parts:
             return ()
@@ -147,8 +148,8 @@ def energy_limit(recorded: np.ndarray, corrected: np.ndarray, std: np.ndarray, s
     then moves every entry of the direction by the same number of its own standard deviations, at most `_MOST_STEPS`:
     determined entries stay. Negative noise must not be clipped beforehand, as clipping adds light.
 
-    recorded, corrected: (90, 90, 180, channels), 1/sr; missing entries reflect nothing. std: of the correction, 1/sr;
-    NaN for an uncorrected entry, which may be as low as 0.
+    recorded, corrected: tables, (90, 90, 180, channels), 1/sr; missing entries count as 0. std: standard deviation of the
+    correction, 1/sr; NaN for an uncorrected entry, which may be as low as 0.
     """
     cells, weight = _albedo_rule()
     before, after, error = (table.reshape(-1, table.shape[-1])[cells] for table in (recorded, corrected, std))

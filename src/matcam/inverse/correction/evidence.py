@@ -134,9 +134,9 @@ class OtherLobe(NamedTuple):
     """Another lobe through the same camera.
 
     Attributes:
-        fit: of it.
-        setup: of `fit`.
-        probability: that it, of all lobes, made the table (no unit).
+        fit: fit of the lobe.
+        setup: setup of the fit.
+        probability: probability of this lobe among all lobes (no unit).
     """
 
     fit: MaterialFit
@@ -181,7 +181,7 @@ def mean_squared_residual(found: MaterialFit, noise: PixelNoise) -> float:
 
 
 def explained(found: MaterialFit, noise: PixelNoise) -> Explained:
-    """Compute the terms of the evidence of a fit with free strengths. noise: of a pixel."""
+    """Compute the terms of the evidence of a fit with free strengths. noise: noise of a pixel."""
     solution = found._solution
     problem, model = solution.problem, solution.model
     data, residual = problem.data, problem.residual(model)
@@ -212,7 +212,7 @@ class Weighing(NamedTuple):
     """Weights of the residuals of a table's explanations.
 
     Attributes:
-        noise: of a pixel.
+        noise: noise of a pixel.
         kappa: share of pixel noise in the variance of the best explanation.
         chi2: mean squared residual of the best explanation over the variance of pixel noise; of a typical camera if
             that noise is not known.
@@ -226,7 +226,10 @@ class Weighing(NamedTuple):
 
     @classmethod
     def of(cls, fits: Sequence[MaterialFit], noise: PixelNoise | None) -> Weighing:
-        """Weigh the residuals of some fits of the same cells. noise: of a pixel; None: the smallest estimate of them."""
+        """Weigh the residuals of some fits of the same cells.
+
+        noise: noise of a pixel; None: the smallest estimate of the fits.
+        """
         if noise is None:
             left = [fit.noise for fit in fits]
             least = PixelNoise(min(one.relative for one in left), min(one.floor for one in left), 0.0)

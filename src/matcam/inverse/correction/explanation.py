@@ -74,18 +74,18 @@ class Explanation(NamedTuple):
 
     Attributes:
         located: the rig, with its cell rule.
-        setup: of `fit`.
-        candidates: fits of the lobes through the camera that may matter.
-        fit: the most probable of them.
-        shape: uncertainty of its shape.
-        base: the same lobe in the slices that `refits` are fitted to.
+        setup: setup of `fit`.
+        candidates: fits of all lobes through the camera with a relevant probability.
+        fit: the most probable of the candidates.
+        shape: uncertainty of the shape of its lobe.
+        base: fit of the same lobe in the slices of `refits`.
         others: the other lobes through the same camera, with their probabilities.
-        refits: fits with a parameter of the rig free.
-        blind_setup: of `blind`.
-        blind: the lobe without a camera.
-        no_camera: probability that no camera, rather than this one, made the table.
-        shadowed: a lobe of each channel with free masking, without a camera; None where the list explains the data.
-        weighing: how residuals were weighed.
+        refits: fits with one parameter of the rig free.
+        blind_setup: setup of `blind`.
+        blind: fit of the lobe without a camera.
+        no_camera: probability of the explanations without a camera.
+        shadowed: fit of a lobe of each channel with free masking, without a camera; None: the other explanations suffice.
+        weighing: weights of the residuals.
     """
 
     located: LocatedRig
@@ -179,9 +179,9 @@ def first_setup(
     Args:
         brdf: a checked table, 1/sr.
         rig: the rig that recorded it, as `located_rig` returns it.
-        masking: as of `correct`.
-        noise: as of `correct`.
-        workspace: as of `correct`.
+        masking: see `correct`.
+        noise: see `correct`.
+        workspace: see `correct`.
         slice_step: spacing of the slices that are used (no unit).
     """
     setup = free_setup([brdf], rig, masking=masking, noise=noise, slice_step=slice_step, workspace=workspace)

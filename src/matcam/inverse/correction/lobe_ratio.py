@@ -39,12 +39,12 @@ from matcam.rigs import Rig
 
 
 class CorrectionFits(NamedTuple):
-    """Fits that a correction is made from.
+    """Fits from which a correction is computed.
 
     Attributes:
-        fit: of the lobe that is corrected for.
-        shape: uncertainty of its shape.
-        base: the same lobe in the slices of `refits`, which are compared with it.
+        fit: fit of the lobe.
+        shape: uncertainty of the shape of the lobe.
+        base: fit of the same lobe in the slices of `refits`, for comparison with them.
         refits: fits with a parameter of the rig free.
         others: other lobes through the same camera, over which the ratio is averaged.
         maskings: predictions of `fit` under other maskings, whose difference counts as uncertainty.
@@ -227,7 +227,7 @@ def _peak_parts(
 
     The share of a source is that on the lattice, interpolated linearly, so that the shares of all sources add up to 1.
 
-    columns: from `_columns`. variance: of the ratio at the peaks, (90,).
+    columns: result of `_columns`. variance: variance of the ratio at the peaks, (90,).
     """
     rings, slices, azimuths = where.spacing
     place = int(np.argmin(np.abs(np.array(rings)))) * len(azimuths) + int(np.argmin(np.abs(np.array(azimuths) - 90)))

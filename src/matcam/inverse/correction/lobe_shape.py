@@ -40,9 +40,9 @@ class ShapeUncertainty(NamedTuple):
     """Uncertainty of the shape of a lobe, as a factor 1 + sum b_k B_k.
 
     Attributes:
-        covariance: of (lobe, rig, b), the first two in the fit's coordinates.
+        covariance: covariance of (lobe, rig, b), the first two in the coordinates of the fit.
         scale: estimated standard deviation of the second differences of b.
-        noise: of a pixel, as estimated with b free, or as given.
+        noise: noise of a pixel, given or estimated with b free.
         statements: prior knowledge of (lobe, rig, b). Default: none.
     """
 
@@ -141,8 +141,8 @@ def _columns(linear: LinearisedFit) -> np.ndarray:
 def linear_evidence(information: np.ndarray, right: np.ndarray, shapes: slice, rows: np.ndarray) -> float:
     """Compute the log evidence of a scale, up to a constant; all parameters but the b_k are integrated out.
 
-    information, right: of the linear model by all its parameters, without the prior of the scale. shapes: indices of
-    the b_k. rows: combinations of the b_k that are 0 +- 1.
+    information, right: matrix and right-hand side of the normal equations of all parameters, without the prior of the
+    scale. shapes: indices of the b_k. rows: combinations of the b_k that are 0 +- 1.
     """
     others = np.r_[0 : shapes.start, shapes.stop : len(right)]
     cross = information[shapes, others]

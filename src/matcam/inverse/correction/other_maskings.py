@@ -20,11 +20,11 @@ from matcam.numerics.linalg import scaled_inverse
 
 
 class OtherMasking(NamedTuple):
-    """Lobe and rig as another masking would have been fitted.
+    """Prediction of the fit of lobe and rig with another masking.
 
     Attributes:
-        coordinates: of lobe and rig, the other masking in their kind.
-        weight: factor of its difference as uncertainty: the root of its probability.
+        coordinates: coordinates of lobe and rig; their kind has the other masking.
+        weight: factor of the difference in the uncertainty, the root of the probability of the masking.
     """
 
     coordinates: FitCoordinates

@@ -46,10 +46,9 @@ class Lattices(NamedTuple):
 def pixel_log_ratio(
     lattices: Lattices, at: FitCoordinates, pixels: PixelGrid, radius: float, std: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Compute ln(record at the positions of cells / record of their pixels), (90, 90, 180), and its variance by the
-    phase.
+    """Compute ln(record at positions of cells / record of their pixels), and its variance.
 
-    std: of the pixels' phase, px.
+    The variance is that by the phase; both have shape (90, 90, 180). std: standard deviation of the phase of the pixels, px.
     """
     fine, coarse, fitted = lattices
     splines = [_splines(fine, np.log(np.maximum(_record(fine, at, np.zeros(0)), VANISHED)))]
@@ -80,8 +79,8 @@ class _SliceRecord(NamedTuple):
     """Logarithm of the record of the pixels of a slice, over (ring, azimuth in degrees).
 
     Attributes:
-        splines: of the record and of its derivatives.
-        mirrored: whether the plane of light and view is a plane of symmetry; then the azimuths end at 180 degrees.
+        splines: splines of the record and of its derivatives.
+        mirrored: True if the plane of camera and lamp is a plane of symmetry; the azimuths then end at 180 degrees.
     """
 
     splines: list[RectBivariateSpline]
@@ -113,7 +112,7 @@ def _ways(operator: LobeOperator, kind: LobeKind, q: jax.Array, shifts: jax.Arra
 
 
 def _record(where: ResponseLattice, at: FitCoordinates, shifts: np.ndarray) -> np.ndarray:
-    """Compute the record in each direction on a lattice, (slices, rings, azimuths as of `_around`); NaN where unknown."""
+    """Compute the record in each direction on a lattice, (slices, rings, azimuths of `_around`); NaN where unknown."""
     rings, slices, azimuths = where.spacing
     both = np.asarray(_ways(where.recorded, at.kind, placed(at.lobe), placed(shifts)))
     both = np.where(where.cells.valid[..., None], both, np.nan).reshape(len(slices), len(rings), len(azimuths), 2)

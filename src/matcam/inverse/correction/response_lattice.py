@@ -83,11 +83,11 @@ class ResponseLattice(NamedTuple):
     """Cells of a lattice and their operators.
 
     Attributes:
-        cells: (slices, rings * azimuths).
+        cells: cells of the lattice, (slices, rings * azimuths).
         recorded: operator of the rig.
         true: operator of a camera without blur.
-        spacing: where the cells are.
-        sampling: of the table.
+        spacing: positions of the cells.
+        sampling: sampling of the table.
     """
 
     cells: ChosenCells
@@ -97,7 +97,7 @@ class ResponseLattice(NamedTuple):
     sampling: Sampling
 
     def of_fresnel(self, log_slope: Callable[[np.ndarray], np.ndarray]) -> ResponseLattice:
-        """Apply an F that rises with theta_d, which a near rig records. log_slope: of ln F, 1/rad, at angles."""
+        """Apply an F that varies within a cell, as in a near rig. log_slope: slope of ln F at angles, 1/rad."""
         return self._replace(recorded=self.recorded.leaning(log_slope(self.cells.theta_d)))
 
 

@@ -278,7 +278,7 @@ class FitProblem:
 
 
 def _combined(orders: list[np.ndarray], log_slope: np.ndarray) -> np.ndarray:
-    """Combine a record with its moment, if it has one, to the factor of F, (..., s, n). log_slope: of F, (..., s)."""
+    """Add the moment, if there is one, to a record, (..., s, n). log_slope: slope of ln F, 1/rad, (..., s)."""
     if len(orders) == 1:
         return orders[0]
     record, moment = orders

@@ -124,7 +124,10 @@ def strengths_with_covariance(solution: Solution) -> Strengths:
 
 
 def strength_curves(solution: Solution) -> tuple[np.ndarray, np.ndarray]:
-    """Compute F of every unit and slice and its standard deviation, which includes the image gain if F is free."""
+    """Compute F of every unit and slice, and its standard deviation.
+
+    The standard deviation includes the image gain if F is free.
+    """
     problem, layout = solution.problem, solution.problem.layout
     strength = solution.model.strength.copy()
     if layout.fresnel != "free":

@@ -190,7 +190,7 @@ class MaterialFit(Summarised):
         """Return the uncertainty budgets of parameters.
 
         Args:
-            *names: as of `uncertainty_budget`. Default: all of `params`, and "hwhm_rad".
+            *names: names as in `uncertainty_budget`. Default: all of `params`, and "hwhm_rad".
 
         Raises:
             ArgumentError: the fit has no parameter of this name.
@@ -342,7 +342,7 @@ class MaterialFit(Summarised):
 
 
 def material_fit(solution: Solution, camera: Camera | None, *, noise_given: bool) -> MaterialFit:
-    """Gather the result of a solved fit. camera: that of the rig; None without one."""
+    """Build the result of a solved fit. camera: camera of the rig; None: no camera."""
     problem, data = solution.problem, solution.problem.data
     readings = named_parameters(solution)
     std = np.sqrt(np.diag(readings.covariance))

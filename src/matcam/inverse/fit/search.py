@@ -95,7 +95,7 @@ class Solution(NamedTuple):
 class Search:
     """Search for the best fit of a problem.
 
-    noise: of a pixel; None: estimated from the residuals. workspace: keeps what the starts record.
+    noise: noise of a pixel; None: it is estimated from the residuals. workspace: store of the records of the starts.
     """
 
     def __init__(self, problem: FitProblem, noise: PixelNoise | None, workspace: Workspace):

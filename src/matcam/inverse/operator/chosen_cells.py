@@ -66,8 +66,8 @@ class ChosenCells(NamedTuple):
         valid: (s, n), False where a slice has fewer cells.
         x: (s, n, 2), the pixels' centres, px from the optical axis, the lamp towards +x.
         y: (s, n, 2), centres of the pixels across this direction, px.
-        cos_i: (s, n, 2), cosine of the light at each position.
-        cos_o: (s, n, 2), cosine of the view.
+        cos_i: (s, n, 2), cosine of the angle of incidence at each position.
+        cos_o: (s, n, 2), cosine of the viewing angle.
         one_pixel: (s, n), True if both directions lie in the same pixel.
         real: real pixels in which cells are looked up; x, y and the cosines are then those of the pixels, and their
             last axis is over all pixels of a cell. None: each direction is a pixel at the position of the cell.
@@ -131,7 +131,7 @@ def chosen_cells(
 
 
 def peak_cells(view: SampleView, theta_d: np.ndarray) -> ChosenCells:
-    """Return one cell per slice, at its highlight. theta_d: of the slices, rad, (s,)."""
+    """Choose one cell per slice, at its highlight. theta_d: theta_d of the slices, rad, (s,)."""
     none = np.zeros((theta_d.size, 1), dtype=int)
     places = places_in(view, 0.0 * none, theta_d[:, None], 0.0 * none)
     there = np.ones(none.shape, dtype=bool)

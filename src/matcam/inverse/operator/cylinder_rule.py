@@ -323,7 +323,10 @@ def _angles(element, lamp) -> Directions:  # type: ignore[no-untyped-def]
 
 
 def _kernel(cylinder, blur: Blur, terms, variance, at, shift, rows: bool):  # type: ignore[no-untyped-def]
-    """Evaluate the kernel at nodes, 1/px or 1/px^2. shift: of the ends of a chord, over which it is averaged; None: a point."""
+    """Evaluate the kernel at nodes, 1/px or 1/px^2.
+
+    shift: shift of the ends of a chord, over which the kernel is averaged; None: a point.
+    """
     x, u, row = at
     spread = Spread(variance, variance, jnp.abs(blur.defocus(cylinder.radius, jnp.cos(u))))
     offset = x - cylinder.surface(u, jnp.zeros(())).x

@@ -64,7 +64,7 @@ def repeats(table: xr.DataArray, slices: np.ndarray = SLICES) -> Repeats:
 class Borders:
     """Borders between values of some slices that the borders of a grid of pixels do not explain.
 
-    azimuth: of the lamp relative to the rows of the grid, rad.
+    azimuth: azimuth of the lamp relative to the rows of the grid, rad.
     """
 
     def __init__(self, radius: float, sampling: Sampling, slices: np.ndarray, shown: Repeats, azimuth: float = 0.0):
@@ -132,7 +132,7 @@ def shown_places(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Compute the positions of cells, (slices, rings, azimuths, 2), along the axes of the pixels.
 
-    azimuth: of the lamp relative to the rows of pixels, rad.
+    azimuth: azimuth of the lamp relative to the rows of pixels, rad.
     """
     grid = merl_grid(sampling)
     theta_h, phi_d = np.meshgrid(grid.theta_h[rings], grid.phi_d[::every], indexing="ij")

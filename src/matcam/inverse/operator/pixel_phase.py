@@ -240,8 +240,9 @@ def _upright(found: FoundPhase, cells: list[_NearCells], azimuth: float) -> Foun
     """Choose between a phase and its mirror image across the plane of camera and lamp.
 
     The choice depends on the values of cells, because both phases have the same borders. A cell is the mean of two positions
-    on either side of the plane, and only for the correct phase are all cells means of few pixels. If the plane is not parallel to the rows, columns or diagonals of the
-    pixels, the mirror image of a grid is not a grid of the same orientation, and the phase is returned unchanged.
+    on either side of the plane, and only for the correct phase are all cells means of few pixels. If the plane is not
+    parallel to the rows, columns or diagonals of the pixels, the mirror image of a grid is not a grid of the same
+    orientation, and the phase is returned unchanged.
     """
     if abs(np.sin(4 * azimuth)) > _DIAGONAL:
         return found

@@ -131,7 +131,10 @@ class Directions(NamedTuple):
 
 
 def directions(normal: Any, sin: Any, cos: Any, q: Any, w: Any) -> Directions:
-    """Compute the directions at normals of a sphere. sin, cos: of the angle of the lamp. q, w: nearness of camera and lamp."""
+    """Compute the directions at normals of a sphere.
+
+    sin, cos: sine and cosine of the lamp angle. q, w: nearness of camera and lamp.
+    """
     xp: Any = np if isinstance(normal[0], np.ndarray) else jnp
     n_x, n_y, n_z = normal
     up = n_x * sin + n_z * cos
@@ -282,7 +285,7 @@ def _arc_sums(
         if not near:
             return ([jnp.sum(share * one, axis=1) for one in (1.0, cos_a, cos_a**2, cos_a**3)],)
         at = directions(normal, jnp.sin(lamp), jnp.cos(lamp), q, w)
-        # area in the image over the cosine of the view, times the irradiance across the light
+        # area in the image over the cosine of the viewing angle, times the irradiance across the light
         share = share * at.view / depth**3 / at.light**2
         place = 2 * (jnp.arcsinh(at.theta_h / scale) - first) / (last - first) - 1
         place = jnp.clip(place, -_OUTSIDE, _OUTSIDE)

@@ -181,10 +181,11 @@ class CircleSums(NamedTuple):
 
     Attributes:
         total: sum of the weights.
-        cosine: of the weights times powers 1 to 3 of the cosine of the azimuth about the half vector, (3, pixels, circles).
-        place: of the weights times the position among the nodes, in [-1, 1].
-        theta_d: of the weights times theta_d, rad.
-        product: of the weights times theta_d times the cosine, rad.
+        cosine: sum of the weights times powers 1 to 3 of the cosine of the azimuth about the half vector, (3, pixels,
+            circles).
+        place: sum of the weights times the position among the nodes, in [-1, 1].
+        theta_d: sum of the weights times theta_d, rad.
+        product: sum of the weights times theta_d times the cosine, rad.
     """
 
     total: np.ndarray

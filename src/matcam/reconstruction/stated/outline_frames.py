@@ -44,14 +44,14 @@ def found_outline(
 ) -> tuple[Outline | None, Region | None]:
     """Determine the outline of a capture, and the region of the frames about it; None: only the lit limb is visible.
 
-    The order of preference is a specified circle, a mask, outline frames. A remark reports unusable inputs.
+    The order of preference is: a specified circle, a mask, outline frames. A remark reports unusable inputs.
 
     Args:
-        capture: as from `read_capture`.
+        capture: the capture, as read by `read_capture`.
         sighting: geometry of the camera.
         sigma: standard deviation of the lens's blur, px.
         frame: width and height of the frames, px; None: unknown.
-        remarks: get what a reader should know.
+        remarks: list to which remarks for the user are added.
     """
 
     def by_frames() -> Outline:
@@ -82,11 +82,11 @@ def backlit_outline(
     """Measure the outline in front of a bright field, from the mean of such frames.
 
     Args:
-        capture: as from `read_capture`.
+        capture: the capture, as read by `read_capture`.
         sighting: geometry of the camera.
         sigma: standard deviation of the blur of the lens, px; used if the field is clipped, which sharpens its edge.
         region: region of the frames that is read; None: the whole frame.
-        remarks: get what a reader should know.
+        remarks: list to which remarks for the user are added.
     """
     reader = MosaicReader(capture)
     mean, clipped = mean_outline_frame(reader, capture, region, remarks)
