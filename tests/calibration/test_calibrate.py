@@ -338,7 +338,7 @@ def test_bad_arguments():
     ):
         with pytest.raises(ArgumentError, match=words):
             calibrate([], samples=star, **options)
-    with pytest.raises(FitError, match="a measured curve needs edges"):
+    with pytest.raises(FitError, match="the lens model 'measured' needs edges"):
         calibrate([], samples=star, model="measured")
     mosaic = Photograph(picture, "RGGB", 1.0, True, Exif())
     with pytest.raises(ArgumentError, match="camera raw is linear"):
@@ -349,7 +349,7 @@ def test_bad_arguments():
 
 def test_too_few_edges_are_no_camera():
     picture = chart(0.5)
-    with pytest.raises(FitError, match="good edges are too few for a camera, 8 in two directions are needed"):
+    with pytest.raises(FitError, match="good edges are too few for a camera, which requires 8 in two directions"):
         calibrate([picture[:150, :150]])
 
 

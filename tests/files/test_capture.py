@@ -220,7 +220,7 @@ def test_no_folder_and_no_files(tmp_path):
     with pytest.raises(FileFormatError, match=r"capture\.toml"):
         read_capture(tmp_path)
     (tmp_path / "file").write_text("")
-    with pytest.raises(FileFormatError, match="is no folder"):
+    with pytest.raises(FileFormatError, match="is not a folder"):
         read_capture(tmp_path / "file")
 
 

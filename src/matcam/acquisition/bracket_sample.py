@@ -126,7 +126,7 @@ def _lagged(light: np.ndarray, dark: np.ndarray, axis: int, lag: int) -> tuple[f
 
 
 def choose_pixels(around: np.ndarray, noise: float, seed: int) -> np.ndarray:
-    """Select indices of pixels for a sample: the brightest by their neighbours, and some of the other lit ones.
+    """Select pixels for a sample: those with the brightest neighbours, and some other lit ones.
 
     Args:
         around: mean of the neighbours in each exposure, flattened, (k, n), the shortest exposure first.

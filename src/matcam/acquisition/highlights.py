@@ -168,8 +168,9 @@ class _LobeFit:
         self.size, self.background = size, max(abs(background), float(np.median(self.std)))
 
     def model(self, p: np.ndarray) -> np.ndarray:
-        """Evaluate the light of each pixel: position, logarithms of widths and exponent, then height and background by
-        channel.
+        """Evaluate the light of each pixel.
+
+        p: position, logarithms of the two widths and of the exponent, and height and background of each channel.
         """
         centre = self.ball.normals(*(self.start + p[:2]))
         if not np.isfinite(centre).all():

@@ -87,7 +87,9 @@ class MosaicReader:
         if self._first is None:
             self._first, self.saturation = kind, photograph.saturation
             if camera["cfa"] and photograph.cfa and camera["cfa"] != photograph.cfa:
-                raise FileFormatError(f"{path}: its mosaic is {photograph.cfa}; capture.toml has {camera['cfa']}")
+                raise FileFormatError(
+                    f"{path}: its mosaic is {photograph.cfa}, but capture.toml has {camera['cfa']}: correct camera.cfa"
+                )
         elif kind != self._first:
             what = [
                 f"{name} {new} instead of {old}"

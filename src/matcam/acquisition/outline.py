@@ -209,7 +209,10 @@ def find_outline(
 
 
 def _likelier(one: Outline, other: Outline) -> Outline:
-    """Choose the outline whose light fits the pixels better; if both do, their difference counts as error."""
+    """Choose the outline whose model of the light fits the pixels better.
+
+    Their difference is included in the error in proportion to the probability of the other model.
+    """
     both = one.used & other.used
     chi2, freedom = (np.array([np.sum(getattr(each.sectors, name)[both]) for each in (one, other)]) for name in _FIT)
     # the bands differ by a few pixels
@@ -389,7 +392,8 @@ class OutlineFit:
                 remarks.append(
                     Remark(
                         "backlight-reach-not-given",
-                        f"the sphere mirrors the backlight: up to {shrunk_std:.2f} px of radius",
+                        "the sphere mirrors the backlight, whose extent is unknown: the radius may be wrong by "
+                        f"{shrunk_std:.2f} px",
                     )
                 )
         seen = int(np.sum(edges.contrast > _CONTRAST))

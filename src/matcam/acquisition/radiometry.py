@@ -424,6 +424,9 @@ def _gain_without_brackets(
         remarks.append(Remark("gain-bound", text))
         return Stated(*bound)
     remarks.append(
-        Remark("gain-unknown", "the frames do not determine the gain, and no profile has it: 1 DN per electron")
+        Remark(
+            "gain-unknown",
+            "neither the frames nor a profile determine the gain: 1 DN per electron is assumed; give a profile with a sensor",
+        )
     )
     return Stated(float("nan"), float("inf"))

@@ -117,7 +117,7 @@ def square_edge(x: jax.Array, angle: jax.Array, half_width: jax.Array, std: jax.
 def edge_and_slopes(
     x: jax.Array, angle: jax.Array, half_width: jax.Array, std: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Evaluate `square_edge` and its derivatives by x and by std, at the cost of one.
+    """Evaluate `square_edge` and its derivatives with respect to x and std, at the cost of one.
 
     Fits evaluate all three repeatedly. This is the plain second difference, accurate to 1e-9 of the step up to 100 px:
     H solves the heat equation, so all three follow from one normal distribution function and one density per corner of

@@ -280,8 +280,8 @@ def files_are_written() -> bool:
 class Command(TyperCommand):
     """Command whose errors refer to its options.
 
-    A command ends regularly with a return or with `typer.Exit`, whatever its exit code: its files appear. Any other
-    exception is a failure, and no file appears.
+    If a command returns, or raises `typer.Exit` with any exit code, its output files are published. After any other
+    exception no file is published.
     """
 
     def format_help(self, ctx: Any, formatter: Any) -> None:

@@ -78,10 +78,10 @@ class MitsubaFilm:
         """Apply the transpose of `record`, from pixels to subpixels.
 
         Args:
-            picture: derivative by each pixel, (rows, columns) or (rows, columns, channels).
+            picture: derivative with respect to each pixel, (rows, columns) or (rows, columns, channels).
 
         Returns:
-            Derivative by each subpixel.
+            Derivative with respect to each subpixel.
         """
         picture = np.asarray(picture, np.float64)
         s, margin = self.subpixels, self.reach * self.subpixels

@@ -142,7 +142,7 @@ def overview_figure(result: Reconstruction, picture: MergedPicture) -> Figure:
 
 
 def reflectance_figure(result: Reconstruction) -> Figure:
-    """Draw the strength of every image with its error, and the curve through them, for each channel."""
+    """Draw the strengths of all images with their errors, and the fitted curve, for each channel."""
     with styled():
         figure = Figure(figsize=(7.5, 4.2), layout="constrained")
         draw_reflectance(figure.subplots(), result)
@@ -150,7 +150,7 @@ def reflectance_figure(result: Reconstruction) -> Figure:
 
 
 def draw_reflectance(axes: Axes, result: Reconstruction) -> None:
-    """Draw the strength of every image with its error, and the curve through them, for each channel."""
+    """Draw the strengths of all images with their errors, and the fitted curve, for each channel."""
     fit = result.fit
     theta = fit.solution.theta_d
     units = np.array([one.value for one in result.units])

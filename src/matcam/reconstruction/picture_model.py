@@ -72,7 +72,7 @@ class ShownLight(NamedTuple):
 
 
 class ShownSlopes(NamedTuple):
-    """Derivatives by the parameters of a `ShownLight`, each with a trailing axis for the parameters."""
+    """Derivatives with respect to the parameters of a `ShownLight`, on a trailing axis."""
 
     lobe: Any
     pose: Any
@@ -80,7 +80,7 @@ class ShownSlopes(NamedTuple):
 
 
 class KernelSlopes(NamedTuple):
-    """One term of the kernel along one axis, 1/px, and its derivatives by the offset and by ln of the lens's scale."""
+    """One term of the kernel along one axis, 1/px, and its derivatives with respect to offset and ln scale."""
 
     value: jax.Array
     by_offset: jax.Array

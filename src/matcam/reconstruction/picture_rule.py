@@ -141,7 +141,7 @@ def through_lens(window: Window, field: LensField, highlight: tuple[float, float
 
 
 def _tilt(field: LensField, highlight: tuple[float, float], turned: bool) -> float:
-    """Compute the turn of the disc of the nodes that aligns nodes of one v with one line of pixels, rad."""
+    """Compute the rotation of the nodes that aligns those of equal v with lines of pixels, rad."""
     stretch = field.stretch(*highlight)
     if turned:
         stretch = stretch[::-1, ::-1]

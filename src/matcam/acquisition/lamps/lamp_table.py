@@ -34,7 +34,7 @@ class RadiusByHighlights(NamedTuple):
         rms: rms distance of the highlights from their expected positions, px.
         mismatch: radius over that of the outline, less 1.
         mismatch_std: standard deviation of `mismatch`, including that of the outline.
-        inverse_distances: 1 / camera distance + 1 / lamp distance that would explain it, 1/radii.
+        inverse_distances: 1 / camera distance + 1 / lamp distance that would explain the mismatch, 1/radii.
         inverse_distances_std: standard deviation of `inverse_distances`, 1/radii.
         turn: rotation of the axes of the table relative to the camera that would explain the centre, rad (3,), about x,
             y, z.

@@ -1,4 +1,4 @@
-"""Outline of a cylinder in front of a bright field: two straight edges, through the lens.
+"""Outline of a cylinder in front of a bright field: two edges, blurred by the lens.
 
 Both edges are measured in blocks of rows, which shows whether the cylinder leans.
 """

@@ -260,7 +260,9 @@ def fit_camera(evidence: Evidence, channel: str, request: CameraRequest) -> Came
     names = lens.names
     if request.model == "measured":
         if table is None:
-            raise FitError("a measured curve needs edges, but there are none")
+            raise FitError(
+                "the lens model 'measured' needs edges, but there are none: add images of edges, or choose another model"
+            )
         camera, names = _measured_camera(found, table, curve), ("gaussian.sigma_px",)
         expected = np.abs(camera.mtf(jnp.asarray(FREQUENCIES), jnp.asarray(table.angle)[:, None]))
         curve = replace(curve, camera_mtf=(table.weights * expected).sum(0))

@@ -68,7 +68,7 @@ def refuse_too_few(stacks: Sequence[EdgeStack], channel: str, *, accept_sharpene
         )
     if good < FEWEST_EDGES:
         raise FitError(
-            f"channel {channel}: {good} good edges are too few for a camera, {FEWEST_EDGES} in two directions are needed: "
+            f"channel {channel}: {good} good edges are too few for a camera, which requires {FEWEST_EDGES} in two directions: "
             "photograph a chart of slanted squares (matcam chart), or measure one edge with matcam edge"
         )
     angle = np.concatenate([stack.angle[stack.good] for stack in stacks])

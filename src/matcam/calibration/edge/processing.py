@@ -305,7 +305,7 @@ def _slightly_sharpened(region: _EdgeRegion) -> list[Trace]:
 
 
 def _filtered(region: _EdgeRegion, smoothed: list[Trace], raised: list[Trace]) -> list[Trace]:
-    """Estimate the error of MTF50 by a linear filter from the correlation of the noise.
+    """Estimate the error of MTF50 that a linear filter causes, from the correlation of the noise.
 
     `smoothed`, `raised`: traces of smoothing and of sharpening, whose variance is subtracted.
     """

@@ -168,7 +168,9 @@ def iso12233_sfr(
     place = _edge_places(value, start, number, order)
     straight = np.polynomial.Polynomial.fit(number, place, 1).convert().coef[1]
     if abs(straight) * len(value) < _LEAST_TURNS:
-        raise FitError("phases are missing: the edge is parallel to the pixel grid: rotate the target by a few degrees")
+        raise FitError(
+            "phases are missing, because the edge is parallel to the pixel grid: rotate the target by a few degrees"
+        )
     # A whole number of phase cycles gives all phases equal weight.
     kept = max(int(np.round(np.floor(len(value) * abs(straight)) / abs(straight))), 1)
     value, start, place = value[:kept], start[:kept], place[:kept]

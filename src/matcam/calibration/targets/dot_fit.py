@@ -230,7 +230,7 @@ def find_dots(values: FloatArray) -> tuple[FloatArray, FloatArray]:
     sign = -1.0 if np.quantile(off, 0.001) < -np.quantile(off, 0.999) else 1.0
     label, count = ndimage.label(sign * off > max(_CLEAR * spread, 0.25 * float(np.quantile(sign * off, 0.999))))
     if count < FEWEST:
-        raise FitError(f"region contains no grid of dots: it has {count} spots, {FEWEST} are needed")
+        raise FitError(f"region contains no grid of dots: it has {count} spots, but {FEWEST} are needed")
     every = np.arange(1, count + 1)
     flux = ndimage.sum_labels(sign * off, label, every)
     y, x = np.array(ndimage.center_of_mass(np.maximum(sign * off, 0), label, every)).T
@@ -346,5 +346,7 @@ def _without_outliers(fit: DotFit) -> DotFit:
     )
     good &= np.isfinite(std) & (square > 1.01 * _RANGE[0] ** 2) & (np.abs(content) > _OUTLIER * fit.std[:, 3])
     if good.sum() < FEWEST:
-        raise FitError(f"{good.sum()} of {len(good)} dots can be measured: {FEWEST} are needed")
+        raise FitError(
+            f"only {good.sum()} of {len(good)} dots can be measured, but {FEWEST} are needed: give a sharper or larger image"
+        )
     return fit.subset(good)

@@ -80,4 +80,4 @@ class VaryingOptics(Optics):
         raise self._refused("a kernel")
 
     def _refused(self, what: str) -> ArgumentError:
-        return ArgumentError(f"{what} needs one lens, {type(self).__name__} is several: {self.instead()}")
+        return ArgumentError(f"{what} needs one lens, but {type(self).__name__} has several: {self.instead()}")

@@ -40,7 +40,7 @@ def is_link(path: Path) -> bool:
 def check_folder(path: Path, hint: str = "") -> None:
     """Raise FileFormatError for a path that is not a folder; `hint` names the alternative."""
     if is_there(path) and not is_folder(path):
-        raise FileFormatError(f"{path}: is no folder{hint}")
+        raise FileFormatError(f"{path}: is not a folder{hint}")
     try:
         path.stat()
     except FileNotFoundError:

@@ -113,7 +113,7 @@ def _checked_text(path: Path, what: str, largest: int) -> bytes:
         raise FileFormatError(f"{path}: {len(lines)} lines are too many for {what}")
     for number, line in enumerate(lines, 1):
         if len(line) > _LONGEST_LINE:
-            raise FileFormatError(f"{path}: line {number} has {len(line)} characters; {_LONGEST_LINE} at most are read")
+            raise FileFormatError(f"{path}: line {number} has {len(line)} characters; at most {_LONGEST_LINE} are read")
     return content
 
 

@@ -1,6 +1,6 @@
 """Summaries of results: quantities with standard deviations as plain text, as HTML for notebooks, and as a figure.
 
-A result derives from `Summarised` and defines its content once (`_summary`). Datasets have the same methods by an
+A result derives from `Summarised` and defines its content once (`_summary`). Datasets have the same methods through an
 accessor (`matcam.core.results.labelled`).
 """
 

@@ -153,7 +153,7 @@ def _frame(rig: Rig, sample: Sphere, *, right_half: bool, alike: bool) -> _Frame
 
 @kept_program
 def _read(light: jax.Array, frame: _Frame, at: tuple[jax.Array, jax.Array]) -> jax.Array:
-    """Interpolate the filtered image at positions on the sensor, px: 1/sr, (positions, channels)."""
+    """Interpolate the filtered image, 1/sr, at positions on the sensor, px; (positions, channels)."""
     column, row = (
         (place - line[0]) * frame.per_px for place, line in zip(at, (frame.grid.x, frame.grid.y), strict=True)
     )

@@ -249,7 +249,7 @@ class Blur(eqx.Module):
         """Return the five-node Gauss rule of a term along one axis.
 
         Its weight function is the term's kernel. It is exact for polynomials of degree 9, and thus accurate for light
-        that is smooth on the scale of the kernel. Offsets (px) and weights stand on a trailing axis.
+        that is smooth on the scale of the kernel. Offsets (px) and weights have a trailing axis.
         """
         m2, m4, m6, m8 = self._moments(self._std(term, variance))
         a = (m2 * m8 - m4 * m6) / (m2 * m6 - m4**2)

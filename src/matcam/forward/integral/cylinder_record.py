@@ -166,7 +166,7 @@ def _at_column(cylinder: Cylinder, x: jax.Array) -> jax.Array:
 
 
 def ends_of_light(cylinder: Cylinder, light: PlacedLamps) -> tuple[jax.Array, jax.Array]:
-    """Compute the u between which the cylinder is visible and lit: limb and terminator are straight."""
+    """Compute the range of u in which the cylinder is visible and lit."""
     across = jnp.hypot(light.towards[0], light.towards[2])
     # a lamp along the axis lights no surface
     near = None if light.nearness is None else light.nearness / jnp.maximum(across, 1e-12)

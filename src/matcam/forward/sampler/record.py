@@ -147,7 +147,7 @@ def _record_arcs(
 
 @cache
 def _gauss_rules(most: int) -> np.ndarray:
-    """Return nodes and weights of Gauss and Legendre for up to `most` nodes, (2, numbers, most), padded with zeros."""
+    """Tabulate Gauss-Legendre rules with 0 to `most` nodes, padded with zeros, (2, most + 1, most)."""
     rules = np.zeros((2, most + 1, most))
     for count in range(1, most + 1):
         rules[:, count, :count] = np.polynomial.legendre.leggauss(count)

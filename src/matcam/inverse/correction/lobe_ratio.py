@@ -162,7 +162,7 @@ def _log_ratio(where: ResponseLattice, kind: LobeKind, q: jax.Array, shifts: jax
 
 @kept_program
 def _log_slopes(where: ResponseLattice, kind: LobeKind, q: jax.Array, shifts: jax.Array) -> jax.Array:
-    """Compute derivatives by all coordinates of lobe and rig, (coordinates, slices, cells)."""
+    """Compute derivatives with respect to all coordinates of lobe and rig, (coordinates, slices, cells)."""
     recorded, by_recorded = slopes_by_slice(where.recorded, kind, jnp.concatenate([q, shifts]))
     true, by_true = slopes_by_slice(where.true, kind, q)
     by_true = jnp.pad(by_true, ((0, shifts.size), (0, 0), (0, 0)))
@@ -190,7 +190,10 @@ def _log_ratio_and_record(where: ResponseLattice, at: FitCoordinates) -> tuple[n
 def _lobes_and_shares(
     where: ResponseLattice, at: FitCoordinates, shifts: np.ndarray
 ) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Compute the recorded and the true lobe on the lattice, 1 where unknown, each with its relative derivative by each B_k."""
+    """Compute the recorded and the true lobe on the lattice, each with its relative derivatives.
+
+    The derivatives are with respect to the coefficient of each B_k. Unknown values are 1.
+    """
     pairs = [
         shape_records(operator, at.kind, placed(at.lobe), placed(rig))
         for operator, rig in ((where.recorded, shifts), (where.true, np.zeros(0)))

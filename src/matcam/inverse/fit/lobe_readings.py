@@ -77,10 +77,10 @@ def half_maximum_angle(kind: LobeKind, q: np.ndarray, covariance: np.ndarray) ->
 
 
 def half_maximum(kind: LobeKind, q: np.ndarray) -> tuple[float, np.ndarray]:
-    """Compute the half width at half maximum of D, rad, and its derivatives by the coordinates of the lobe.
+    """Compute the half width at half maximum of D, rad, and its derivatives.
 
-    The angle is found by bisection, and its derivatives by implicit differentiation. Both are NaN if D does not fall to
-    half.
+    The derivatives are with respect to the coordinates of the lobe. The angle is found by bisection, and its derivatives by
+    implicit differentiation. Both are NaN if D does not fall to half.
     """
     beyond, low, by_angle, by_lobe = (np.asarray(a) for a in _half_maximum(kind, placed(q)))
     if beyond > 0:
@@ -112,7 +112,7 @@ def _half_maximum(kind: LobeKind, q: jax.Array) -> tuple[jax.Array, jax.Array, j
 
 @kept_program
 def _tail(kind: LobeKind, q: jax.Array, angle: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Compute (tail exponent, haze share), and their derivatives by coordinates and by the half width."""
+    """Compute tail exponent and haze share, and their derivatives with respect to coordinates and half width."""
 
     def both(q: jax.Array, angle: jax.Array) -> jax.Array:
         ends = jnp.stack([_TAIL[0] * angle, jnp.minimum(_TAIL[1] * angle, _TAIL_ENDS)])

@@ -279,7 +279,9 @@ class MaterialFit(Summarised):
         at = self.coordinates
         names = [axis.name for axis in at.axes]
         if name not in names:
-            raise ArgumentError(f"{name!r} of the rig was not fitted; fitted were: {', '.join(names) or 'none'}")
+            raise ArgumentError(
+                f"{name!r} of the rig was not fitted; the fitted parameters are: {', '.join(names) or 'none'}"
+            )
         place = names.index(name)
         own = len(at.lobe) + place
         return at.axes[place].square(float(at.rig[place]), float(np.sqrt(at.covariance[own, own])))

@@ -1,6 +1,6 @@
 """Record of a lobe with its derivatives, by a chain rule that evaluates each node a few times for all parameters.
 
-The record is R = sum_n a_n D_n, where a_n is a node's weight w_n times its masking G_n. Its derivative by a parameter q is
+The record is R = sum_n a_n D_n, where a_n is a node's weight w_n times its masking G_n. Its derivative with respect to q is
 
     dR/dq = sum_n a_n dD_n/dq + sum_s e_s dLambda_s/dq,      e_s = sum_n w_n D_n dG_n/dLambda_s,
 
@@ -29,11 +29,11 @@ from matcam.material.ndf.free_lobe import SplineNDF, spline_at, spline_sums
 from matcam.numerics.approximation import lagrange_basis
 
 _FEW = 2
-"""Number of coordinates of a lobe up to which a closed-form Lambda is differentiated by each in turn."""
+"""Number of coordinates of a lobe up to which a closed-form Lambda is differentiated with respect to each in turn."""
 
 
 def slopes_by_slice(operator: LobeOperator, kind: LobeKind, q: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Compute the record of a lobe, (slices, cells), and its derivatives by q, (parameters, slices, cells).
+    """Compute the record of a lobe, (slices, cells), and its derivatives, (parameters, slices, cells).
 
     q: coordinates of the lobe, then those along the operator's axes.
     """
@@ -81,7 +81,7 @@ class _Lobe(NamedTuple):
 
 
 def table_slopes(kind: LobeKind, q: jax.Array) -> tuple[jax.Array | None, jax.Array | None]:
-    """Compute the table of Lambda of a lobe, and its derivatives by q, (lobe coordinates, values).
+    """Compute the table of Lambda of a lobe, and its derivatives, (lobe coordinates, values).
 
     None without masking, or if Lambda requires no table.
     """

@@ -81,7 +81,10 @@ class SampleView(NamedTuple):
         return self.place(theta_h[..., None], theta_d[..., None], phi_d[..., None] + BOTH_WAYS).lamp_angle  # type: ignore[return-value]
 
     def irradiance(self, cos_i: np.ndarray) -> np.ndarray:
-        """Compute the irradiance across the light where its cosine is cos_i, over that at the centre of the sphere."""
+        """Compute the irradiance of a surface that faces the lamp, relative to the centre of the sphere.
+
+        cos_i: cosine of the angle of incidence on the sphere at the position of the surface.
+        """
         return 1.0 if self.lamp == 0 else np.asarray(closeness(self.lamp, jnp.asarray(cos_i))) ** 2  # type: ignore[return-value]
 
     def highlight(self, lamp_angle: np.ndarray) -> np.ndarray:

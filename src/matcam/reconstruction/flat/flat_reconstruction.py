@@ -223,7 +223,9 @@ def reconstruct_flat(
             pictures.append(FlatPicture(one, tilts[one.name], towards, std))
     remarks.extend(Remark("picture-left-out", f"{text}; left out") for text in lost)
     if len(pictures) < _FEWEST:
-        raise FitError(f"{capture.folder}: {len(pictures)} images of the flat sample can be used; {_FEWEST} are needed")
+        raise FitError(
+            f"{capture.folder}: only {len(pictures)} images of the flat sample can be used, but {_FEWEST} are needed"
+        )
     size = capture.stated("mm_per_px")
     left_out = tuple(text.split(" ")[0] for text in lost)
     return reconstructed_flat(

@@ -98,7 +98,7 @@ class JointLayout(NamedTuple):
 
 
 class PixelModel(Protocol):
-    """Model of pixels at unit strengths, with derivatives by the parameters of one image on request."""
+    """Model of pixels at unit strengths, with derivatives with respect to the parameters of one image."""
 
     def window(self, p: np.ndarray, frame: LampFrame, window: Any, *, slopes: bool) -> tuple[Recorded, Recorded | None]:
         """Compute the record of the window about the highlight, which has two axes."""
