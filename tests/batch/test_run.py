@@ -188,15 +188,15 @@ def test_other_settings_and_changed_inputs(tmp_path, here):
     assert len(again().corrected) == 1
     before = times(out, "a")
     for change, words in (
-        ({"glare": 2e-3}, "its glare is 0.001, that of this run is 0.002"),
-        ({"masking": None}, 'its masking is "smith", that of this run is "none"'),
-        ({"pages": False}, "its pages is true"),
-        ({"compress": False}, "its compress is true"),
-        ({"corrector": simple.deadly}, "its corrector is"),
+        ({"glare": 2e-3}, "whose glare is 0.001 instead of 0.002"),
+        ({"masking": None}, 'whose masking is "smith" instead of "none"'),
+        ({"pages": False}, "whose pages is true"),
+        ({"compress": False}, "whose compress is true"),
+        ({"corrector": simple.deadly}, "whose corrector is"),
     ):
         with pytest.raises(OutputError, match=words):
             again(**change)
-    with pytest.raises(OutputError, match=r"its rig\.sample\.radius_px is 256\.0, that of this run is 300\.0"):
+    with pytest.raises(OutputError, match=r"whose rig\.sample\.radius_px is 256\.0 instead of 300\.0"):
         correct_all(
             [database], Rig(rigs.merl().camera, type(rigs.merl().sample)(300.0)), out, corrector=simple.brighter
         )

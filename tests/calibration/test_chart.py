@@ -69,7 +69,7 @@ BAD = [
     ({"page": (20, 300)}, "page must lie in [50, 5000] mm"),
     ({"page": "a9"}, "page must be one of"),
     ({"pixels_across": 100}, "pixels_across must lie in"),
-    ({"pixels_across": 300, "kinds": KINDS}, "more pixels_across"),
+    ({"pixels_across": 300, "kinds": KINDS}, "or pixels_across above"),
     ({"pixels_across": 100_000, "kinds": ["dots"], "page": "a3"}, "too many"),
 ]
 

@@ -80,7 +80,7 @@ def bad_files():
     return {
         "empty": (b"", "0 bytes"),
         "header only in part": (good[:7], "7 bytes"),
-        "header only": (good[:12], "truncated: 12 bytes, a MERL file has 34992012"),
+        "header only": (good[:12], "truncated: 12 bytes, but a MERL file has 34992012"),
         "truncated": (good[:-8], "truncated"),
         "oversized": (good + b"\0", "oversized: 34992013 bytes"),
         "foreign": (b"\x89PNG\r\n\x1a\n" + bytes(1000), "bytes 0 to 11 are"),

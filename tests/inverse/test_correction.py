@@ -204,7 +204,7 @@ def test_what_cannot_be_corrected_is_refused():
     for bad, words in (
         (lambda: Correction.of(table, Rig(rig.camera, Flat())), "recorded from a Sphere"),
         (lambda: Correction.of(table, rig, "phong"), "ndf must be one of"),
-        (lambda: Correction.of(table.assign_attrs(corrected_for_camera=1), rig), "corrected for a camera already"),
+        (lambda: Correction.of(table.assign_attrs(corrected_for_camera=1), rig), "already corrected for a camera"),
         (lambda: Correction.of(table, rig, glare=2), "glare must lie in"),
     ):
         with pytest.raises(ArgumentError, match=words):

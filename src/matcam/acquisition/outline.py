@@ -400,7 +400,7 @@ class OutlineFit:
         lost = seen - int(used.sum())
         if lost > 0.5 * seen or scatter > _RAGGED:
             raise FitError(
-                f"{self.picture.name}: {seen} edges stand out where the limb should be, {seen - lost} follow one outline, to "
+                f"{self.picture.name}: {seen} edges stand out near the limb, but only {seen - lost} follow one outline, within "
                 f"{scatter:.2f} px: the background, or its mirror image in the sphere, hides the limb; use a plain background"
             )
         if lost > 0.1 * self.count:

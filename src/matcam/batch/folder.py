@@ -141,7 +141,7 @@ class RunFolder:
         if different is not None and not force:
             name, old, new = different
             raise OutputError(
-                f"output folder {self.path} is another run's: its {name} is {old}, that of this run is {new}; choose another "
+                f"output folder {self.path} belongs to another run, whose {name} is {old} instead of {new}: choose another "
                 "folder, or use force=True to correct everything again"
             )
         return different is None

@@ -155,7 +155,7 @@ def write_corrected(job: Job, workspace: Workspace | None = None) -> dict[str, A
     version = metadata.version("matcam")
     if job.recipe.version != version:
         raise ArgumentError(
-            f"this worker has matcam {version}, the run was started by {job.recipe.version}: install the same"
+            f"this worker has matcam {version}, but the run was started by {job.recipe.version}: install the same version"
         )
     check_name(job.source)
     for path in job.files:

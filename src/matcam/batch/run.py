@@ -272,7 +272,7 @@ def _executor(workers: int | None, cluster: str | None, time_limit: float) -> Ex
         chosen = ClusterExecutor(cluster)
         if workers is not None:
             raise ArgumentError(
-                "workers specifies processes on this machine, and cluster other machines: give only one of them"
+                "workers are processes on this machine, and a cluster is on other machines: give one of them"
             )
         return chosen
     if workers is None:

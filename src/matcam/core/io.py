@@ -313,7 +313,7 @@ def reading(path: Path, what: str = "") -> Iterator[None]:
     `what` is the expected content ("a picture"); if given, a folder is an error, too.
     """
     if "\0" in str(path):
-        raise FileFormatError(f"{printable(str(path))}: is no name of a file")
+        raise FileFormatError(f"{printable(str(path))}: is not the name of a file")
     try:
         mode = path.stat().st_mode
         if stat.S_ISDIR(mode) and what:

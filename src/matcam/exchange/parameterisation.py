@@ -297,7 +297,9 @@ def _outgoing(
     reflected = np.asarray(material.reflected(local_shading(vector(*i), vector(*o))))
     reflected = reflected if reflected.ndim == 4 else reflected[..., None]
     if reflected.shape[-1] not in (1, len(CHANNELS)):
-        raise ArgumentError(f"an RGL file can have {len(CHANNELS)} channels, this material has {reflected.shape[-1]}")
+        raise ArgumentError(
+            f"an RGL file can have {len(CHANNELS)} channels, but this material has {reflected.shape[-1]}"
+        )
     above = (o[2] > 0) & (twice > 0)
     outgoing = np.broadcast_to(reflected / np.cos(light)[..., None], (*light.shape, len(CHANNELS)))
     missing = float(np.isnan(outgoing[above]).mean()) if above.any() else 0.0

@@ -150,7 +150,7 @@ def _alphas(material: Microfacet) -> tuple[float, float]:
 def _rgb(values: Any) -> np.ndarray:
     array = np.asarray(values, dtype=np.float64)
     if array.ndim and array.size not in (1, len(CHANNELS)):
-        raise ArgumentError(f"renderers take {len(CHANNELS)} channels, this material has {array.size}")
+        raise ArgumentError(f"renderers take {len(CHANNELS)} channels, but this material has {array.size}")
     return np.broadcast_to(array, len(CHANNELS)).copy()
 
 

@@ -66,7 +66,7 @@ def check_raster(chart: Chart, dpi: float) -> None:
     pixels = chart.page[0] * chart.page[1] * (dpi / _INCH) ** 2
     if pixels > _MOST:
         raise ArgumentError(
-            f"{dpi:g} dpi make {pixels / 1e6:.0f} million pixels of this page: at most {_MOST / 1e6:.0f}"
+            f"{dpi:g} dpi make {pixels / 1e6:.0f} million pixels of this page; at most {_MOST / 1e6:.0f} can be drawn"
         )
 
 

@@ -70,7 +70,7 @@ def read_light_positions(path: str | Path) -> list[LightPosition]:
         raise FileFormatError(f"{path}: the first line must be the number of photographs, got {head!r:.40}")
     if int(head) != len(numbered) - 1:
         raise FileFormatError(
-            f"{path}: the first line announces {int(head)} photographs, {len(numbered) - 1} lines follow"
+            f"{path}: the first line announces {int(head)} photographs, but {len(numbered) - 1} lines follow"
         )
     return [_position(path, number, line) for number, line in numbered[1:]]
 

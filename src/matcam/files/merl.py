@@ -136,7 +136,7 @@ def _read_stored(path: Path) -> np.ndarray:
                 raise FileFormatError(f"{path}: not a MERL file: bytes 0 to 11 are {dims}, not {GRID_SHAPE}")
             if size != FILE_BYTES:
                 what = "truncated" if size < FILE_BYTES else "oversized"
-                raise FileFormatError(f"{path}: {what}: {size} bytes, a MERL file has {FILE_BYTES}")
+                raise FileFormatError(f"{path}: {what}: {size} bytes, but a MERL file has {FILE_BYTES}")
             values = np.fromfile(file, dtype=_VALUE)
     if values.nbytes != FILE_BYTES - _HEADER_BYTES:
         raise FileFormatError(f"{path}: changed while it was read")

@@ -130,7 +130,7 @@ def decode_float_tiff(path: Path, *, there: int) -> np.ndarray:
         check_memory(path, height, width, channels, 4, there)
         ends = [a + n for a, n in zip(page.dataoffsets, page.databytecounts, strict=True)]
         if max(ends, default=0) > size or 0 in page.databytecounts:
-            raise FileFormatError(f"{path}: truncated: data up to byte {max(ends, default=0)}, the file has {size}")
+            raise FileFormatError(f"{path}: truncated: the data extend to byte {max(ends, default=0)} of {size}")
         return np.ascontiguousarray(page.asarray().reshape(shape), dtype=np.float32)
 
 

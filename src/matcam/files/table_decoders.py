@@ -108,7 +108,7 @@ def _values(path: Path, columns: int) -> np.ndarray:
             for block in reader:
                 if block.shape[1] != columns:
                     raise FileFormatError(
-                        f"{path}: line {at + 2} has {block.shape[1]} values, the columns are {columns}"
+                        f"{path}: line {at + 2} has {block.shape[1]} values, but there are {columns} columns"
                     )
                 blocks.append(block.to_numpy())
                 at += len(block)
@@ -152,7 +152,7 @@ def decode_rgl(path: Path) -> dict[str, np.ndarray]:
             if left < 0 or offset + values * dtype.itemsize > len(content):
                 raise FileFormatError(
                     f"{path}: truncated or damaged: field {name} is {' x '.join(map(str, shape))} values at byte {offset}, "
-                    f"the file has {len(content)} bytes"
+                    f"but the file has {len(content)} bytes"
                 )
             found[name] = np.frombuffer(content, dtype, values, offset).reshape(shape)
     except (struct.error, UnicodeDecodeError):

@@ -78,7 +78,7 @@ def synthetic_sample(rig: Rig, shape: tuple[int, int] | None, seed: int) -> Synt
     if isinstance(rig.sample, Flat):
         return _FlatSample(rig, shape or (256, 256), seed)
     if shape is not None:
-        raise ArgumentError("the size of the images follows from the radius: leave it out for a sphere or cylinder")
+        raise ArgumentError("the size of the images follows from the radius: omit it for a sphere or cylinder")
     if isinstance(rig.sample, Sphere):
         return _SphereSample(rig, rig.sample)
     if isinstance(rig.sample, Cylinder):

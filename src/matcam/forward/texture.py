@@ -106,8 +106,8 @@ def textured_picture(
     along = _axis_waves(width, columns, jnp.cos(theta_o), pitch, band)
     if (along.k.size // 2 + 1) * (across.k.size // 2 + 1) > _MOST_WAVES:
         raise ArgumentError(
-            f"texture of {height} x {width} texels of {pitch:g} px makes {across.k.size} x {along.k.size} waves that this lens "
-            f"may pass: more than {4 * _MOST_WAVES}; give a smaller texture"
+            f"texture of {height} x {width} texels of {pitch:g} px has {across.k.size} x {along.k.size} waves that this lens "
+            f"may pass, more than {4 * _MOST_WAVES}: give a smaller texture"
         )
     # the transfer function is even in both frequencies: a quarter of the plane suffices
     frequency_x = flat.frequency_on_sensor(np.arange(along.k.size // 2 + 1) / (width * pitch), theta_o)

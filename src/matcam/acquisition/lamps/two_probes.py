@@ -53,7 +53,7 @@ def compare_probes(first: np.ndarray, second: np.ndarray) -> ProbeComparison:
     first, second = np.asarray(first, float), np.asarray(second, float)
     if first.shape != second.shape or first.ndim != 2 or first.shape[1] != 3 or len(first) < 4:
         raise ArgumentError(
-            f"first and second must be directions of the same lamps of shape (n, 3), n >= 4, got {first.shape} and {second.shape}"
+            f"first and second must be directions of the same lamps, (n, 3), n >= 4, got {first.shape} and {second.shape}"
         )
     first, second = unit(first), unit(second)
     middle, moved = unit(first + second), second - first

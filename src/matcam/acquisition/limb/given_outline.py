@@ -55,8 +55,8 @@ def mask_outline(
     values = values.max(axis=2) if values.ndim == 3 else values
     if shape is not None and values.shape != shape[::-1]:
         raise FitError(
-            f"{path}: has {values.shape[1]} x {values.shape[0]} px, the frames have {shape[0]} x {shape[1]}: "
-            "give a mask of a whole frame"
+            f"{path}: has {values.shape[1]} x {values.shape[0]} px, but the frames have {shape[0]} x {shape[1]} px: give a "
+            "mask of a whole frame"
         )
     bright = values > (values.min() + values.max()) / 2
     border = np.concatenate([bright[0], bright[-1], bright[:, 0], bright[:, -1]])
@@ -71,8 +71,8 @@ def mask_outline(
     by_moments = float(np.sqrt(2 * (rows.var() + columns.var())))  # the variance of a disc along a line is radius^2 / 4
     if abs(by_moments / radius - 1) > _ROUND:
         raise FitError(
-            f"{path}: shows no disc: radius {radius:.1f} px by its area, {by_moments:.1f} px by its second moments: "
-            "leave the stand out"
+            f"{path}: shows no disc, because its area indicates a radius of {radius:.1f} px, and its second moments "
+            f"{by_moments:.1f} px: exclude the stand from the mask"
         )
     return _outline(row, column, radius, np.array([std / 2, std / 2, std]), sighting, sigma)
 

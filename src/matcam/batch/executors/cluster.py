@@ -193,7 +193,8 @@ def _check_workers(client: Any, folder: Path) -> int:
         for name, version in ours.items():
             if report["versions"].get(name) != version:
                 raise ClusterError(
-                    f"worker {address} has {name} {report['versions'].get(name)}, this client {version}: install the same"
+                    f"worker {address} has {name} {report['versions'].get(name)}, but this client has {version}: install "
+                    "the same version"
                 )
         if not report["sees"]:
             raise ClusterError(

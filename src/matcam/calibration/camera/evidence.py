@@ -271,8 +271,8 @@ def _nothing_measured(chart: Chart, registration: Projection) -> FitError:
     ends = registration(np.array([[0.0, height / 2], [width, height / 2]]))
     across = float(np.hypot(*(ends[1] - ends[0])))
     return FitError(
-        f"the chart was found, but its targets are covered or too fine to be measured: its page is {across:.0f} px wide here: "
-        "photograph it larger, or print one for so few pixels (matcam chart --pixels)"
+        "the chart was found, but its targets are covered or too fine to be measured, because its page is only "
+        f"{across:.0f} px wide: photograph it larger, or print a chart for this width (matcam chart --pixels)"
     )
 
 

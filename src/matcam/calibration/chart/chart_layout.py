@@ -109,7 +109,7 @@ def design_chart(
         if not found:
             raise ArgumentError(
                 f"no {kind} fit into a panel of {cell[0] / pixel:.0f} x {cell[1] / pixel:.0f} px: "
-                f"fewer kinds, or more pixels_across than {pixels_across:g}"
+                f"give fewer kinds, or pixels_across above {pixels_across:g}"
             )
         elements += found
     return Chart((width, height), fiducials, tuple(elements), _INK)
@@ -147,7 +147,7 @@ def _places(corner: Point, size: Point, pitch: float) -> Iterator[tuple[int, int
     """Yield row, column and centre of the cells of a regular grid that fills the panel and is centred in it."""
     columns, rows = (int(side / pitch + 1e-9) for side in size)
     if columns * rows > _LARGEST:
-        raise ArgumentError(f"{columns * rows} elements on one page are too many: fewer pixels_across")
+        raise ArgumentError(f"{columns * rows} elements on one page are too many: reduce pixels_across")
     first = [c + (s - n * pitch) / 2 + pitch / 2 for c, s, n in zip(corner, size, (columns, rows), strict=True)]
     for row in range(rows):
         for column in range(columns):

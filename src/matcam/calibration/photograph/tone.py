@@ -63,7 +63,7 @@ def linear_values(codes: np.ndarray, tone: Tone, channel: int | None = None) -> 
     if codes.dtype.kind not in "ui":
         raise ArgumentError(f"tone as a table needs an image of whole numbers, got {codes.dtype}")
     if codes.size and codes.max() >= len(table):
-        raise ArgumentError(f"tone has {len(table)} entries, the image needs one for its code {codes.max()}")
+        raise ArgumentError(f"tone has {len(table)} entries, but the image needs one for its code {codes.max()}")
     if table.ndim == 1:
         return table[codes]
     if channel is not None:

@@ -72,7 +72,7 @@ def peak_response(
     flat = xp.reshape(theta, -1)
     if checks.flag("exact", exact):
         if dims != 2:
-            raise ArgumentError("exact=True is a real sample's: dims must be 2, got 1")
+            raise ArgumentError("exact=True applies to the real sample, for which dims must be 2, got 1")
         from matcam.forward.peaks.exact_peak import exact_response
 
         return exact_response(rig, ndf, flat, masking).reshape(theta.shape)

@@ -132,7 +132,7 @@ class Correction(Summarised):
         brdf = checked_table(brdf)
         if brdf.attrs.get(CORRECTED):
             raise ArgumentError(
-                "brdf is corrected for a camera already, as its attributes say: give the table as it was recorded"
+                "brdf is already corrected for a camera, as its attributes indicate: give the table as it was recorded"
             )
         check_rig(rig)
         checks.choice("ndf", ndf, (AUTO, *FAMILIES))
@@ -213,8 +213,8 @@ class Correction(Summarised):
         label, degrees = self._channel_names[channel], np.degrees(theta_d)
         if not np.isfinite(std):
             raise ArgumentError(
-                f"the table states no standard deviation of the peak at {degrees:.1f} degrees, {label}: choose an angle "
-                "where it holds a value"
+                f"the table has no standard deviation of the peak at {degrees:.1f} degrees, {label}: choose an angle at which "
+                "it has one"
             )
         return parts_budget(f"peak at {degrees:.1f} deg, {label}, 1/sr", value, self.peak_parts, (int(at[1]), channel))
 

@@ -89,7 +89,7 @@ def captured_cylinder(
     pictures = [one for one in merged if one.name not in lost]
     if len(pictures) < FEWEST:
         raise FitError(
-            f"{capture.folder}: {len(pictures)} lamp positions can be used; {LIST_NEEDS}, for {FEWEST} at least"
+            f"{capture.folder}: {len(pictures)} lamp positions can be used; {LIST_NEEDS}, for at least {FEWEST}"
         )
     size = frame_size(capture)
     assert size is not None  # frames were merged

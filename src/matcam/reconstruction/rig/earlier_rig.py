@@ -104,7 +104,7 @@ def known_rig(
     """
     if rig.frame is not None and frame is not None and rig.frame != frame:
         raise ArgumentError(
-            f"{rig.file}: has frames of {rig.frame[0]} x {rig.frame[1]} px, but this capture {frame[0]} x {frame[1]} px: "
+            f"{rig.file}: has frames of {rig.frame[0]} x {rig.frame[1]} px, but this capture has {frame[0]} x {frame[1]} px: "
             "give a reconstruction of the same camera"
         )
     unknown = [name for name in names if name not in rig.lamps]
