@@ -35,7 +35,7 @@ def test_a_template_is_a_capture_without_frames(matcam, tmp_path):
     lines = [
         line.removeprefix("# ") if " = " in line else line for line in text.splitlines() if not line.startswith("# A ")
     ]
-    others = ("Units stand", "of a cylinder", "of a flat", "of each strip")  # fields of other samples than a sphere
+    others = ("Units are part", "of a cylinder", "of a flat", "of each strip")  # fields of other samples than a sphere
     (folder / "capture.toml").write_text(
         "\n".join(line for line in lines if not any(words in line for words in others))
     )

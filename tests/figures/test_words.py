@@ -56,4 +56,4 @@ def test_residuals_are_no_test_of_the_model(capsys):
     printed = " ".join(capsys.readouterr().out.split())
     assert f"ratio of the residual of a cell to its expected standard deviation: {np.sqrt(0.797):.2f} rms" in printed
     assert "at least 3e-06 of the image's peak, so faint cells lower the ratio" in printed
-    assert "estimated from the residuals, so the ratio is no test of the model" in printed
+    assert "estimated from the residuals, so the ratio is not a test of the model" in printed

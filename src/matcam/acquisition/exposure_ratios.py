@@ -37,7 +37,7 @@ class ClipLevel(NamedTuple):
 
     @property
     def threshold(self) -> float:
-        """Return the code above which a pixel counts as clipped, DN."""
+        """Return the code above which a pixel is treated as clipped, DN."""
         if not self.pixels:
             return self.level + 1.0
         return self.level - max(6 * self.spread, 0.002 * abs(self.level), 0.5)

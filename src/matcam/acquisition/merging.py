@@ -207,7 +207,7 @@ def bracket_misfit(capture: Capture, lamp: str, radiometry: Radiometry, picture:
         good = (mean > _BRIGHT * noise) & (mean < _SAFE * (radiometry.clip.level - np.mean(dark))) & ~picture.clipped
         good &= (code < radiometry.clip.threshold) & np.isfinite(picture.values)
         rest = (code - dark)[good] - mean[good]
-        # the mean contains this frame: its share of the information is no residual
+        # the mean contains this frame: its share of the information is not a residual
         own = (gain * mean[good] + noise**2) - (relative * (std * response)[good] * gain) ** 2
         kept = own > 0.05 * (gain * mean[good] + noise**2)
         total += float(np.sum(rest[kept] ** 2 / own[kept]))

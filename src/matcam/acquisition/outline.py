@@ -37,7 +37,7 @@ _RAGGED = 0.4  # px, rms distance of the edges from the outline: no limb
 _TEMPER = 15.0
 """Difference in chi squared between two models of the light, 2 for exact models, for a likelihood ratio of e."""
 _SIMPLER = 30.0
-"""Decrease of chi squared with a coat below which a sphere counts as uncoated."""
+"""Decrease of chi squared with a coat below which a sphere is treated as uncoated."""
 _FIT = ("chi2", "freedom")
 FEWEST_SECTORS = 8
 
@@ -177,7 +177,7 @@ def find_outline(
         sighting: geometry of the camera. Default: infinitely distant.
         lens: standard deviation of the lens's blur and its standard deviation, px. Default: estimated from the limb.
         backlight_reach: angular extent of the bright field beyond the limb, seen from the sphere, and its standard
-            deviation, rad, which the sphere mirrors. Default: unknown, a field of 3 degrees counts as error.
+            deviation, rad, which the sphere mirrors. Default: unknown, a field of 3 degrees is included in the error.
         start: initial row, column and radius, px. Default: found by a search.
         exponents: powers of the distance inside the limb in the model of its light, from 0. Default: `EXPONENTS`.
 
@@ -209,10 +209,7 @@ def find_outline(
 
 
 def _likelier(one: Outline, other: Outline) -> Outline:
-    """Choose the outline whose model of the light fits the pixels better.
-
-    Their difference is included in the error in proportion to the probability of the other model.
-    """
+    """Choose the outline whose model of the light fits better, and add the other to its uncertainty."""
     both = one.used & other.used
     chi2, freedom = (np.array([np.sum(getattr(each.sectors, name)[both]) for each in (one, other)]) for name in _FIT)
     # the bands differ by a few pixels
@@ -392,8 +389,7 @@ class OutlineFit:
                 remarks.append(
                     Remark(
                         "backlight-reach-not-given",
-                        "the sphere mirrors the backlight, whose extent is unknown: the radius may be wrong by "
-                        f"{shrunk_std:.2f} px",
+                        f"the sphere mirrors the backlight of unknown extent: its radius may be wrong by {shrunk_std:.2f} px",
                     )
                 )
         seen = int(np.sum(edges.contrast > _CONTRAST))

@@ -257,7 +257,7 @@ class PlanView:
                 f"{lines}</table>as <code>matcam predict</code>"
             )
         else:  # constant words for every move, because a changed text triggers a new layout
-            self._numbers.text = "preview: the numbers stand beside the curves"
+            self._numbers.text = "preview: the numbers are shown beside the curves"
             self._limits.text = ""
 
     def _show_pictures(self, found: dict[str, Any]) -> None:

@@ -80,7 +80,7 @@ class RunFolder:
     def outputs(self, paths: Iterable[str | Path]) -> tuple[dict[Path, Path], list[Outcome]]:
         """Find the tables that `paths` name, and the file that each becomes in this folder.
 
-        A folder stands for its *.binary files, in order of their names; duplicates count once. Returns {input: output},
+        A folder represents its *.binary files, in order of their names; duplicates are omitted. Returns {input: output},
         and the rejected inputs: those that share a name, or have the name of a file of the run. ArgumentError without
         any table; OutputError if this folder contains an input.
         """

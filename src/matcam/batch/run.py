@@ -179,7 +179,7 @@ def correct_all(
         >>> matcam.correct_all([folder], matcam.rigs.merl(), folder)
         Traceback (most recent call last):
         ...
-        matcam.core.errors.ArgumentError: ...: no *.binary in it
+        matcam.core.errors.ArgumentError: ...: contains no *.binary file
     """
     check_rig(rig)
     checks.choice("ndf", ndf, (AUTO, *FAMILIES))

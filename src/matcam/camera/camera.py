@@ -197,7 +197,7 @@ class Camera(Module, Summarised):
             values: new values by name, in the units of the names.
 
         Raises:
-            ArgumentError: `values` is no dict, or the camera has no such parameter.
+            ArgumentError: `values` is not a dict, or the camera has no such parameter.
         """
         known = self.parameters()
         for name in checks.instance("values", values, dict):

@@ -72,7 +72,7 @@ class Uncertainty(Module):
             std: standard deviation by name, in the unit of the name, >= 0.
 
         Raises:
-            ArgumentError: `std` is no mapping, or a standard deviation is negative or not finite.
+            ArgumentError: `std` is not a mapping, or a standard deviation is negative or not finite.
         """
         if not isinstance(std, Mapping):
             raise ArgumentError(f"std must be standard deviations by name, got {' '.join(repr(std).split())[:60]}")

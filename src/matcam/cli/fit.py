@@ -171,7 +171,7 @@ def print_fit(summary: dict[str, Any], name: str) -> None:
         f"ratio of the residual of a cell to its expected standard deviation: {math.sqrt(summary['misfit']):.2f} rms, "
         f"{summary['degrees_of_freedom']} degrees of freedom. The expected standard deviation is that of this noise, and at "
         f"least {LEAST_FLOOR:g} of the image's peak, so faint cells lower the ratio. The noise is estimated from the "
-        "residuals, so the ratio is no test of the model"
+        "residuals, so the ratio is not a test of the model"
     )
     for remark in summary["remarks"]:
         show.say(f"note: {remark['text']}")

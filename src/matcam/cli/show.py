@@ -149,7 +149,7 @@ def counting(what: str) -> Iterator[Any]:
 def tallying(what: str) -> Iterator[Any]:
     """Show a progress bar over jobs and the time left; yield update(done, total).
 
-    It stands on standard error; if that is no terminal, a line appears there at most twice a minute.
+    It is written to standard error. If standard error is not a terminal, at most two lines a minute are written.
     """
     from rich.console import Console
     from rich.progress import (

@@ -47,7 +47,7 @@ def check_output(path: str | Path, *, force: bool = False, inputs: Iterable[str 
         raise OutputError(f"output {printable(str(path))} has a name that is not plain text: choose another")
     try:
         _check_place(path, inputs)
-        taken = os.path.lexists(path)  # a broken link counts as existing, too
+        taken = os.path.lexists(path)  # a broken link is treated as existing, too
     except OSError as error:  # such as a name that is too long
         raise OutputError(f"output {path!s:.300} cannot be written: {error.strerror}") from None
     if taken and not force:

@@ -184,7 +184,7 @@ def inspect_table(table: xr.DataArray, radius: float = SPHERE_RADIUS) -> dict[st
         - `reciprocity_rms`: rms over cells of the relative difference between phi_d and pi - phi_d. Reciprocity and the
         mirror
           symmetry of an isotropic material make them equal.
-        - `albedo`: of light from theta_o, per channel; missing values count as 0 (see `albedo`).
+        - `albedo`: of light from theta_o, per channel; missing values are treated as 0 (see `albedo`).
         - `lobe`: half width at half maximum in theta_h, degrees, in the plane of light and view and across it, mean
           over channels; None without a lobe.
         - `camera`: see `camera_trace`.

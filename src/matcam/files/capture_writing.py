@@ -16,7 +16,7 @@ from matcam.files.capture import COLUMNS, KINDS, LIST, SETTINGS
 
 TEMPLATE = """\
 # A capture: photographs of a sample under a moved lamp. docs/capture.md explains every field.
-# Units stand in the names. A value may have a standard deviation: radius_mm = [25.0, 0.005].
+# Units are part of the names. A value may have a standard deviation: radius_mm = [25.0, 0.005].
 # Delete fields that you do not know: every field given here is used.
 
 format = "matcam capture"

@@ -24,7 +24,7 @@ from matcam.rigs import UNKNOWN, Rig
 from matcam.sample.curved import Cylinder, Sphere
 
 _TURN = 1e-9
-"""Sine of half an azimuth below which the azimuth counts as a multiple of a full turn."""
+"""Sine of half an azimuth below which the azimuth is treated as a multiple of a full turn."""
 
 
 class CylinderCells(NamedTuple):

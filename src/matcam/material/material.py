@@ -110,7 +110,7 @@ def albedo(material: Material, theta: ArrayLike) -> np.ndarray:
     lobes down to 1e-4 rad.
 
     Args:
-        material: any material; missing values (NaN) count as 0.
+        material: any material; missing values (NaN) are treated as 0.
         theta: angle of the view to the normal, at azimuth 0, rad, [0, pi/2), shape (n,).
 
     Returns:

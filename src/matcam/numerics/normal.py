@@ -62,7 +62,7 @@ def robust_fit(
         values: values, (n,).
         std: standard deviations of the values, (n,). Default: 1.0.
         least: smallest scatter, in units of `std`. Default: 1e-12.
-        resolved: smallest singular value of the design, relative to the largest. Smaller ones count as 0. Default: 1e-12.
+        resolved: smallest singular value of the design, relative to the largest. Smaller ones are treated as 0. Default: 1e-12.
     """
     design, values = design / np.broadcast_to(std, len(values))[:, None], values / std
     kept = np.ones(len(values), bool)

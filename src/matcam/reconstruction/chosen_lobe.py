@@ -45,7 +45,7 @@ All images are fitted at the end.
 _HOPELESS = 1.5
 """Ratio of unexplained shares above which a lobe is not fitted again with other priors."""
 _GUESSED = 0.25
-"""Relative standard deviation above which the width of the lens counts as a guess."""
+"""Relative standard deviation above which the width of the lens is treated as a guess."""
 
 
 class ChosenFit(NamedTuple):

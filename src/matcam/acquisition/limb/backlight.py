@@ -5,7 +5,7 @@ import numpy as np
 _GRAZING = (4.0, 2.5)
 """Mean and spread of c for metals and glasses, whose Fresnel reflectance at a grazing angle g is exp(-c g)."""
 _REACH_UNKNOWN = np.radians(3.0)
-"""Extent of a backlight of unknown size, rad: its reflection is not subtracted, but counts as error."""
+"""Extent of a backlight of unknown size, rad: its reflection is not subtracted, but included in the error."""
 
 
 def grazing_reflection(radius: float, reach: tuple[float, float] | None) -> tuple[float, float]:

@@ -55,7 +55,7 @@ def in_consensus(stacks: Sequence[EdgeStack]) -> list[EdgeStack]:
 def refuse_too_few(stacks: Sequence[EdgeStack], channel: str, *, accept_sharpened: bool) -> None:
     """Raise FitError if the edges are too few, too parallel, or often processed.
 
-    It applies if edges are the only measurements. `accept_sharpened`: whether sharpened edges count as good.
+    It applies if edges are the only measurements. `accept_sharpened`: whether sharpened edges are treated as good.
     """
     codes = [problem.code if problem else "" for stack in stacks for problem in stack.problems]
     good, processed = codes.count(""), codes.count("saturated")

@@ -291,7 +291,7 @@ def _chosen_light(full: LinearFit) -> jax.Array:
 
     lights = xp.asarray(LIGHTS) + 0 * before  # an array of JAX if the cells are
     chi2, rise = each(judged, lights)
-    # Structure that neither light nor glare explains counts as noise.
+    # Structure that neither light nor glare explains is treated as noise.
     scatter = xp.maximum(xp.min(chi2 - rise) / degrees, 1.0)
     chi2, rise = chi2 / scatter, rise / scatter
     cost = (

@@ -100,7 +100,7 @@ def record_cylinder(material: Material, cylinder: Cylinder, blur: Blur, places: 
     for terms, _ in groups_of(blur, cylinder):  # narrow terms require nodes that wide ones do not
         across, along = smooth_places(cylinder, blur, terms, places, float(elongation))
         for rough_x, rough_y in ((False, False), (True, False), (True, True)):
-            # where only the rows are rough, the columns count as rough, too
+            # where only the rows are rough, the columns are treated as rough, too
             which = (~(across & along) == rough_x) & (~along == rough_y)
             index = pad_indices(np.flatnonzero(which))
             if index.size:

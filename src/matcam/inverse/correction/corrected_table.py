@@ -39,7 +39,7 @@ OPERATOR_ACCURACY = 1e-6
 parts of a recorded lobe are unknown, whatever the noise.
 """
 _LEAST_CONTRAST = 1e-3
-"""Smallest share of the peak of a slice that counts as lobe, so that the noise floor stays finite where only the body
+"""Smallest share of the peak of a slice that is treated as lobe, so that the noise floor stays finite where only the body
 is visible.
 """
 

@@ -343,7 +343,7 @@ class Correction(Summarised):
     def _peak_response(self, theta_d: ArrayLike) -> np.ndarray:
         """Compute recorded over corrected peak across the plane of incidence, averaged over the channels.
 
-        Where the peak is missing, the response of the lobe stands for it.
+        Where the peak is missing, it is replaced by the response of the lobe.
         """
         at = self._peak(theta_d)
         recorded, corrected = self.recorded.values[at], self.table["brdf"].values[at]

@@ -85,7 +85,7 @@ def shrunk(ratio: LobeRatio, no_camera: float) -> LobeRatio:
 
 
 def above_noise(ratio: LobeRatio, floor: np.ndarray) -> LobeRatio:
-    """Limit a ratio to where the recorded lobe stands out of the noise.
+    """Limit a ratio to entries whose recorded lobe exceeds the noise.
 
     A recorded value is the lobe m plus noise n. The linear estimate of least error multiplies the logarithm of the
     ratio by m^2 / (m^2 + n^2) (Wiener's weight). The removed part is added to the standard deviation.
@@ -148,8 +148,8 @@ def energy_limit(recorded: np.ndarray, corrected: np.ndarray, std: np.ndarray, s
     then moves every entry of the direction by the same number of its own standard deviations, at most `_MOST_STEPS`:
     determined entries stay. Negative noise must not be clipped beforehand, as clipping adds light.
 
-    recorded, corrected: tables, (90, 90, 180, channels), 1/sr; missing entries count as 0. std: standard deviation of the
-    correction, 1/sr; NaN for an uncorrected entry, which may be as low as 0.
+    recorded, corrected: tables, (90, 90, 180, channels), 1/sr; missing entries are treated as 0. std: standard deviation of
+    the correction, 1/sr; NaN for an uncorrected entry, which may be as low as 0.
     """
     cells, weight = _albedo_rule()
     before, after, error = (table.reshape(-1, table.shape[-1])[cells] for table in (recorded, corrected, std))

@@ -67,8 +67,7 @@ def _of_mirror(view: SampleView, sampling: Sampling, nearest: float) -> np.ndarr
     """
     grid = merl_grid(sampling)
     th, td, ph = grid.theta_h[:, None, None], grid.theta_d[:, None], grid.phi_d
-    # the position of each cell on the lamp's side stands for both: they lie about as far from the highlight of their
-    # image
+    # the position of each cell on the lamp's side represents both positions, whose distances from the highlight are similar
     x, y = view.from_highlight(th, td, ph)
     distance2 = np.maximum(x**2 + y**2, nearest**2)
     # integral of D over normals is about 1: flux = F r^2 / 4 of a distant rig

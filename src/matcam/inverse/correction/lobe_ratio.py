@@ -47,7 +47,7 @@ class CorrectionFits(NamedTuple):
         base: fit of the same lobe in the slices of `refits`, for comparison with them.
         refits: fits with a parameter of the rig free.
         others: other lobes through the same camera, over which the ratio is averaged.
-        maskings: predictions of `fit` under other maskings, whose difference counts as uncertainty.
+        maskings: predictions of `fit` under other maskings, whose difference is included in the uncertainty.
         expected: parameters of the rig that such fits may have, as given to `lattices_ahead`.
     """
 

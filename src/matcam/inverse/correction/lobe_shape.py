@@ -60,8 +60,8 @@ class ShapeUncertainty(NamedTuple):
         """State that a family does not explain the data and its lobe was corrected."""
         return Remark(
             "family-fails",
-            f"no {family} lobe explains the data (scale {self.scale:g}): its shape was corrected by a smooth factor, and what "
-            "the pixels do not resolve of that shape counts as uncertainty",
+            f"no {family} lobe explains the data (scale {self.scale:g}): its shape was corrected by a smooth factor, and the "
+            "uncertainty includes the part of the shape that the pixels do not resolve",
         )
 
 

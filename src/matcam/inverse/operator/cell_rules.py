@@ -439,7 +439,7 @@ MOMENT_ALONG = "moment_along"
 _MASKED = "sample_theta", "sample_cos_psi", "sample_theta_d", "sample_share"
 """Names of the results of `masking_samples`."""
 _SURROUNDINGS = np.array([9.0, 45.0])
-"""Support radii of the terms of a lens that count as its core and as its surroundings, px."""
+"""Support radii of the terms of a lens that form its core and its surroundings, px."""
 _RESOLVED = 10
 """Support radius of a blur over the smallest standard deviation that the azimuths of a rule resolve."""
 _INSIDE = 1 - 1e-9

@@ -32,7 +32,7 @@ _LEAST = 1e-12
 """Length of an arm outside the window, rad: its weights are 0."""
 _FINEST = 25.0
 _MEETS, _SLACK = 0.02, 0.02
-"""Share of the largest angle from the half vector below which the smallest one counts as 0, and share added to their range."""
+"""Share of the largest angle from the half vector below which the smallest is treated as 0; share added to their range."""
 _SHORT = 1e-3
 """Length of the image of a chord, in standard deviations of the blur, below which it is a point."""
 
@@ -95,7 +95,7 @@ def lamp_of(pixels: LinePixels, nearness: float) -> PlacedLamps:
 def line_window(
     cylinder: Cylinder, nearness: float, pixels: LinePixels, reach: np.ndarray, disc: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Compute the smallest and the largest angle from the half vector in the window of pixels, rad; small ones count as 0.
+    """Compute the smallest and the largest angle from the half vector in the window of pixels, rad; small ones are set to 0.
 
     reach: support radius of the kernel, (pixels,), px. disc: angular radius of the lamp, rad.
     """

@@ -272,7 +272,7 @@ def _arc_sums(
             if pixel_nodes and not blur.is_rest(term):
                 added = Spread(var_x, var_y, out_of_focus)
                 return blur.turned_kernel(*in_plane(*offset), term, added, (cosine, sine_), pixel_nodes)
-            # the residual of a lens is small: on a turned pixel its widening counts as isotropic
+            # the residual of a lens is small: on a turned pixel its widening is treated as isotropic
             widths = ((var_x + var_y) / 2,) * 2 if pixel_nodes else (var_x, var_y)
             return blur.at(term, Spread(widths[0], widths[1], out_of_focus), *offset)
 

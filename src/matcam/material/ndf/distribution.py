@@ -265,7 +265,7 @@ def checked_roughness(name: str, value: ArrayLike, largest: float = 1.0, unit: s
 def _tangents(shading: Shading) -> tuple[tuple[jax.Array, jax.Array], tuple[jax.Array, jax.Array]]:
     """Compute (part, offset): light and view along the tangents of the surface are offset + part and offset - part."""
     slope2 = shading.slope_along**2 + shading.slope_across**2
-    mirror = slope2 == 0  # there the azimuth of the half vector counts as 0
+    mirror = slope2 == 0  # there the azimuth of the half vector is treated as 0
     slope = xp.sqrt(xp.where(mirror, 1.0, slope2))
     cos_phi, sin_phi = (
         xp.where(mirror, 1.0, shading.slope_along / slope),
