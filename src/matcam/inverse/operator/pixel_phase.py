@@ -68,7 +68,7 @@ _FIRST_TRIES, _TRIES = 25, 90
 _FALLS = 0.2
 """Ratio of the residual after the first tries to that of the start, below which a grid is detected."""
 _MOST_REST = 1e-6
-"""Largest share of the variance of interpolated cells that a grid may leave unexplained. It exceeds rounding errors."""
+"""Largest share of the variance of interpolated cells that a grid may leave unexplained. The correct grid is exact."""
 READ_FROM: dict[CellValue, str] = {
     "nearest": "read from the nearest pixel",
     "bilinear": "interpolated between pixels",

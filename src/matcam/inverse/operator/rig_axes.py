@@ -30,7 +30,7 @@ WIDTH = "lens_width"
 """Name of the logarithm of the width of a lens without a width parameter, relative to the lens of the rig, no unit."""
 SHAPE = "lens_shape"
 """Name of the change of the fourth moment of the kernel of the lens at constant variance, no unit. It is 0 for the lens of
-the rig, -1 for a disc in place of a Gaussian, and positive for longer tails.
+the rig, -1 for a kernel that is as flat as a disc, and positive for longer tails.
 """
 SIXTH, EIGHTH = "lens_sixth_moment", "lens_eighth_moment"
 """Names of the changes of the next even moments of the kernel of the lens at constant lower moments, no unit. With `SHAPE`
@@ -47,9 +47,7 @@ WIDTHS = (LAMP, "jitter", APERTURE)
 _FREE_RANGE = 0.5
 """Half the range of ln(value / value of the rig) of a free parameter that is not a width."""
 _WIDEST_LENS, _WIDEST = 0.5, 0.2
-"""Largest coordinate of the free width of a lens, and of another free width. The blur of the latter varies over the image,
-so that a polynomial is accurate in a smaller range only.
-"""
+"""Largest coordinate of the free width of a lens, and of another free width, whose blur varies over the image."""
 _NEARBY = 0.03
 """Largest coordinate of the radius of a lamp that is fitted only near the value of the rig."""
 _SHARPEST = 0.1
@@ -69,7 +67,7 @@ ASSUMED = 0.1
 _STEP = 0.4
 """Relative step in variance between the Gaussians of a finite difference. A smaller step would amplify their errors."""
 _COUNTS = ((0.03, 3), (0.15, 5), (np.inf, 9))
-"""Largest half range of an axis, and number of points of a polynomial that is accurate in this range."""
+"""Largest half range of an axis for each number of its points, (half range, number)."""
 
 
 class KernelChange(NamedTuple):
