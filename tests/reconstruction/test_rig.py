@@ -109,7 +109,7 @@ def test_other_documents_are_refused(tmp_path):
 
 def test_another_rig_is_refused_and_unknown_lamps_are_named(written):
     rig = read_rig(written())
-    with pytest.raises(ArgumentError, match="200 x 200 px, but this capture 300 x 200 px"):
+    with pytest.raises(ArgumentError, match="200 x 200 px, but this capture has 300 x 200 px"):
         known_rig(rig, NAMES, (300, 200), 25.0, 0.5)
     with pytest.raises(ArgumentError, match="has none of the lamp positions A, B: it has L0, L1, L2"):
         known_rig(rig, ("A", "B"), (200, 200), 25.0, 0.5)
