@@ -310,7 +310,7 @@ def where_written(path: Path) -> Path:
 def reading(path: Path, what: str = "") -> Iterator[None]:
     """Convert errors while `path` is opened and read to a FileFormatError that names it.
 
-    `what` is the expected content ("a picture"); if given, a folder is an error, too.
+    `what` is the expected content ("an image"); if given, a folder is an error, too.
     """
     if "\0" in str(path):
         raise FileFormatError(f"{printable(str(path))}: is not the name of a file")

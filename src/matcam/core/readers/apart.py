@@ -104,7 +104,7 @@ def read_apart(
 ) -> Any:
     """Call `decoder` ("package.module:function") on a file in a separate process.
 
-    what: expected content, such as "a picture"; "": it may be a folder.
+    what: expected content, such as "an image"; "": it may be a folder.
     libraries: modules that the decoder imports.
     small: size of a file, bytes, up to which the decoder is called in this process, for decoders whose cost is bounded
         by the size.
