@@ -146,7 +146,7 @@ METAL = Microfacet(GGX(0.1), 0.9)
         (lambda: matcam.measure(METAL, Rig(Camera(LENS), matcam.Cylinder(60.0))), "the same blur in all directions"),
         (
             lambda: matcam.measure(METAL, Rig(Camera(SeidelOptics(*PARTS, unit=9.0)), Sphere(60.0))),
-            "SeidelOptics is several",
+            "SeidelOptics has several",
         ),
         (
             lambda: matcam.fit(

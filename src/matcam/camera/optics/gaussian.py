@@ -149,7 +149,7 @@ def round_gaussians(optics: Optics, terms: int = 24) -> GaussianSum:
 def finest_width(optics: Optics) -> float:
     """Return the standard deviation of the narrowest Gaussian of a lens, px."""
     widths = [
-        constant(part.sigma) if isinstance(part, GaussianOptics) else _NARROWEST / part.band()
+        constant(part.sigma) if isinstance(part, GaussianOptics) else _NARROWEST / (part.resolved_share() * part.band())
         for _, part in optics.components()
     ]
     return min(float(width) if is_concrete(width) else _NARROWEST / _TRACED_BAND for width in widths)
@@ -183,14 +183,15 @@ def _of_one_piece(optics: Optics, widths: _Widths) -> GaussianSum:
     if isinstance(optics, GaussianOptics):
         return GaussianSum(xp.ones(1), optics.sigma[None], xp.zeros(()), xp.zeros(()))
     band = xp.sum(optics.rule_on(np.array([0.0, 1.0])).weight)  # traced if the lens is traced, unlike `band()`
-    narrowest, terms, counts = widths(band)
+    resolved = band * optics.resolved_share()
+    narrowest, terms, counts = widths(resolved)
     reach = xp.log(xp.maximum(_WIDEST / narrowest, _WIDEST))
     sigmas = narrowest * xp.exp(reach * xp.linspace(0, 1, terms))
 
     # weights = 1 / terms + basis @ v: their sum is 1 for any v
     mean = xp.full(terms, 1 / terms)
     basis = xp.asarray(np.linalg.qr(np.eye(terms) - 1 / terms)[0][:, : terms - 1])
-    frequency = xp.asarray(_GRID) * band
+    frequency = xp.asarray(_GRID) * resolved
     importance = counts * np.sqrt(_GRID) * _through_full_pixel(frequency)
     spectra = _spectra(frequency, sigmas)
     rows = xp.concatenate([importance[:, None] * (spectra @ basis), _RIDGE * basis])

@@ -103,6 +103,10 @@ class HaloOptics(Optics):
         """Return the larger band of core and halo, cycles/px."""
         return max(self.core.band(), self.halo.band())
 
+    def resolved_share(self) -> float:
+        """Return the share of the band with an MTF above 1e-4: that of the core, unless the band of the halo is larger."""
+        return self.core.resolved_share() if self.halo.band() <= self.core.band() else 1.0
+
     def rule_on(self, borders: np.ndarray) -> Rule:
         """Return the rule of the core on panels that halve towards 0.
 

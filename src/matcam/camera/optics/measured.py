@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from matcam.core.jax import jax
 
 _ZERO = 1e-9
+_RESOLVED = 1e-4
+"""MTF, no unit, below which a frequency does not affect the scale of the PSF: no measurement determines smaller values."""
 
 
 class MeasuredOptics(Optics):
@@ -50,6 +52,7 @@ class MeasuredOptics(Optics):
     frequency: tuple[float, ...] = static_field()
     values: jax.Array
     ends_at_zero: bool = static_field()
+    resolved: float = static_field()
 
     profile_fields: ClassVar[Mapping[str, str]] = {"frequency_cycles_per_px": "frequency", "mtf": "values"}
 
@@ -62,7 +65,7 @@ class MeasuredOptics(Optics):
             )
         if f[0] != 0 or np.any(np.diff(f) <= 0):
             raise ArgumentError("frequency must start at 0 cycles/px and increase strictly")
-        ends_at_zero = True
+        ends_at_zero, resolved = True, f.size - 1
         if is_concrete(values):
             samples = np.asarray(values)
             if abs(samples[0] - 1) > 1e-6:
@@ -75,9 +78,11 @@ class MeasuredOptics(Optics):
                     f"mtf must not exceed 1 (1.05 with noise), got {largest:g}: use an image without sharpening"
                 )
             ends_at_zero = bool(abs(samples[-1]) <= _ZERO)
+            resolved = min(int(np.flatnonzero(np.abs(samples) > _RESOLVED)[-1]) + 1, resolved)
         self.frequency = tuple(f.tolist())
         self.values = values
         self.ends_at_zero = ends_at_zero
+        self.resolved = float(f[resolved])
 
     def mtf(self, f: ArrayLike) -> jax.Array:
         """Interpolate the MTF at f cycles/px; optics only.
@@ -114,6 +119,10 @@ class MeasuredOptics(Optics):
                 "spread function needs all frequencies; append samples up to where it reaches 0"
             )
         return self.frequency[-1]
+
+    def resolved_share(self) -> float:
+        """Return the share of the band up to the last sample with an MTF above 1e-4, no unit."""
+        return self.resolved / self.frequency[-1]
 
     def rule_on(self, borders: np.ndarray) -> Rule:
         """Return panels between neighbouring samples.

@@ -262,6 +262,10 @@ class Optics(Module):
     def band(self) -> float:
         """Return the frequency above which the MTF is 0 to rounding, cycles/px."""
 
+    def resolved_share(self) -> float:
+        """Return the share of the band with an MTF above 1e-4, no unit. It sets the scale of the PSF."""
+        return 1.0
+
     @abstractmethod
     def rule_on(self, borders: np.ndarray) -> Rule:
         """Return a quadrature over [0, band] on which this MTF is smooth.

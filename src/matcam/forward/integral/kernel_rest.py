@@ -25,13 +25,13 @@ from matcam.core.workspace import default_workspace
 from matcam.numerics.approximation import lagrange_basis
 
 _REACH, _REACH_OF_ABERRATIONS = 9, 16
-"""Support radius of the residual, in periods of the cutoff. Rings beyond it are below 1e-4 of the peak."""
+"""Support radius of the residual, in periods of the highest resolved frequency. Rings beyond it are below 1e-4 of the peak."""
 _TAPERED = 0.6
 """Share of the support radius beyond which the residual is tapered to 0."""
 _KNOTS = 21
-"""Number of intervals of the knots per period of the cutoff."""
+"""Number of intervals of the knots per period of the highest resolved frequency."""
 _APART = 128
-"""Half period of the transform, in periods of the cutoff. Its copies have 2e-5 of the light within the support."""
+"""Half period of the transform, in periods of the highest resolved frequency. Its copies have 2e-5 of the light within the support."""
 _STENCIL = np.arange(-2, 4)
 """Number of knots for the polynomial of an interval."""
 MARGIN = 3
@@ -56,7 +56,7 @@ class KernelRest(eqx.Module):
         grid: values at the knots along x and y, padded with zeros, 1/px^2.
         smooth: weights of the nodes in smooth light, (nodes along x, nodes along y), no unit.
         reach: half side of the square support, px.
-        period: period of the lens's cutoff, px.
+        period: period of the highest frequency that the lens resolves, px.
         error: largest remaining error of the transfer function, no unit.
         even: True if the kernel is symmetric above and below.
     """
@@ -145,8 +145,9 @@ def kernel_rest(optics: Optics, pixel: PixelResponse, gaussians: GaussianSum, ji
 
 
 def _made(optics: Optics, pixel: PixelResponse, gaussians: GaussianSum, jitter: jax.Array) -> KernelRest:
-    period = 1 / optics.band()
-    frequency = np.arange(-_APART, _APART + 1) / (_APART * period)
+    period = 1 / (optics.band() * optics.resolved_share())
+    count = int(np.ceil(_APART / optics.resolved_share()))
+    frequency = np.arange(-count, count + 1) / (_APART * period)
     fx, fy = np.meshgrid(frequency, frequency, indexing="ij")
     inside = np.hypot(fx, fy) < optics.band()
     transfer = np.zeros(fx.shape, dtype=complex)
