@@ -31,7 +31,9 @@ _TAPERED = 0.6
 _KNOTS = 21
 """Number of intervals of the knots per period of the highest resolved frequency."""
 _APART = 128
-"""Half period of the transform, in periods of the highest resolved frequency. Its copies have 2e-5 of the light within the support."""
+"""Half period of the transform, in periods of the highest resolved frequency. Its copies have 2e-5 of the light within the
+support.
+"""
 _STENCIL = np.arange(-2, 4)
 """Number of knots for the polynomial of an interval."""
 MARGIN = 3
