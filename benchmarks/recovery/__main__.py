@@ -7,13 +7,14 @@ import os
 import sys
 from pathlib import Path
 
-from benchmarks.recovery import cases, entries, generate
+from benchmarks.recovery import baselines, cases, entries, generate, photographs
 
 HERE = Path(__file__).resolve().parent
 RESULTS = HERE / "results.json"
 HASH = HERE / "hidden.sha256"
 PAGE = generate.ROOT / "docs" / "validation" / "recovery.md"
 README = generate.ROOT / "README.md"
+KINDS = ("tables", "photographs")
 
 
 def main(arguments=None):
@@ -26,9 +27,12 @@ def main(arguments=None):
         one.set_defaults(call=call)
         one.add_argument("--seeds", type=Path, help="file with the seeds of hidden cases, instead of the public cases")
         one.add_argument("--cases", nargs="+", metavar="NAME", help="only these cases")
+        one.add_argument("--kind", choices=KINDS, help="only cases of tables, or of photographs. Default: both")
         return one
 
-    command("write", _write, "write the recorded tables and what is stated of them").add_argument("folder", type=Path)
+    command("write", _write, "write the recorded tables and photographs, and what is stated of them").add_argument(
+        "folder", type=Path
+    )
     commands.choices["write"].add_argument("--truth", action="store_true", help="write the true tables, too")
     command("score", _score, "score an entry: a folder of tables").add_argument("folder", type=Path)
     commands.choices["score"].add_argument("-o", "--output", type=Path, default=Path("scores"), help="folder")
@@ -48,7 +52,7 @@ def main(arguments=None):
 
 def chosen(options):
     """Cases that the options select. Raises EntryError where a name or a list of seeds is wrong."""
-    found = list(cases.PUBLIC)
+    found = [*cases.PUBLIC, *photographs.PUBLIC]
     if options.seeds:
         try:
             text = options.seeds.read_text(encoding="utf-8")
@@ -58,7 +62,9 @@ def chosen(options):
             raise entries.EntryError(
                 f"{options.seeds}: its hash is not that of {HASH.name}: these are not the hidden seeds"
             )
-        found = [cases.hidden_case(seed) for seed in text.split()]
+        found = [draw(seed) for draw in (cases.hidden_case, photographs.hidden_case) for seed in text.split()]
+    if options.kind:
+        found = [case for case in found if photographs.is_photographs(case) == (options.kind == "photographs")]
     if options.cases:
         unknown = set(options.cases) - {case.name for case in found}
         if unknown:
@@ -68,22 +74,38 @@ def chosen(options):
 
 
 def _write(options):
-    import numpy as np
     import xarray as xr
-    from benchmarks.recovery.run import write
+    from benchmarks.recovery import run
 
-    from matcam.core.grid import brdf_table
     from matcam.io import write_netcdf
 
     options.folder.mkdir(parents=True, exist_ok=True)
     for case in chosen(options):
-        table = generate.table(case)
-        parts = {".nc": table.recorded} | ({".truth.nc": table.true} if options.truth else {})
-        for suffix, values in parts.items():
-            brdf = brdf_table(values, "centre").astype(np.float64)
-            write_netcdf(options.folder / f"{case.name}{suffix}", xr.Dataset({"brdf": brdf}), force=True)
-        write(options.folder / f"{case.name}.json", cases.stated(case))
+        table, given, facts = run.data(case, generate.FOLDER)
+        parts = {".nc": _pictures(given) if photographs.is_photographs(case) else _table(given)}
+        parts |= {".truth.nc": _table(table.true)} if options.truth else {}
+        for suffix, variable in parts.items():
+            write_netcdf(options.folder / f"{case.name}{suffix}", xr.Dataset({variable.name: variable}), force=True)
+        run.write(options.folder / f"{case.name}.json", facts)
         print(case.name, flush=True)
+
+
+def _table(values):
+    import numpy as np
+
+    from matcam.core.grid import brdf_table
+
+    return brdf_table(values, "centre").astype(np.float64).rename("brdf")
+
+
+def _pictures(values):
+    import numpy as np
+    import xarray as xr
+
+    attributes = {"units": "1/sr", "long_name": "radiance per unit irradiance"}
+    return xr.DataArray(
+        values.astype(np.float32), dims=("lamp", "row", "column", "channel"), attrs=attributes, name="photograph"
+    )
 
 
 def _score(options):
@@ -93,8 +115,10 @@ def _score(options):
     entry = entries.find(options.folder, [case.name for case in there])
     scores = {entry.name: run.entry_scores(entry, there, generate.FOLDER)}
     if not options.seeds and RESULTS.exists():
-        kept = json.loads(RESULTS.read_text(encoding="utf-8"))["scores"]
-        scores |= {m: {c: kept[m][c] for c in scores[entry.name]} for m in kept if m != entry.name}
+        kept = published()
+        methods = dict.fromkeys(method for kind in KINDS for method in kept[kind] if method != entry.name)
+        both = {m: {case: one for kind in KINDS for case, one in kept[kind].get(m, {}).items()} for m in methods}
+        scores |= {m: {c: of_cases[c] for c in scores[entry.name] if c in of_cases} for m, of_cases in both.items()}
     run.write(options.output / "scores.json", scores)
     text = page.html_page(f"Recovery benchmark: {entry.name}", scores, facts(there))
     (options.output / "page.html").write_text(text, encoding="utf-8")
@@ -106,12 +130,12 @@ def _run(options):
     from benchmarks.recovery import page, run
 
     there, methods = chosen(options), chosen_methods(options)
-    if set(methods) & set(run.PHOTOGRAPHS) and importlib.util.find_spec("skimage") is None:
+    if set(methods) & set(baselines.RESTORED) and importlib.util.find_spec("skimage") is None:
         raise entries.EntryError(
-            f"{' and '.join(run.PHOTOGRAPHS)} need scikit-image: pip install '.[benchmark]', or choose others by --methods"
+            f"{' and '.join(baselines.RESTORED)} need scikit-image: pip install '.[benchmark]', or choose others by --methods"
         )
     scores = run.scores(there, methods, generate.FOLDER, options.workers, lambda line: print(line, flush=True))
-    whole = not options.seeds and len(there) == len(cases.PUBLIC) and methods == run.METHODS
+    whole = not (options.seeds or options.cases or options.kind) and methods == run.METHODS
     run.write(generate.FOLDER / "scores.json", {"benchmark": 1, "scores": scores})
     text = page.html_page("Recovery benchmark", scores, facts(there))
     (generate.FOLDER / "page.html").write_text(text, encoding="utf-8")
@@ -133,29 +157,45 @@ def chosen_methods(options):
 def _publish(options):
     from benchmarks.recovery import run
 
-    scores = run.kept_scores(cases.PUBLIC, chosen_methods(options), generate.FOLDER)
-    if not scores.get(run.OWN):
+    methods, found = chosen_methods(options), published()
+    for kind, public in (("tables", cases.PUBLIC), ("photographs", photographs.PUBLIC)):
+        scores = run.kept_scores(public, methods, generate.FOLDER)
+        # without any complete case, the published scores of this kind stay
+        if options.kind in (None, kind) and scores.get(run.OWN):
+            found[kind] = scores
+    if not found["tables"].get(run.OWN):
         raise entries.EntryError(f"{generate.FOLDER}: no case has a score of every method; run the methods first")
-    run.write(RESULTS, {"benchmark": 1, "scores": scores})
+    run.write(RESULTS, {"benchmark": 1, "scores": found["tables"], "photographs": found["photographs"]})
     _page(options)
     print(f"written: {RESULTS}, {PAGE}, {README}")
+
+
+def published():
+    """Published scores {kind: {method: {case: score}}}."""
+    document = json.loads(RESULTS.read_text(encoding="utf-8")) if RESULTS.exists() else {}
+    return {"tables": document.get("scores", {}), "photographs": document.get("photographs", {})}
 
 
 def _page(options):
     from benchmarks.recovery import page
 
-    scores = json.loads(RESULTS.read_text(encoding="utf-8"))["scores"]
-    for path, blocks in ((PAGE, page.blocks(scores)), (README, {"benchmark": page.readme(scores)})):
-        path.write_text(page.with_blocks(path.read_text(encoding="utf-8"), blocks), encoding="utf-8")
+    kept = published()
+    blocks = page.blocks(kept["tables"]) | page.photograph_blocks(kept["photographs"])
+    for path, parts in ((PAGE, blocks), (README, {"benchmark": page.readme(kept["tables"])})):
+        path.write_text(page.with_blocks(path.read_text(encoding="utf-8"), parts), encoding="utf-8")
 
 
 def facts(there):
     """{case: lens, what is stated of it, and cells, as text}."""
-    return {
-        case.name: f"{case.lens} lens, {'not stated' if not case.table.stated else f'stated to {case.table.stated[1]:.0%}'}, "
-        f"cells: {case.rule}"
-        for case in there
-    }
+    return {case.name: f"{case.lens} lens, {_knowledge(case)}, {_source(case)}" for case in there}
+
+
+def _knowledge(case):
+    return f"stated to {case.table.stated[1]:.0%}" if case.table.stated else "not stated"
+
+
+def _source(case):
+    return "photographs" if photographs.is_photographs(case) else f"cells: {case.rule}"
 
 
 if __name__ == "__main__":

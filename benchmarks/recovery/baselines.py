@@ -1,9 +1,12 @@
 """Baselines: methods of a few lines each. None of them imports the package under test.
 
 A baseline maps a recorded table (90, 90, 180, 3), 1/sr, and the stated facts of its case (`cases.stated`) to a recovered table.
+Of photographs it receives the table that a plain lookup reads in them. Wiener filter and Richardson-Lucy restore the
+photographs first.
 """
 
 import numpy as np
+from benchmarks.recovery.photographs import looked_up
 from scipy.ndimage import map_coordinates
 from scipy.optimize import minimize_scalar
 from scipy.special import erf, erfc
@@ -101,18 +104,26 @@ def _smith(alpha, family, cos):
 
 def wiener(recorded, stated):
     """Wiener filter on the photograph around each highlight (scikit-image)."""
+    return on_photographs(recorded, stated, wiener_filtered)
+
+
+def wiener_filtered(image, kernel):
+    """Image after a Wiener filter."""
     from skimage.restoration import wiener as restored
 
-    return on_photographs(recorded, stated, lambda image, kernel: restored(image, kernel, BALANCE, clip=False))
+    return restored(image, kernel, BALANCE, clip=False)
 
 
 def richardson_lucy(recorded, stated):
     """Richardson-Lucy deconvolution of the photograph around each highlight (scikit-image)."""
+    return on_photographs(recorded, stated, richardson_lucy_restored)
+
+
+def richardson_lucy_restored(image, kernel):
+    """Image after Richardson-Lucy deconvolution."""
     from skimage.restoration import richardson_lucy as restored
 
-    return on_photographs(
-        recorded, stated, lambda image, kernel: restored(np.maximum(image, 0), kernel, ITERATIONS, clip=False)
-    )
+    return restored(np.maximum(image, 0), kernel, ITERATIONS, clip=False)
 
 
 def on_photographs(recorded, stated, restore):
@@ -120,10 +131,7 @@ def on_photographs(recorded, stated, restore):
 
     The photograph is the slice, looked up at pixel positions, times cos_i. restore: (image, kernel) to image.
     """
-    r, out = stated["sphere"]["radius_px"], recorded.copy()
-    s, p, n = sigma(stated), stated["pixel_half_width_px"], np.arange(-5, 6)
-    line = erf((n + p) / (np.sqrt(2) * s)) - erf((n - p) / (np.sqrt(2) * s))
-    kernel = np.outer(line, line) / line.sum() ** 2
+    r, out, kernel = stated["sphere"]["radius_px"], recorded.copy(), effective_kernel(stated)
     a, b = np.meshgrid(np.arange(-HALF, HALF + 1.0), np.arange(-HALF, HALF + 1.0))
     for j, theta_d in enumerate(THETA_D):
         x, y = (r * np.sin(theta_d) + a) / r, b / r
@@ -148,6 +156,13 @@ def on_photographs(recorded, stated, restore):
             factor = map_coordinates(ratio, [v + HALF, u + HALF], order=1, mode="nearest").mean(1)
             out[:, j, :, c] *= np.where(inside, factor, 1.0)
     return out
+
+
+def effective_kernel(stated):
+    """Kernel (11, 11) of the stated lens and the pixel."""
+    s, p, n = sigma(stated), stated["pixel_half_width_px"], np.arange(-5, 6)
+    line = erf((n + p) / (np.sqrt(2) * s)) - erf((n - p) / (np.sqrt(2) * s))
+    return np.outer(line, line) / line.sum() ** 2
 
 
 def table_deconvolution(recorded, stated):
@@ -184,3 +199,30 @@ BASELINES = {
     "Richardson-Lucy": richardson_lucy,
     "table deconvolution": table_deconvolution,
 }
+RESTORED = {"Wiener": wiener_filtered, "Richardson-Lucy": richardson_lucy_restored}
+"""Baselines that restore photographs. They need scikit-image."""
+
+
+def on_pictures(method, pictures, stated):
+    """Table that a baseline recovers from photographs (lamps, rows, columns, 3)."""
+    if method in RESTORED:
+        return looked_up(restored_pictures(pictures, stated, RESTORED[method]), stated)
+    return BASELINES[method](looked_up(pictures, stated), stated)
+
+
+def restored_pictures(pictures, stated, restore):
+    """Photographs whose part around the highlight is restored. restore: (image, kernel) to image."""
+    out, kernel = np.array(pictures, float), effective_kernel(stated)
+    (column, row), radius = stated["sphere"]["centre_px"], stated["sphere"]["radius_px"]
+    inner = slice(HALF - USED, HALF + USED + 1)
+    for picture, angle in zip(out, np.radians(stated["lamp_angle_deg"]), strict=True):
+        middle = round(row), round(column + radius * np.sin(angle / 2))
+        # beyond the frame nothing is recorded
+        around = np.pad(picture, ((HALF, HALF), (HALF, HALF), (0, 0)))[
+            middle[0] : middle[0] + 2 * HALF + 1, middle[1] : middle[1] + 2 * HALF + 1
+        ]
+        found = np.stack([restore(one / one.max(), kernel) * one.max() for one in np.moveaxis(around, -1, 0)], -1)
+        end = min(middle[1] + USED + 1, picture.shape[1])
+        used = np.s_[middle[0] - USED : middle[0] + USED + 1, middle[1] - USED : end]
+        picture[used] = np.maximum(found[inner, inner][:, : end - middle[1] + USED], 0)
+    return out

@@ -13,34 +13,39 @@ from matcam.rigs import Rig, merl
 
 def defaults(recorded, case, facts):
     """Answer of `matcam.correct` with the lens as stated; where none is stated, with `rigs.merl()`."""
-    lens, radius = facts["lens"], facts["sphere"]["radius_px"]
-    if lens is None:
-        camera = merl().camera
-    elif lens["kind"] == "mtf":
-        optics = matcam.MeasuredOptics(lens["frequency_cycles_per_px"], lens["mtf"])
-        camera = matcam.Camera(optics, matcam.BoxPixel(facts["pixel_half_width_px"]))
-    else:
-        known = Uncertainty.of({"optics.sigma_px": lens["sigma_px"] * lens["relative_standard_deviation"]})
-        pixel = matcam.BoxPixel(facts["pixel_half_width_px"])
-        camera = matcam.Camera(matcam.GaussianOptics(lens["sigma_px"]), pixel, uncertainty=known)
-    rule = facts["cell_value"]
-    return answer(recorded, Rig(camera, matcam.Sphere(radius), cell_value="unknown" if lens is None else rule))
+    sphere, rule = matcam.Sphere(facts["sphere"]["radius_px"]), facts["cell_value"]
+    if facts["lens"] is None:
+        return answer(recorded, Rig(merl().camera, sphere, cell_value="unknown"))
+    return answer(recorded, Rig(stated_camera(facts), sphere, cell_value=rule))
+
+
+def stated_camera(facts):
+    """Camera with the lens as stated."""
+    lens, pixel = facts["lens"], matcam.BoxPixel(facts["pixel_half_width_px"])
+    if lens["kind"] == "mtf":
+        return matcam.Camera(matcam.MeasuredOptics(lens["frequency_cycles_per_px"], lens["mtf"]), pixel)
+    known = Uncertainty.of({"optics.sigma_px": lens["sigma_px"] * lens["relative_standard_deviation"]})
+    return matcam.Camera(matcam.GaussianOptics(lens["sigma_px"]), pixel, uncertainty=known)
 
 
 def true_lens(recorded, case, facts):
     """Answer of `matcam.correct` with the true lens; of a lens without rotational symmetry its MTF, mean over azimuths."""
+    more = {} if case.rule == "centre" else {"pixel_phase": case.phase}
+    sphere = matcam.Sphere(case.table.setup.radius)
+    return answer(recorded, Rig(true_camera(case), sphere, cell_value=case.rule, **more))
+
+
+def true_camera(case):
+    """Camera with the true lens."""
     setup = case.table.setup
+    pixel = matcam.BoxPixel(setup.half_width)
     if setup.lens:
         f = np.linspace(0, 4.2, 127)
         mtf = mean_mtf(setup, f)
         mtf[-1] = 0.0
-        camera = matcam.Camera(matcam.MeasuredOptics(f, mtf), matcam.BoxPixel(setup.half_width))
-    else:
-        exact = Uncertainty.of({"optics.sigma_px": 0.0})
-        optics = matcam.GaussianOptics(setup.sigma)
-        camera = matcam.Camera(optics, matcam.BoxPixel(setup.half_width), uncertainty=exact)
-    more = {} if case.rule == "centre" else {"pixel_phase": case.phase}
-    return answer(recorded, Rig(camera, matcam.Sphere(setup.radius), cell_value=case.rule, **more))
+        return matcam.Camera(matcam.MeasuredOptics(f, mtf), pixel)
+    exact = Uncertainty.of({"optics.sigma_px": 0.0})
+    return matcam.Camera(matcam.GaussianOptics(setup.sigma), pixel, uncertainty=exact)
 
 
 def answer(recorded, rig):

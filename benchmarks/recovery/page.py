@@ -2,9 +2,10 @@
 
 import html
 import io
+from functools import partial
 
 import numpy as np
-from benchmarks.recovery import scoring, summary
+from benchmarks.recovery import photographs, scoring, summary
 from benchmarks.recovery.cases import PUBLIC
 from benchmarks.recovery.run import OWN, describe
 
@@ -37,6 +38,11 @@ def rivals(scores):
 def methods(scores):
     """What each method does."""
     return [f"- **{method}**. {describe(method)}" for method in scores]
+
+
+def photograph_methods(scores):
+    """What the package does with photographs."""
+    return [f"- **{method}**. {describe(method, True)}" for method in scores if method.startswith(OWN)]
 
 
 def errors(scores):
@@ -82,12 +88,12 @@ def overview(scores):
     )  # fmt: skip
 
 
-def verdict(scores):
-    """Required figures of the package, and measured ones."""
+def verdict(scores, public=PUBLIC):
+    """Required figures of the package, and measured ones. public: cases that must have a score."""
     found = summary.comparison(scores, OWN, rivals(scores))
     of_cases, covered = scores[OWN], summary.coverage(scores[OWN])
     rows = [
-        ["public cases with a score of every method", str(len(PUBLIC)), str(len(of_cases))],
+        ["public cases with a score of every method", str(len(public)), str(len(of_cases))],
         ["rows in which no baseline has a smaller error", "-", f"{found['best']} of {found['rows']}"],
         [
             "rows in which `matcam` is best, or within its stated error of the best",
@@ -101,8 +107,8 @@ def verdict(scores):
             rows.append([f"coverage of {kind}s, {name} std", asked.replace("%", " %"), per_cent(part[name])])
     rows.append(["harmed tables", "0", f"{len(summary.harmed(of_cases))} of {len(of_cases)}"])
     lines = table(["quantity", "required", "measured"], rows)
-    if len(of_cases) < len(PUBLIC):
-        missing = f"**Incomplete**: the result file holds {len(of_cases)} of {len(PUBLIC)} cases."
+    if len(of_cases) < len(public):
+        missing = f"**Incomplete**: the result file holds {len(of_cases)} of {len(public)} cases."
         lines = [missing + " `make benchmark` computes the others; no figure below describes them.", "", *lines]
     return lines
 
@@ -190,12 +196,23 @@ def with_blocks(text, blocks):
 
 
 def blocks(scores):
-    """All blocks of the documentation page."""
+    """Blocks of the documentation page on tables."""
     parts = {
         "methods": methods, "verdict": verdict, "errors": errors, "overview": overview, "cases": per_case,
         "beaten": beaten,
     }  # fmt: skip
     return {name: make(scores) for name, make in parts.items()}
+
+
+def photograph_blocks(scores):
+    """Blocks of the documentation page on photographs."""
+    parts = {
+        "methods": photograph_methods, "verdict": partial(verdict, public=photographs.PUBLIC), "errors": errors,
+        "overview": overview, "cases": per_case, "beaten": beaten,
+    }  # fmt: skip
+    return {
+        f"{name} of photographs": make(scores) if scores.get(OWN) else ["No result."] for name, make in parts.items()
+    }
 
 
 def _mean_peak(score):

@@ -18,14 +18,12 @@ from importlib import metadata
 from pathlib import Path
 
 import numpy as np
-from benchmarks.recovery import baselines, cases, entries, generate, records, scoring
+from benchmarks.recovery import baselines, cases, entries, generate, photographs, records, scoring
 from benchmarks.recovery.entries import Answer
 
 METHODS = (*baselines.BASELINES, "matcam", "matcam, true lens")
 """All methods that `make benchmark` runs; the last two are the package."""
 OWN = "matcam"
-PHOTOGRAPHS = ("Wiener", "Richardson-Lucy")
-"""Methods that need scikit-image."""
 _HERE = Path(__file__).resolve().parent
 _PAUSE = 0.05
 """Time between two readings of the memory in use, s."""
@@ -67,7 +65,7 @@ def answer_path(case, method, folder):
 
 
 def _digest(case, method, *more):
-    text = f"{records.fingerprint(case)} {case!r} {_sources(method)} {more}"
+    text = f"{records.fingerprint(case)} {case!r} {_sources(method, photographs.is_photographs(case))} {more}"
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
@@ -77,14 +75,16 @@ def slug(method):
 
 
 @cache
-def _sources(method):
+def _sources(method, from_photographs):
     """Hash of the sources that an answer depends on besides the case."""
     texts = [(_HERE / "generate.py").read_bytes()]
+    texts += [photographs.sources()] if from_photographs else []
     if method in baselines.BASELINES:
         texts.append((_HERE / "baselines.py").read_bytes())
-        texts.append(metadata.version("scikit-image").encode() if method in PHOTOGRAPHS else b"")
+        texts.append(metadata.version("scikit-image").encode() if method in baselines.RESTORED else b"")
     else:
         texts.append((_HERE / "package.py").read_bytes())
+        texts += [(_HERE / "package_photographs.py").read_bytes()] if from_photographs else []
         texts += [path.read_bytes() for path in sorted((generate.ROOT / "src" / "matcam").rglob("*.py"))]
     return hashlib.sha256(b"".join(texts)).hexdigest()
 
@@ -92,26 +92,35 @@ def _sources(method):
 def _run_case(case, methods, folder):
     """Compute the missing scores of one case, and describe them in a line."""
     started = time.process_time()
-    table = generate.table(case, folder)
-    facts, costs = cases.stated(case), [f"table {time.process_time() - started:.0f} s"]
+    table, given, facts = data(case, folder)
+    costs = [f"table {time.process_time() - started:.0f} s"]
     for method in methods:
         path = score_path(case, method, folder)
         if path.exists():
             continue
-        answer, seconds, memory = _kept_answer(case, method, folder, table.recorded, facts)
+        answer, seconds, memory = _kept_answer(case, method, folder, given, facts)
         found = scoring.score(table, *answer, floor=case.table.floor)
         write(path, found | {"seconds": round(seconds, 1), "memory_mib": round(memory)})
         costs.append(f"{method} {seconds:.1f} s")
     return f"{case.name}: {', '.join(costs)}"
 
 
-def _kept_answer(case, method, folder, recorded, facts):
+def data(case, folder):
+    """Table with which answers are compared, what an entrant receives (a table or photographs), and what is stated of it."""
+    if photographs.is_photographs(case):
+        made = photographs.photographs(case, folder)
+        return photographs.table(case, made), made.noisy, photographs.stated(case, made)
+    table = generate.table(case, folder)
+    return table, table.recorded, cases.stated(case)
+
+
+def _kept_answer(case, method, folder, given, facts):
     """Answer of a method, its time and memory (`measured`); those of the package are kept in float32."""
     path = answer_path(case, method, folder)
     if path.exists():
         with np.load(path) as file:
             return Answer(file["value"], file["std"], file["supported"]), float(file["seconds"]), float(file["memory"])
-    answer, seconds, memory = measured(lambda: answer_of(method, recorded, case, facts))
+    answer, seconds, memory = measured(lambda: answer_of(method, given, case, facts))
     if method not in baselines.BASELINES:
         std = np.minimum(answer.std, np.finfo(np.float32).max)
         answer = Answer(np.float32(answer.value), np.float32(std), answer.supported)
@@ -122,16 +131,20 @@ def _kept_answer(case, method, folder, recorded, facts):
     return answer, seconds, memory
 
 
-def answer_of(method, recorded, case, facts):
-    """Answer of a method for a recorded table."""
+def answer_of(method, given, case, facts):
+    """Answer of a method for a recorded table or for photographs."""
+    from_photographs = photographs.is_photographs(case)
     if method in baselines.BASELINES:
-        return Answer(baselines.BASELINES[method](recorded, facts))
-    from benchmarks.recovery.package import PACKAGE
+        if from_photographs:
+            return Answer(baselines.on_pictures(method, given, facts))
+        return Answer(baselines.BASELINES[method](given, facts))
+    from benchmarks.recovery import package, package_photographs
 
     from matcam.core.jax import use_compilation_cache
 
     use_compilation_cache()
-    return PACKAGE[method](recorded, case, facts)
+    methods = package_photographs.PACKAGE if from_photographs else package.PACKAGE
+    return methods[method](given, case, facts)
 
 
 def measured(work):
@@ -161,7 +174,7 @@ def entry_scores(entry, chosen, folder):
     for case in chosen:
         if case.name in entry.files:
             answer = entries.read(entry.files[case.name])
-            score = scoring.score(generate.table(case, folder), *answer, floor=case.table.floor)
+            score = scoring.score(data(case, folder)[0], *answer, floor=case.table.floor)
             found[case.name] = score | {
                 "seconds": entry.seconds.get(case.name),
                 "memory_mib": entry.memory.get(case.name),
@@ -189,10 +202,11 @@ def rounded(document):
     return document
 
 
-def describe(method):
+def describe(method, from_photographs=False):
     """First sentence on a method."""
     if method in baselines.BASELINES:
         return inspect.getdoc(baselines.BASELINES[method]).split("\n\n")[0].replace("\n", " ")
-    from benchmarks.recovery.package import PACKAGE
+    from benchmarks.recovery import package, package_photographs
 
-    return inspect.getdoc(PACKAGE[method]).split("\n\n")[0].replace("\n", " ")
+    methods = package_photographs.PACKAGE if from_photographs else package.PACKAGE
+    return inspect.getdoc(methods[method]).split("\n\n")[0].replace("\n", " ")

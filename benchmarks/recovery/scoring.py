@@ -46,7 +46,7 @@ def score(table, value, std=None, supported=None, floor=0.0):
         share = true / np.nanmax(true[:1], axis=2, keepdims=True)
         relative, predicted = value / true - 1, std / true
         pull = np.abs(value - true) / std
-        noise = floor * np.nanmax(table.clean, axis=(0, 2), keepdims=True)
+        noise = floor * np.nan_to_num(table.clean).max(axis=(0, 2), keepdims=True)
         signal = np.minimum(table.clean, true) > MEASURABLE * noise
         harmed = np.abs(value - true) > np.abs(table.recorded - true) + 2 * np.nan_to_num(std) + 0.01 * true
     rows, coverage = [], {}
@@ -70,7 +70,7 @@ def score(table, value, std=None, supported=None, floor=0.0):
         "harm": _share(harmed[judged]),
         "supported peaks": _share(supported[kept]) if kept.any() and np.isfinite(std).any() else None,
         "false support": _share(pull[chosen] > FALSE) if chosen.any() else None,
-        "peak curve": [float(f"{v:.5g}") for v in _peaks(value)[::3, 1] / _peaks(true)[::3, 1]],
+        "peak curve": [float(f"{v:.5g}") for v in _peak_ratio(table, value)[::3, 1]],
     }
 
 
@@ -100,15 +100,22 @@ def _peaks(values):
         return np.where(there, values[0], 0).sum(1) / there.sum(1)
 
 
+def _peak_ratio(table, value):
+    """Recovered over true peak, (90, 3); NaN in slices whose peak is not recorded at all."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.where(np.isfinite(table.recorded[0]).any(1), _peaks(value) / _peaks(table.true), np.nan)
+
+
 def _fresnel_rows(table, value, std):
     """Errors of the curve of F (13), read off the peaks: true masking and geometry cancel in the ratio to the truth."""
     rows, usable = [], np.isfinite(std[0]).any()
+    ratio = _peak_ratio(table, value)
     with np.errstate(invalid="ignore", divide="ignore"):
-        ratio = _peaks(value) / _peaks(table.true)
         predicted = _peaks(std) / _peaks(table.true) if usable else np.full(ratio.shape, np.nan)
     ratio /= ratio[NORMAL].mean(0)
     for band, inside in _bands():
-        rows.append(_row("F", band, (ratio[inside] - 1).ravel(), predicted[inside].ravel()))
+        here = np.isfinite(ratio) & inside[:, None]
+        rows.append(_row("F", band, ratio[here] - 1, predicted[here]))
     return rows
 
 
