@@ -156,17 +156,28 @@ def exposed(case, kept):
 def looked_up(pictures, facts):
     """Table (90, 90, 180, 3), 1/sr, that a plain lookup reads in photographs: radiance over the cosine of the light.
 
-    A value is interpolated between the four pixels at each position of a cell, and linearly in theta_d between photographs.
-    Beyond them it is that of the nearest one. It is missing where no pixel is lit.
+    A value is interpolated between the four pixels at each position of a cell. Between photographs, the value times both cosines
+    is interpolated linearly in theta_d: a lobe without these cosines varies less. Beyond the photographs the nearest one is used.
+    A value is missing where no pixel is lit.
     """
     phase = SIZE - facts["sphere"]["centre_px"][0], facts["sphere"]["centre_px"][1] - SIZE
+    both = _cosines()
     read = np.empty((90, len(SLICES), 180, 3))
     for n, (j, picture) in enumerate(zip(SLICES, pictures, strict=True)):
         share, row, column, cosine = _pixels_of_cells(phase, j)
         value = np.einsum("cp,cpk->ck", share, picture[row, column] / cosine[..., None])
-        read[:, n] = np.where(share.any(1)[:, None], value, np.nan).reshape(90, 180, 3)
+        read[:, n] = np.where(share.any(1)[:, None], value, np.nan).reshape(90, 180, 3) * both[:, j, :, None]
     before, share = _bracket()
-    return (1 - share)[:, None, None] * read[:, before] + share[:, None, None] * read[:, before + 1]
+    between = (1 - share)[:, None, None] * read[:, before] + share[:, None, None] * read[:, before + 1]
+    return between / both[..., None]
+
+
+@cache
+def _cosines():
+    """Product of the cosines of lamp and camera (90, 90, 180); NaN where a cell is not lit."""
+    mean = np.cos(THETA_H)[:, None, None] * np.cos(THETA_D)[:, None]
+    half = np.sin(THETA_H)[:, None, None] * np.sin(THETA_D)[:, None] * np.cos(PHI_D)
+    return np.where(mean > np.abs(half), mean**2 - half**2, np.nan)
 
 
 def _bracket():

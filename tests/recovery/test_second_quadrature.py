@@ -1,10 +1,10 @@
-"""The tables of the public cases against a second quadrature, `sphere_cells.Cells`, in 200 random cells of each case."""
+"""The public cases against a second quadrature, `sphere_cells.Cells`, in 200 random cells or pixels of each case."""
 
 import numpy as np
 import pytest
-from benchmarks.recovery import cases, generate, records
+from benchmarks.recovery import cases, generate, photographs, records
 
-from tests.oracle import sphere_cells
+from tests.oracle import real_pixels, sphere_cells
 from tests.oracle.merl_lobe import PHI_D, THETA_D, THETA_H
 from tests.oracle.real_pixels import RealTable
 from tests.oracle.whole_tables import finest
@@ -62,9 +62,37 @@ def test_random_cells(case):
     i, k = drawn_cells(case.name)
     found, right = (of_cells if case.rule == "centre" else of_pixels)(case, i, k)
     assert found.shape == right.shape == (len(case.table.terms), len(SLICES), EACH)
+    agree(case, found, right)
+
+
+def agree(case, found, right):
     there = np.isfinite(right).all(0)
     assert there.sum() >= 200
     # an error of 1e-7 of the largest value of the slice is allowed, too
     off = (np.abs(found - right) / np.maximum(right, 1e-3 * np.nanmax(right, axis=-1, keepdims=True)))[:, there]
-    print(f"{case.name}: {off.max():.1e} of the value in {there.sum()} cells")
+    print(f"{case.name}: {off.max():.1e} of the value at {there.sum()} positions")
     assert (off <= 1e-4).all(), (case.name, off.max())
+
+
+def drawn_pixels(case, j):
+    """Positions (EACH + 1, 2) of the pixel at the highlight of slice j, and of random ones: half of them near the highlight."""
+    random = np.random.default_rng([j, *case.name.encode()])
+    place = photographs.positions(case, j)
+    dark = -np.cos(2 * THETA_D[j]) * np.sqrt(np.maximum(cases.RADIUS**2 - place[:, 1] ** 2, 0))
+    inside = place[np.minimum(cases.RADIUS - np.hypot(*place.T), place[:, 0] - dark) > generate.EDGE]
+    distance = np.hypot(inside[:, 0] - cases.RADIUS * np.sin(THETA_D[j]), inside[:, 1])
+    drawn = [group[random.integers(0, len(group), EACH // 2)] for group in (inside[distance < 12], inside)]
+    return np.concatenate([inside[[np.argmin(distance)]], *drawn])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", photographs.PUBLIC, ids=lambda case: case.name)
+def test_random_pixels(case):
+    """1e-4 of the value, or 1e-7 of the largest value of the photograph, for each term of the material."""
+    place = np.array([drawn_pixels(case, j) for j in photographs.SLICES])
+    found = np.stack([photographs.records_of(case, j, at) for j, at in zip(photographs.SLICES, place, strict=True)], 1)
+    theta_d = THETA_D[photographs.SLICES]
+    theta_h, psi = real_pixels.angles_of(place, theta_d[:, None])
+    rule = AnyLight(theta_h, theta_d, np.pi - psi, case.table.setup, turns=(0.0,), finest=finest(case.table))
+    right = np.array([rule.record(term.light)[..., 0] for term in case.table.terms])
+    agree(case, found, right * real_pixels.light_cosine(place, theta_d[:, None]))
