@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 import yaml
 from benchmarks.recovery import __main__ as command
-from benchmarks.recovery import cases, page, run
+from benchmarks.recovery import cases, page, photographs, run
 
 ROOT = Path(__file__).parents[2]
 
@@ -17,9 +17,15 @@ def scores():
     return json.loads(command.RESULTS.read_text(encoding="utf-8"))["scores"]
 
 
-def test_the_page_is_that_of_its_results(scores):
+@pytest.fixture(scope="module")
+def of_photographs():
+    return command.published()["photographs"]
+
+
+def test_the_page_is_that_of_its_results(scores, of_photographs):
     text = command.PAGE.read_text(encoding="utf-8")
-    assert page.with_blocks(text, page.blocks(scores)) == text, "write it again: python -m benchmarks.recovery page"
+    blocks = page.blocks(scores) | page.photograph_blocks(of_photographs)
+    assert page.with_blocks(text, blocks) == text, "write it again: python -m benchmarks.recovery page"
 
 
 def test_the_readme_is_that_of_the_results(scores):
@@ -37,9 +43,15 @@ def test_every_method_has_a_score_of_the_same_public_cases(scores):
     assert f"| public cases with a score of every method | 24 | {len(scores[run.OWN])} |" in command.PAGE.read_text()
 
 
-def test_the_page_names_every_case(scores):
+def test_every_method_has_a_score_of_all_photographs(of_photographs):
+    assert set(of_photographs) == set(run.METHODS)
+    for of_cases in of_photographs.values():
+        assert list(of_cases) == [case.name for case in photographs.PUBLIC]
+
+
+def test_the_page_names_every_case(scores, of_photographs):
     text = command.PAGE.read_text(encoding="utf-8")
-    assert [name for name in scores[run.OWN] if f"| `{name}` |" not in text] == []
+    assert [name for name in (*scores[run.OWN], *of_photographs[run.OWN]) if f"| `{name}` |" not in text] == []
 
 
 def test_the_hash_of_the_hidden_seeds_is_published():

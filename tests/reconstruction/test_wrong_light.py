@@ -120,3 +120,20 @@ def test_sharpened_frames_are_refused_by_name(tmp_path, amount):
     assert "sharpened" in {finding.code for finding in check_capture(read_capture(folder)).findings}
     with pytest.raises(FitError, match="sharpened"):
         reconstruct(folder, "ggx")
+
+
+def test_a_dim_diffuse_part_that_is_not_lambertian_is_no_change_of_the_light(tmp_path):
+    """A glossy dielectric exposed once: noise explains each pixel of its body, but not all pixels together."""
+    surface = Surface("ggx", 0.008, n=(1.5,), k=(0.0,), diffuse=(0.4,), coat=1.5)
+    capture = draw(
+        surface, VIEW, THETA_D, azimuth=AZIMUTH, sensor=Sensor(cfa=None), exposures=1, seed=1, reference=None, faults=Faults()
+    )  # fmt: skip
+    result = reconstruct(capture.write(tmp_path), "ggx")
+    assert "gain-contradicted" not in codes(result)
+    assert "diffuse-not-lambertian" in codes(result)
+    seen = result.measured_range
+    normal = [a for a in np.radians(range(10, 50, 5)) if seen[0] <= a <= seen[1]]
+    truth = fresnel(np.cos(np.radians(75)), 1.5, 0.0) / np.mean(fresnel(np.cos(normal), 1.5, 0.0))
+    ratio = result.ratio(np.radians(75))
+    assert abs(ratio.value - truth) < 3 * ratio.std
+    assert ratio.std < 0.05 * truth

@@ -231,6 +231,14 @@ def chosen_fit(
         if found is None:
             break
         source, factor, remark = found
+        if source == "gain" and diffuse and not shaped and _diffuse_pixels(best) >= _DIFFUSE_PIXELS:
+            # a diffuse part that departs from Lambert's law resembles light that varies between the images
+            bend = _BEND if best.kind.bends else 0.0
+            other = fitted(first, scene, start=best, bend=bend, shaped=True)
+            tried[f"{first}, diffuse part shaped"] = other.solution.unexplained
+            if contradiction(counted_alike(other), scene) is None:
+                best, shaped = other, True
+                break
         widened[source] = widened.get(source, 1.0) * factor
         remarks = [*(one for one in remarks if one.code != remark.code), remark]
         scene = with_wider(scene, source, factor)
