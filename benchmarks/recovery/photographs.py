@@ -156,9 +156,9 @@ def exposed(case, kept):
 def looked_up(pictures, facts):
     """Table (90, 90, 180, 3), 1/sr, that a plain lookup reads in photographs: radiance over the cosine of the light.
 
-    A value is interpolated between the four pixels at each position of a cell. Between photographs, the value times both cosines
-    is interpolated linearly in theta_d: a lobe without these cosines varies less. Beyond the photographs the nearest one is used.
-    A value is missing where no pixel is lit.
+    A value is interpolated between the four pixels at each position of a cell. Between photographs, the value times both
+    cosines is interpolated linearly in theta_d: a lobe without these cosines varies less. Beyond the photographs the nearest
+    one is used. A value is missing where no pixel is lit.
     """
     phase = SIZE - facts["sphere"]["centre_px"][0], facts["sphere"]["centre_px"][1] - SIZE
     both = _cosines()

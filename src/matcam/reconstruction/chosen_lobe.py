@@ -233,8 +233,8 @@ def chosen_fit(
         source, factor, remark = found
         if source == "gain" and diffuse and not shaped and _diffuse_pixels(best) >= _DIFFUSE_PIXELS:
             # a diffuse part that departs from Lambert's law resembles light that varies between the images
-            bend = _BEND if best.kind.bends else 0.0
-            other = fitted(first, scene, start=best, bend=bend, shaped=True)
+            spline = _SPLINE if best.kind.spline_size else 0.0
+            other = fitted(first, scene, start=best, spline=spline, shaped=True)
             tried[f"{first}, diffuse part shaped"] = other.solution.unexplained
             if contradiction(counted_alike(other), scene) is None:
                 best, shaped = other, True
