@@ -6,7 +6,8 @@ import pytest
 from matcam import GGX, BoxPixel, Camera, Cylinder, GaussianOptics, Microfacet, NearLamp, Rig, picture
 from matcam.forward import picture_values
 from matcam.forward.integral.blur import imaging_of
-from matcam.forward.integral.cylinder_record import CylinderPlaces, record_cylinder, towards
+from matcam.forward.sampler.plan import RecordPlaces, record_plan
+from matcam.forward.sampler.record import record
 from tests.forward.test_lamps import check_picture, made
 from tests.oracle import lamp_record
 
@@ -30,10 +31,9 @@ def check_places(rng, count, where=1.5):
     if abs(mirror[1]) < 20 * radius:
         x[:half], y[:half] = mirror[:, None] + rng.normal(size=(2, half)) * [[3], [5]]
     x, y = np.round(x), np.round(y)
-    lamps = None if np.isinf(geometry["lamp"]) else np.full(count, 1 / geometry["lamp"])
-    places = CylinderPlaces(x, y, tuple(np.full(count, a) for a in towards(angle, azimuth)), lamps)
-    material = Microfacet(GGX(alpha), 1.0, 0.2)
-    found = np.asarray(record_cylinder(material, rig.sample, imaging_of(rig).blur, places))[:, 0]
+    places = RecordPlaces(x, y, np.full(count, angle), np.full(count, azimuth))
+    material, imaging = Microfacet(GGX(alpha), 1.0, 0.2), imaging_of(rig)
+    found = np.asarray(record(material, imaging, record_plan(imaging, places, alpha)))[:, 0]
     surface = lamp_record.Surface(alpha, 0.2)
     truth = np.array([lamp_record.record(*at, angle, azimuth, surface, theirs) for at in zip(x, y, strict=True)])
     return np.abs(found - truth) / np.maximum(np.maximum(1e-4 * truth, 1e-7 * truth.max()), 1e-300)

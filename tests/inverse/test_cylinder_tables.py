@@ -13,8 +13,7 @@ from matcam.cli.app import app
 from matcam.core.errors import ArgumentError
 from matcam.core.grid import cosines, merl_grid
 from matcam.forward import true_table, with_pixel_noise
-from matcam.forward.cylinder_cells import line_places
-from matcam.forward.integral.cylinder_discs import line_record
+from matcam.forward.cylinder_cells import line_places, record_cells
 from matcam.inverse.operator.lobe_operator import lobe_operator, rig_key
 from matcam.lamp.lamps import closeness
 from tests.forward.test_cylinder_cells import smith
@@ -96,7 +95,7 @@ def test_a_lobe_is_found_before_a_near_camera_and_under_a_lamp_with_a_disc():
     for way in (0, np.pi):
         shown = (*angles[:2], angles[2] + way)
         cos_i = np.asarray(cosines(*shown)[0])
-        radiance = line_record(matcam.Microfacet(GGX(0.01), 0.8), rig, line_places(rig, *shown))
+        radiance = record_cells(matcam.Microfacet(GGX(0.01), 0.8), rig, line_places(rig, *shown))
         ways.append(np.asarray(radiance)[:, 0] / cos_i / np.asarray(closeness(rig.lamp.nearness, cos_i)) ** 2)
     table[cells.i_theta_h[at], cells.slices[at[0]], cells.i_phi_d[at]] = np.mean(ways, axis=0)[:, None]
     drawn = matcam.core.grid.brdf_table(table, "centre")

@@ -9,7 +9,6 @@ from matcam.numerics.approximation import (
     cubic_basis,
     cubic_spline,
     cubic_sums,
-    graded_nodes,
     lagrange_basis,
     nodes_between,
     nodes_in_panels,
@@ -82,13 +81,6 @@ def test_gauss_legendre_is_exact_to_its_order_on_every_panel(kind):
     nodes, weights = nodes_in_panels(kind([0.0, 0.5, 2.0]), 5)
     assert nodes.shape == (10,)
     assert float(weights @ nodes**power) == pytest.approx(2.0**10 / 10, rel=1e-13)
-
-
-def test_graded_panels_follow_a_peak_and_the_sign_of_their_range():
-    for borders, sign in (([0.0, 1.0], 1), ([0.0, -0.4, -1.0], -1)):
-        nodes, weights = graded_nodes(jnp.asarray(borders), jnp.asarray(1e-4), graded=12, order=8)
-        value = float(jnp.sum(weights * jnp.exp(-jnp.abs(nodes) / 1e-4)))
-        assert value == pytest.approx(sign * 1e-4, rel=1e-7)
 
 
 def test_mixed_steps_end_where_plain_ones_creep():

@@ -17,7 +17,9 @@ from matcam.core.grid import cosines, merl_grid
 from matcam.core.jax import jax, jnp
 from matcam.core.workspace import Workspace
 from matcam.forward.cells_in_pictures import cell_sampling
-from matcam.forward.integral.cylinder_discs import LinePlaces, line_record
+from matcam.forward.integral.blur import imaging_of
+from matcam.forward.sampler.plan import RecordPlaces
+from matcam.forward.sampler.under_lamp import record_under_lamp
 from matcam.lamp.lamps import closeness
 from matcam.material.material import Material
 from matcam.rigs import UNKNOWN, Rig
@@ -25,6 +27,9 @@ from matcam.sample.curved import Cylinder, Sphere
 
 _TURN = 1e-9
 """Sine of half an azimuth below which the azimuth is treated as a multiple of a full turn."""
+
+_PLACES = 1 << 17
+"""Number of positions that are recorded at once. The plan of a near rig takes up to 1 GiB."""
 
 
 class CylinderCells(NamedTuple):
@@ -37,7 +42,7 @@ class CylinderCells(NamedTuple):
         seen: True for visible cells.
     """
 
-    places: LinePlaces
+    places: RecordPlaces
     flat_index: np.ndarray
     irradiance: np.ndarray
     seen: np.ndarray
@@ -69,11 +74,19 @@ def cylinder_table(material: Material, rig: Rig, workspace: Workspace) -> tuple[
     numbers = [jax.lax.stop_gradient(a) for a in (sample.radius, sample.distance, 0.0 if near is None else near)]
     key = *map(float, numbers), rig.cell_value, rig.crop
     cells = workspace.remember("cylinder cells", key, lambda: cylinder_cells(rig), most=1)
-    radiance = line_record(material, rig, cells.places)
+    radiance = record_cells(material, rig, cells.places)
     flat = jnp.zeros((cells.seen.size, radiance.shape[1])).at[cells.flat_index].set(radiance)
     ways = flat.reshape(*cells.seen.shape, -1) / np.where(cells.seen, cells.irradiance, 1.0)[..., None]
     count = cells.seen.sum(-1)[..., None]
     return jnp.where(count > 0, ways.sum(3) / np.maximum(count, 1), jnp.nan), 1.0 * count[..., 0]
+
+
+def record_cells(material: Material, rig: Rig, places: RecordPlaces) -> jax.Array:
+    """Record positions on the line of a cylinder at height 0, 1/sr, (positions, channels)."""
+    parts = (
+        places.at(np.arange(begin, min(begin + _PLACES, places.x.size))) for begin in range(0, places.x.size, _PLACES)
+    )
+    return jnp.concatenate([record_under_lamp(material, rig, imaging_of(rig), part) for part in parts])
 
 
 def cylinder_cells(rig: Rig) -> CylinderCells:
@@ -88,10 +101,10 @@ def cylinder_cells(rig: Rig) -> CylinderCells:
         seen &= np.abs(places.x) <= rig.crop[1] / 2
     index = np.flatnonzero(seen)
     irradiance = cos_i * np.asarray(closeness(rig.lamp.nearness, jnp.asarray(np.where(seen, cos_i, 1.0)))) ** 2
-    return CylinderCells(LinePlaces(*(a.ravel()[index] for a in places)), index, irradiance, seen)
+    return CylinderCells(places.at(seen), index, irradiance, seen)
 
 
-def line_places(rig: Rig, theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray) -> LinePlaces:
+def line_places(rig: Rig, theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray) -> RecordPlaces:
     """Compute the positions of half and difference angles on the cylinder of a rig, and their lamps.
 
     The positions have the same distance from the optical axis as on a sphere of the same radius, under a lamp at the
@@ -103,4 +116,4 @@ def line_places(rig: Rig, theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.nd
     place = jax.jit(lambda h, d, p: sphere.place(h, d, p, near))(theta_h, theta_d, phi_d)
     x, y, lamp_angle = (np.asarray(a) for a in place)
     off = np.hypot(x, y)
-    return LinePlaces(off, lamp_angle, np.where(off > 0, np.arctan2(-y, x), 0.0))
+    return RecordPlaces(off, np.zeros_like(off), lamp_angle, np.where(off > 0, np.arctan2(-y, x), 0.0))

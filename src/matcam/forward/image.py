@@ -23,10 +23,9 @@ from matcam.core.jax import jax, jnp
 from matcam.core.results.labelled import named
 from matcam.forward.integral.blur import kernel_error
 from matcam.forward.integral.blur_groups import groups_of
-from matcam.forward.integral.cylinder_discs import places_under
-from matcam.forward.integral.cylinder_record import light_at, smooth_places
 from matcam.forward.integral.discs import nearer
 from matcam.forward.integral.scene import Scene, Turn, highlight_x
+from matcam.forward.sampler.plan import RecordPlaces, rough_pixels
 from matcam.forward.view import View, exact_record, record_pixels, view_of
 from matcam.lamp.lamps import LampPoint
 from matcam.material.material import Material
@@ -261,14 +260,13 @@ def _on_cylinder(
     material: Material, view: View, point: LampPoint, wide: _Places, pixels: _Places
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Compute the same as `_on_sphere` for a cylinder, whose limbs are treated as highlights, too."""
-    sample, blur, nearness = view.imaging
-    assert isinstance(sample, Cylinder)
-    seen, own = (places_under(at[0].ravel(), at[1].ravel(), point, nearness) for at in (wide, pixels))
-    light = np.asarray(light_at(material, sample, seen)).reshape(*wide[0].shape, -1)
-    near = np.zeros(own.x.shape, dtype=bool)
-    for terms, _ in groups_of(blur, sample):
-        near |= ~np.logical_and(*smooth_places(sample, blur, terms, own, float(material.elongation)))
-    return light, light, near.reshape(pixels[0].shape)
+    imaging = nearer(view.imaging, point.distance)
+    turn = Turn(jnp.cos(point.azimuth), jnp.sin(point.azimuth))
+    scene = Scene(material, imaging.sample, jnp.asarray(point.angle), imaging.lamp_nearness, turn)
+    light = np.asarray(_at_centres(scene, *wide))
+    x, y = (at.ravel() for at in pixels)
+    places = RecordPlaces(x, y, *(np.full(x.size, a) for a in (point.angle, point.azimuth)))
+    return light, light, rough_pixels(imaging, places, float(material.elongation)).reshape(pixels[0].shape)
 
 
 @jax.jit

@@ -24,7 +24,6 @@ from matcam.forward.frequencies.light_grid import LightGrid, margin_of, per_px_f
 from matcam.forward.frequencies.picture_lens import PictureLens, picture_lens, varies_over_field
 from matcam.forward.integral.blur import Imaging, imaging_of
 from matcam.forward.integral.blur_groups import groups_of
-from matcam.forward.integral.cylinder_discs import cylinder_fineness, record_cylinder_under_points
 from matcam.forward.integral.discs import disc_fineness, nearer
 from matcam.forward.integral.scene import Scene, Turn
 from matcam.forward.sampler.plan import RecordPlaces
@@ -100,10 +99,7 @@ def view_of(
     azimuth, imaging = float(checks.scalar("azimuth", rig.azimuths(lamp[1]))), imaging_of(rig)
     reach = max(group.scale.reach for group in groups_of(imaging.blur, imaging.sample)) if lens is None else np.inf
     height, width = _picture_shape(rig, shape, reach)
-    if isinstance(rig.sample, Cylinder):
-        fineness = cylinder_fineness(rig, imaging.blur, np.array(angle), azimuth, material)
-    else:
-        fineness = disc_fineness(rig, imaging, np.array(angle), material)
+    fineness = disc_fineness(rig, imaging, np.array(angle), material, azimuth)
     points = lamp_points(rig.lamp, np.array(angle), azimuth, float(fineness))
     if turning is not None and (len(points) > 1 or not isinstance(rig.sample, Sphere)):
         raise ArgumentError(
@@ -219,9 +215,10 @@ def record_pixels(material: Material, view: View, x: np.ndarray, y: np.ndarray) 
 
     The image is the mean over the points of the lamp.
     """
-    sample, blur, nearness = view.imaging
-    if isinstance(sample, Cylinder):
-        return record_cylinder_under_points(material, sample, blur, (x, y), view.points, nearness, one_picture=True)
+    which: np.ndarray | slice = slice(None)
+    if Scene(material, view.imaging.sample, jnp.zeros(()), view.imaging.lamp_nearness).uniform_rows:
+        x, which = np.unique(x, return_inverse=True)
+        y = np.zeros_like(x)
     places = RecordPlaces(x, y, np.full(x.size, view.lamp_angle))
     turning = 0.0 if view.turning is None else view.turning
-    return record_under_points(material, view.imaging, places, view.points, turning)
+    return record_under_points(material, view.imaging, places, view.points, turning)[which]

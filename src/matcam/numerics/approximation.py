@@ -1,7 +1,6 @@
 """Integration and interpolation of functions that are known at some points.
 
-Integrals: Gauss-Legendre on intervals, on panels, and on panels that are graded towards a narrow peak. Values:
-Lagrange's polynomials through a few points, and cubic B-splines.
+Integrals: Gauss-Legendre on intervals and on panels. Values: Lagrange's polynomials through a few points, and cubic B-splines.
 """
 
 from __future__ import annotations
@@ -29,22 +28,6 @@ def nodes_in_panels(cuts: AnyValues, order: int) -> tuple[AnyValues, AnyValues]:
     """Compute (nodes, weights) of every panel between neighbouring cuts (last axis), one panel after the other."""
     nodes, weights = nodes_between(cuts[..., :-1], cuts[..., 1:], order)
     return nodes.reshape(*nodes.shape[:-2], -1), weights.reshape(*nodes.shape[:-2], -1)
-
-
-def graded_nodes(borders: jax.Array, scale: jax.Array, graded: int, order: int) -> tuple[jax.Array, jax.Array]:
-    """Compute (nodes, weights) for a function that peaks at the first of `borders` on the scale `scale`.
-
-    The range runs from the first to the last border, which are monotone along the last axis. The panels between borders
-    are divided by `graded` cuts, which grow geometrically from scale / 2. Decreasing borders give negative weights.
-    Nodes and weights are on a trailing axis.
-    """
-    start, length = borders[..., :1], borders[..., -1:] - borders[..., :1]
-    first = constant(scale)[..., None] / 2
-    size = xp.abs(length)
-    growing = xp.minimum(first * (xp.maximum(size, first) / first) ** (np.arange(graded) / graded), size)
-    steps = xp.sort(xp.concatenate([growing, xp.abs(borders - start)], axis=-1), axis=-1)
-    cuts = start + xp.where(length < 0, -steps, steps)
-    return nodes_in_panels(cuts, order)
 
 
 def between_entries(table: jax.Array, place: jax.Array) -> jax.Array:

@@ -85,24 +85,6 @@ def in_calls(program: Callable[..., tuple[Any, ...]], rows: tuple[np.ndarray, ..
     return tuple(np.concatenate(parts) for parts in zip(*found, strict=True))
 
 
-def in_batches(function: Callable[..., jax.Array], arrays: tuple[Any, ...], size: int) -> jax.Array:
-    """Map over the leading axis of all arrays in batches of one shape.
-
-    This limits the memory. The last batch is padded.
-    """
-    arrays = jax.tree.map(jnp.asarray, arrays)
-    count = jax.tree.leaves(arrays)[0].shape[0]
-    size = min(size, count)
-    batches = -(-count // size)
-
-    def split(array: jax.Array) -> jax.Array:
-        padded = jnp.concatenate([array, jnp.broadcast_to(array[-1:], (batches * size - count, *array.shape[1:]))])
-        return padded.reshape(batches, size, *array.shape[1:])
-
-    out = jax.lax.map(lambda batch: function(*batch), jax.tree.map(split, arrays))
-    return out.reshape(-1, *out.shape[2:])[:count]
-
-
 def pad_indices(index: np.ndarray) -> np.ndarray:
     """Repeat the last index up to one of few lengths."""
     return np.pad(index, (0, few_lengths(index.size) - index.size), mode="edge") if index.size else index

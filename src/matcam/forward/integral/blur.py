@@ -136,6 +136,10 @@ class Blur(eqx.Module):
             return self.rest.at(x, y, self._rest_variances(spread))
         return self.through_disc(term, spread, lambda along, across: along(x) * across(y))
 
+    def across(self, term: int, spread: Spread, x: jax.Array) -> jax.Array:
+        """Evaluate one term, integrated along y, 1/px, at offsets of the pixel along x, px."""
+        return self.through_disc(term, spread, lambda along, _: along(x))
+
     def through_disc(self, term: int, spread: Spread, of: Callable[[Line, Line], jax.Array]) -> jax.Array:
         """Sum a function over the products of lines that make up one term of the kernel.
 

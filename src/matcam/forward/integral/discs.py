@@ -14,14 +14,21 @@ from matcam.forward.integral.blur import Imaging
 from matcam.lamp.lamps import disc_of
 from matcam.material.material import Material
 from matcam.rigs import Rig
+from matcam.sample.curved import Cylinder
 
-LOBE = 0.5
+_LOBE = 0.5
 """Share of the scale of a lobe that is used as its blur. The singularities of a GGX lobe lie at its scale."""
 _WIDEST = 2.0
 """Largest radius of the image of a disc, in radii of the sample."""
 
 
-def disc_fineness(rig: Rig, imaging: Imaging, lamp_angle: np.ndarray, material: Material | None = None) -> np.ndarray:
+def disc_fineness(
+    rig: Rig,
+    imaging: Imaging,
+    lamp_angle: np.ndarray,
+    material: Material | None = None,
+    azimuth: np.ndarray | float = 0.0,
+) -> np.ndarray:
     """Compute the radius of the image of a lamp over the standard deviation of its blur, no unit.
 
     Args:
@@ -29,22 +36,32 @@ def disc_fineness(rig: Rig, imaging: Imaging, lamp_angle: np.ndarray, material: 
         imaging: imaging of the rig.
         lamp_angle: angle between lamp and optical axis, rad, any shape.
         material: the material. Default: None, a mirror.
+        azimuth: azimuth of the lamp, rad; it matters only on a cylinder. Default: 0.
     """
     disc = disc_of(rig.lamp)
     if disc == 0:
         return np.zeros_like(lamp_angle)
     rig, imaging = jax.lax.stop_gradient((rig, imaging))
     finest = 0.0 if material is None else checks.outside_jit(material.finest, "the material's parameters")
-    theta_d = imaging.sample.theta_d(jnp.asarray(lamp_angle), rig.lamp.nearness)
+    lamps, which = np.unique(lamp_angle, return_inverse=True)
+    which = which.reshape(np.shape(lamp_angle))
+    theta_d = imaging.sample.theta_d(jnp.asarray(lamps), rig.lamp.nearness)
     std = float(np.min(np.asarray(imaging.blur.stds)))
-    along, across = (np.asarray(a) for a in rig.px_per_rad(theta_d))
+    along, across = (np.asarray(a)[which] for a in rig.px_per_rad(theta_d))
     # from the highlight, a near disc has a larger angle than from the centre of the sample
     larger = 1.0 if rig.lamp.nearness is None else 1 / (1 - float(rig.lamp.nearness))
-    cosine = np.maximum(np.cos(np.asarray(theta_d)), disc)
-    widest = _WIDEST * float(imaging.sample.radius)
+    theta = np.asarray(theta_d)[which]
+    cosine, radius, half = np.maximum(np.cos(theta), disc), float(imaging.sample.radius), disc * larger / 2
+    if isinstance(imaging.sample, Cylinder):
+        # across the cylinder, lens and lobe blur the image of the disc; along a distant one, only the lobe does
+        turn, lobe = (np.cos(azimuth), np.sin(azimuth)), _LOBE * finest
+        scale = radius * np.cos(np.arctan2(np.sin(theta) * turn[0], np.cos(theta)))
+        sizes = np.hypot(turn[0], turn[1] / cosine), np.hypot(turn[1], turn[0] / cosine)
+        blurs = np.hypot(std / scale, lobe), np.hypot(std / across, lobe)
+        return np.maximum(*(half * size / blur for size, blur in zip(sizes, blurs, strict=True)))
     return np.maximum(
         *(
-            np.minimum(scale * disc * larger / 2 / aslant, widest) / np.hypot(std, LOBE * finest * scale)
+            np.minimum(scale * half / aslant, _WIDEST * radius) / np.hypot(std, _LOBE * finest * scale)
             for scale, aslant in ((along, 1.0), (across, cosine))
         )
     )

@@ -9,6 +9,7 @@ import equinox as eqx
 from matcam.core.jax import jax, jnp
 from matcam.core.shading import Shading, Vector, shading
 from matcam.material.material import Material
+from matcam.sample.curved import Cylinder
 from matcam.sample.shape import Curved, Element
 
 
@@ -27,7 +28,8 @@ class Scene(eqx.Module):
     """Material on a curved sample under a lamp; radiance is in 1/sr.
 
     The lamp's irradiance is 1 at the sample's centre. The x axis of the scene points towards the lamp. If the lamp has
-    an azimuth, positions in the scene differ from positions on the sensor.
+    an azimuth, positions in the scene differ from positions on the sensor. A cylinder keeps the axes of the sensor, and
+    the lamp is turned instead.
 
     Attributes:
         material: the material.
@@ -51,15 +53,25 @@ class Scene(eqx.Module):
         turn = None if self.turn is None else self.turn.beside_nodes(axes)
         return Scene(self.material, self.sample, beside_nodes(self.lamp_angle, axes), self.lamp_nearness, turn)
 
+    @property
+    def uniform_rows(self) -> bool:
+        """Check whether the light is constant along y."""
+        return isinstance(self.sample, Cylinder) and self.sample.distant and self.lamp_nearness is None
+
+    @property
+    def _pixels_turn(self) -> bool:
+        """Check whether the axes of the scene differ from those of the sensor."""
+        return self.turn is not None and not isinstance(self.sample, Cylinder)
+
     def from_sensor(self, x: jax.Array, y: jax.Array) -> tuple[jax.Array, jax.Array]:
         """Transform a position on the sensor to one in the scene, px."""
-        if self.turn is None:
+        if self.turn is None or not self._pixels_turn:
             return x, y
         return x * self.turn.cosine + y * self.turn.sine, y * self.turn.cosine - x * self.turn.sine
 
     def on_sensor(self, x: jax.Array, y: jax.Array) -> tuple[jax.Array, jax.Array]:
         """Transform a position in the scene to one on the sensor, px."""
-        if self.turn is None:
+        if self.turn is None or not self._pixels_turn:
             return x, y
         return x * self.turn.cosine - y * self.turn.sine, y * self.turn.cosine + x * self.turn.sine
 
@@ -77,17 +89,19 @@ class Scene(eqx.Module):
         """Compute the direction to the lamp, and the irradiance there over that at the centre; None: 1 everywhere."""
         sine, cosine = self.towards_lamp or (jnp.sin(self.lamp_angle), jnp.cos(self.lamp_angle))
         light = sine, jnp.zeros(()), cosine
+        if self.turn is not None and not self._pixels_turn:
+            light = sine * self.turn.cosine, sine * self.turn.sine, cosine
         if self.lamp_nearness is None:
             return light, None
         w, normal = self.lamp_nearness, element.normal
-        x, y, z = light[0] - w * normal[0], -w * self.sample.height(element), light[2] - w * normal[2]
+        x, y, z = light[0] - w * normal[0], light[1] - w * self.sample.height(element), light[2] - w * normal[2]
         square = x**2 + y**2 + z**2
         length = jnp.sqrt(square)
         return (x / length, y / length, z / length), 1 / square
 
     def _tangent(self, element: Element) -> Vector:
         """Return the first tangent, in the plane of the x axis of the sensor and the optical axis."""
-        if self.turn is None:
+        if self.turn is None or not self._pixels_turn:
             return element.tangent
         (x, y, z), (cosine, sine) = element.normal, self.turn
         length = jnp.sqrt(z**2 + (sine * y - cosine * x) ** 2)

@@ -7,17 +7,13 @@ import numpy as np
 from matcam.core.errors import ArgumentError
 from matcam.core.jax import AnyArray, is_concrete, jax, jnp
 from matcam.forward.integral.blur import imaging_of
-from matcam.forward.integral.cylinder_discs import LinePlaces, line_record, places_under
-from matcam.forward.integral.cylinder_record import light_at
 from matcam.forward.integral.scene import Scene, highlight_x
 from matcam.forward.sampler.plan import RecordPlaces
 from matcam.forward.sampler.under_lamp import record_under_lamp
-from matcam.lamp.lamps import LampPoint
 from matcam.material.masking import Masking
 from matcam.material.microfacet import Microfacet
 from matcam.material.ndf.distribution import SlopeDistribution
 from matcam.rigs import Rig
-from matcam.sample.curved import Cylinder
 from matcam.sample.shape import Curved, Flat
 
 
@@ -34,10 +30,6 @@ def exact_response(rig: Rig, ndf: SlopeDistribution, theta: AnyArray, masking: M
     sample, near, material = rig.sample, rig.lamp.nearness, Microfacet(ndf, 1.0, masking=masking)
     lamps = np.asarray(jax.lax.stop_gradient(sample.lamp_angle(jnp.asarray(theta), near)))
     x = np.asarray(jax.lax.stop_gradient(highlight_x(sample, jnp.asarray(lamps), near)))
-    if isinstance(sample, Cylinder):
-        recorded = line_record(material, rig, LinePlaces(x, lamps, np.zeros_like(x)))
-        centre = places_under(x, np.zeros_like(x), LampPoint(lamps, np.zeros_like(x), 1.0, 1.0), near)
-        return recorded[:, 0] / light_at(material, sample, centre)[:, 0]
     recorded = record_under_lamp(material, rig, imaging_of(rig), RecordPlaces(x, np.zeros_like(x), lamps))
     element, _ = sample.at(jnp.asarray(x), jnp.zeros(x.size))
     return recorded[:, 0] / Scene(material, sample, jnp.asarray(lamps), near).sent(element)[:, 0]

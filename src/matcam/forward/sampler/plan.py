@@ -1,4 +1,4 @@
-"""Plan of a record: positions of the light, from the geometry alone, that each pixel of a sphere's image integrates.
+"""Plan of a record: positions of the light, from the geometry alone, that each pixel integrates.
 
 Numbers and positions of nodes depend on the parameters of the camera, but a record must not be discontinuous in them. A plan is
 therefore frozen: under one plan a record is a smooth function of material and camera.
@@ -18,12 +18,14 @@ from matcam.forward.integral.blur_groups import BlurGroup, groups_of
 from matcam.forward.integral.rest_at_limb import LimbRule, limb_rule
 from matcam.forward.integral.scene import Turn
 from matcam.forward.sampler.arcs import CHUNK
+from matcam.forward.sampler.circle_arcs import CircleArcs
 from matcam.forward.sampler.circles import COARSEST, CircleLayout, lay_circles
+from matcam.forward.sampler.cylinder_arcs import CrossArcs, CylinderPixels, arcs_across, smooth_on_cylinder
+from matcam.forward.sampler.gauss_rules import MOST_NODES
 from matcam.forward.sampler.windows import SphereView, Windows
 from matcam.numerics.blocks import in_blocks, in_calls
+from matcam.sample.curved import Cylinder
 
-MOST_NODES = 256
-"""Largest number of Gauss-Legendre nodes on an arc."""
 _ON_ARC, _ON_FULL_ARC = 6.0, 12.0
 """Nodes on a short arc, and additional ones on an arc across a window whose kernel has the fineness 1."""
 _BESIDE, _PER_DISTANCE, _MOST_DISTANCES = 7.0, 2.5, 8.0
@@ -41,7 +43,7 @@ _NO_CRESCENT = 0.6
 
 
 class RecordPlaces(NamedTuple):
-    """Pixel centres in images of a sphere, arrays of shape (places,).
+    """Pixel centres in images of a sample, arrays of shape (places,).
 
     Attributes:
         x: column from the optical axis, px.
@@ -65,6 +67,12 @@ class RecordPlaces(NamedTuple):
     def turn(self) -> Turn | None:
         """Return cosine and sine of the azimuth; None if it is None."""
         return None if self.azimuth is None else Turn(np.cos(self.azimuth), np.sin(self.azimuth))
+
+    @property
+    def on_cylinder(self) -> CylinderPixels:
+        """Return the pixels of a cylinder's images."""
+        azimuth = np.zeros(self.x.size) if self.azimuth is None else self.azimuth
+        return CylinderPixels(*(np.asarray(a, dtype=float) for a in (self.x, self.y, self.lamp_angle, azimuth)))
 
 
 class ArcRows(NamedTuple):
@@ -92,6 +100,11 @@ class ArcRows(NamedTuple):
         """Return the arcs at indices."""
         return ArcRows(*(a[index] for a in self))
 
+    def on_circles(self, frames: np.ndarray) -> CircleArcs:
+        """Return the arcs on their circles. frames: see `PlanPart`."""
+        vectors = frames[self.window].T
+        return CircleArcs(tuple(tuple(vectors[n : n + 3]) for n in (0, 3, 6)), *self[3:])
+
 
 class PlanPart(NamedTuple):
     """Plan for the terms of a blur that share a scale.
@@ -101,7 +114,8 @@ class PlanPart(NamedTuple):
         smooth: indices of pixels in smooth light.
         limb: indices of pixels with the limb in the support of the residual of a lens.
         limb_rule: weights of their nodes; None: no such pixels.
-        frames: frame of the circles of each pixel with arcs, (pixels, 9): axis, direction of azimuth 0, and of pi/2.
+        frames: frame of the circles of each pixel with arcs, (pixels, 9): axis, direction of azimuth 0, and of pi/2; empty
+            for a cylinder.
         arcs: their arcs.
     """
 
@@ -110,7 +124,7 @@ class PlanPart(NamedTuple):
     limb: np.ndarray
     limb_rule: LimbRule | None
     frames: np.ndarray
-    arcs: ArcRows
+    arcs: ArcRows | CrossArcs
 
 
 class RecordPlan(NamedTuple):
@@ -124,7 +138,7 @@ def record_plan(imaging: Imaging, places: RecordPlaces, finest: float, elongatio
     """Plan a record. ArgumentError inside jax.jit.
 
     Args:
-        imaging: sphere, blur and the lamp's nearness.
+        imaging: sample, blur and the lamp's nearness.
         places: positions to record.
         finest: narrowest scale of the lobe, rad.
         elongation: elongation of the lobe, no unit: factor of the distance from a highlight within which a lobe may be
@@ -135,7 +149,15 @@ def record_plan(imaging: Imaging, places: RecordPlaces, finest: float, elongatio
     """
     imaging = jax.lax.stop_gradient(imaging)
     groups = groups_of(imaging.blur, imaging.sample)
-    return RecordPlan(places, tuple(_part(imaging, group, places, finest, elongation) for group in groups))
+    part = _part_on_cylinder if isinstance(imaging.sample, Cylinder) else _part
+    return RecordPlan(places, tuple(part(imaging, group, places, finest, elongation) for group in groups))
+
+
+def rough_pixels(imaging: Imaging, places: RecordPlaces, elongation: float) -> np.ndarray:
+    """Find pixels of a cylinder that require arcs. elongation: see `record_plan`."""
+    scales = [group.scale for group in groups_of(imaging.blur, imaging.sample)]
+    smooth = [smooth_on_cylinder(imaging, places.on_cylinder, scale, elongation) for scale in scales]
+    return ~np.all(smooth, axis=0)
 
 
 def graded_for(finest: float, imaging: Imaging) -> float:
@@ -160,6 +182,15 @@ def _part(imaging: Imaging, group: BlurGroup, places: RecordPlaces, finest: floa
     frames, arcs = _arcs(view, pixels.at(rough), scale.fineness, finest, elongation)
     arcs = arcs._replace(place=rough[arcs.window])
     return PlanPart(group.terms, np.flatnonzero(smooth), np.flatnonzero(limb), rule, frames, arcs)
+
+
+def _part_on_cylinder(
+    imaging: Imaging, group: BlurGroup, places: RecordPlaces, finest: float, elongation: float
+) -> PlanPart:
+    pixels, nothing = places.on_cylinder, np.zeros(0, dtype=int)
+    smooth = smooth_on_cylinder(imaging, pixels, group.scale, elongation)
+    arcs = arcs_across(imaging, pixels, np.flatnonzero(~smooth), group.scale, finest, elongation)
+    return PlanPart(group.terms, np.flatnonzero(smooth), nothing, None, np.zeros((0, 9)), arcs)
 
 
 def _pixels(imaging: Imaging, places: RecordPlaces, half: float) -> Windows:

@@ -1,10 +1,10 @@
-"""Record of a sphere at given positions of its images: the operator behind tables and images (docs/model.md 2 and 3)."""
+"""Record of a sample at given positions of its images: the operator behind tables and images (docs/model.md 2 and 3)."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from functools import cache, partial
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,11 +15,13 @@ from matcam.core.threads import available_cores, in_order
 from matcam.forward.integral.blur import BlurTerms, Imaging
 from matcam.forward.integral.rest_at_limb import LimbRule
 from matcam.forward.integral.scene import Scene, Turn
-from matcam.forward.sampler.plan import MOST_NODES, PlanPart, RecordPlaces, RecordPlan
+from matcam.forward.sampler.circle_arcs import CircleArcs
+from matcam.forward.sampler.cylinder_arcs import CrossArcs
+from matcam.forward.sampler.gauss_rules import MOST_NODES, gauss_rules
+from matcam.forward.sampler.plan import PlanPart, RecordPlaces, RecordPlan
 from matcam.forward.sampler.smooth_light import record_inside
 from matcam.material.material import Material
 from matcam.numerics.blocks import in_blocks, repeated_sum, shaped
-from matcam.numerics.elementary import sine
 
 _BLOCKS, _ARCS, _SMOOTH = 32, 512, 256
 """Blocks of one call, and arcs, or pixels in smooth light, of a block: their arrays fit into a cache."""
@@ -28,11 +30,11 @@ _RULES = 32, MOST_NODES
 
 
 class Subject(NamedTuple):
-    """Material on a sphere in front of a camera, under any lamp.
+    """Material on a sample in front of a camera, under any lamp.
 
     Attributes:
         material: the material.
-        imaging: sphere, blur and the lamp's nearness.
+        imaging: sample, blur and the lamp's nearness.
         turning: angle by which the lamps are turned away from the optical axis, rad.
     """
 
@@ -60,12 +62,12 @@ def record(material: Material, imaging: Imaging, plan: RecordPlan, turning: jax.
 
     Args:
         material: the material.
-        imaging: sphere and blur, as in the plan or with slightly different parameters.
+        imaging: sample and blur, as in the plan or with slightly different parameters.
         plan: the plan.
         turning: small angle by which the lamps are turned away from the optical axis, rad. Default: 0.
 
     Returns:
-        Radiance under unit irradiance, 1/sr, (places, channels). Differentiable in material, sphere, blur and turning.
+        Radiance under unit irradiance, 1/sr, (places, channels). Differentiable in material, sample, blur and turning.
     """
     subject = Subject(material, imaging, jnp.asarray(turning, dtype=float))
     calls: list[_Call] = []
@@ -118,17 +120,13 @@ def _smooth_blocks(subject: Subject, blur: BlurTerms, rule: LimbRule | None, use
 
 
 class _ArcInputs(NamedTuple):
-    """Arcs with the pixels that they belong to, arrays of one shape; see `RecordPlaces`, `CircleLayout` and `ArcRows`."""
+    """Arcs with the pixels that they belong to, arrays of one shape; see `RecordPlaces`."""
 
     x: AnyArray
     y: AnyArray
     lamp_angle: AnyArray
     turn: Turn | None
-    frame: tuple[tuple[AnyArray, ...], ...]
-    angle: AnyArray
-    weight: AnyArray
-    middle: AnyArray
-    half: AnyArray
+    arcs: CircleArcs | CrossArcs
 
 
 def _record_arcs(
@@ -136,22 +134,13 @@ def _record_arcs(
 ) -> tuple[np.ndarray, Any]:
     """Record the light of some arcs."""
     own = part.arcs.at(some)
-    pixels, vectors = places.at(own.place), part.frames[own.window].T
-    frame = tuple(tuple(vectors[n : n + 3]) for n in (0, 3, 6))
-    used, rows = shaped(_ArcInputs(*pixels[:3], pixels.turn, frame, *own[3:]), _BLOCKS, _ARCS)
+    pixels = places.at(own.place)
+    arcs = own if isinstance(own, CrossArcs) else own.on_circles(part.frames)
+    used, rows = shaped(_ArcInputs(*pixels[:3], pixels.turn, arcs), _BLOCKS, _ARCS)
     counts = np.resize(own.nodes, _BLOCKS * _ARCS).reshape(_BLOCKS, _ARCS).max(axis=1)
-    rules = next(rules for rules in map(_gauss_rules, _RULES) if counts.max() < rules.shape[1])
+    rules = next(rules for rules in map(gauss_rules, _RULES) if counts.max() < rules.shape[1])
     values = _arc_blocks(subject, blur, used if subject.known else None, counts, rules, rows)
     return own.place, subject.computed(values)
-
-
-@cache
-def _gauss_rules(most: int) -> np.ndarray:
-    """Tabulate Gauss-Legendre rules with 0 to `most` nodes, padded with zeros, (2, most + 1, most)."""
-    rules = np.zeros((2, most + 1, most))
-    for count in range(1, most + 1):
-        rules[:, count, :count] = np.polynomial.legendre.leggauss(count)
-    return rules
 
 
 @kept_program
@@ -159,27 +148,24 @@ def _arc_blocks(subject: Subject, blur: BlurTerms, used: Any, counts: Any, rules
     sample, kernel = subject.imaging.sample, blur.blur
 
     def block(arguments: Any) -> jax.Array:
-        count, arcs, ((sine_m, cosine_m), (radius, up), towards_lamp) = arguments
-        scene = replace(subject.under(arcs.lamp_angle, arcs.turn), towards_lamp=towards_lamp)
+        count, pixels, directions, towards_lamp = arguments
+        scene = replace(subject.under(pixels.lamp_angle, pixels.turn), towards_lamp=towards_lamp)
 
         def seen(rule: tuple[jax.Array, jax.Array]) -> jax.Array:
             """Compute the light of one node of each arc."""
             node, share = rule
-            off = arcs.half * node
-            sine_off, versine = sine(off), 2 * sine(off / 2) ** 2
-            along = radius * (cosine_m - sine_m * sine_off - cosine_m * versine)
-            across = radius * (sine_m + cosine_m * sine_off - sine_m * versine)
-            normal = tuple(up * a + along * b + across * c for a, b, c in zip(*arcs.frame, strict=True))
-            element = sample.facing(normal)  # type: ignore[attr-defined]
+            element, weight = pixels.arcs.element(sample, node, directions)
             at_x, at_y = scene.on_sensor(element.x, element.y)
-            spread = kernel.spread(sample, normal[2], scene.lamp_angle, scene.lamp_nearness)
-            terms = (kernel.share(one) * kernel.at(one, spread, arcs.x - at_x, arcs.y - at_y) for one in blur.terms)
-            return scene.sent(element) * (sum(terms, jnp.zeros(())) * arcs.weight * share)[:, None]
+            x, y = pixels.x - at_x, pixels.y - at_y
+            spread = kernel.spread(sample, element.normal[2], scene.lamp_angle, scene.lamp_nearness)
+            at = kernel.across if scene.uniform_rows else partial(kernel.at, y=y)
+            terms = (kernel.share(one) * at(one, spread, x) for one in blur.terms)
+            return scene.sent(element) * (sum(terms, jnp.zeros(())) * weight * share)[:, None]
 
-        nothing = jnp.zeros((arcs.x.size, scene.channels()))
+        nothing = jnp.zeros((pixels.x.size, scene.channels()))
         return repeated_sum(seen, None if used is None else count, tuple(rules[:, count]), nothing)
 
     # XLA would compute functions of the arcs again for every node, if they were computed inside of the blocks
-    angles = rows.middle, rows.angle, rows.lamp_angle + subject.turning
-    each = counts, rows, tuple((jnp.sin(a), jnp.cos(a)) for a in angles)
+    lamp_angle = rows.lamp_angle + subject.turning
+    each = counts, rows, rows.arcs.directions(), (jnp.sin(lamp_angle), jnp.cos(lamp_angle))
     return in_blocks(block, used, each)

@@ -26,7 +26,11 @@ def record_inside(scene: Scene, blur: BlurTerms, x: jax.Array, y: jax.Array) -> 
     spread = blur.blur.spread(scene.sample, centre.normal[2], scene.lamp_angle, scene.lamp_nearness)
     scene = scene.beside_nodes(1)
     for term in blur.terms:
-        dx, dy, share = blur.blur.plane_rule(term, spread)
+        if scene.uniform_rows:
+            dx, share = blur.blur.rule(term, spread.along)
+            dy = jnp.zeros_like(dx)
+        else:
+            dx, dy, share = blur.blur.plane_rule(term, spread)
         light = _arriving(scene, blur.blur, x[:, None] - dx, y[:, None] - dy)
         if blur.blur.is_rest(term):  # the corners of the residual have negligible weight and may lie beyond the limb
             _, lit = scene.shown(x[:, None] - dx, y[:, None] - dy)

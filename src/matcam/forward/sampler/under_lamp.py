@@ -1,4 +1,4 @@
-"""Record of a sphere under the lamp of a rig: the mean over the points of a source disc (docs/model.md 3)."""
+"""Record of a sample under the lamp of a rig: the mean over the points of a source disc (docs/model.md 3)."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _PLACES = 1 << 18
 
 
 def record_under_lamp(material: Material, rig: Rig, imaging: Imaging, places: RecordPlaces) -> jax.Array:
-    """Record a material at positions in images of a sphere.
+    """Record a material at positions in images of a sample.
 
     Places whose lamps require a similar number of points are recorded together.
 
@@ -39,9 +39,9 @@ def record_under_lamp(material: Material, rig: Rig, imaging: Imaging, places: Re
     """
     levels = np.zeros(places.x.size)
     if disc_of(rig.lamp) > 0:
-        lamps, which = np.unique(places.lamp_angle, return_inverse=True)
-        fineness = np.maximum(disc_fineness(rig, imaging, lamps, material), _LEAST_FINENESS)
-        levels = np.exp2(np.ceil(2 * np.log2(fineness)) / 2)[which]
+        turns = 0.0 if places.azimuth is None else places.azimuth
+        fineness = np.maximum(disc_fineness(rig, imaging, places.lamp_angle, material, turns), _LEAST_FINENESS)
+        levels = np.exp2(np.ceil(2 * np.log2(fineness)) / 2)
     parts, order = [], []
     for level in np.unique(levels):
         index = np.flatnonzero(levels == level)

@@ -19,7 +19,7 @@ from jax.typing import ArrayLike
 
 from matcam.core.jax import jax, jit_plainly, jnp
 from matcam.forward.integral.blur import Blur, Spread
-from matcam.forward.integral.cylinder_record import PlacedLamps, ends_of_light, ridge_of, seen_at, towards
+from matcam.forward.sampler.cylinder_ridge import PlacedLamps, ends_of_light, ridge_of, seen_at, towards
 from matcam.inverse.operator.sphere_rule import Directions
 from matcam.inverse.operator.theta_nodes import NODES, CircleSums, onto_nodes, rise_of, stretched
 from matcam.sample.curved import Cylinder

@@ -1,0 +1,261 @@
+"""Arcs across a cylinder: its rows within the window of a pixel, between limb and terminator, in closed form.
+
+On a sphere, an arc is a part of a circle of normals. On a cylinder, a row of the image is such a circle. The columns of the
+window, limb and terminator cut one arc from it. In a distant rig the light is the same in all rows, so that one row suffices.
+Otherwise, rows become denser towards the mirror point of the lamp. Both the angle u of the normals and the position of the rows
+are substituted:
+
+    u = centre + scale sinh(t).
+
+The light of a lobe is smooth in t. The centre is the position of the row that is closest to the half vector. Where the light
+ends in the window, masking varies on the scale of the lobe, so that a separate arc begins there.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from matcam.core.jax import AnyArray, jax, jnp
+from matcam.core.programs import kept_program
+from matcam.forward.integral.blur import Imaging
+from matcam.forward.integral.blur_groups import BlurScale
+from matcam.forward.sampler.cylinder_ridge import (
+    PlacedLamps,
+    ends_of_light,
+    mirror_row,
+    ridge_of,
+    towards,
+    turn_along,
+)
+from matcam.forward.sampler.gauss_rules import MOST_NODES, gauss_rules
+from matcam.numerics.blocks import in_blocks, in_calls
+from matcam.sample.curved import Cylinder
+from matcam.sample.shape import Element
+
+_AWAY = 0.9
+"""Angle from the half vector, in those of `BlurScale.near`, beyond which the light is smooth on the scale of the kernel."""
+_LEAST, _GRADED, _ACROSS = 6.0, 3.0, 14.0
+"""Nodes on every arc, additional ones per unit of t, and additional ones across a window whose kernel has the fineness 1."""
+_WIDEST = 1e9
+"""Largest scale, in radii or px: the nodes are even."""
+_FLAT = 1e-300
+
+
+class CylinderPixels(NamedTuple):
+    """Pixels of images of a cylinder, arrays over (pixels,).
+
+    Attributes:
+        x: column from the axis, px.
+        y: row, upwards, px.
+        lamp: angle between lamp and optical axis, rad.
+        azimuth: azimuth of the lamp, rad.
+    """
+
+    x: np.ndarray
+    y: np.ndarray
+    lamp: np.ndarray
+    azimuth: np.ndarray
+
+
+class CrossArcs(NamedTuple):
+    """Arcs across a cylinder in ascending order of their numbers of nodes, arrays over (arcs,).
+
+    Attributes:
+        nodes: number of nodes.
+        place: index of the pixel.
+        row: row of the image, px.
+        weight: weight of the row, px, times half the length of the arc in t; no unit where all rows are equal.
+        centre: angle of the normal at which t is 0, rad.
+        scale: scale of the substitution, rad.
+        middle: t of the middle of the arc.
+        half: half the length of the arc in t.
+    """
+
+    nodes: np.ndarray
+    place: np.ndarray
+    row: np.ndarray
+    weight: np.ndarray
+    centre: np.ndarray
+    scale: np.ndarray
+    middle: np.ndarray
+    half: np.ndarray
+
+    def at(self, index: np.ndarray | slice) -> CrossArcs:
+        """Return the arcs at indices."""
+        return CrossArcs(*(a[index] for a in self))
+
+    def directions(self) -> tuple[()]:
+        """Return nothing: the normals of a cylinder have one angle."""
+        return ()
+
+    def element(self, sample: Cylinder, node: jax.Array, _: tuple[()] = ()) -> tuple[Element, AnyArray]:
+        """Compute the surface at a node in [-1, 1] of each arc, and the weight of its light."""
+        t = jnp.asarray(self.middle) + self.half * node
+        grown, inverse = jnp.exp(t), jnp.exp(-t)
+        u = jnp.asarray(self.centre) + self.scale * (grown - inverse) / 2
+        per_px = (1 - sample.nearness * jnp.cos(u)) / sample.stretch
+        element = sample.surface(u, jnp.asarray(self.row) * per_px)
+        return element, self.weight * self.scale * (grown + inverse) / 2 * per_px
+
+
+def smooth_on_cylinder(imaging: Imaging, pixels: CylinderPixels, scale: BlurScale, elongation: float) -> np.ndarray:
+    """Find pixels of a cylinder in whose window the light is smooth on the scale of the kernel.
+
+    Args:
+        imaging: cylinder, blur and the lamp's nearness.
+        pixels: the pixels.
+        scale: lengths of the kernel.
+        elongation: elongation of the lobe, see `record_plan`.
+    """
+    inside, away, turn = _around(imaging, pixels, scale)[:3]
+    return inside & (away > _AWAY * elongation * scale.near * turn)
+
+
+def arcs_across(
+    imaging: Imaging, pixels: CylinderPixels, index: np.ndarray, scale: BlurScale, finest: float, elongation: float
+) -> CrossArcs:
+    """Compute the arcs of some pixels.
+
+    Args:
+        imaging: cylinder, blur and the lamp's nearness.
+        pixels: the pixels.
+        index: indices of those that require arcs.
+        scale: lengths of the kernel.
+        finest: narrowest scale of the lobe, rad.
+        elongation: elongation of the lobe.
+    """
+    own = CylinderPixels(*(a[index] for a in pixels))
+    if not index.size:
+        nothing = np.zeros(0)
+        return CrossArcs(nothing.astype(int), nothing.astype(int), *[nothing] * 6)
+    row, weight, which = own.y, np.ones(index.size), np.arange(index.size)
+    if not (imaging.sample.distant and imaging.lamp_nearness is None):
+        *_, mirror, along = _around(imaging, own, scale)
+        middle = np.clip(mirror, own.y - scale.reach, own.y + scale.reach)
+        narrow = np.hypot(finest, along * (middle - mirror) / elongation) / np.maximum(along, _FLAT)
+        spans = _Spans.of(middle, np.minimum(narrow, _WIDEST), own.y - scale.reach, own.y + scale.reach)
+        row, weight, which = spans.nodes(spans.counts(np.full(index.size, 2 * scale.reach), scale.fineness))
+    first, last, low, high, ridge, miss = in_calls(
+        _arc_blocks, (own.x[which], row, own.lamp[which], own.azimuth[which]), imaging, np.asarray(scale.reach)
+    )
+    middle = np.clip(ridge, first, last)
+    narrow = np.sqrt(finest**2 + (miss**2 + (middle - ridge) ** 2) / elongation**2)
+    # an arc begins at each end of the light
+    starts, ends = first <= low, last >= high
+    before, after = middle - first, last - middle
+    narrow = np.where(starts, np.minimum(narrow, np.hypot(finest, before)), narrow)
+    narrow = np.where(ends, np.minimum(narrow, np.hypot(finest, after)), narrow)
+    left, right = np.where(starts, first + before / 2, first), np.where(ends, last - after / 2, last)
+    scales = np.full(row.size, finest)
+    parts = (
+        _Spans.of(first, scales, first, left),
+        _Spans.of(middle, narrow, left, right),
+        _Spans.of(last, scales, right, last),
+    )
+    found = []
+    for spans in parts:
+        some = np.flatnonzero(spans.half > 0)
+        spans, width = spans.at(some), (last - first)[some]
+        nodes = spans.counts(width, scale.fineness)
+        place = index[which[some]]
+        found.append(
+            (nodes, place, row[some], weight[some] * spans.half, spans.centre, spans.scale, spans.middle, spans.half)
+        )
+    arcs = CrossArcs(*(np.concatenate(a) for a in zip(*found, strict=True)))
+    return arcs.at(np.argsort(arcs.nodes, kind="stable"))
+
+
+class _Spans(NamedTuple):
+    """Intervals of a substituted variable, arrays over (spans,); see `CrossArcs`."""
+
+    centre: np.ndarray
+    scale: np.ndarray
+    middle: np.ndarray
+    half: np.ndarray
+
+    @classmethod
+    def of(cls, centre: np.ndarray, scale: np.ndarray, low: np.ndarray, high: np.ndarray) -> _Spans:
+        """Substitute intervals from `low` to `high`."""
+        first, last = (np.arcsinh((end - centre) / scale) for end in (low, high))
+        return cls(centre, scale, (first + last) / 2, (last - first) / 2)
+
+    def at(self, index: np.ndarray) -> _Spans:
+        """Return the intervals at indices."""
+        return _Spans(*(a[index] for a in self))
+
+    def counts(self, width: np.ndarray, fineness: float) -> np.ndarray:
+        """Choose the numbers of nodes. width: of the window."""
+        steepest = self.scale * np.cosh(np.abs(self.middle) + self.half)
+        needed = _LEAST + 2 * self.half * (_GRADED + _ACROSS * fineness * steepest / np.maximum(width, _FLAT))
+        return np.minimum(2 * np.ceil(needed / 2), MOST_NODES).astype(int)
+
+    def nodes(self, counts: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Compute positions and weights of all nodes, and the indices of their intervals."""
+        which = np.repeat(np.arange(counts.size), counts)
+        number = np.arange(which.size) - np.repeat(np.cumsum(counts) - counts, counts)
+        node, share = gauss_rules(MOST_NODES)[:, counts[which], number]
+        centre, scale, middle, half = (a[which] for a in self)
+        t = middle + half * node
+        return centre + scale * np.sinh(t), share * half * scale * np.cosh(t), which
+
+
+def _around(imaging: Imaging, pixels: CylinderPixels, scale: BlurScale) -> tuple[np.ndarray, ...]:
+    """Describe the light in the windows of pixels.
+
+    Returns:
+        Whether it has no end there; smallest angle from the half vector, rad; largest rotation of normal against half
+        vector, rad/px; row of the mirror point, px; and rotation along the cylinder, rad/px.
+    """
+    if not pixels.x.size:
+        return (np.zeros(0, dtype=bool), *[np.zeros(0)] * 4)
+    return in_calls(_around_blocks, tuple(pixels), imaging, np.asarray(scale.reach))
+
+
+@kept_program
+def _around_blocks(
+    used: jax.Array, rows: tuple[jax.Array, ...], imaging: Imaging, reach: jax.Array
+) -> tuple[jax.Array, ...]:
+    cylinder: Cylinder = imaging.sample  # type: ignore[assignment]
+
+    def block(arguments):  # type: ignore[no-untyped-def]
+        x, y, lamp_angle, azimuth = arguments
+        light = _lamps(imaging, lamp_angle, azimuth)
+        low, high = ends_of_light(cylinder, light)
+        first, last = (cylinder.across(x + side * reach, jnp.zeros_like(x)) for side in (-1, 1))
+        inside = (jnp.abs(x) + reach < cylinder.radius) & (first > low) & (last < high)
+        mirror = mirror_row(cylinder, light, low, high)
+        row = jnp.clip(mirror, y - reach, y + reach)
+        peak, miss = ridge_of(cylinder, light, row, low, high)
+        away = jnp.hypot(miss, jnp.sin(jnp.clip(peak, first, last) - peak))
+        u = cylinder.across(x, jnp.zeros_like(x))
+        q, cosine = cylinder.nearness, jnp.cos(u)
+        turn = (1 - q * cosine) ** 2 / (cylinder.stretch * jnp.maximum(cosine - q, 1e-9))
+        turn = jnp.maximum(turn, turn_along(cylinder, light, u, row))
+        nearest = jnp.clip(peak, first, last)
+        return inside, away, turn, mirror, turn_along(cylinder, light, nearest, row)
+
+    return in_blocks(block, used, rows)
+
+
+@kept_program
+def _arc_blocks(
+    used: jax.Array, rows: tuple[jax.Array, ...], imaging: Imaging, reach: jax.Array
+) -> tuple[jax.Array, ...]:
+    cylinder: Cylinder = imaging.sample  # type: ignore[assignment]
+
+    def block(arguments):  # type: ignore[no-untyped-def]
+        x, row, lamp_angle, azimuth = arguments
+        light = _lamps(imaging, lamp_angle, azimuth)
+        low, high = ends_of_light(cylinder, light)
+        first, last = (jnp.clip(cylinder.across(x + side * reach, jnp.zeros_like(x)), low, high) for side in (-1, 1))
+        ridge, miss = ridge_of(cylinder, light, row, low, high)
+        return first, last, low, high, ridge, miss
+
+    return in_blocks(block, used, rows)
+
+
+def _lamps(imaging: Imaging, lamp_angle: jax.Array, azimuth: jax.Array) -> PlacedLamps:
+    nearness = imaging.lamp_nearness
+    return PlacedLamps(towards(lamp_angle, azimuth), None if nearness is None else jnp.full_like(lamp_angle, nearness))

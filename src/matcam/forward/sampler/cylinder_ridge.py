@@ -1,0 +1,111 @@
+"""Row of a cylinder's image and the half vector: ends of the light, and the position closest to the half vector.
+
+Limb and terminator are straight, so the light ends at the same angle in every row. The mirror point of a lamp is found as in a
+plane, because a path reflected by a cylinder has a constant slope along its axis (docs/model.md 3).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from jax.typing import ArrayLike
+
+from matcam.core.jax import AnyArray, jax, jnp
+from matcam.core.shading import Vector
+from matcam.sample.curved import Cylinder
+from matcam.sample.shape import Element, highlight_between
+
+_STEPS = 6
+"""Number of Newton steps to the position closest to the half vector. Each reduces the error to a few per cent."""
+
+
+class PlacedLamps(NamedTuple):
+    """Lamps of some positions, in shapes that broadcast: directions, and nearness; None: distant."""
+
+    towards: Vector
+    nearness: AnyArray | None
+
+    def beside(self, axes: int) -> PlacedLamps:
+        """Return the lamps for arrays with further axes of nodes."""
+        return jax.tree.map(lambda a: jnp.asarray(a).reshape(*a.shape, *[1] * axes), self)
+
+
+def towards(lamp_angle: ArrayLike, azimuth: ArrayLike) -> Vector:
+    """Compute the directions to lamps at angles from the optical axis and azimuths about it, rad."""
+    sine = jnp.sin(lamp_angle)
+    return sine * jnp.cos(azimuth), sine * jnp.sin(azimuth), jnp.cos(lamp_angle)
+
+
+def ends_of_light(cylinder: Cylinder, light: PlacedLamps) -> tuple[jax.Array, jax.Array]:
+    """Compute the u between which the cylinder is visible and lit: limb and terminator are straight."""
+    across = jnp.hypot(light.towards[0], light.towards[2])
+    # a lamp along the axis lights no surface
+    near = None if light.nearness is None else light.nearness / jnp.maximum(across, 1e-12)
+    return cylinder.lit(jnp.zeros_like(across), jnp.arctan2(light.towards[0], light.towards[2]), near)
+
+
+def mirror_row(cylinder: Cylinder, light: PlacedLamps, low: jax.Array, high: jax.Array) -> jax.Array:
+    """Compute the row, px, in which the cylinder mirrors the lamp; 0 if all rows or no row does."""
+    x, y, z = light.towards
+    if light.nearness is None and cylinder.distant:
+        return jnp.zeros_like(x)
+    across = jnp.maximum(jnp.hypot(x, z), 1e-12)
+    q, w = cylinder.nearness, jnp.zeros_like(across) if light.nearness is None else light.nearness / across
+    angle = jnp.arctan2(x, z)
+    u = jnp.clip(highlight_between(angle, q, w), low, high)
+    # lengths along the axis of the paths from the mirror to lamp and camera, over the distances of these
+    to_lamp, to_camera = (jnp.sqrt(1 - 2 * r * jnp.cos(u - a) + r**2) for r, a in ((w, angle), (q, 0.0)))
+    climb = w + q * to_lamp / to_camera
+    height = jnp.where(climb > 0, y / across / jnp.where(climb > 0, climb, 1.0), 0.0)
+    return cylinder.surface(u, height).y
+
+
+def seen_at(
+    cylinder: Cylinder, light: PlacedLamps, u: jax.Array, row: jax.Array
+) -> tuple[Element, Vector, jax.Array | None]:
+    """Compute the surface at u in rows, px, the direction to the lamp, and its squared distance; None: 1."""
+    element = cylinder.surface(u, row / cylinder.stretch * (1 - cylinder.nearness * jnp.cos(u)))
+    if light.nearness is None:
+        return element, light.towards, None
+    w, (x, y, z) = light.nearness, light.towards
+    x, y, z = x - w * element.normal[0], y - w * cylinder.height(element), z - w * element.normal[2]
+    square = x**2 + y**2 + z**2
+    length = jnp.sqrt(square)
+    return element, (x / length, y / length, z / length), square
+
+
+def ridge_of(
+    cylinder: Cylinder, light: PlacedLamps, row: jax.Array, low: jax.Array, high: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+    """Compute the u at which a row comes closest to the half vector, and the angle between them, rad."""
+    angle = jnp.arctan2(light.towards[0], light.towards[2] + 1)
+
+    def newton(_: int, u: jax.Array) -> jax.Array:
+        element, lamp, square = seen_at(cylinder, light, u, row)
+        tangent, normal, view = element.tangent, element.normal, element.view
+        aside = [tangent[0] * one[0] + tangent[2] * one[2] for one in (lamp, view)]
+        slope = normal[0] * (lamp[0] + view[0]) + normal[2] * (lamp[2] + view[2])
+        if light.nearness is not None and square is not None:  # the view direction of a near point differs, too
+            slope += light.nearness * (1 - aside[0] ** 2) / jnp.sqrt(square)
+        if not cylinder.distant:
+            slope += cylinder.nearness * (1 - aside[1] ** 2)
+        return jnp.clip(u + (aside[0] + aside[1]) / jnp.maximum(slope, 0.05), low, high)
+
+    line = light.nearness is None and cylinder.distant
+    start = jnp.clip(angle, low, high) + 0 * row
+    u = start if line else jax.lax.fori_loop(0, _STEPS, newton, start)
+    element, lamp, _ = seen_at(cylinder, light, u, row)
+    half = [a + b for a, b in zip(lamp, element.view, strict=True)]
+    return u, jnp.arctan2(jnp.abs(half[1]), jnp.hypot(half[0], half[2]))
+
+
+def turn_along(cylinder: Cylinder, light: PlacedLamps, u: jax.Array, row: jax.Array) -> jax.Array:
+    """Compute the largest rotation of the half vector along the cylinder, rad/px."""
+    if light.nearness is None and cylinder.distant:
+        return jnp.zeros_like(u)
+    element, lamp, square = seen_at(cylinder, light, u, row)
+    turn = cylinder.nearness + jnp.zeros_like(u)
+    if light.nearness is not None and square is not None:
+        turn += light.nearness / jnp.sqrt(square)
+    total = sum((a + b) ** 2 for a, b in zip(lamp, element.view, strict=True))
+    return turn / jnp.sqrt(jnp.maximum(total, 1e-12)) * (1 - cylinder.nearness * jnp.cos(u)) / cylinder.stretch
