@@ -20,16 +20,15 @@ import numpy as np
 from matcam.core.jax import AnyArray, jax, jnp
 from matcam.core.programs import kept_program
 from matcam.forward.integral.blur import Imaging
-from matcam.forward.integral.blur_groups import BlurScale
 from matcam.forward.sampler.cylinder_ridge import (
     PlacedLamps,
     ends_of_light,
     mirror_row,
     ridge_of,
-    towards,
     turn_along,
 )
 from matcam.forward.sampler.gauss_rules import MOST_NODES, gauss_rules
+from matcam.forward.sampler.windows import Windows
 from matcam.numerics.blocks import in_blocks, in_calls
 from matcam.sample.curved import Cylinder
 from matcam.sample.shape import Element
@@ -41,22 +40,6 @@ _LEAST, _GRADED, _ACROSS = 6.0, 3.0, 14.0
 _WIDEST = 1e9
 """Largest scale, in radii or px: the nodes are even."""
 _FLAT = 1e-300
-
-
-class CylinderPixels(NamedTuple):
-    """Pixels of images of a cylinder, arrays over (pixels,).
-
-    Attributes:
-        x: column from the axis, px.
-        y: row, upwards, px.
-        lamp: angle between lamp and optical axis, rad.
-        azimuth: azimuth of the lamp, rad.
-    """
-
-    x: np.ndarray
-    y: np.ndarray
-    lamp: np.ndarray
-    azimuth: np.ndarray
 
 
 class CrossArcs(NamedTuple):
@@ -100,46 +83,41 @@ class CrossArcs(NamedTuple):
         return element, self.weight * self.scale * (grown + inverse) / 2 * per_px
 
 
-def smooth_on_cylinder(imaging: Imaging, pixels: CylinderPixels, scale: BlurScale, elongation: float) -> np.ndarray:
+def smooth_on_cylinder(imaging: Imaging, windows: Windows, near: float) -> np.ndarray:
     """Find pixels of a cylinder in whose window the light is smooth on the scale of the kernel.
 
     Args:
         imaging: cylinder, blur and the lamp's nearness.
-        pixels: the pixels.
-        scale: lengths of the kernel.
-        elongation: elongation of the lobe, see `record_plan`.
+        windows: windows of the pixels.
+        near: distance from a highlight within which a lobe may be narrow on the scale of the kernel, px.
     """
-    inside, away, turn = _around(imaging, pixels, scale)[:3]
-    return inside & (away > _AWAY * elongation * scale.near * turn)
+    inside, away, turn = _around(imaging, windows)[:3]
+    return inside & (away > _AWAY * near * turn)
 
 
-def arcs_across(
-    imaging: Imaging, pixels: CylinderPixels, index: np.ndarray, scale: BlurScale, finest: float, elongation: float
-) -> CrossArcs:
-    """Compute the arcs of some pixels.
+def arcs_across(imaging: Imaging, windows: Windows, fineness: float, finest: float, elongation: float) -> CrossArcs:
+    """Compute the arcs of pixels.
 
     Args:
         imaging: cylinder, blur and the lamp's nearness.
-        pixels: the pixels.
-        index: indices of those that require arcs.
-        scale: lengths of the kernel.
+        windows: windows of the pixels.
+        fineness: factor of the number of nodes across a window, see `BlurScale`.
         finest: narrowest scale of the lobe, rad.
         elongation: elongation of the lobe.
     """
-    own = CylinderPixels(*(a[index] for a in pixels))
-    if not index.size:
+    count = windows.x.size
+    if not count:
         nothing = np.zeros(0)
         return CrossArcs(nothing.astype(int), nothing.astype(int), *[nothing] * 6)
-    row, weight, which = own.y, np.ones(index.size), np.arange(index.size)
+    row, weight, which = windows.y, np.ones(count), np.arange(count)
     if not (imaging.sample.distant and imaging.lamp_nearness is None):
-        *_, mirror, along = _around(imaging, own, scale)
-        middle = np.clip(mirror, own.y - scale.reach, own.y + scale.reach)
+        *_, mirror, along = _around(imaging, windows)
+        low, high = windows.y - windows.half[1], windows.y + windows.half[1]
+        middle = np.clip(mirror, low, high)
         narrow = np.hypot(finest, along * (middle - mirror) / elongation) / np.maximum(along, _FLAT)
-        spans = _Spans.of(middle, np.minimum(narrow, _WIDEST), own.y - scale.reach, own.y + scale.reach)
-        row, weight, which = spans.nodes(spans.counts(np.full(index.size, 2 * scale.reach), scale.fineness))
-    first, last, low, high, ridge, miss = in_calls(
-        _arc_blocks, (own.x[which], row, own.lamp[which], own.azimuth[which]), imaging, np.asarray(scale.reach)
-    )
+        spans = _Spans.of(middle, np.minimum(narrow, _WIDEST), low, high)
+        row, weight, which = spans.nodes(spans.counts(high - low, fineness))
+    first, last, low, high, ridge, miss = in_calls(_arc_blocks, (*_columns(windows.at(which)), row), imaging)
     middle = np.clip(ridge, first, last)
     narrow = np.sqrt(finest**2 + (miss**2 + (middle - ridge) ** 2) / elongation**2)
     # an arc begins at each end of the light
@@ -158,10 +136,18 @@ def arcs_across(
     for spans in parts:
         some = np.flatnonzero(spans.half > 0)
         spans, width = spans.at(some), (last - first)[some]
-        nodes = spans.counts(width, scale.fineness)
-        place = index[which[some]]
+        nodes = spans.counts(width, fineness)
         found.append(
-            (nodes, place, row[some], weight[some] * spans.half, spans.centre, spans.scale, spans.middle, spans.half)
+            (
+                nodes,
+                which[some],
+                row[some],
+                weight[some] * spans.half,
+                spans.centre,
+                spans.scale,
+                spans.middle,
+                spans.half,
+            )
         )
     arcs = CrossArcs(*(np.concatenate(a) for a in zip(*found, strict=True)))
     return arcs.at(np.argsort(arcs.nodes, kind="stable"))
@@ -201,27 +187,30 @@ class _Spans(NamedTuple):
         return centre + scale * np.sinh(t), share * half * scale * np.cosh(t), which
 
 
-def _around(imaging: Imaging, pixels: CylinderPixels, scale: BlurScale) -> tuple[np.ndarray, ...]:
+def _around(imaging: Imaging, windows: Windows) -> tuple[np.ndarray, ...]:
     """Describe the light in the windows of pixels.
 
     Returns:
         Whether it has no end there; smallest angle from the half vector, rad; largest rotation of normal against half
         vector, rad/px; row of the mirror point, px; and rotation along the cylinder, rad/px.
     """
-    if not pixels.x.size:
+    if not windows.x.size:
         return (np.zeros(0, dtype=bool), *[np.zeros(0)] * 4)
-    return in_calls(_around_blocks, tuple(pixels), imaging, np.asarray(scale.reach))
+    return in_calls(_around_blocks, (*_columns(windows), windows.y), imaging)
+
+
+def _columns(windows: Windows) -> tuple[np.ndarray, ...]:
+    """Return column, half side along x, and angle, cosine and sine of the lamp."""
+    return windows.x, windows.half[0], windows.lamp, windows.cosine, windows.sine
 
 
 @kept_program
-def _around_blocks(
-    used: jax.Array, rows: tuple[jax.Array, ...], imaging: Imaging, reach: jax.Array
-) -> tuple[jax.Array, ...]:
+def _around_blocks(used: jax.Array, rows: tuple[jax.Array, ...], imaging: Imaging) -> tuple[jax.Array, ...]:
     cylinder: Cylinder = imaging.sample  # type: ignore[assignment]
 
     def block(arguments):  # type: ignore[no-untyped-def]
-        x, y, lamp_angle, azimuth = arguments
-        light = _lamps(imaging, lamp_angle, azimuth)
+        x, reach, *lamp, y = arguments
+        light = _lamps(imaging, *lamp)
         low, high = ends_of_light(cylinder, light)
         first, last = (cylinder.across(x + side * reach, jnp.zeros_like(x)) for side in (-1, 1))
         inside = (jnp.abs(x) + reach < cylinder.radius) & (first > low) & (last < high)
@@ -240,14 +229,12 @@ def _around_blocks(
 
 
 @kept_program
-def _arc_blocks(
-    used: jax.Array, rows: tuple[jax.Array, ...], imaging: Imaging, reach: jax.Array
-) -> tuple[jax.Array, ...]:
+def _arc_blocks(used: jax.Array, rows: tuple[jax.Array, ...], imaging: Imaging) -> tuple[jax.Array, ...]:
     cylinder: Cylinder = imaging.sample  # type: ignore[assignment]
 
     def block(arguments):  # type: ignore[no-untyped-def]
-        x, row, lamp_angle, azimuth = arguments
-        light = _lamps(imaging, lamp_angle, azimuth)
+        x, reach, *lamp, row = arguments
+        light = _lamps(imaging, *lamp)
         low, high = ends_of_light(cylinder, light)
         first, last = (jnp.clip(cylinder.across(x + side * reach, jnp.zeros_like(x)), low, high) for side in (-1, 1))
         ridge, miss = ridge_of(cylinder, light, row, low, high)
@@ -256,6 +243,7 @@ def _arc_blocks(
     return in_blocks(block, used, rows)
 
 
-def _lamps(imaging: Imaging, lamp_angle: jax.Array, azimuth: jax.Array) -> PlacedLamps:
-    nearness = imaging.lamp_nearness
-    return PlacedLamps(towards(lamp_angle, azimuth), None if nearness is None else jnp.full_like(lamp_angle, nearness))
+def _lamps(imaging: Imaging, angle: jax.Array, cosine: jax.Array, sine: jax.Array) -> PlacedLamps:
+    near, across = imaging.lamp_nearness, jnp.sin(angle)
+    towards = across * cosine, across * sine, jnp.cos(angle)
+    return PlacedLamps(towards, None if near is None else jnp.full_like(angle, near))

@@ -20,11 +20,11 @@ from matcam.forward.integral.scene import Turn
 from matcam.forward.sampler.arcs import CHUNK
 from matcam.forward.sampler.circle_arcs import CircleArcs
 from matcam.forward.sampler.circles import COARSEST, CircleLayout, lay_circles
-from matcam.forward.sampler.cylinder_arcs import CrossArcs, CylinderPixels, arcs_across, smooth_on_cylinder
+from matcam.forward.sampler.cylinder_arcs import CrossArcs, arcs_across, smooth_on_cylinder
 from matcam.forward.sampler.gauss_rules import MOST_NODES
 from matcam.forward.sampler.windows import SphereView, Windows
 from matcam.numerics.blocks import in_blocks, in_calls
-from matcam.sample.curved import Cylinder
+from matcam.sample.curved import Cylinder, Sphere
 
 _ON_ARC, _ON_FULL_ARC = 6.0, 12.0
 """Nodes on a short arc, and additional ones on an arc across a window whose kernel has the fineness 1."""
@@ -67,12 +67,6 @@ class RecordPlaces(NamedTuple):
     def turn(self) -> Turn | None:
         """Return cosine and sine of the azimuth; None if it is None."""
         return None if self.azimuth is None else Turn(np.cos(self.azimuth), np.sin(self.azimuth))
-
-    @property
-    def on_cylinder(self) -> CylinderPixels:
-        """Return the pixels of a cylinder's images."""
-        azimuth = np.zeros(self.x.size) if self.azimuth is None else self.azimuth
-        return CylinderPixels(*(np.asarray(a, dtype=float) for a in (self.x, self.y, self.lamp_angle, azimuth)))
 
 
 class ArcRows(NamedTuple):
@@ -156,7 +150,9 @@ def record_plan(imaging: Imaging, places: RecordPlaces, finest: float, elongatio
 def rough_pixels(imaging: Imaging, places: RecordPlaces, elongation: float) -> np.ndarray:
     """Find pixels of a cylinder that require arcs. elongation: see `record_plan`."""
     scales = [group.scale for group in groups_of(imaging.blur, imaging.sample)]
-    smooth = [smooth_on_cylinder(imaging, places.on_cylinder, scale, elongation) for scale in scales]
+    smooth = [
+        smooth_on_cylinder(imaging, _pixels(imaging, places, scale.reach), scale.near * elongation) for scale in scales
+    ]
     return ~np.all(smooth, axis=0)
 
 
@@ -187,9 +183,12 @@ def _part(imaging: Imaging, group: BlurGroup, places: RecordPlaces, finest: floa
 def _part_on_cylinder(
     imaging: Imaging, group: BlurGroup, places: RecordPlaces, finest: float, elongation: float
 ) -> PlanPart:
-    pixels, nothing = places.on_cylinder, np.zeros(0, dtype=int)
-    smooth = smooth_on_cylinder(imaging, pixels, group.scale, elongation)
-    arcs = arcs_across(imaging, pixels, np.flatnonzero(~smooth), group.scale, finest, elongation)
+    scale, nothing = group.scale, np.zeros(0, dtype=int)
+    pixels = _pixels(imaging, places, scale.reach)
+    smooth = smooth_on_cylinder(imaging, pixels, scale.near * elongation)
+    rough = np.flatnonzero(~smooth)
+    arcs = arcs_across(imaging, pixels.at(rough), scale.fineness, finest, elongation)
+    arcs = arcs._replace(place=rough[arcs.place])
     return PlanPart(group.terms, np.flatnonzero(smooth), nothing, None, np.zeros((0, 9)), arcs)
 
 
@@ -198,7 +197,8 @@ def _pixels(imaging: Imaging, places: RecordPlaces, half: float) -> Windows:
     size = places.x.size
     turn = places.turn or Turn(np.ones(size), np.zeros(size))  # type: ignore[arg-type]
     lamps, which = np.unique(places.lamp_angle, return_inverse=True)
-    peaks = np.asarray(_highlights(imaging, lamps))[which] if size else np.zeros(0)
+    on_sphere = size and isinstance(imaging.sample, Sphere)
+    peaks = np.asarray(_highlights(imaging, lamps))[which] if on_sphere else np.zeros(size)
     x, y = (np.asarray(a, dtype=float) for a in places[:2])
     return Windows(
         x, y, places.lamp_angle, peaks, np.asarray(turn.cosine), np.asarray(turn.sine), np.full((2, size), half)

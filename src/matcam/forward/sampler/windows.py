@@ -1,6 +1,6 @@
-"""Windows: squares of the sensor about pixels of a sphere's image, which contain the support of the kernel.
+"""Windows: squares of the sensor about pixels, which contain the support of the kernel.
 
-A window, the visible part of a sphere and its lit part are half-spaces of normals, a . n <= b, for any distance of camera and
+On a sphere, a window, the visible part and its lit part are half-spaces of normals, a . n <= b, for any distance of camera and
 lamp and any rotation of the pixel (docs/model.md 3 and 10).
 """
 
@@ -51,7 +51,7 @@ class Windows(NamedTuple):
         x: centre of the pixel, px.
         y: centre of the pixel, px.
         lamp: angle between lamp and optical axis, rad.
-        peak: angle between the normal of the highlight and the optical axis, rad.
+        peak: angle between the normal of the highlight and the optical axis, rad; 0 for a cylinder.
         cosine: cosine of the azimuth of the lamp.
         sine: sine of the azimuth of the lamp.
         half: half of the sides along x and y, px, (2, windows).
