@@ -30,6 +30,11 @@ class SphereView(NamedTuple):
     lamp: float
 
     @property
+    def distant(self) -> bool:
+        """Check whether both camera and lamp are distant."""
+        return self.camera == 0 and self.lamp == 0
+
+    @property
     def stretch(self) -> float:
         """Return the scale at the depth of the centre, px per radius."""
         return self.radius * (1 - self.camera**2) ** 0.5

@@ -16,12 +16,14 @@ from matcam.core.jax import jnp
 from matcam.core.threads import available_cores, in_order
 from matcam.forward.integral.blur import Blur, blur_of, std_of_half
 from matcam.forward.integral.blur_groups import groups_of
+from matcam.forward.pixel_grid import turned
+from matcam.forward.sampler.windows import Windows
 from matcam.inverse.operator.chosen_cells import ChosenCells
 from matcam.inverse.operator.cylinder_rule import CylinderRule, LinePixels, cylinder_rule, line_window
 from matcam.inverse.operator.lamp_lines import LampDisc, lamp_discs
 from matcam.inverse.operator.line_rule import ARMS, ImagePlaces, line_rule
 from matcam.inverse.operator.rig_axes import Axis, MovedBlur, along_axes, blurs_along, change_kernels
-from matcam.inverse.operator.sample_view import SampleView, SpherePixels, sample_view
+from matcam.inverse.operator.sample_view import SampleView, sample_view
 from matcam.inverse.operator.sphere_rule import Kernel, SphereRule, kernel_reach, sphere_range, sphere_rule
 from matcam.inverse.operator.theta_nodes import (
     NODES,
@@ -264,11 +266,11 @@ def _rules(view: SampleView, pixels: tuple[np.ndarray, ...], widths: list[_Blurs
     """
     x, y, theta_d, lamp_angle, factor = pixels
     if not view.line:
-        return [
-            _sphere_rules(
-                view, SpherePixels(x, y, lamp_angle, view.highlight(lamp_angle), factor), theta_d, widths, finest
-            )
-        ]
+        cosine, sine = (np.full(x.shape, part(view.azimuth)) for part in (np.cos, np.sin))
+        largest = np.max([reach for through in widths for reach in through.reaches], axis=0)
+        peak = view.highlight(lamp_angle)
+        windows = Windows(*turned(x, y, view.azimuth), lamp_angle, peak, cosine, sine, largest)
+        return [_sphere_rules(view, windows, theta_d, factor, widths, finest)]
     (through,) = widths
     if any(through.lamps) or not view.distant:
         pixels = LinePixels(np.hypot(x, y), lamp_angle, np.arctan2(-y, x), factor)
@@ -298,21 +300,21 @@ def _on_the_same_nodes(widths: list[_Blurs]) -> list[list[_Blurs]]:
 
 
 def _sphere_rules(
-    view: SampleView, pixels: SpherePixels, theta_d: np.ndarray, widths: list[_Blurs], finest: float
+    view: SampleView, windows: Windows, theta_d: np.ndarray, factor: np.ndarray, widths: list[_Blurs], finest: float
 ) -> _Found:
-    """Compute a rule on one set of nodes for terms of several widths. finest: see `ThetaRange`."""
+    """Compute a rule on one set of nodes for terms of several widths. windows: the largest. finest: see `ThetaRange`."""
+    sphere = view.on_sphere
     own = finest if np.min(widths[0].reaches[0]) > _SURROUNDINGS[0] else np.inf
-    largest = np.max([reach for through in widths for reach in through.reaches], axis=0)
-    widest, onto = (one._replace(finest=finest) for one in sphere_range(view, pixels, largest))
+    widest, onto = (one._replace(finest=finest) for one in sphere_range(sphere, windows))
 
     def rule(through: _Blurs, n: int, circles: ThetaRange, reach: np.ndarray) -> SphereRule:
         blur, nodes = through.blurs[n], _pixel_nodes(through.blurs, n) if view.azimuth else 0
-        kernel = Kernel(blur, through.terms, tuple(through.spreads[n]), reach, through.discs[n], nodes)
-        return sphere_rule(view, pixels, kernel, circles, onto, theta_d)
+        kernel = Kernel(blur, through.terms, through.spreads[n], through.discs[n], nodes)
+        return sphere_rule(sphere, windows._replace(half=reach), kernel, circles, onto, theta_d, factor)
 
     def parts(through: _Blurs, n: int) -> list[SphereRule]:
         """Compute the rules that add up to that of a blur, one for each angular range."""
-        seen = sphere_range(view, pixels, through.reaches[n])[0]
+        seen = sphere_range(sphere, windows._replace(half=through.reaches[n]))[0]
         ranges = [seen._replace(finest=own)] if through.blurs[n].rest is None else seen.parts()
         return [rule(through, n, one, through.reaches[n]) for one in ranges]
 
@@ -336,7 +338,7 @@ def _sphere_rules(
     ]
     weights, *moments = zip(*found, strict=True)
     lens = [through for through in widths if through.columns[0] == 0]
-    if len(lens) == len(first) == 1 and own == finest and np.array_equal(lens[0].reaches[0], largest):
+    if len(lens) == len(first) == 1 and own == finest and np.array_equal(lens[0].reaches[0], windows.half):
         shown = first[0]  # the circles are those of the whole range
     else:
         by = lens[0] if len(lens) == 1 else _standing_for(lens)

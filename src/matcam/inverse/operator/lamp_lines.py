@@ -22,6 +22,7 @@ import numpy as np
 from matcam.camera.pixel import PIXELS_SHARE
 from matcam.core.jax import is_concrete, jax, jnp
 from matcam.forward.integral.blur import Blur, Spread
+from matcam.forward.sampler.windows import SphereView
 from matcam.inverse.operator.sample_view import SampleView
 from matcam.numerics.disc_chords import CHORD_RULE, COUNTS, chord_rule, chords_of
 from matcam.numerics.disc_gaussians import DISC_GAUSSIANS, LARGEST
@@ -103,13 +104,13 @@ def lamp_discs(
     half = float(blurs[0].pixel.half_width)
     turn = view.azimuth - np.pi / 2 * np.round(view.azimuth / (np.pi / 2))  # a square has four axes
     cosine, sine = np.cos(turn), np.sin(turn)
-    moved = [_moved(view, blur, lamp_angle, x, y) for blur in blurs]
+    moved = [_moved(view.on_sphere, view.azimuth, blur, lamp_angle, x, y) for blur in blurs]
     if all(
         np.hypot(*at_peak).max() <= _GAUSSIAN * np.hypot(std, half / np.sqrt(3))
         for (at_peak, _), std in zip(moved, stds, strict=True)
     ):
         return [None] * len(blurs), np.zeros((len(blurs), 2, *x.shape))
-    along, across = _image(view, lamp_angle)
+    along, across = _image(view.on_sphere, lamp_angle)
     chord = np.stack([across * sine, along * cosine], -1)
     chord /= np.hypot(chord[:, :1], chord[:, 1:])
     turns = np.broadcast_to([cosine, sine], (x.size, 2))
@@ -125,14 +126,14 @@ def lamp_discs(
 
 
 def lamp_kernel(
-    view: SampleView, blur: Blur, terms: tuple[int, ...], disc: LampDisc, normal: tuple, at: tuple, variances: tuple
+    view: SphereView, blur: Blur, terms: tuple[int, ...], disc: LampDisc, normal: tuple, at: tuple, variances: tuple
 ) -> jax.Array:
     """Integrate the kernel over the disc of a lamp at nodes, 1/px^2, (groups, nodes).
 
     The integral is differentiable with respect to the radius of the disc.
 
     Args:
-        view: geometry of sphere, camera and lamp.
+        view: the sphere and the distances of camera and lamp.
         blur: the blur for a point source.
         terms: terms of the blur.
         disc: disc of the pixel of each group.
@@ -215,7 +216,7 @@ def _by_chords(view, blur: Blur, terms, disc: LampDisc, normal, at, variances): 
 
 
 def _moved(
-    view: SampleView, blur: Blur, lamp_angle: np.ndarray, x: np.ndarray, y: np.ndarray
+    view: SphereView, azimuth: float, blur: Blur, lamp_angle: np.ndarray, x: np.ndarray, y: np.ndarray
 ) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray]:
     """Compute the shift of the highlight by points of the rim of the disc, px.
 
@@ -228,7 +229,7 @@ def _moved(
         return (farthest[:1], farthest[:1]), farthest
     radius = np.maximum(float(blur.lamp_radius), _SMALLEST)
     peak = _highlights(view, 0.0, 0.0, radius, lamp_angle)[0]
-    seen = view.on_sphere.normals(x, y)
+    seen = view.normals(x, y)
     at_peak: list[list[np.ndarray]] = []
     for angle in _ROUND:
         to = _highlights(view, np.cos(angle), np.sin(angle), radius, lamp_angle)[0]
@@ -237,13 +238,13 @@ def _moved(
             np.asarray(a - b) for a, b in zip(_place(view, _turned(peak, to, seen)), _place(view, seen), strict=True)
         ]
         for offset in (at_peak[-1], here):
-            on_pixel = _rotated(offset[0], offset[1], np.cos(view.azimuth), np.sin(view.azimuth))
+            on_pixel = _rotated(offset[0], offset[1], np.cos(azimuth), np.sin(azimuth))
             farthest = np.maximum(farthest, np.abs(on_pixel))
     along, across = np.moveaxis(np.array(at_peak), 1, 0)
     return (along, across), farthest
 
 
-def _image(view: SampleView, lamp_angle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _image(view: SphereView, lamp_angle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Compute the shift of the highlight per shift of the lamp along and across, px/rad."""
     step = 1e-4  # rad; the error of the differences is of second order
     ends = [_highlights(view, u, v, step, lamp_angle)[0] for u, v in ((1.0, 0.0), (-1.0, 0.0), (0.0, 1.0))]
@@ -251,7 +252,7 @@ def _image(view: SampleView, lamp_angle: np.ndarray) -> tuple[np.ndarray, np.nda
     return np.asarray(x - other) / 2 / step, np.asarray(y) / step
 
 
-def _highlights(view: SampleView, u: Any, v: Any, radius: Any, lamp_angle: Any) -> tuple[tuple, Any]:
+def _highlights(view: SphereView, u: Any, v: Any, radius: Any, lamp_angle: Any) -> tuple[tuple, Any]:
     """Compute the normals at the highlights of points of the disc, and the light of the points.
 
     The light is proportional to the record of a point. NumPy computes NumPy arrays of lamp angles, because JAX would
@@ -298,7 +299,7 @@ def _rotated(x: Any, y: Any, cosine: Any, sine: Any) -> tuple[Any, Any]:
     return x * cosine - y * sine, x * sine + y * cosine
 
 
-def _place(view: SampleView, normal: Any) -> tuple[Any, Any]:
+def _place(view: SphereView, normal: Any) -> tuple[Any, Any]:
     """Compute the image position of a normal, px."""
     far = is_concrete(view.camera) and view.camera == 0  # the z component of the normal is not required
     scale = view.stretch if far else view.stretch / (1 - view.camera * normal[2])

@@ -12,8 +12,7 @@ from matcam.core.errors import ArgumentError
 from matcam.core.grid import azimuth_of, sample_of
 from matcam.core.jax import jax, jnp
 from matcam.forward.integral.scene import highlight_x
-from matcam.forward.pixel_grid import turned
-from matcam.forward.sampler.windows import SphereView, Windows
+from matcam.forward.sampler.windows import SphereView
 from matcam.lamp.lamps import closeness
 from matcam.rigs import Rig
 from matcam.sample.curved import Cylinder, Sphere
@@ -46,17 +45,12 @@ class SampleView(NamedTuple):
     @property
     def distant(self) -> bool:
         """Check whether both camera and lamp are distant."""
-        return self.camera == 0 and self.lamp == 0
+        return self.on_sphere.distant
 
     @property
     def one_picture(self) -> bool:
         """Check whether one image shows all cells of one theta_d."""
         return self.distant and not self.line
-
-    @property
-    def stretch(self) -> float:
-        """Return the scale at the depth of the sphere's centre, px per radius."""
-        return self.on_sphere.stretch
 
     @property
     def sphere(self) -> Sphere:
@@ -118,30 +112,6 @@ class SampleView(NamedTuple):
     def on_sphere(self) -> SphereView:
         """Return the sphere and the distances without the azimuth."""
         return SphereView(self.radius, self.camera, self.lamp)
-
-
-class SpherePixels(NamedTuple):
-    """Pixels of images of a sphere, arrays of shape (pixels,).
-
-    Attributes:
-        x: distance from the optical axis along the plane of camera and lamp, towards the lamp, px.
-        y: the same across that plane, px.
-        lamp_angle: angle between lamp and optical axis, rad.
-        highlight: angle between the normal of the highlight and the optical axis, rad.
-        factor: factor of the record, no unit.
-    """
-
-    x: np.ndarray
-    y: np.ndarray
-    lamp_angle: np.ndarray
-    highlight: np.ndarray
-    factor: np.ndarray
-
-    def windows(self, view: SampleView, reach: np.ndarray) -> Windows:
-        """Return the windows of the pixels. reach: half sides along the pixel's two axes, (2, pixels), px."""
-        x, y = turned(self.x, self.y, view.azimuth)
-        cosine, sine = (np.full(self.x.size, part(view.azimuth)) for part in (np.cos, np.sin))
-        return Windows(x, y, self.lamp_angle, self.highlight, cosine, sine, reach)
 
 
 _ONE_AZIMUTH = 1e-6

@@ -23,11 +23,10 @@ import numpy as np
 
 from matcam.core.jax import jax, jit_plainly, jnp
 from matcam.forward.integral.blur import Blur, Spread
-from matcam.forward.pixel_grid import turned
 from matcam.forward.sampler.arcs import CHUNK, Arcs, Clips, divided, gaps_of
 from matcam.forward.sampler.circles import about_highlight, angles_from_axis
+from matcam.forward.sampler.windows import SphereView, Windows
 from matcam.inverse.operator.lamp_lines import LampDisc, lamp_kernel
-from matcam.inverse.operator.sample_view import SampleView, SpherePixels
 from matcam.inverse.operator.theta_nodes import (
     FROM_MOMENTS,
     NODES,
@@ -60,7 +59,6 @@ class Kernel(NamedTuple):
         blur: the blur.
         terms: indices of the terms.
         variances: added along the plane of camera and lamp and across it by lamp and focus, two arrays (pixels,), px^2.
-        reach: half sides of the window along the pixel's axes, (2, pixels), px.
         disc: disc of the lamp; None: a point, or part of the variances.
         pixel_nodes: nodes over a pixel that is turned relative to the plane, see `Blur.turned_kernel`; 0: not turned.
     """
@@ -68,7 +66,6 @@ class Kernel(NamedTuple):
     blur: Blur
     terms: tuple[int, ...]
     variances: tuple[np.ndarray, ...]
-    reach: np.ndarray
     disc: LampDisc | None = None
     pixel_nodes: int = 0
 
@@ -97,19 +94,17 @@ class SphereRule(NamedTuple):
     moment: np.ndarray | None = None
 
 
-def sphere_range(view: SampleView, pixels: SpherePixels, reach: np.ndarray) -> tuple[ThetaRange, ThetaRange]:
-    """Compute the ranges of the angle from the normal of the highlight, and of theta_h, in a window of half sides
-    `reach`.
+def sphere_range(view: SphereView, windows: Windows) -> tuple[ThetaRange, ThetaRange]:
+    """Compute the ranges of the angle from the normal of the highlight, and of theta_h, in windows.
 
-    The extremes lie on the border of the window, or on the limb where it leaves the sphere.
+    The extremes lie on the border of a window, or on the limb where it leaves the sphere.
     """
-    windows = pixels.windows(view, reach)
-    normals, frame = windows.border(view.on_sphere), about_highlight(windows)
-    inside = windows.contains(view.on_sphere, frame.axis)
+    normals, frame = windows.border(view), about_highlight(windows)
+    inside = windows.contains(view, frame.axis)
     own = _between(angles_from_axis(frame, normals), inside)
     if view.distant:
         return own, own
-    lamp = pixels.lamp_angle[:, None]
+    lamp = windows.lamp[:, None]
     return own, _between(directions(normals, np.sin(lamp), np.cos(lamp), view.camera, view.lamp).theta_h, inside)
 
 
@@ -150,31 +145,33 @@ def directions(normal: Any, sin: Any, cos: Any, q: Any, w: Any) -> Directions:
 
 
 def sphere_rule(
-    view: SampleView,
-    pixels: SpherePixels,
+    view: SphereView,
+    windows: Windows,
     kernel: Kernel,
     circles: ThetaRange,
     onto: ThetaRange,
     theta_d: np.ndarray,
+    factor: np.ndarray,
 ) -> SphereRule:
     """Compute the rule of pixels.
 
     Args:
         view: the sphere and the distances of camera and lamp.
-        pixels: the pixels.
+        windows: windows of the pixels, which contain the support of the kernel.
         kernel: the kernel.
         circles: angles from the highlight's normal between which the circles lie.
         onto: theta_h between which the nodes lie.
         theta_d: theta_d of the cells, (pixels,), rad.
+        factor: factors of the records, (pixels,), no unit.
     """
     angle, step = circles.nodes()
-    arcs = _circle_arcs(view, pixels, angle, kernel.reach)
+    arcs = _circle_arcs(view, windows, angle)
     scale, first, last = stretched(onto.low, onto.high, onto.finest)
-    through = pixels.factor[:, None] * view.stretch**2 / 4 * np.sin(angle) * step
+    through = factor[:, None] * view.stretch**2 / 4 * np.sin(angle) * step
     pixel = arcs.circle // NODES[0].size
     place = 2 * (np.arcsinh(angle / scale[:, None]) - first[:, None]) / (last - first)[:, None] - 1
     per_pixel = (
-        *turned(pixels.x, pixels.y, view.azimuth), pixels.lamp_angle, pixels.highlight, theta_d, scale, first, last,
+        windows.x, windows.y, windows.cosine, windows.sine, windows.lamp, windows.peak, theta_d, scale, first, last,
     )  # fmt: skip
     sums, near = [], not view.distant
     for begin in range(0, pixel.size, _CALL):
@@ -183,7 +180,7 @@ def sphere_rule(
         variances, disc = kernel.at(seen_by)
         of_pixel = np.stack([*(a[seen_by] for a in per_pixel), *variances])
         of_arc = np.stack([angle.ravel()[part.circle], part.middle, part.half])
-        of_view = np.array([view.radius, view.camera, view.lamp, view.azimuth])
+        of_view = np.array(view)
         used = min(_CALL, pixel.size - begin)
         program = _arc_sums if disc is None else _arc_sums_of_disc
         found = program(of_view, of_pixel, of_arc, kernel.blur, disc, kernel.terms, near, kernel.pixel_nodes)
@@ -204,14 +201,14 @@ def sphere_rule(
     return SphereRule(own[0], seen, own[1])
 
 
-def _circle_arcs(view: SampleView, pixels: SpherePixels, circles: np.ndarray, reach: np.ndarray) -> Arcs:
-    """Find the arcs of circles about the highlight, (pixels, circles), in the windows of pixels."""
+def _circle_arcs(view: SphereView, windows: Windows, circles: np.ndarray) -> Arcs:
+    """Find the arcs of circles about the highlight, (pixels, circles), in windows."""
     starts, lengths = [], []
     for begin in range(0, circles.shape[0], CHUNK):
         part = slice(begin, begin + CHUNK)
-        windows = SpherePixels(*(a[part] for a in pixels)).windows(view, reach[:, part])
-        clips = Clips.of(windows.half_spaces(view.on_sphere), about_highlight(windows))
-        index = np.repeat(np.arange(windows.x.size), circles.shape[1])
+        own = windows.at(part)
+        clips = Clips.of(own.half_spaces(view), about_highlight(own))
+        index = np.repeat(np.arange(own.x.size), circles.shape[1])
         start, length = gaps_of(clips, index, circles[part].ravel())
         starts.append(start)
         lengths.append(length)
@@ -241,15 +238,12 @@ def _arc_sums(
     pixel_nodes: int,
 ) -> tuple[jax.Array, ...]:
     """Sum over the nodes of arcs: powers, (4 or 7, arcs), and in a near rig Legendre's polynomials, (40, arcs) twice."""
-    radius, turn = of_view[0], of_view[3]
-    q, w = (of_view[1], of_view[2]) if near else (0.0, 0.0)
-    stretch = radius * jnp.sqrt(1 - q**2) if near else radius
+    view = SphereView(*of_view) if near else SphereView(of_view[0], 0.0, 0.0)
     node, node_weight = _ARC if blur.rest is None else _ARC_OF_RINGS
-    cosine, sine_ = jnp.cos(turn), jnp.sin(turn)
 
     def block(arguments):  # type: ignore[no-untyped-def]
         of_pixel, of_arc, disc = arguments
-        x, y, lamp, peak, cell, scale, first, last, var_x, var_y = (a[:, None] for a in of_pixel)
+        x, y, cosine, sine_, lamp, peak, cell, scale, first, last, var_x, var_y = (a[:, None] for a in of_pixel)
         circle, middle, half = (a[:, None] for a in of_arc)
         off = half * node
         sin_off, haversine = sine(off), sine(off / 2) ** 2
@@ -259,10 +253,10 @@ def _arc_sums(
         s, c = jnp.sin(circle), jnp.cos(circle)
         sin_p, cos_p = jnp.sin(peak), jnp.cos(peak)
         normal = c * sin_p + s * cos_a * cos_p, s * sin_a, c * cos_p - s * cos_a * sin_p
-        depth = 1 - q * normal[2]
-        image = stretch * normal[0] / depth, stretch * normal[1] / depth
+        depth = 1 - view.camera * normal[2]
+        image = view.stretch * normal[0] / depth, view.stretch * normal[1] / depth
         offset = x - (image[0] * cosine - image[1] * sine_), y - (image[0] * sine_ + image[1] * cosine)
-        out_of_focus = jnp.abs(blur.defocus(radius, normal[2]))
+        out_of_focus = jnp.abs(blur.defocus(view.radius, normal[2]))
 
         def in_plane(x: jax.Array, y: jax.Array) -> tuple[jax.Array, jax.Array]:
             """Resolve vectors along the plane of camera and lamp and across it."""
@@ -279,12 +273,11 @@ def _arc_sums(
         if disc is None:
             seen = sum((blur.share(term) * through(term) for term in terms), jnp.zeros(()))
         else:
-            view = SampleView(radius, q, w) if near else SampleView(radius)
             seen = lamp_kernel(view, blur, terms, disc, normal, in_plane(x, y), (var_x, var_y))
         share = jax.lax.optimization_barrier(seen * half * node_weight)
         if not near:
             return ([jnp.sum(share * one, axis=1) for one in (1.0, cos_a, cos_a**2, cos_a**3)],)
-        at = directions(normal, jnp.sin(lamp), jnp.cos(lamp), q, w)
+        at = directions(normal, jnp.sin(lamp), jnp.cos(lamp), view.camera, view.lamp)
         # area in the image over the cosine of the viewing angle, times the irradiance across the light
         share = share * at.view / depth**3 / at.light**2
         place = 2 * (jnp.arcsinh(at.theta_h / scale) - first) / (last - first) - 1
