@@ -92,9 +92,9 @@ class Watched:
 
 def stand_ins(folder: Path, count: int) -> None:
     names = (SHARED / "data" / "merl_npf" / "materials.txt").read_text().split()
-    for place in np.linspace(0, len(names) - 1, count).astype(int):
+    for position in np.linspace(0, len(names) - 1, count).astype(int):
         tool = SHARED / "tools" / "npf_to_merl.py"
-        subprocess.run([sys.executable, tool, names[place], folder / f"{names[place]}.binary"], check=True)
+        subprocess.run([sys.executable, tool, names[position], folder / f"{names[position]}.binary"], check=True)
     whole = next(folder.glob("*.binary")).read_bytes()
     (folder / "cut-short.binary").write_bytes(whole[:-1000])
 

@@ -18,12 +18,12 @@ def e_sfr(picture: np.ndarray) -> float:
     x, y = np.arange(columns), np.arange(rows)
     slope = np.zeros_like(picture)
     slope[:, 1:-1] = (picture[:, 2:] - picture[:, :-2]) / 2
-    place = np.full(rows, columns / 2)
+    position = np.full(rows, columns / 2)
     for _ in range(2):
-        window = 0.54 + 0.46 * np.cos(np.clip((x - place[:, None]) / columns, -0.5, 0.5) * 2 * np.pi)
+        window = 0.54 + 0.46 * np.cos(np.clip((x - position[:, None]) / columns, -0.5, 0.5) * 2 * np.pi)
         weighted = slope * window
         line = np.polyfit(y, (weighted * x).sum(1) / weighted.sum(1), 1)
-        place = np.polyval(line, y)
+        position = np.polyval(line, y)
     distance = (x - line[0] * y[:, None]).ravel()
     bins = np.floor(4 * (distance - distance.min())).astype(int)
     esf = np.bincount(bins, picture.ravel()) / np.maximum(np.bincount(bins), 1)

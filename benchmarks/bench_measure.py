@@ -31,7 +31,7 @@ def naive_cell(theta_h, theta_d, phi_d):
     """One way of a cell: the pixel's window in theta_h and azimuth, clipped to the sphere, seen through the kernel."""
     psi = jnp.pi - phi_d
     half = jnp.array([jnp.sin(theta_d), 0.0, jnp.cos(theta_d)])
-    x, y = _place(theta_h, psi, half)
+    x, y = _position(theta_h, psi, half)
     cos_o = jnp.maximum(jnp.cos(theta_h) * half[2] - jnp.sin(theta_h) * jnp.cos(psi) * half[0], 0.02)
     size = REACH * np.sqrt(2) / RADIUS / cos_o
     unit, weight = (jnp.asarray(a) for a in np.polynomial.legendre.leggauss(NODES))
@@ -40,7 +40,7 @@ def naive_cell(theta_h, theta_d, phi_d):
     turn = jnp.minimum(size / jnp.maximum(jnp.sin(theta), 1e-9), jnp.pi)
     at = psi + turn[:, None] * unit
     theta_2 = theta[:, None]
-    normal_x, normal_y = _place(theta_2, at, half)
+    normal_x, normal_y = _position(theta_2, at, half)
     n = jnp.stack(jnp.broadcast_arrays(normal_x, normal_y)) / RADIUS
     n_z = jnp.cos(theta_2) * half[2] - jnp.sin(theta_2) * jnp.cos(at) * half[0]
     cos_i = n[0] * jnp.sin(2 * theta_d) + n_z * jnp.cos(2 * theta_d)
@@ -53,7 +53,7 @@ def naive_cell(theta_h, theta_d, phi_d):
     return jnp.sum(light * through * share) / (mean - side)
 
 
-def _place(theta, psi, half):
+def _position(theta, psi, half):
     across = jnp.sin(theta) * jnp.cos(psi)
     return RADIUS * (jnp.cos(theta) * half[0] + across * half[2]), RADIUS * jnp.sin(theta) * jnp.sin(psi) * (
         1 + 0 * half[0]

@@ -48,9 +48,9 @@ def of_call(function, *arguments, **more) -> tuple[float, float]:
     return time.perf_counter() - start[0], time.process_time() - start[1]
 
 
-def said(name: str, places: np.ndarray, mtf50: np.ndarray, sides: np.ndarray) -> str:
+def said(name: str, positions: np.ndarray, mtf50: np.ndarray, sides: np.ndarray) -> str:
     """How many of the drawn sides were measured, and how well."""
-    distance, side = cKDTree(sides).query(places)
+    distance, side = cKDTree(sides).query(positions)
     near = distance < NEAR
     error = (mtf50[near] / true_mtf50() - 1) * 100
     return (

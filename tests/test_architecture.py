@@ -100,12 +100,12 @@ def test_no_module_bears_the_name_of_a_public_function():
 
 
 def test_a_class_has_one_name():
-    places = {}
+    positions = {}
     for path in SOURCES:
         for node in ast.parse(path.read_text()).body:
             if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
-                places.setdefault(node.name, []).append(path)
-    assert {name: found for name, found in places.items() if len(found) > 1} == {}
+                positions.setdefault(node.name, []).append(path)
+    assert {name: found for name, found in positions.items() if len(found) > 1} == {}
 
 
 def test_docstrings_begin_with_a_verb():

@@ -131,9 +131,9 @@ def test_sphere_mapping(theta_h, theta_d, phi_d):
     # the picture's axes: across the view, in the plane of the lamp, and across that plane
     right = (light - (light @ view) * view) / np.sin(2 * theta_d)
     assert (x, y) == pytest.approx((RADIUS * right @ normal, RADIUS * np.cross(view, right) @ normal), abs=1e-9)
-    place = matcam.Sphere(RADIUS).place(theta_h, theta_d, phi_d)
-    assert (place.x, place.y) == pytest.approx((x, y), abs=1e-9)
-    assert place.lamp_angle == pytest.approx(2 * theta_d)
+    position = matcam.Sphere(RADIUS).position(theta_h, theta_d, phi_d)
+    assert (position.x, position.y) == pytest.approx((x, y), abs=1e-9)
+    assert position.lamp_angle == pytest.approx(2 * theta_d)
 
 
 def test_sphere_before_a_near_camera():

@@ -95,7 +95,7 @@ def test_what_must_be_says_what_was():
 def test_the_command_line_speaks_of_options():
     """Its own messages name no argument of Python; those of the library are translated where they do."""
     python = re.compile(r"\b\w+=(True|False|None|')")
-    assert wrong(lambda m: not python.search(m.text), [m for m in MESSAGES if m.place.startswith("cli/")]) == []
+    assert wrong(lambda m: not python.search(m.text), [m for m in MESSAGES if m.position.startswith("cli/")]) == []
     # arguments that no command passes on
     without_option = ("exact=True", "camera=", "camera_parameters=")
 

@@ -337,7 +337,7 @@ def _written(table, folder):
     return path.read_bytes()
 
 
-def _at_places(table, folder):
+def _at_positions(table, folder):
     del folder
     return np.asarray(matcam.material.Tabulated(table).brdf(0.2, np.array([0.3, 0.9]), 0.5)).tobytes()
 
@@ -347,7 +347,7 @@ def _as_samples(table, folder):
     return samples_of(table).values.astype(float).tobytes()
 
 
-@pytest.mark.parametrize("use", [_written, _at_places, _as_samples])
+@pytest.mark.parametrize("use", [_written, _at_positions, _as_samples])
 def test_a_table_in_another_form_is_the_same(table, tmp_path, use):
     expected = use(table, tmp_path)
     values = table.values

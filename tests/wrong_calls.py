@@ -156,13 +156,13 @@ def _outcome(call, given):
     except TypeError:
         return "TypeError", ""
     except Exception as error:
-        place = "?"
+        position = "?"
         trace = error.__traceback__
         while trace is not None:
             if "matcam" in trace.tb_frame.f_code.co_filename and "tests" not in trace.tb_frame.f_code.co_filename:
-                place = f"{Path(trace.tb_frame.f_code.co_filename).name}:{trace.tb_lineno}"
+                position = f"{Path(trace.tb_frame.f_code.co_filename).name}:{trace.tb_lineno}"
             trace = trace.tb_next
-        return "fault", f"{place} {type(error).__name__}: {' '.join(str(error).split())[:80]}"
+        return "fault", f"{position} {type(error).__name__}: {' '.join(str(error).split())[:80]}"
     return "result", ""
 
 

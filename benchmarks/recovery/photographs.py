@@ -124,15 +124,15 @@ def _grid():
     return np.meshgrid(line, -line)
 
 
-def records_of(case, j, place):
+def records_of(case, j, position):
     """Records (terms, positions) of pixels of slice j at a factor of 1: radiance per unit irradiance, 1/sr."""
 
     def light(s2, cos_i, cos_o):
         return np.stack([term.light(s2, cos_i, cos_o) for term in case.table.terms])
 
     rules = records.sphere_slice.Slices(case.table.setup, light, finest(case.table))
-    both = rules.records(THETA_D[j], place[:, 0], np.abs(place[:, 1]))
-    return np.where(place[:, 1] >= 0, both[..., 0], both[..., 1])
+    both = rules.records(THETA_D[j], position[:, 0], np.abs(position[:, 1]))
+    return np.where(position[:, 1] >= 0, both[..., 0], both[..., 1])
 
 
 def exposed(case, kept):
@@ -140,8 +140,8 @@ def exposed(case, kept):
     clean = np.zeros((len(SLICES), 2 * SIZE + 1, 2 * SIZE + 1, 3))
     factors = [term.factor(THETA_D) for term in case.table.terms]
     for n, j in enumerate(SLICES):
-        place = positions(case, j)
-        column, row = (np.rint(u).astype(int) for u in (place - case.phase).T * [[1], [-1]])
+        position = positions(case, j)
+        column, row = (np.rint(u).astype(int) for u in (position - case.phase).T * [[1], [-1]])
         values = sum(one[:, None] * factor[j] for one, factor in zip(kept[j], factors, strict=True))
         clean[n, row + SIZE, column + SIZE] = values
     random = np.random.default_rng(zlib.crc32(case.name.encode()))
@@ -193,8 +193,8 @@ def _pixels_of_cells(phase, j):
     th, ph = (a.ravel() for a in np.broadcast_arrays(THETA_H[:, None], PHI_D))
     found = real_pixels.behind("bilinear", np.array(phase), th, THETA_D[j], ph)
     used = found.share > 0
-    column, row = (np.where(used, np.rint(u).astype(int), 0) for u in np.moveaxis(found.place - phase, -1, 0))
-    cosine = np.where(used, real_pixels.light_cosine(found.place, THETA_D[j]), 1)
+    column, row = (np.where(used, np.rint(u).astype(int), 0) for u in np.moveaxis(found.position - phase, -1, 0))
+    cosine = np.where(used, real_pixels.light_cosine(found.position, THETA_D[j]), 1)
     return found.share, SIZE - row, SIZE + column, cosine
 
 

@@ -52,10 +52,10 @@ def _rules(case):
 
 def _pixel_records(case, rules, j):
     """Records (terms, pixels) of the pixels that the cells of slice j are looked up in, 1/sr."""
-    place = pixels(case, j)[2]
-    both = rules.records(THETA_D[j], place[:, 0], np.abs(place[:, 1]))
-    at = np.where(place[:, 1] >= 0, both[..., 0], both[..., 1])
-    return at / real_pixels.light_cosine(place, THETA_D[j])
+    position = pixels(case, j)[2]
+    both = rules.records(THETA_D[j], position[:, 0], np.abs(position[:, 1]))
+    at = np.where(position[:, 1] >= 0, both[..., 0], both[..., 1])
+    return at / real_pixels.light_cosine(position, THETA_D[j])
 
 
 def pixels(case, j):
@@ -66,8 +66,8 @@ def pixels(case, j):
     th, ph = (a.ravel() for a in np.broadcast_arrays(THETA_H[:, None], PHI_D))
     found = real_pixels.behind(case.rule, np.array(case.phase), th, THETA_D[j], ph)
     used = found.share > 0
-    whole = np.rint(found.place[used] - case.phase).astype(int)
-    places, index = np.unique(whole, axis=0, return_inverse=True)
+    whole = np.rint(found.position[used] - case.phase).astype(int)
+    positions, index = np.unique(whole, axis=0, return_inverse=True)
     number = np.zeros(found.share.shape, int)
     number[used] = index.ravel()
-    return found.share, number, places + np.array(case.phase)
+    return found.share, number, positions + np.array(case.phase)

@@ -121,7 +121,7 @@ def test_mirror_normals_are_alhazens():
         t = mirror_angle(angle, VIEW)
         q = 1 / VIEW.camera
         away = np.sqrt(1 - q**2) * np.sin(t) / (1 - q * np.cos(t))
-        row, column = ball.mirror_place(direction(angle, 0.7), VIEW.lamp)
+        row, column = ball.mirror_position(direction(angle, 0.7), VIEW.lamp)
         assert (column, -row) == pytest.approx(away * np.array([np.cos(0.7), np.sin(0.7)]), abs=1e-9)
         assert cylinder_line(direction(angle, 0.0), VIEW.camera, VIEW.lamp) == pytest.approx(away, abs=1e-9)
 
@@ -220,7 +220,7 @@ def test_a_flat_sample_is_not_judged_as_a_sphere(tmp_path):
     found = check_capture(read_capture(drawn([0, 10, 20, 30]).write(tmp_path / "good")))
     assert found.findings == ()
     assert "not-checked" in {note.code for note in found.notes}
-    assert list(codes(drawn([10, 11, 12, 11]), tmp_path / "alike")) == ["half-angles-alike"]
+    assert list(codes(drawn([10, 11, 12, 11]), tmp_path / "alike")) == ["half-angles-similar"]
 
 
 def test_a_dark_disc_is_found_and_its_absence_too():

@@ -30,7 +30,7 @@ def test_pixels_show_the_normals_of_the_oracle():
     assert np.nanmax(np.abs(normals - points)) < 1e-12
     seen = np.isfinite(normals[..., 0])
     assert np.abs(mirror.views(normals[seen]) + rays[seen]).max() < 1e-12
-    rows, columns = mirror.place(normals[seen])
+    rows, columns = mirror.position(normals[seen])
     assert np.abs(np.stack([rows, columns]) - at[np.argwhere(seen).T]).max() < 1e-9
 
 
@@ -81,7 +81,7 @@ def test_clipped_pixels_are_at_least_so_bright():
     found = find_highlight(clipped, mirror)
     assert found.clipped > 20
     assert [remark.code for remark in found.remarks] == ["clipped"]
-    row, column = mirror.mirror_place(unit(at))
+    row, column = mirror.mirror_position(unit(at))
     assert np.hypot(found.row - row, found.column - column) < 0.1
     with pytest.raises(FitError, match="of the sphere is clipped"):
         find_highlight(merged(picture.values, picture.std, clip=20.0), mirror)
@@ -98,9 +98,9 @@ def test_other_bright_spots_are_named():
     )
     found = find_highlight(photograph(radiance, rng, electrons=1e3), mirror)
     assert [remark.code for remark in found.remarks] == ["several-highlights"]
-    for place, at, near in ((found, lamps[0], 0.1), (found.others[0], lamps[1], 1.0)):
-        row, column = mirror.mirror_place(unit(at))
-        at = (place.row, place.column) if place is found else place[:2]
+    for position, at, near in ((found, lamps[0], 0.1), (found.others[0], lamps[1], 1.0)):
+        row, column = mirror.mirror_position(unit(at))
+        at = (position.row, position.column) if position is found else position[:2]
         assert np.hypot(at[0] - row, at[1] - column) < near
     matt = photograph(oracle.lit(ball, SHAPE, lamps[0]), rng, name="matt.png")
     dark = merged(rng.normal(0, 3, SHAPE), np.full(SHAPE, 3.0), name="dark.png")
@@ -117,8 +117,8 @@ def test_diligent_highlights(real_data):
     found, _ = find_highlights(pictures, outline.ball)
     assert all(one is not None for one in found)
     assert all(1 <= one.clipped <= 12 for one in found)
-    places = np.array([(one.row, one.column) for one in found])
-    wanted = radius_by_highlights(*places.T, lamps, outline.ball, outline.std)
+    positions = np.array([(one.row, one.column) for one in found])
+    wanted = radius_by_highlights(*positions.T, lamps, outline.ball, outline.std)
     assert wanted.rms < 0.25
     assert wanted.radius == pytest.approx(72.2, abs=0.2)
     assert 0.007 < wanted.mismatch < 0.016
@@ -126,7 +126,7 @@ def test_diligent_highlights(real_data):
     # with the outline's radius, the distances that the mismatch wants, and the table's axes turned
     distance = 2 / wanted.inverse_distances
     near = outline.ball._replace(distance=distance)
-    turned = near.lamp_seen_at(near.normals(*places.T), distance) @ rotation(wanted.turn).T
+    turned = near.lamp_seen_at(near.normals(*positions.T), distance) @ rotation(wanted.turn).T
     off = np.degrees(lamp_angles_apart(turned, lamps))
     assert np.sqrt(np.mean(off**2)) < 0.4
 

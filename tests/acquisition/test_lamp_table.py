@@ -26,12 +26,12 @@ def test_highlight_radius_tells_the_sum_of_inverse_distances():
     rng = np.random.default_rng(2)
     true, *_ = lamps(count=40)
     true = true[true[:, 2] > 0.7]
-    rows, columns = MirrorBall(100.0, 100.0, 80.0, 60.0).mirror_place(true, 90.0)
+    rows, columns = MirrorBall(100.0, 100.0, 80.0, 60.0).mirror_position(true, 90.0)
     rows, columns = rows + rng.normal(0, 0.02, rows.shape), columns + rng.normal(0, 0.02, rows.shape)
     found = radius_by_highlights(rows, columns, true, MirrorBall(100.0, 100.0, 80.0), np.array([0.01, 0.01, 0.02]))
     assert found.inverse_distances == pytest.approx(1 / 60 + 1 / 90, abs=max(3 * found.inverse_distances_std, 0.003))
     assert [remark.code for remark in found.remarks] == ["radius-mismatch"]
-    rows, columns = MirrorBall(100.0, 100.0, 80.0).mirror_place(true)
+    rows, columns = MirrorBall(100.0, 100.0, 80.0).mirror_position(true)
     assert abs(radius_by_highlights(rows, columns, true, MirrorBall(100.0, 100.0, 80.0)).mismatch) < 1e-9
     with pytest.raises(FitError, match="at least 4"):
         radius_by_highlights(rows[:3], columns[:3], true[:3], MirrorBall(100.0, 100.0, 80.0))

@@ -77,7 +77,7 @@ def test_stand_and_dust_are_left_out():
     assert (~found.used).sum() >= 3
 
 
-def test_a_line_in_place_of_the_root_shrinks_the_sphere():
+def test_a_line_in_position_of_the_root_shrinks_the_sphere():
     """The light of a lit sphere starts with a root: read as a straight line, it is blur, and the limb moves inwards."""
     rng = np.random.default_rng(4)
     ball = oracle.Ball(75.0, 78.0, 71.4)
@@ -98,8 +98,8 @@ def test_every_frame_has_its_shift():
         pictures.append(photograph(oracle.lit(ball, SHAPE, lamp), rng, electrons=5e3))
     first = find_outline(stacked(pictures))
     outline, found = find_shifts(pictures, first, shift_std=0.3, same_radius=False)
-    places = np.array([[outline.row + one.row, outline.column + one.column] for one in found])
-    off = places - (shifts + np.array([75, 78]))
+    positions = np.array([[outline.row + one.row, outline.column + one.column] for one in found])
+    off = positions - (shifts + np.array([75, 78]))
     std = np.array([np.sqrt(np.diag(one.covariance)) for one in found])
     assert np.sqrt((off**2).mean()) < 0.08
     assert np.abs(off / std).max() < 3

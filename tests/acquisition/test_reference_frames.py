@@ -52,7 +52,7 @@ def test_a_drifting_lamp_is_known_by_a_monitor_in_pictures_of_its_own(monitored,
     assert BETWEEN / 2 < radiometry.reference_between < 4 * BETWEEN
 
 
-def test_a_white_patch_in_the_place_of_the_sphere_gives_the_unit(white, tmp_path):
+def test_a_white_patch_in_the_position_of_the_sphere_gives_the_unit(white, tmp_path):
     found, gains, radiometry, codes = light_of(read_capture(white.write(tmp_path)))
     truth = white.truth
     relative = {one["exposure"]: one["relative"] for one in truth["exposures"]}[radiometry.reference_exposure]

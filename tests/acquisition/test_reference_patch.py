@@ -88,11 +88,11 @@ def test_what_is_not_known_of_the_patch_is_in_its_error(tmp_path):
 
 def test_light_on_a_patch_falls_with_distance_and_cosine():
     """Against the law itself: the lamp's place less the patch's, in one line of vectors."""
-    place, far = np.array([1.4, -0.6, 0.3]), 12.0
+    position, far = np.array([1.4, -0.6, 0.3]), 12.0
     lamp = np.array([np.sin(0.7), 0.0, np.cos(0.7)])
-    way = far * lamp - place
+    way = far * lamp - position
     normal = np.array([0.1, -0.05, 1.0]) / np.sqrt(1 + 0.1**2 + 0.05**2)
     expected = (way @ normal) / np.linalg.norm(way) ** 3 * far**2
-    geometry, cosine = patch_geometry(lamp[None], 1 / far, place, (0.1, -0.05))
+    geometry, cosine = patch_geometry(lamp[None], 1 / far, position, (0.1, -0.05))
     assert geometry[0] == pytest.approx(expected, rel=1e-12)
     assert cosine[0] == pytest.approx((way @ normal) / np.linalg.norm(way), rel=1e-12)

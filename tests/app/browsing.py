@@ -90,5 +90,5 @@ def faults(boxes, width):
 
 def latencies(page, moves=60, slider="slider-roughness", low=-2.7, high=-0.7):
     """Times from a slider's event to the paint of curve and pictures, ms."""
-    places = [low + (high - low) * (0.5 + 0.5 * math.sin(0.37 * i)) for i in range(moves)]
-    return [page.evaluate(MOVE, [slider, place, SHOWN]) for place in places]
+    positions = [low + (high - low) * (0.5 + 0.5 * math.sin(0.37 * i)) for i in range(moves)]
+    return [page.evaluate(MOVE, [slider, position, SHOWN]) for position in positions]

@@ -67,12 +67,12 @@ def test_the_last_value_of_a_fast_drag_wins(chromium, app):
     """160 moves in bursts of 8: few are computed, none is shown late, and the last one is what stays."""
     with opened(chromium, app) as page:
         page.wait_for_function(PREPARED, timeout=300_000)
-        places = np.linspace(np.log10(0.002), np.log10(0.2), 160).tolist()
-        found = page.evaluate(DRAG, ["slider-roughness", places, 8, 30])
-        assert found["slider"] == places[-1]
+        positions = np.linspace(np.log10(0.002), np.log10(0.2), 160).tolist()
+        found = page.evaluate(DRAG, ["slider-roughness", positions, 8, 30])
+        assert found["slider"] == positions[-1]
         assert found["shown"][-1] == found["value"] == 0.2
         assert found["answered"] > 100  # the number field follows every move that changes its three digits
-        assert len(found["shown"]) < len(places) / 2
+        assert len(found["shown"]) < len(positions) / 2
         assert (np.diff(found["shown"][1:]) >= 0).all()  # the drag only rises: no earlier value follows a later one
         assert found["late"] <= 2  # behind the last move: what was being computed, and the last value
         # the same of a mouse that drags the handle

@@ -31,8 +31,8 @@ def test_the_blur_is_found_and_used(tmp_path, here):
     shot = recorded.pictures(6)
     theta = shot.cells.theta_d[:, None, None]
     for seed, alpha in enumerate((0.003, 0.012)):
-        ways = shot.rule.ways(oracle.GGX(alpha)) * conductor(theta, *recorded.CHROMIUM)
-        one = shot.table(shot.rule.noisy(ways, np.random.default_rng(seed), gain=0.01)).values
+        directions = shot.rule.directions(oracle.GGX(alpha)) * conductor(theta, *recorded.CHROMIUM)
+        one = shot.table(shot.rule.noisy(directions, np.random.default_rng(seed), gain=0.01)).values
         write_merl(tmp_path / f"m{seed}.binary", brdf_table(np.repeat(one, 3, axis=3).clip(min=0), "centre"))
     (tmp_path / "short.binary").write_bytes(b"short")
     again = lambda: correct_all(  # noqa: E731

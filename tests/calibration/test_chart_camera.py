@@ -49,7 +49,7 @@ def test_pictures_do_not_depend_on_the_sampling():
     assert np.abs(pictures[0] - pictures[1]).max() < 1e-6
 
 
-def test_places_there_and_back():
+def test_positions_there_and_back():
     camera = ChartCamera(**FRONT, tilt=(0.2, -0.1), roll=0.3, distortion=-0.02, shift=(3, 4))
     x, y = np.array([5.0, 95, 40]), np.array([7.0, 50, 20])
     np.testing.assert_allclose(camera.page_of(*camera.sensor_of(x, y)), [x, y], atol=1e-9)

@@ -46,7 +46,7 @@ def covered(frame, chart, kept):
 
 
 @pytest.mark.parametrize("kept", [(1, 2, 3, 4, 5, 6, 7), (3, 4, 6, 7), (1, 3, 5, 7)])
-def test_any_four_fiducials_place_the_chart(tmp_path, kept):
+def test_any_four_fiducials_position_the_chart(tmp_path, kept):
     chart, frame = drawn(tmp_path, 620, 0, hand=False)
     found = register_chart(covered(frame, chart, kept), chart)
     assert found.found == len(kept)

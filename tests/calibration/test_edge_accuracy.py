@@ -100,7 +100,7 @@ def test_orientation(turn):
     assert np.degrees(result.angle) == pytest.approx(degrees, abs=1e-3)
     assert abs(relative(result.mtf50, oracle.gaussian_half(0.5, 7))) <= 2e-4
     height, width = turned.shape
-    assert result.place == pytest.approx(((width - 1) / 2, (height - 1) / 2), abs=1e-2)
+    assert result.position == pytest.approx(((width - 1) / 2, (height - 1) / 2), abs=1e-2)
 
 
 @pytest.mark.parametrize("sigma", [0.3, 0.5, 1.2])

@@ -50,10 +50,10 @@ def test_region_of_a_larger_picture(clean):
     frame[25:185, 40:120] = clean
     alone, inside = edge_mtf(clean), edge_mtf(frame, (40, 25, 80, 160))
     assert inside.mtf50 == alone.mtf50
-    assert inside.place == pytest.approx((alone.place[0] + 40, alone.place[1] + 25))
+    assert inside.position == pytest.approx((alone.position[0] + 40, alone.position[1] + 25))
     plane = LinearImage.of(frame)
     for same in (edge_mtf(plane, (40, 25, 80, 160)), edge_mtf(plane.cut((40, 25, 80, 160)))):
-        assert (same.mtf50, same.place) == (inside.mtf50, inside.place)
+        assert (same.mtf50, same.position) == (inside.mtf50, inside.position)
 
 
 def test_tone_curves_are_undone(clean):
@@ -220,7 +220,7 @@ def test_a_stack_says_which_edges_cannot_be_measured(clean):
     planes = [LinearImage(clean, corner=(7, 9)), LinearImage(clean[:, ::-1])]
     placed = edge_mtf_stack(planes)
     assert placed.mtf50 == pytest.approx(result.mtf50[[0, 2]], rel=1e-9)
-    assert placed.place[0][0] == pytest.approx(result.place[0][0] + 7)
+    assert placed.position[0][0] == pytest.approx(result.position[0][0] + 7)
     with pytest.raises(ArgumentError, match="regions of one shape"):
         edge_mtf_stack([planes[0], planes[1].cut((0, 0, 60, 80))])
     for bad in (clean, np.ones((2, 10, 40)), np.ones((0, 80, 80)), np.array([[["a"]]])):

@@ -107,9 +107,9 @@ def test_ghosts_are_measured_and_said():
         assert abs(stack.mtf50[i] - truth) < 2.5 * stack.mtf50_std[i] < 0.05 * truth
         said = next(remark.text for remark in stack[i].remarks if remark.code == "ghost")
         assert ("bright" if offset > 0 else "dark") in said
-        found, place = (float(re.search(pattern, said)[1]) for pattern in (r"of (\S+)%", r"lies (\S+) px"))
+        found, position = (float(re.search(pattern, said)[1]) for pattern in (r"of (\S+)%", r"lies (\S+) px"))
         assert found / 100 == pytest.approx(share, abs=0.03)
-        assert place == pytest.approx(abs(offset), abs=0.5)
+        assert position == pytest.approx(abs(offset), abs=0.5)
 
 
 def test_two_steps_are_no_ghost():

@@ -67,7 +67,7 @@ def test_strips_say_where_edges_lie_and_what_they_are(chart):
     picture, sides = chart
     result = measured(picture)
     assert not any(result.problems)
-    nearest, off, turned = matched(*result.place, result.angle, sides)
+    nearest, off, turned = matched(*result.position, result.angle, sides)
     assert len(set(nearest)) == len(sides) == len(result)
     assert np.max(np.abs(off)) < 0.05
     assert np.max(np.abs(turned)) < 0.002
@@ -82,7 +82,7 @@ def test_a_strip_is_a_rectangle_that_leans(chart):
     """The same edge in a rectangle, by the function for rectangles, has the same MTF to a part of its noise."""
     picture, _ = chart
     result = measured(picture)
-    x, y = result.place
+    x, y = result.position
     upright = np.flatnonzero(np.abs(np.cos(result.angle)) > 0.9)[:3]
     boxes = [(round(y[i]), round(x[i])) for i in upright]
     cut = np.stack([picture[row - 30 : row + 30, column - 28 : column + 28] for row, column in boxes])
@@ -127,7 +127,7 @@ def test_the_squares_of_a_real_chart_are_measured_as_published(real_chart, numbe
     roi = published[number]
     # named centres, but upper left corners; the edge runs through the middle of its region
     middle = roi["centre_x"] + roi["width"] / 2, roi["centre_y"] + roi["height"] / 2
-    away = np.hypot(result.place[0] - middle[0], result.place[1] - middle[1])
+    away = np.hypot(result.position[0] - middle[0], result.position[1] - middle[1])
     nearest = np.nanargmin(away)
     assert away[nearest] < 8, roi
     assert result.mtf50[nearest] == pytest.approx(roi["mtf50"], rel=0.1)

@@ -48,7 +48,7 @@ def test_found_without_hints(profile, frequency, duty):
 @pytest.mark.parametrize(
     ("profile", "frequency", "duty"), [("bars", 0.12, 0.5), ("bars", 0.62, 0.5), ("lines", 0.2, 0.25)]
 )
-def test_known_place_and_beyond_nyquist(profile, frequency, duty):
+def test_known_position_and_beyond_nyquist(profile, frequency, duty):
     shot, printed = camera(0.35), grating(profile, frequency, duty)
     picture = 1e4 * shot.expected(page_of(printed)) * shot.light()
     # the registration is off by half a pixel; the phase is found all the same

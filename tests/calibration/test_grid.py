@@ -16,8 +16,8 @@ PIXEL = PAGE[0] / 320  # mm
 
 def grid(level=0.05, columns=13, rows=10):
     turn = np.array([[np.cos(0.08), -np.sin(0.08)], [np.sin(0.08), np.cos(0.08)]])
-    places = [(i - columns // 2, j - rows // 2) for j in range(rows) for i in range(columns)]
-    centres = 13.5 * PIXEL * np.array(places) @ turn.T + np.array(PAGE) / 2
+    positions = [(i - columns // 2, j - rows // 2) for j in range(rows) for i in range(columns)]
+    centres = 13.5 * PIXEL * np.array(positions) @ turn.T + np.array(PAGE) / 2
     return Dots(tuple((float(x), float(y)) for x, y in centres), 1.3 * PIXEL, 13.5 * PIXEL, level)
 
 

@@ -35,7 +35,7 @@ def test_the_clearance_is_a_quantile_of_the_rows_with_samples():
     shape = CoreShape(sigma, np.zeros(3), np.full(3, 0.5), np.ones(3), np.ones(3))
     found = SimpleNamespace(curve=curve, slope=curve[:, 1], free=SimpleNamespace(shape=shape))
     rows = EdgeRegions(value, np.tile(y, (3, 1)), np.full((3, 30), x[0]), 1, None, 2)
-    known, place = np.where(np.isfinite(value), x, np.nan), curve[:, :1] + curve[:, 1:2] * y
-    ends = np.stack([place - np.nanmin(known, 2), np.nanmax(known, 2) - place])
+    known, position = np.where(np.isfinite(value), x, np.nan), curve[:, :1] + curve[:, 1:2] * y
+    ends = np.stack([position - np.nanmin(known, 2), np.nanmax(known, 2) - position])
     expected = np.nanquantile(ends, 0.1, axis=2).min(0) / np.hypot(1, curve[:, 1]) / np.sqrt(sigma**2 + 1 / 12)
     np.testing.assert_allclose(clearance(found, rows), expected, rtol=1e-12, equal_nan=True)

@@ -56,11 +56,11 @@ def test_a_mosaic_of_any_type(chart):
     description, document = chart
     camera = ChartCamera(**SIZE, page=description.page)
     photograph = camera.photograph(camera.expected(document), 60, 1, "RGGB")
-    places = np.array([[50.0, 50], [200, 100]])
-    expected = register_chart(photograph, description, mosaic=True)(places)
+    positions = np.array([[50.0, 50], [200, 100]])
+    expected = register_chart(photograph, description, mosaic=True)(positions)
     for kind in (np.uint16, np.int32, np.float32):
         taken = photograph.astype(kind)
-        np.testing.assert_allclose(register_chart(taken, description, mosaic=True)(places), expected, atol=1e-3)
+        np.testing.assert_allclose(register_chart(taken, description, mosaic=True)(positions), expected, atol=1e-3)
         assert (taken == photograph.astype(kind)).all()
 
 
@@ -80,20 +80,20 @@ def test_a_hidden_corner_is_no_harm(chart):
 def test_other_marks_among_the_charts_own(seed):
     """Fourteen of the kind, anywhere on the page: a loose match of all eight is not the last word."""
     description, random = design_chart(), np.random.default_rng(seed)
-    places = np.array([mark.centre for mark in description.fiducials])
+    positions = np.array([mark.centre for mark in description.fiducials])
     y, x = np.indices((620, 840))
-    seen = [*(2.4 * places + [60, 50])]
+    seen = [*(2.4 * positions + [60, 50])]
     while len(seen) < 22:
-        place = random.uniform([70, 60], [762.8, 544])
-        if min(np.hypot(*(place - other)) for other in seen) > 30:
-            seen.append(place)
+        position = random.uniform([70, 60], [762.8, 544])
+        if min(np.hypot(*(position - other)) for other in seen) > 30:
+            seen.append(position)
     page = np.ones(y.shape)
     for i, (at_x, at_y) in enumerate(seen):
         radius = np.hypot(x - at_x, y - at_y) / (2.4 * description.fiducials[0].radius if i < 8 else 3.0)
         second = i < 8 and description.fiducials[i].rings == 2
         page[(radius < 1) | ((radius > 2) & (radius < 3)) | (second & (radius > 4) & (radius < 5))] = 0.1
     found = register_chart(page, description)
-    assert np.abs(found(places) - seen[:8]).max() < 1
+    assert np.abs(found(positions) - seen[:8]).max() < 1
 
 
 def test_refusals(chart):

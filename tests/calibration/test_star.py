@@ -84,7 +84,7 @@ def test_a_large_star_is_fitted_to_some_of_its_pixels(photographed, monkeypatch)
     assert abs(chi2_of(result, shot) / degrees - 1) < 4 * np.sqrt(2 / degrees)
 
 
-def test_mosaic_and_known_place():
+def test_mosaic_and_known_position():
     shot = camera(0.5, 0.9)
     picture = shot.photograph(shot.expected(CHART), 100, 5, cfa="RGGB")
     centre = None

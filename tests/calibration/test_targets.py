@@ -67,7 +67,7 @@ def test_all_targets_tell_of_one_camera(tmp_path, size, cfa):
     field = lens_over_field(dot_positions(chart, found), size[::-1])
     # the drawing states where the pinhole saw what is seen at r: r (1 + 0.02 r^2), the other way round
     seen = 0.6
-    pinhole = field.true_place(field.centre[0] + seen * field.unit, field.centre[1])[0] - field.centre[0]
+    pinhole = field.true_position(field.centre[0] + seen * field.unit, field.centre[1])[0] - field.centre[0]
     assert abs(pinhole / field.unit - seen * (1 + POSE["distortion"] * seen**2)) < 4 * field.k1.std * seen**3
     assert field.k1.std < 0.001
 

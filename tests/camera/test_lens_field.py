@@ -11,18 +11,18 @@ FIELD = LensField(
 )
 
 
-def test_places_go_through_the_lens_and_back():
+def test_positions_go_through_the_lens_and_back():
     rng = np.random.default_rng(0)
     column, row = rng.uniform(0, 1000, 50), rng.uniform(0, 800, 50)
     seen = FIELD.seen_at(column, row)
     away, rho = np.hypot(seen[0] - 510, seen[1] - 390), np.hypot(column - 510, row - 390) / 640
     assert away / 640 == pytest.approx(rho - 0.02 * rho**3 + 0.004 * rho**5, rel=1e-12)
-    again = FIELD.true_place(*seen)
+    again = FIELD.true_position(*seen)
     assert again[0] == pytest.approx(column, abs=1e-9)
     assert again[1] == pytest.approx(row, abs=1e-9)
 
 
-def test_stretch_is_the_derivative_of_the_place():
+def test_stretch_is_the_derivative_of_the_position():
     step = 1e-3
     for axis in (0, 1):
         ends = [

@@ -267,7 +267,7 @@ def test_foreign_files_are_refused(text, tmp_path):
         Camera.load(path)
 
 
-def test_unreadable_places(tmp_path):
+def test_unreadable_positions(tmp_path):
     with pytest.raises(FileFormatError, match="no such file"):
         Camera.load(tmp_path / "none.json")
     with pytest.raises(FileFormatError, match="is a folder, not a camera profile"):

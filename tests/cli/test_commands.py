@@ -291,10 +291,10 @@ pathlib.Path.write_bytes = write_half
 }
 
 
-@pytest.mark.parametrize("place", INTERRUPTIONS.values(), ids=list(INTERRUPTIONS))
-def test_interruption_is_130_and_leaves_no_file(environment, measured, tmp_path, place):
+@pytest.mark.parametrize("position", INTERRUPTIONS.values(), ids=list(INTERRUPTIONS))
+def test_interruption_is_130_and_leaves_no_file(environment, measured, tmp_path, position):
     """Ctrl-C while the command is loaded, while it fits, and while it writes its second file: the first is gone, too."""
-    command = [sys.executable, "-c", _INTERRUPTED.format(place=place), "fresnel", measured, "--slice-step", "30"]
+    command = [sys.executable, "-c", _INTERRUPTED.format(position=position), "fresnel", measured, "--slice-step", "30"]
     done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=300)
     assert done.returncode == 130, done.stderr
     assert "interrupted" in done.stderr

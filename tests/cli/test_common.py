@@ -38,8 +38,8 @@ def rig_file(tmp_path):
 
 def test_help_groups_commands_and_tells_exit_codes(matcam):
     text = matcam("-h").stdout
-    places = [text.index(f"\n{title}:") for title in GROUPS]
-    assert places == sorted(places)
+    positions = [text.index(f"\n{title}:") for title in GROUPS]
+    assert positions == sorted(positions)
     assert "Other:" not in text
     assert all(f"{code} {words}" in " ".join(text.split()) for code, words in EXIT_CODES.items())
     assert text == matcam("--help").stdout

@@ -158,8 +158,8 @@ def test_a_damaged_or_foreign_program_is_made_again(folder, caplog, monkeypatch)
     counted(traces)(X, 3)
     (path,) = folder.iterdir()
     whole = path.read_bytes()
-    for place in np.random.default_rng(1).integers(0, len(whole), 5):
-        path.write_bytes(whole[:place] + bytes([whole[place] ^ 4]) + whole[place + 1 :])
+    for position in np.random.default_rng(1).integers(0, len(whole), 5):
+        path.write_bytes(whole[:position] + bytes([whole[position] ^ 4]) + whole[position + 1 :])
         np.testing.assert_allclose(counted(traces)(X, 3)[0], X**3)
     assert len(traces) == 6
     assert "is damaged" in caplog.text

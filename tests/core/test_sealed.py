@@ -95,7 +95,7 @@ def test_a_pipe_is_not_waited_for(path):
     assert read_sealed(path, KEY) is None
 
 
-def test_a_folder_that_another_takes_the_place_of(path, tmp_path):
+def test_a_folder_that_another_takes_the_position_of(path, tmp_path):
     """What is checked is what is read: 300 swaps between a folder of this user and one that anybody may write."""
     forged = tmp_path / "cache" / "forged"
     write_sealed(forged / "a.npz", KEY, b"forged")

@@ -25,8 +25,8 @@ def is_made(path):
 def test_links(page):
     targets = re.findall(r"\]\(([^)#\s]+)[^)]*\)", page.read_text(encoding="utf-8"))
     local = [one for one in targets if not one.startswith("http")]
-    places = {one: (DOCS / one[1:] if one.startswith("/") else page.parent / one) for one in local}
-    assert [one for one, place in places.items() if not (place.exists() or is_made(place.resolve()))] == []
+    positions = {one: (DOCS / one[1:] if one.startswith("/") else page.parent / one) for one in local}
+    assert [one for one, position in positions.items() if not (position.exists() or is_made(position.resolve()))] == []
 
 
 @pytest.mark.parametrize("page", docs_cites.written_pages(), ids=lambda page: str(page.relative_to(ROOT)))

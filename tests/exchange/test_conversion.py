@@ -98,9 +98,9 @@ def test_an_rgl_file_on_the_merl_grid_is_the_mean_of_both_ways(real_data, goniop
     assert float(table.isnull().mean()) == pytest.approx(0.248, abs=1e-3)  # what lies below the horizon
     cell = table.isel(theta_h=20, theta_d=30, phi_d=40)
     angles = [float(cell[name]) for name in ("theta_h", "theta_d", "phi_d")]
-    ways = [np.asarray(material.brdf(*angles[:2], angles[2] + turn)) for turn in (0, np.pi)]
-    assert not np.allclose(*ways, rtol=0.01)
-    np.testing.assert_allclose(cell.values, np.mean(ways, axis=0), rtol=1e-12)
+    directions = [np.asarray(material.brdf(*angles[:2], angles[2] + turn)) for turn in (0, np.pi)]
+    assert not np.allclose(*directions, rtol=0.01)
+    np.testing.assert_allclose(cell.values, np.mean(directions, axis=0), rtol=1e-12)
 
 
 def test_pictures_and_their_sidecars(folder, tmp_path):

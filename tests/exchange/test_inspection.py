@@ -172,7 +172,7 @@ def test_how_cells_were_read_from_pixels(rule, tmp_path, capsys):
     theta_h, phi_d = (a.ravel() for a in np.meshgrid(grid.theta_h[:16], grid.phi_d, indexing="ij"))
     for j in range(3, 84, 6):
         found = behind(rule, (0.25, -0.125), theta_h, grid.theta_d[j], phi_d, 200.0)
-        light = 1 / (1 + (angles_of(found.place, grid.theta_d[j], 200.0)[0] / 0.01) ** 2) ** 2
+        light = 1 / (1 + (angles_of(found.position, grid.theta_d[j], 200.0)[0] / 0.01) ** 2) ** 2
         values[:16, j] = (found.share * light).sum(1).reshape(16, 180, 1)
     cells = inspect_table(brdf_table(values, "centre"), radius=200.0)["cells"]
     assert cells["rule"] == rule

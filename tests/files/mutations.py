@@ -57,8 +57,8 @@ def mutated(content, count, seed, header):
             else:
                 yield bytes(data) + random.bytes(int(random.integers(1, 5000)))
             continue
-        low, high, places = (0, header, random.integers(1, 9)) if k % 3 == 0 else (header, len(data), 64)
-        for at in random.integers(low, max(high, low + 1), places):
+        low, high, positions = (0, header, random.integers(1, 9)) if k % 3 == 0 else (header, len(data), 64)
+        for at in random.integers(low, max(high, low + 1), positions):
             change = nasty[random.integers(len(nasty))] if random.random() < 1 / 3 else random.bytes(1)
             data[at : at + len(change)] = change
         yield bytes(data[: len(content)])

@@ -91,22 +91,22 @@ def test_merl(stand_in, tmp_path, count):
             file.truncate(length)
         if length > high - 1 and k % 3 != 1:
             held = np.memmap(path, np.uint8, "r+")
-            places = random.integers(low, high, 64 if low else 2)
-            held[places] = random.integers(0, 256, places.size)
+            positions = random.integers(low, high, 64 if low else 2)
+            held[positions] = random.integers(0, 256, positions.size)
             del held
         message = refusal(read_merl, path)
         refused += message is not None
         assert "\n" not in (message or "")
-        _mend(path, content, None if k % 3 == 1 else places)
+        _mend(path, content, None if k % 3 == 1 else positions)
     assert refused > count / 2
 
 
-def _mend(path, content, places):
+def _mend(path, content, positions):
     with path.open("r+b") as file:
         size = file.seek(0, 2)
         if size < len(content):
             file.write(content[size:])
         file.truncate(len(content))
-        for place in () if places is None else places.tolist():
-            file.seek(place)
-            file.write(content[place : place + 1])
+        for position in () if positions is None else positions.tolist():
+            file.seek(position)
+            file.write(content[position : position + 1])

@@ -113,10 +113,10 @@ def test_damaged_anywhere(kind, tmp_path):
     write(tmp_path / "whole", picture((20, 10)))
     whole = (tmp_path / "whole").read_bytes()
     rng, path = np.random.default_rng(7), tmp_path / f"hit.{kind}"
-    places = [*range(0, 420, 3), *rng.integers(420, len(whole), 20)]
-    for place in places:
+    positions = [*range(0, 420, 3), *rng.integers(420, len(whole), 20)]
+    for position in positions:
         damaged = bytearray(whole)
-        damaged[place] ^= int(rng.integers(1, 256))
+        damaged[position] ^= int(rng.integers(1, 256))
         path.write_bytes(damaged)
         try:
             values = read(path)
@@ -185,9 +185,9 @@ def test_tiff_with_an_absurd_header(tmp_path, capfd):
     path = tmp_path / "a.tif"
     tifffile.imwrite(path, np.ones((8, 8), np.float32), metadata=None)
     with tifffile.TiffFile(path) as file:
-        places = [file.pages[0].tags[name].valueoffset for name in ("ImageWidth", "ImageLength")]
+        positions = [file.pages[0].tags[name].valueoffset for name in ("ImageWidth", "ImageLength")]
     whole = bytearray(path.read_bytes())
-    for place in places:
-        whole[place : place + 2] = b"\xff\xff"
+    for position in positions:
+        whole[position : position + 2] = b"\xff\xff"
     path.write_bytes(whole)
     assert "header gives 65535 x 65535 pixels" in refused(read_float_tiff, path, capfd)

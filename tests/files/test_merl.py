@@ -68,10 +68,10 @@ def test_stand_in_materials_are_read_as_their_maker_made_them(stand_in):
     assert 10 < table.values[0, 30, 90, 1] < 1e5
 
 
-def changed(**places):
+def changed(**positions):
     stored = np.ones(3 * CELLS)
-    for place, value in places.items():
-        stored[int(place[1:])] = value
+    for position, value in positions.items():
+        stored[int(position[1:])] = value
     return stored
 
 
@@ -123,7 +123,7 @@ def test_an_unchecked_header_allocates_nothing(tmp_path):
     tracemalloc.stop()
 
 
-def test_places_that_are_no_files(tmp_path):
+def test_positions_that_are_no_files(tmp_path):
     with pytest.raises(FileFormatError, match="no such file"):
         read_merl(tmp_path / "none.binary")
     with pytest.raises(FileFormatError, match="folder"):

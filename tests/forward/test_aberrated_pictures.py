@@ -108,15 +108,15 @@ def test_a_point_off_the_axis_is_spread_by_the_lens_there(field, angle, azimuth)
     lens = SeidelOptics(*PARTS, unit=radius, **field)
     rig = Rig(Camera(lens, BoxPixel(0.5)), Sphere(radius))
     image = picture(Microfacet(GaussianNDF(1e-4), 1.0, masking=None), rig, angle, azimuth, shape=(61, 61))
-    place = radius * np.sin(angle / 2) * np.array([np.cos(azimuth), np.sin(azimuth)])
-    kernel = aberrated.seen_by_pixel(pupil_of(lens.at(*place)), 12.0)
+    position = radius * np.sin(angle / 2) * np.array([np.cos(azimuth), np.sin(azimuth)])
+    kernel = aberrated.seen_by_pixel(pupil_of(lens.at(*position)), 12.0)
     x, y = np.meshgrid(image.x.values, image.y.values)
-    near = np.maximum(np.abs(x - place[0]), np.abs(y - place[1])) < 8
-    truth = kernel(x[near] - place[0], y[near] - place[1])
+    near = np.maximum(np.abs(x - position[0]), np.abs(y - position[1])) < 8
+    truth = kernel(x[near] - position[0], y[near] - position[1])
     found = image.values[near, 0]
     scale = (found * truth).sum() / (truth**2).sum()
     assert np.abs(found / scale - truth).max() < 1e-4 * truth.max()
-    axial = aberrated.seen_by_pixel(pupil_of(lens.at(0.0, 0.0)), 12.0)(x[near] - place[0], y[near] - place[1])
+    axial = aberrated.seen_by_pixel(pupil_of(lens.at(0.0, 0.0)), 12.0)(x[near] - position[0], y[near] - position[1])
     assert np.abs(axial - truth).max() > 0.01 * truth.max()
 
 

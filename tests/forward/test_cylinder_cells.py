@@ -20,9 +20,9 @@ from matcam.camera.optics.gaussian import gaussian_sum
 from matcam.core.errors import ArgumentError
 from matcam.core.grid import cosines, merl_grid
 from matcam.forward import true_table
-from matcam.forward.cylinder_cells import line_places, record_cells
+from matcam.forward.cylinder_cells import line_positions, record_cells
 from matcam.forward.sampler.cylinder_ridge import towards
-from matcam.forward.sampler.plan import RecordPlaces
+from matcam.forward.sampler.plan import RecordPositions
 from matcam.lamp.lamps import closeness
 from tests.forward.test_lamps import made
 from tests.oracle import cylinder_cells as oracle
@@ -59,8 +59,8 @@ def test_drawn_cells_are_those_of_an_independent_quadrature(view, alpha):
     truth = np.array(
         [oracle.record(lobe.p22, smith(lobe), radius, lens, *cell, alpha) for cell in zip(*angles, strict=True)]
     )
-    places = line_places(rig_of(*view), *angles)
-    found = np.asarray(record_cells(Microfacet(GGX(alpha), 1.0), rig_of(*view), places))[:, 0] / np.asarray(
+    positions = line_positions(rig_of(*view), *angles)
+    found = np.asarray(record_cells(Microfacet(GGX(alpha), 1.0), rig_of(*view), positions))[:, 0] / np.asarray(
         cosines(*angles)[0]
     )
     assert np.all(np.abs(found - truth) < np.maximum(1e-4 * truth, 1e-7 * truth.max()))
@@ -74,7 +74,7 @@ def test_a_lens_out_of_focus_makes_discs(alpha):
         [oracle.record(lobe.p22, smith(lobe), 150.0, lens, *cell, alpha) for cell in zip(*angles, strict=True)]
     )
     rig = rig_of(0.5, 0.5, 150.0, aperture=0.03, focus=0.4)
-    found = np.asarray(record_cells(Microfacet(GGX(alpha), 1.0), rig, line_places(rig, *angles)))[:, 0]
+    found = np.asarray(record_cells(Microfacet(GGX(alpha), 1.0), rig, line_positions(rig, *angles)))[:, 0]
     found = found / np.asarray(cosines(*angles)[0])
     assert np.all(np.abs(found - truth) < np.maximum(1e-4 * truth, 1e-7 * truth.max()))
 
@@ -84,8 +84,8 @@ def check_cells(count, rule=(1, 1), alpha=0.05, most=np.pi / 2, **geometry):
     rig, theirs = made(radius=60.0, kind="cylinder", **geometry)
     angles = drawn_cells(np.random.default_rng(7), 4 * count)
     angles = tuple(a[angles[1] < most][:count] for a in angles)
-    places, cos_i = line_places(rig, *angles), np.asarray(cosines(*angles)[0])
-    found = np.asarray(record_cells(Microfacet(GGX(alpha), 1.0, 0.2), rig, places))[:, 0]
+    positions, cos_i = line_positions(rig, *angles), np.asarray(cosines(*angles)[0])
+    found = np.asarray(record_cells(Microfacet(GGX(alpha), 1.0, 0.2), rig, positions))[:, 0]
     found = found / (cos_i * np.asarray(closeness(rig.lamp.nearness, cos_i)) ** 2)
     surface = lamp_record.Surface(alpha, 0.2)
     truth = [lamp_record.recorded_line_cell(cell, surface, theirs, rule) for cell in zip(*angles, strict=True)]
@@ -118,11 +118,11 @@ def test_cells_under_a_disc(count, geometry):
 
 def test_a_lamp_is_turned_until_the_normal_lies_across_the_axis():
     angles = drawn_cells(np.random.default_rng(2), 40)
-    places = line_places(rig_of(0.5, 0.5, 100.0), *angles)
+    positions = line_positions(rig_of(0.5, 0.5, 100.0), *angles)
     for n, cell in enumerate(zip(*angles, strict=True)):
         normal, light, _ = oracle.directions(*cell)
-        np.testing.assert_allclose(places.x[n], 100 * normal[0], atol=1e-10)
-        lamp = towards(places.lamp_angle[n], places.azimuth[n])
+        np.testing.assert_allclose(positions.x[n], 100 * normal[0], atol=1e-10)
+        lamp = towards(positions.lamp_angle[n], positions.azimuth[n])
         np.testing.assert_allclose(lamp, light, atol=1e-10)
 
 
@@ -139,8 +139,8 @@ def test_a_table_holds_the_cells_of_both_ways_and_a_sharp_camera_reads_the_mater
 
 def test_the_peak_is_that_of_the_exact_peak_response():
     rig, theta_d = rig_of(0.6, 0.5, 200.0), np.radians(np.arange(1.0, 86.0, 7.0))
-    places = line_places(rig, 0 * theta_d, theta_d, 0 * theta_d)
-    recorded = np.asarray(record_cells(Microfacet(GGX(0.004), 1.0, masking=None), rig, places))[:, 0]
+    positions = line_positions(rig, 0 * theta_d, theta_d, 0 * theta_d)
+    recorded = np.asarray(record_cells(Microfacet(GGX(0.004), 1.0, masking=None), rig, positions))[:, 0]
     true = 1 / (np.pi * 0.004**2) / (4 * np.cos(theta_d))
     np.testing.assert_allclose(
         recorded / true, peak_response(rig, GGX(0.004), theta_d, exact=True, masking=None), rtol=1e-4
@@ -170,7 +170,7 @@ def test_a_lens_of_several_gaussians_is_the_sum_of_its_terms(optics, alpha):
         ]
     )
     rig = Rig(Camera(optics, BoxPixel(0.5)), Cylinder(150.0))
-    found = np.asarray(record_cells(Microfacet(GGX(alpha), 1.0), rig, line_places(rig, *angles)))[:, 0]
+    found = np.asarray(record_cells(Microfacet(GGX(alpha), 1.0), rig, line_positions(rig, *angles)))[:, 0]
     found = found / np.asarray(cosines(*angles)[0])
     assert np.all(np.abs(found - truth) < np.maximum(1e-4 * truth, 1e-7 * truth.max()))
 
@@ -182,17 +182,17 @@ def test_under_a_lamp_across_the_axis_a_row_of_the_picture_says_the_same(apertur
     row = matcam.picture(material, rig, 1.0, shape=(1, 81))
     x = row.x.values
     shown = (x > 0) & (x < 40)
-    places = RecordPlaces(x[shown], np.zeros(shown.sum()), np.full(shown.sum(), 1.0))
-    found = np.asarray(record_cells(material, rig, places))[:, 0]
+    positions = RecordPositions(x[shown], np.zeros(shown.sum()), np.full(shown.sum(), 1.0))
+    found = np.asarray(record_cells(material, rig, positions))[:, 0]
     np.testing.assert_allclose(found, row.values[0, shown, 0], rtol=2e-4, atol=1e-7 * found.max())
 
 
 def test_derivatives_are_those_of_differences():
     jax = pytest.importorskip("jax")
-    places = line_places(rig_of(0.6, 0.5, 80.0), *drawn_cells(np.random.default_rng(4), 30))
+    positions = line_positions(rig_of(0.6, 0.5, 80.0), *drawn_cells(np.random.default_rng(4), 30))
 
     def total(alpha, sigma):
-        return record_cells(Microfacet(GGX(alpha), 1.0), rig_of(sigma, 0.5, 80.0), places).sum()
+        return record_cells(Microfacet(GGX(alpha), 1.0), rig_of(sigma, 0.5, 80.0), positions).sum()
 
     slopes = jax.grad(total, argnums=(0, 1))(0.02, 0.6)
     step = 1e-5

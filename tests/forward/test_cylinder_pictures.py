@@ -6,7 +6,7 @@ import pytest
 from matcam import GGX, BoxPixel, Camera, Cylinder, GaussianOptics, Microfacet, NearLamp, Rig, picture
 from matcam.forward import picture_values
 from matcam.forward.integral.blur import imaging_of
-from matcam.forward.sampler.plan import RecordPlaces, record_plan
+from matcam.forward.sampler.plan import RecordPositions, record_plan
 from matcam.forward.sampler.record import record
 from tests.forward.test_lamps import check_picture, made
 from tests.oracle import lamp_record
@@ -21,7 +21,7 @@ def drawn(rng):
     return np.exp(rng.uniform(*np.log([0.003, 0.4]))), angle, azimuth, {"camera": camera, "lamp": lamp, **geometry}
 
 
-def check_places(rng, count, where=1.5):
+def check_positions(rng, count, where=1.5):
     """Pixels of one drawn rig, half of them about the highlight: 1e-4 of the value or 1e-7 of the largest."""
     alpha, angle, azimuth, geometry = drawn(rng)
     rig, theirs = made(kind="cylinder", **geometry)
@@ -31,9 +31,9 @@ def check_places(rng, count, where=1.5):
     if abs(mirror[1]) < 20 * radius:
         x[:half], y[:half] = mirror[:, None] + rng.normal(size=(2, half)) * [[3], [5]]
     x, y = np.round(x), np.round(y)
-    places = RecordPlaces(x, y, np.full(count, angle), np.full(count, azimuth))
+    positions = RecordPositions(x, y, np.full(count, angle), np.full(count, azimuth))
     material, imaging = Microfacet(GGX(alpha), 1.0, 0.2), imaging_of(rig)
-    found = np.asarray(record(material, imaging, record_plan(imaging, places, alpha)))[:, 0]
+    found = np.asarray(record(material, imaging, record_plan(imaging, positions, alpha)))[:, 0]
     surface = lamp_record.Surface(alpha, 0.2)
     truth = np.array([lamp_record.record(*at, angle, azimuth, surface, theirs) for at in zip(x, y, strict=True)])
     return np.abs(found - truth) / np.maximum(np.maximum(1e-4 * truth, 1e-7 * truth.max()), 1e-300)
@@ -42,7 +42,7 @@ def check_places(rng, count, where=1.5):
 @pytest.mark.slow
 def test_drawn_pixels_are_those_of_an_independent_quadrature():
     """320 of 32 rigs."""
-    missed = np.concatenate([check_places(np.random.default_rng(seed), 10) for seed in range(32)])
+    missed = np.concatenate([check_positions(np.random.default_rng(seed), 10) for seed in range(32)])
     print(f"worst: {missed.max():.2g} of what is allowed, of {missed.size}")
     assert missed.max() < 1
 

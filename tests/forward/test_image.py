@@ -25,7 +25,7 @@ from matcam.core.errors import ArgumentError
 from matcam.core.jax import jax, jnp
 from matcam.forward import picture_values
 from matcam.forward.integral.blur import imaging_of
-from matcam.forward.sampler.plan import RecordPlaces, record_plan
+from matcam.forward.sampler.plan import RecordPositions, record_plan
 from matcam.forward.sampler.record import record as taken_by
 from matcam.material.material import Material
 from tests.oracle.focus_disc import kernel as out_of_focus
@@ -231,8 +231,8 @@ def test_gradients(k):
     weights = np.random.default_rng(1).normal(size=SHAPE)
     rows, columns = (a.ravel() - 30.0 for a in np.mgrid[:61, :61])
     _, rig = shiny(NUMBERS)
-    places = RecordPlaces(columns, -rows, np.full(rows.size, LAMP))
-    plan = record_plan(imaging_of(rig), places, NUMBERS[0])
+    positions = RecordPositions(columns, -rows, np.full(rows.size, LAMP))
+    plan = record_plan(imaging_of(rig), positions, NUMBERS[0])
 
     def under_plan(numbers):
         material, rig = shiny(numbers)

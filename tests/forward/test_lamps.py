@@ -23,7 +23,7 @@ from matcam import (
 from matcam.core.errors import ArgumentError
 from matcam.core.grid import cosines, merl_grid
 from matcam.forward.integral.blur import imaging_of
-from matcam.forward.sampler.plan import RecordPlaces, record_plan
+from matcam.forward.sampler.plan import RecordPositions, record_plan
 from matcam.forward.sampler.record import record
 from matcam.lamp.lamps import lamp_points
 from tests.golden import rows
@@ -126,11 +126,11 @@ def test_a_lamp_very_far_away_is_a_distant_one():
     i, j, k = (np.tile([row[name] for row in golden], 2) for name in ("i_theta_h", "i_theta_d", "i_phi_d"))
     turn = np.repeat([0, np.pi], len(golden))
     angles = GRID.theta_h[i], GRID.theta_d[j], GRID.phi_d[k] + turn
-    places = RecordPlaces(*(np.asarray(a) for a in rig.sample.place(*angles, near)))
+    positions = RecordPositions(*(np.asarray(a) for a in rig.sample.position(*angles, near)))
     truth, alphas = (np.array([row[name] for row in golden]) for name in ("recorded", "alpha"))
     for azimuth in (None, np.full(j.size, 2 * np.pi)):
         for alpha in np.unique(alphas):
-            plan = record_plan(imaging, places._replace(azimuth=azimuth), alpha)
+            plan = record_plan(imaging, positions._replace(azimuth=azimuth), alpha)
             values = np.asarray(record(Microfacet(GGX(alpha), 1.0), imaging, plan))[:, 0]
             found = np.mean((values / np.asarray(cosines(*angles)[0])).reshape(2, -1), axis=0)
             own = alphas == alpha

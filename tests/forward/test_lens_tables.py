@@ -24,7 +24,7 @@ RADIUS = 30.0
 PARTS = (8.0, 550e-9, 5e-6)
 
 
-def places(theta_h, theta_d, phi_d):
+def positions(theta_h, theta_d, phi_d):
     """Both places of a cell, (2, 2), px, and the cosines of the light there."""
     psi = np.pi - phi_d + np.array([0, np.pi])
     x = np.cos(theta_h) * np.sin(theta_d) + np.sin(theta_h) * np.cos(psi) * np.cos(theta_d)
@@ -40,13 +40,13 @@ def largest_error(lens, colours, material, count, least=0.0):
     seen = np.argwhere(np.isfinite(table.values[..., 0]) & (table.values[..., 0] > least * np.nanmax(table.values)))
     worst = []
     for i, j, k in seen[rng.integers(0, len(seen), count)]:
-        at, cosines = places(grid.theta_h[i], grid.theta_d[j], grid.phi_d[k])
+        at, cosines = positions(grid.theta_h[i], grid.theta_d[j], grid.phi_d[k])
         if cosines.min() < 0.15:
             continue
         for c, (own, shift) in enumerate(colours):
             truth = []
-            for place, cosine in zip(at, cosines, strict=True):
-                moved = tuple(shift - place)
+            for position, cosine in zip(at, cosines, strict=True):
+                moved = tuple(shift - position)
                 rig = Rig(Camera(ColourOptics(own, own, own, moved, moved, moved), BoxPixel(0.5)), Sphere(RADIUS))
                 pixel = picture(material, rig, 2 * grid.theta_d[j], shape=(1, 1)).values[0, 0, 0]
                 truth.append(pixel / cosine)

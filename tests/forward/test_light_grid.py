@@ -167,7 +167,7 @@ def test_cells_through_coma(alpha):
 
     def truth(angles):
         h, d, p = angles[0], angles[1], angles[2] + np.array([0, np.pi])
-        x, y = (np.array(a) for a in sphere_record.place(h, d, p, radius))
+        x, y = (np.array(a) for a in sphere_record.position(h, d, p, radius))
         cosine = np.cos(h) * np.cos(d) - np.sin(h) * np.sin(d) * np.cos(p)
         lamp = np.sin(2 * d), 0.0, np.cos(2 * d)
         # in crescents the sum's own nodes would show: 3e-5 of the peak with a fourth of them, 3e-6 between these and half
@@ -187,16 +187,16 @@ def test_all_light_of_a_matt_sphere_is_on_the_grid(lamp):
     laid = LightGrid.of(line, line, 1.136).laid(scene)
     expected = 2 / (3 * np.pi) * (np.sin(lamp) + (np.pi - lamp) * np.cos(lamp)) * 24.0**2
     assert float(laid.sum()) / 9 == pytest.approx(expected, rel=1e-5)
-    upper = LightGrid.of(line, line[90:], 1.136, alike=True).laid(scene)
+    upper = LightGrid.of(line, line[90:], 1.136, symmetric=True).laid(scene)
     np.testing.assert_allclose(upper, laid[90:], rtol=0, atol=1e-6 * float(laid.max()))
 
 
 def test_a_laid_point_has_all_low_frequencies_and_none_that_come_back():
     limit = 0.38
     taps, numbers = Taps.below(limit), np.arange(60)
-    for place in (30.0, 30.2, 29.51):
-        laid = np.asarray(taps.weights(jnp.array([place]), 0, 60))[:, 0]
-        waves = np.exp(-2j * np.pi * np.linspace(0, limit, 40)[:, None] * (numbers - place))
+    for position in (30.0, 30.2, 29.51):
+        laid = np.asarray(taps.weights(jnp.array([position]), 0, 60))[:, 0]
+        waves = np.exp(-2j * np.pi * np.linspace(0, limit, 40)[:, None] * (numbers - position))
         np.testing.assert_allclose(waves @ laid, 1, rtol=0, atol=2e-6)
 
 

@@ -7,7 +7,7 @@ from docs_claims import limit
 from matcam import GGX, Microfacet, measure, rigs
 from matcam.core.grid import below_horizon, cosines, merl_grid
 from matcam.forward.integral.blur import imaging_of
-from matcam.forward.sampler.plan import RecordPlaces, record_plan
+from matcam.forward.sampler.plan import RecordPositions, record_plan
 from matcam.forward.sampler.record import record
 from tests.golden import rows
 from tests.oracle.sphere_record import Setup, Surface, place, recorded_cell
@@ -34,7 +34,7 @@ def recorded_cells(alphas, cells):
     x, y, slices = np.concatenate(x), np.concatenate(y), np.tile(j, 2)
     rig, lamps = rigs.merl(), 2 * GRID.theta_d
     imaging = imaging_of(rig)
-    plan = record_plan(imaging, RecordPlaces(x, y, lamps[slices]), min(alphas))
+    plan = record_plan(imaging, RecordPositions(x, y, lamps[slices]), min(alphas))
     return np.array(
         [
             np.mean(
@@ -65,11 +65,11 @@ def test_the_oracle_against_golden_values():
     """Twenty-four cells, both ways: two quadratures that share nothing but the model."""
     for row in rows("measure_cells"):
         angles = row["theta_h"], row["theta_d"], row["phi_d"]
-        ways = recorded_cell(*angles, Surface(row["alpha"]), Setup())
+        directions = recorded_cell(*angles, Surface(row["alpha"]), Setup())
         expected = np.array([row["recorded_one_way"], row["recorded_other_way"]])
         # as the file's note says: 2e-6 where the kernel crosses the limb
         limb = [RADIUS - np.hypot(*place(*angles[:2], angles[2] + turn, RADIUS)) < WIDTH for turn in (0, np.pi)]
-        np.testing.assert_array_less(np.abs(ways / expected - 1), np.where(limb, 2e-6, 1e-10))
+        np.testing.assert_array_less(np.abs(directions / expected - 1), np.where(limb, 2e-6, 1e-10))
 
 
 def test_golden_cells():
@@ -89,14 +89,14 @@ def test_a_table_is_its_cells():
     for row in golden:
         value = table[row["i_theta_h"], row["i_theta_d"], row["i_phi_d"]]
         np.testing.assert_allclose(value, row["recorded"], rtol=1e-4)
-    cells = places()[0]
+    cells = positions()[0]
     cells = cells[np.random.default_rng(1).choice(len(cells), 300, replace=False)]
     # cells around a highlight are interpolated along a ring
     atol = 1e-8 * np.nanmax(table)
     np.testing.assert_allclose(table[tuple(cells.T)][:, 0], recorded_cells([0.005], cells)[0], rtol=1e-6, atol=atol)
 
 
-def places():
+def positions():
     """Of all cells above the horizon: their numbers, the distance of the darker way from where the light ends, and of its
     row from the middle one, px."""
     i, j, k = (a.ravel() for a in np.meshgrid(np.arange(90), np.arange(90), np.arange(180), indexing="ij"))
@@ -112,7 +112,7 @@ def drawn_cells(alphas, per_kind, seed):
     """(alpha, i, j, k): at each roughness `per_kind` cells of each kind: any, in the lobe, at the limb or the
     terminator, on the crescent that is left of the lit disc at theta_d > 80 degrees, close to the sphere's poles, and both."""
     random = np.random.default_rng(seed)
-    cells, edge, height = places()
+    cells, edge, height = positions()
     crescent = cells[:, 1] >= 80
     out = []
     for alpha in alphas:

@@ -16,12 +16,12 @@ PHASE = (0.13, -0.31)
 GRID = merl_grid("centre")
 
 
-def summed(places, shares):
+def summed(positions, shares):
     """{pixel: share}"""
     found = {}
-    for place, share in zip(np.round(places, 6).tolist(), shares, strict=True):
+    for position, share in zip(np.round(positions, 6).tolist(), shares, strict=True):
         if share > 1e-9:
-            found[tuple(place)] = found.get(tuple(place), 0) + share
+            found[tuple(position)] = found.get(tuple(position), 0) + share
     return found
 
 
@@ -37,8 +37,8 @@ def test_the_pixels_behind_cells(rule):
             row = ours.share[int(ring * 180 + azimuth)]
             if row.nnz == 0:
                 continue
-            places = np.stack([ours.x[row.indices], ours.y[row.indices]], axis=-1)
-            own, truth = summed(places, row.data), summed(theirs.place[n], theirs.share[n])
+            positions = np.stack([ours.x[row.indices], ours.y[row.indices]], axis=-1)
+            own, truth = summed(positions, row.data), summed(theirs.position[n], theirs.share[n])
             assert own.keys() == truth.keys()
             np.testing.assert_allclose([own[p] for p in truth], list(truth.values()), atol=1e-9)
             compared += 1
@@ -119,7 +119,7 @@ def test_a_picture_that_is_a_plane():
         truth = 256 * np.cos(GRID.theta_h[inner, None]) * np.sin(GRID.theta_d[40])  # mean of both places
         assert np.abs(shown - truth).max() < slack
     cells = CellChoice("nearest", pixel_phase=PHASE).cells(rigs.merl().sample)
-    table = np.asarray(cell_means((cells.places.x * cells.irradiance)[:, None], cells))[:, :, :, 0]
+    table = np.asarray(cell_means((cells.positions.x * cells.irradiance)[:, None], cells))[:, :, :, 0]
     own = slice_pixels("nearest", PHASE, 256.0, GRID.theta_d[70])
     seen = (np.diff(own.share.indptr) > 0).reshape(90, 180)
     np.testing.assert_allclose(table[:, 70][seen], (own.share @ own.x).reshape(90, 180)[seen], atol=1e-9)
@@ -139,9 +139,9 @@ def test_tables_against_the_oracle(rule):
         found = real_pixels.behind(rule, PHASE, GRID.theta_h[[i]], theta_d, GRID.phi_d[[k]], 100.0)
         truth = sum(
             share
-            * sphere_record.record(*place, 2 * theta_d, surface, setup, rtol=1e-7)
-            / real_pixels.light_cosine(place, theta_d, 100.0)
-            for place, share in zip(found.place[0], found.share[0], strict=True)
+            * sphere_record.record(*position, 2 * theta_d, surface, setup, rtol=1e-7)
+            / real_pixels.light_cosine(position, theta_d, 100.0)
+            for position, share in zip(found.position[0], found.share[0], strict=True)
             if share > 1e-9
         )
         assert float(table[i, j, k, 0]) == pytest.approx(truth, rel=1e-4)

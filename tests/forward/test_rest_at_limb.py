@@ -6,9 +6,9 @@ import pytest
 from matcam import GGX, BoxPixel, Camera, DiffractionOptics, Microfacet, Rig, Sphere
 from matcam.core.jax import jax, jnp
 from matcam.forward.integral.blur import imaging_of
-from matcam.forward.integral.rest_at_limb import limb_rule
+from matcam.forward.integral.residual_at_limb import limb_rule
 from matcam.forward.integral.scene import Scene
-from matcam.forward.sampler.plan import RecordPlaces, record_plan
+from matcam.forward.sampler.plan import RecordPositions, record_plan
 from matcam.forward.sampler.record import record
 
 LIMB, LENS = 120.0, DiffractionOptics(8.0, 550e-9, 5e-6)
@@ -55,22 +55,22 @@ def test_few_nodes_hold_the_rings(imaging, roughness, lamp):
     )  # a hundredth of what the rest shows at most
 
 
-def test_places_at_the_limb_take_it(imaging):
+def test_positions_at_the_limb_take_it(imaging):
     x = np.array([LIMB - 3.0, LIMB - 3.0, 60.0])
-    places = RecordPlaces(x, np.zeros(3), np.full(3, 1.7))
-    part = record_plan(imaging, places, 0.1).parts[-1]
+    positions = RecordPositions(x, np.zeros(3), np.full(3, 1.7))
+    part = record_plan(imaging, positions, 0.1).parts[-1]
     assert set(part.limb) == {0, 1}
     assert set(part.smooth) == {2}
-    thin = places._replace(lamp_angle=np.full(3, np.radians(176.0)))
+    thin = positions._replace(lamp_angle=np.full(3, np.radians(176.0)))
     part = record_plan(imaging, thin, 0.1).parts[-1]
     assert not part.limb.size  # a crescent is no smooth light: a window follows it
-    assert set(part.arcs.place) == {0, 1}
+    assert set(part.arcs.position) == {0, 1}
 
 
 def test_a_rule_follows_the_parameters(imaging):
     x = np.array([LIMB - 3.0])
-    places = RecordPlaces(x, np.array([5.0]), np.array([1.7]))
-    plan = record_plan(imaging, places, 0.1)
+    positions = RecordPositions(x, np.array([5.0]), np.array([1.7]))
+    plan = record_plan(imaging, positions, 0.1)
 
     def seen(roughness):
         return record(Microfacet(GGX(roughness), 1.0), imaging, plan._replace(parts=plan.parts[-1:]))[0, 0]
@@ -82,5 +82,5 @@ def test_a_rule_follows_the_parameters(imaging):
 def test_a_small_sphere_has_none(imaging):
     assert limb_rule(imaging.blur.rest, 20.0) is None
     small = imaging_of(Rig(Camera(LENS, BoxPixel()), Sphere(20.0)))
-    places = RecordPlaces(np.array([17.0]), np.zeros(1), np.array([1.0]))
-    assert record_plan(small, places, 0.1).parts[-1].limb_rule is None
+    positions = RecordPositions(np.array([17.0]), np.zeros(1), np.array([1.0]))
+    assert record_plan(small, positions, 0.1).parts[-1].limb_rule is None

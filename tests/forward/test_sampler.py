@@ -9,7 +9,7 @@ from matcam import EPD, GGX, BoxPixel, Camera, GaussianOptics, HaloOptics, Micro
 from matcam.core.jax import jax, jnp
 from matcam.forward.integral.blur import imaging_of
 from matcam.forward.integral.scene import Scene, Turn, highlight_x
-from matcam.forward.sampler.plan import RecordPlaces, record_plan
+from matcam.forward.sampler.plan import RecordPositions, record_plan
 from matcam.forward.sampler.record import record
 from matcam.lamp.lamps import DistantLamp
 
@@ -71,8 +71,8 @@ def brute(scene, blur, x, y, reach):
 def test_any_rig(seed):
     rig, material, angle, azimuth, x, y = drawn(seed)
     imaging = imaging_of(rig)
-    places = RecordPlaces(x, y, np.full(x.size, angle), np.full(x.size, azimuth) if azimuth else None)
-    found = np.asarray(record(material, imaging, record_plan(imaging, places, float(material.finest))))[:, 0]
+    positions = RecordPositions(x, y, np.full(x.size, angle), np.full(x.size, azimuth) if azimuth else None)
+    found = np.asarray(record(material, imaging, record_plan(imaging, positions, float(material.finest))))[:, 0]
     turn = Turn(jnp.cos(azimuth), jnp.sin(azimuth)) if azimuth else None
     scene = Scene(material, imaging.sample, jnp.asarray(angle), imaging.lamp_nearness, turn)
     reach = 6.5 * float(imaging.blur.stds.max()) + (1.0 if imaging.blur.chords else 0.0) + 1

@@ -6,7 +6,7 @@ import pytest
 from matcam import GGX, Beckmann, Camera, GaussianOptics, Microfacet, Rig, Sphere, rigs
 from matcam.core.grid import cosines, merl_grid
 from matcam.forward.integral.blur import imaging_of
-from matcam.forward.sampler.plan import RecordPlaces, record_plan
+from matcam.forward.sampler.plan import RecordPositions, record_plan
 from matcam.forward.sampler.record import record
 from matcam.material import AnisotropicGGX
 from tests.oracle import stretched_lobe
@@ -30,8 +30,8 @@ def test_a_brushed_sphere(alphas):
         Microfacet(AnisotropicGGX(*alphas), 1.0),
         imaging_of(Rig(Camera(GaussianOptics(0.5)), Sphere(RADIUS))),
     )
-    places = RecordPlaces(x, y, np.full(x.size, LAMP))
-    plan = record_plan(imaging, places, float(material.finest), material.elongation)
+    positions = RecordPositions(x, y, np.full(x.size, LAMP))
+    plan = record_plan(imaging, positions, float(material.finest), material.elongation)
     ours = np.asarray(record(material, imaging, plan))[:, 0]
     panels = np.where(np.hypot(x - middle, y) < 5, 60, 28)
     truth = np.array(
@@ -54,9 +54,9 @@ def test_tails_are_nowhere_negative():
     grid, rig = merl_grid("centre"), rigs.merl()
     angles = np.meshgrid(grid.theta_h, grid.theta_d[[3, 60]], grid.phi_d, indexing="ij")
     above = np.minimum(*(np.asarray(c) for c in cosines(*angles))) > 0
-    place = rig.sample.place(*(a[above] for a in angles))
-    places, imaging = RecordPlaces(*(np.asarray(a) for a in place)), imaging_of(rig)
-    plan = record_plan(imaging, places, 0.003)
+    position = rig.sample.position(*(a[above] for a in angles))
+    positions, imaging = RecordPositions(*(np.asarray(a) for a in position)), imaging_of(rig)
+    plan = record_plan(imaging, positions, 0.003)
     values = np.asarray(record(Microfacet(Beckmann(0.003), 1.0), imaging, plan))
     assert values.min() >= 0
     assert values.max() > 100

@@ -8,9 +8,9 @@ from matcam.core.grid import cosines, merl_grid, theta_h_edges
 from matcam.core.jax import jax, jnp
 from matcam.forward.integral.blur import imaging_of
 from matcam.forward.measurement import table_values
-from matcam.forward.sampler.plan import RecordPlaces, record_plan
+from matcam.forward.sampler.plan import RecordPositions, record_plan
 from matcam.forward.sampler.record import record
-from tests.oracle.sphere_record import Setup, Surface, place, recorded_cell
+from tests.oracle.sphere_record import Setup, Surface, position, recorded_cell
 
 pytestmark = pytest.mark.slow
 
@@ -31,9 +31,9 @@ def plain():
 def one_way(theta_h, theta_d, phi_d):
     """Recorded radiance over the cosine of the light, at angles that broadcast, by the package's operator."""
     theta_h, theta_d, phi_d = (a.ravel() for a in np.broadcast_arrays(theta_h, theta_d, phi_d))
-    x, y = place(theta_h, theta_d, phi_d, RADIUS)
+    x, y = position(theta_h, theta_d, phi_d, RADIUS)
     imaging = imaging_of(rig())
-    plan = record_plan(imaging, RecordPlaces(x, y, 2 * theta_d), SURFACE.alpha)
+    plan = record_plan(imaging, RecordPositions(x, y, 2 * theta_d), SURFACE.alpha)
     values = record(Microfacet(GGX(SURFACE.alpha), 1.0), imaging, plan)[:, 0]
     return np.asarray(values) / np.asarray(cosines(theta_h, theta_d, phi_d)[0])
 
@@ -109,11 +109,11 @@ def test_gradients(k):
     angles = grid.theta_h[i], grid.theta_d[j], grid.phi_d[l]
     x, y, light = [], [], []
     for turn in (0, np.pi):
-        for out, value in zip((x, y), place(*angles[:2], angles[2] + turn, RADIUS), strict=True):
+        for out, value in zip((x, y), position(*angles[:2], angles[2] + turn, RADIUS), strict=True):
             out.append(value)
         light.append(np.asarray(cosines(*angles[:2], angles[2] + turn)[0]))
-    places = RecordPlaces(np.concatenate(x), np.concatenate(y), 2 * np.tile(angles[1], 2))
-    plan = record_plan(imaging_of(made(numbers)[1]), places, numbers[0])
+    positions = RecordPositions(np.concatenate(x), np.concatenate(y), 2 * np.tile(angles[1], 2))
+    plan = record_plan(imaging_of(made(numbers)[1]), positions, numbers[0])
 
     def under_plan(numbers):
         material, rig = made(numbers)

@@ -141,10 +141,10 @@ def variations(lobe, step=_STEP):
     """Lobes with each of their numbers up and down by a step of its logarithm."""
     if not isinstance(lobe, oracle.Lobes):
         fixed = isinstance(lobe, oracle.EPD) and lobe.power == 1.0  # Beckmann's
-        places = range(1 if fixed else len(lobe))
+        positions = range(1 if fixed else len(lobe))
         return [
             [type(lobe)(*(v * np.exp(side * step * (a == b)) for b, v in enumerate(lobe))) for side in (1, -1)]
-            for a in places
+            for a in positions
         ]
     (share, one), (rest, other) = lobe.parts
     pairs = [[oracle.Lobes(((share, a), (rest, other))) for a in pair] for pair in variations(one)]
@@ -164,16 +164,18 @@ def bound(draw):
         oracle.Cells(th, cells.theta_d, ph, oracle.Setup(sigma * np.exp(side * step)), finest=draws.finest(draw.lobe))
         for side in (0, 1)
     ]
-    at = rules[0].ways(draw.lobe).mean(-1)
+    at = rules[0].directions(draw.lobe).mean(-1)
     ones = np.zeros((cells.slices.size, 1), int)
 
     def top(lobe):
         return draws.truth(draw._replace(lobe=lobe, body=0.0), cells.slices, ones, ones + 90)[:, 0]
 
     pairs = variations(draw.lobe)
-    slopes = [(rules[0].ways(up).mean(-1) - rules[0].ways(down).mean(-1)) / (2 * _STEP) for up, down in pairs]
+    slopes = [
+        (rules[0].directions(up).mean(-1) - rules[0].directions(down).mean(-1)) / (2 * _STEP) for up, down in pairs
+    ]
     tops = [(np.log(top(up)) - np.log(top(down))) / (2 * _STEP) for up, down in pairs]
-    slopes.append((rules[1].ways(draw.lobe).mean(-1) - at) / step)
+    slopes.append((rules[1].directions(draw.lobe).mean(-1) - at) / step)
     tops.append(np.zeros(cells.slices.size))
     f = conductor(cells.theta_d, draw.n, draw.k)[:, None]
     body = np.nan_to_num(rules[0].body().mean(-1)) * draw.body

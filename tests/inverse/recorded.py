@@ -10,7 +10,7 @@ from matcam import BoxPixel, Camera, GaussianOptics, Microfacet, Rig, Sphere
 from matcam.camera import PixelNoise, Uncertainty
 from matcam.core.grid import merl_grid
 from matcam.forward.integral.blur import imaging_of
-from matcam.forward.sampler.plan import RecordPlaces, record_plan
+from matcam.forward.sampler.plan import RecordPositions, record_plan
 from matcam.forward.sampler.record import record
 from matcam.inverse.operator.chosen_cells import chosen_cells
 from matcam.inverse.operator.sample_view import SampleView
@@ -65,8 +65,8 @@ def pictures(slice_step, setup=None):
 def measured(ndf, rig, cells):
     """Values of chosen cells, F = 1, Smith, by the operator that `measure` applies; (slices, cells)."""
     slices, numbers = np.nonzero(cells.valid)
-    lamps, ways, turn = 2 * np.asarray(cells.theta_d), cells.x.shape[-1], rig.lamp_azimuth
-    picture = np.repeat(slices, ways)
+    lamps, directions, turn = 2 * np.asarray(cells.theta_d), cells.x.shape[-1], rig.lamp_azimuth
+    picture = np.repeat(slices, directions)
     x, y = (np.asarray(at)[slices, numbers].ravel() for at in (cells.x, cells.y))
     azimuth = None
     if turn is not None:
@@ -74,11 +74,11 @@ def measured(ndf, rig, cells):
         azimuth = np.full(x.size, turn)
     imaging = imaging_of(rig)
     material = Microfacet(ndf, 1.0)
-    plan = record_plan(imaging, RecordPlaces(x, y, lamps[picture], azimuth), float(material.finest))
+    plan = record_plan(imaging, RecordPositions(x, y, lamps[picture], azimuth), float(material.finest))
     recorded = np.asarray(record(material, imaging, plan))
     values = np.full(cells.valid.shape, np.nan)
     cos_i = np.asarray(cells.cos_i)[slices, numbers]
-    values[slices, numbers] = np.mean(recorded[:, 0].reshape(-1, ways) / cos_i, axis=-1)
+    values[slices, numbers] = np.mean(recorded[:, 0].reshape(-1, directions) / cos_i, axis=-1)
     return values
 
 
@@ -109,11 +109,11 @@ def bound(shot, lobe, n=CHROMIUM[0], k=CHROMIUM[1], noise=NOISE, sigmas=None):
     """Covariance that no unbiased estimate can undercut (Cramer-Rao) of the logarithms of the lobe's numbers, of n and k,
     from the oracle's own derivatives; pictures' gains are nuisances. sigmas: (lower, upper) shots and the prior's
     relative std, if ln sigma_mtf is free too."""
-    usable = np.isfinite(shot.rule.ways(lobe)).all(-1) & shot.cells.valid
+    usable = np.isfinite(shot.rule.directions(lobe)).all(-1) & shot.cells.valid
     theta = shot.cells.theta_d[:, None]
 
     def model(numbers, n, k, rule=shot.rule):
-        return rule.ways(type(lobe)(*numbers)).mean(-1) * conductor(theta, n, k)
+        return rule.directions(type(lobe)(*numbers)).mean(-1) * conductor(theta, n, k)
 
     at = model(lobe, n, k)
     columns, step = [], 1e-4

@@ -20,8 +20,10 @@ LENS = "optics.sigma_px"
 @pytest.fixture(scope="module")
 def table():
     shot = recorded.made(EVERY, oracle.Setup())
-    ways = shot.rule.ways(oracle.GGX(0.004)) * conductor(shot.cells.theta_d, *recorded.CHROMIUM)[:, None, None]
-    return shot.table(shot.rule.noisy(ways, np.random.default_rng(3)))
+    directions = (
+        shot.rule.directions(oracle.GGX(0.004)) * conductor(shot.cells.theta_d, *recorded.CHROMIUM)[:, None, None]
+    )
+    return shot.table(shot.rule.noisy(directions, np.random.default_rng(3)))
 
 
 @pytest.fixture(scope="module")
@@ -61,10 +63,12 @@ def test_a_stated_lens_moves_the_result_by_its_sensitivity(table, found, name):
 def test_the_readings_move_the_result_by_their_contribution(found):
     """The same light with other noise, the stated lens unchanged."""
     shot = recorded.made(EVERY, oracle.Setup())
-    ways = shot.rule.ways(oracle.GGX(0.004)) * conductor(shot.cells.theta_d, *recorded.CHROMIUM)[:, None, None]
+    directions = (
+        shot.rule.directions(oracle.GGX(0.004)) * conductor(shot.cells.theta_d, *recorded.CHROMIUM)[:, None, None]
+    )
     values = []
     for seed in range(40):
-        noisy = shot.table(shot.rule.noisy(ways, np.random.default_rng(seed)))
+        noisy = shot.table(shot.rule.noisy(directions, np.random.default_rng(seed)))
         again = fit(noisy, recorded.rig(std=0.004), noise=recorded.NOISE, slice_step=EVERY, camera_parameters="prior")
         values.append([again.params["alpha"], again.params[LENS]])
     for name, scatter in zip(("alpha", LENS), np.std(values, axis=0, ddof=1), strict=True):
@@ -83,10 +87,12 @@ def test_estimated_noise_is_type_a(table):
 def test_the_expanded_uncertainty_covers_95_percent():
     """200 fits of few cells, whose noise is estimated: roughness and half width."""
     shot = recorded.made(EVERY, oracle.Setup())
-    ways = shot.rule.ways(oracle.GGX(0.004)) * conductor(shot.cells.theta_d, *recorded.CHROMIUM)[:, None, None]
+    directions = (
+        shot.rule.directions(oracle.GGX(0.004)) * conductor(shot.cells.theta_d, *recorded.CHROMIUM)[:, None, None]
+    )
     random, covered = np.random.default_rng(8), 0
     for _ in range(200):
-        noisy = shot.table(shot.rule.noisy(ways, random))
+        noisy = shot.table(shot.rule.noisy(directions, random))
         budget = fit(noisy, recorded.rig(), slice_step=EVERY).uncertainty_budget("alpha")
         covered += abs(budget.value - 0.004) < budget.expanded
     assert 0.93 <= covered / 200 <= 0.97
@@ -97,8 +103,8 @@ GAUSSIAN = oracle.EPD(0.002 * np.sqrt(2), 1.0)  # half a pixel wide
 
 def noisy_gaussian():
     shot = recorded.pictures(6)
-    ways = shot.rule.ways(GAUSSIAN) * conductor(shot.cells.theta_d, *recorded.CHROMIUM)[:, None, None]
-    return shot.table(shot.rule.noisy(ways, np.random.default_rng(11), gain=0.0))
+    directions = shot.rule.directions(GAUSSIAN) * conductor(shot.cells.theta_d, *recorded.CHROMIUM)[:, None, None]
+    return shot.table(shot.rule.noisy(directions, np.random.default_rng(11), gain=0.0))
 
 
 def check_fresnel(term):

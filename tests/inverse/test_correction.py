@@ -46,8 +46,8 @@ class Shot:
         random = np.random.default_rng(seed)
         parts = []
         for rule, theta in ((self.rule, self.cells.theta_d), (self.looked_at, self.theta_d)):
-            ways = rule.ways(lobe) * conductor(theta, *recorded.CHROMIUM)[:, None, None]
-            parts.append(ways if added is None else ways + added(rule, theta))
+            directions = rule.directions(lobe) * conductor(theta, *recorded.CHROMIUM)[:, None, None]
+            parts.append(directions if added is None else directions + added(rule, theta))
         peaks = np.max(np.where(np.isfinite(parts[0]), parts[0], 0), axis=(1, 2))
         table = recorded.table_of(self.cells, self.rule.noisy(parts[0], random, gain=0.0))
         noise = random.standard_normal((2, *parts[1].shape))
@@ -220,7 +220,7 @@ def test_limits_of_a_rig():
     assert np.all(exact < stated)
     assert np.all(stated <= free * (1 + 1e-9))
     assert stated[0] > stated[1]
-    assert np.all(found["alike"].sel(blur="jitter (px)") > 0.995)
+    assert np.all(found["correlation"].sel(blur="jitter (px)") > 0.995)
     assert np.all(found["width_bias"].values[0] > 0)
     changed = found["width_std_changed"].sel(lens="free")
     assert np.all(changed.sel(change="twice the pixels, same lens") < free)

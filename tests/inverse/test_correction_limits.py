@@ -208,8 +208,12 @@ def test_a_guess_may_be_no_lens_at_all_and_a_lens_without_a_statement_is_asked_o
     """True widths 0.44 px and 0.1 px; the rigs say 0.5."""
     for sigma, rig in ((0.44, Rig(Camera(GaussianOptics(0.5)), Sphere(256.0))), (0.1, rigs.merl())):
         shot = recorded.made(EVERY, oracle.Setup(sigma=sigma))
-        ways = shot.rule.ways(oracle.GGX(0.004)) * conductor(shot.cells.theta_d, *recorded.CHROMIUM)[:, None, None]
-        found = fit(shot.table(shot.rule.noisy(ways, np.random.default_rng(3))), rig, fresnel="free", slice_step=EVERY)
+        directions = (
+            shot.rule.directions(oracle.GGX(0.004)) * conductor(shot.cells.theta_d, *recorded.CHROMIUM)[:, None, None]
+        )
+        found = fit(
+            shot.table(shot.rule.noisy(directions, np.random.default_rng(3))), rig, fresnel="free", slice_step=EVERY
+        )
         square, std = (
             found.squared_width(LENS) if sigma == 0.1 else (found.params[LENS] ** 2, 2 * sigma * found.std[LENS])
         )
@@ -240,7 +244,7 @@ def test_a_lens_is_changed_towards_another_one(lens, names, left):
 
     def differences(lobe, ndf):
         """Difference of the true record from that of the Gaussian lens, and how the latter changes by each axis."""
-        truth = shot.rule.ways(lobe).mean(-1)
+        truth = shot.rule.directions(lobe).mean(-1)
         peak = np.nan_to_num(truth).max(axis=1, keepdims=True)
         bright = np.isfinite(truth) & shot.cells.valid & (truth > 1e-3 * peak)
         own, *moved = (
@@ -261,8 +265,10 @@ def test_a_lens_is_changed_towards_another_one(lens, names, left):
 def test_a_measured_lens_is_known_to_ten_percent():
     """Its profile states no uncertainty. The table was recorded through a lens that is 11 % wider than measured."""
     shot = recorded.made(EVERY, oracle.Setup(0.5))
-    ways = shot.rule.ways(oracle.GGX(0.006)) * conductor(shot.cells.theta_d, *recorded.CHROMIUM)[:, None, None]
-    table = shot.table(shot.rule.noisy(ways, np.random.default_rng(3)))
+    directions = (
+        shot.rule.directions(oracle.GGX(0.006)) * conductor(shot.cells.theta_d, *recorded.CHROMIUM)[:, None, None]
+    )
+    table = shot.table(shot.rule.noisy(directions, np.random.default_rng(3)))
     f = np.linspace(0, 2.2, 45)
     lens = MeasuredOptics(f, np.append(np.exp(-2 * (np.pi * 0.45 * f[:-1]) ** 2), 0.0))
     rig = Rig(Camera(lens, recorded.rig().camera.pixel), recorded.rig().sample)

@@ -13,7 +13,7 @@ from matcam.cli.app import app
 from matcam.core.errors import ArgumentError
 from matcam.core.grid import cosines, merl_grid
 from matcam.forward import true_table, with_pixel_noise
-from matcam.forward.cylinder_cells import line_places, record_cells
+from matcam.forward.cylinder_cells import line_positions, record_cells
 from matcam.inverse.operator.lobe_operator import lobe_operator, rig_key
 from matcam.lamp.lamps import closeness
 from tests.forward.test_cylinder_cells import smith
@@ -91,13 +91,13 @@ def test_a_lobe_is_found_before_a_near_camera_and_under_a_lamp_with_a_disc():
     table = np.full((90, 90, 180, 3), np.nan)
     at = np.nonzero(cells.valid)
     angles = cells.theta_h[at], cells.theta_d[at[0]], cells.phi_d[at]
-    ways = []
+    directions = []
     for way in (0, np.pi):
         shown = (*angles[:2], angles[2] + way)
         cos_i = np.asarray(cosines(*shown)[0])
-        radiance = record_cells(matcam.Microfacet(GGX(0.01), 0.8), rig, line_places(rig, *shown))
-        ways.append(np.asarray(radiance)[:, 0] / cos_i / np.asarray(closeness(rig.lamp.nearness, cos_i)) ** 2)
-    table[cells.i_theta_h[at], cells.slices[at[0]], cells.i_phi_d[at]] = np.mean(ways, axis=0)[:, None]
+        radiance = record_cells(matcam.Microfacet(GGX(0.01), 0.8), rig, line_positions(rig, *shown))
+        directions.append(np.asarray(radiance)[:, 0] / cos_i / np.asarray(closeness(rig.lamp.nearness, cos_i)) ** 2)
+    table[cells.i_theta_h[at], cells.slices[at[0]], cells.i_phi_d[at]] = np.mean(directions, axis=0)[:, None]
     drawn = matcam.core.grid.brdf_table(table, "centre")
     found = matcam.fit(drawn, rig, "ggx", fresnel="free", noise=PixelNoise(0.01, 0.0), slice_step=30)
     wrong = matcam.fit(drawn, RIG, "ggx", fresnel="free", noise=PixelNoise(0.01, 0.0), slice_step=30)
@@ -114,10 +114,10 @@ def drawn_table(alpha, rng, scatter, slice_step):
     fresnel = 0.6 + 0.3 * np.sin(3 * cells.theta_d)
     for s, n in zip(*np.nonzero(cells.valid), strict=True):
         angles = cells.theta_h[s, n], cells.theta_d[s], cells.phi_d[s, n]
-        ways = [
+        directions = [
             oracle.record(lobe.p22, smith(lobe), 256.0, LENS, *angles[:2], angles[2] + way, alpha) for way in (0, np.pi)
         ]
-        noisy = np.array(ways)[:, None] * (1 + scatter * rng.standard_normal((2, 3)))
+        noisy = np.array(directions)[:, None] * (1 + scatter * rng.standard_normal((2, 3)))
         table[cells.i_theta_h[s, n], cells.slices[s], cells.i_phi_d[s, n]] = fresnel[s] * noisy.mean(0)
     return matcam.core.grid.brdf_table(table, "centre"), cells.theta_d, fresnel
 
@@ -137,7 +137,7 @@ def test_a_drawn_lobe_is_found_within_its_errors(alpha):
     assert np.all(np.abs(strength - fresnel)[seen] < 5 * errors[seen])
 
 
-def test_a_sphere_in_its_place_is_seen_to_be_wrong():
+def test_a_sphere_in_its_position_is_seen_to_be_wrong():
     rng = np.random.default_rng(5)
     table, *_ = drawn_table(0.004, rng, 0.01, 12)
     right, wrong = (

@@ -35,7 +35,7 @@ def turned_pair(pair, order, azimuth):
     return tuple(float(f(complex(*pair) * turn)) for f in (np.real, np.imag))
 
 
-def errors(lens, alphas, places, azimuth=0.0):
+def errors(lens, alphas, positions, azimuth=0.0):
     """Errors over the peak of the cells closest to some distances from the highlight, px: (alphas, places).
 
     azimuth: of the lamp, in quarter turns, which square pixels do not show, rad.
@@ -52,7 +52,7 @@ def errors(lens, alphas, places, azimuth=0.0):
         Rig(Camera(lens, BoxPixel()), Sphere(256.0), lamp_azimuth=azimuth), "centre", 30, (), Workspace()
     )
     away = np.where(cells.valid[SLICE], 256.0 * cells.theta_h[SLICE], np.inf)
-    chosen = [int(np.argmin(np.abs(away - place))) for place in places]
+    chosen = [int(np.argmin(np.abs(away - position))) for position in positions]
     found = []
     for alpha in alphas:
         recorded = np.asarray(operator.record(GGX(alpha), "smith", np.zeros(0)))[SLICE, chosen]

@@ -41,7 +41,7 @@ def test_nodes_that_are_saved_change_nothing():
     cells = np.radians([[0.01, 0.3, 1.5]]), np.radians([40.5]), np.radians([[90.5, 20, 100]])
     for lobe in (oracle.GGX(0.004), oracle.EPD(0.01, 0.55), oracle.Tails(0.002, 1.7)):
         few = oracle.Cells(*cells, finest=draws.finest(lobe))
-        np.testing.assert_allclose(few.ways(lobe), oracle.Cells(*cells).ways(lobe), rtol=1e-7)
+        np.testing.assert_allclose(few.directions(lobe), oracle.Cells(*cells).directions(lobe), rtol=1e-7)
 
 
 def test_every_class_is_drawn():

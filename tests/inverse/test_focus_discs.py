@@ -42,16 +42,18 @@ def test_records_of_a_lens_out_of_focus_are_means_over_its_pupil(azimuth, alpha)
     rng, truth, largest = np.random.default_rng(1), {}, 0.0
     for k in rng.permutation(slices.size):
         i, j = slices[k], numbers[k]
-        ways = []
+        directions = []
         for way in range(cells.x.shape[-1]):
             shown = light(cells.x[i, j, way] + off_x, cells.y[i, j, way] + off_y, 2 * cells.theta_d[i], alpha)
             if not np.all(shown[2]):
                 break  # the sum over points is exact only where light ends nowhere in it
             disc = np.abs(RADIUS * 0.04 * (shown[1] - np.cos(FOCUS)) / 2)
             largest = max(largest, disc.max())
-            ways.append(np.sum(kernel(own_x, own_y, SIGMA, 0.5, disc) * shown[0]) / per_px**2 / cells.cos_i[i, j, way])
+            directions.append(
+                np.sum(kernel(own_x, own_y, SIGMA, 0.5, disc) * shown[0]) / per_px**2 / cells.cos_i[i, j, way]
+            )
         else:
-            truth[i, j] = np.mean(ways)
+            truth[i, j] = np.mean(directions)
             if len(truth) == 8:
                 break
     assert len(truth) == 8

@@ -47,7 +47,7 @@ def normalised(theta_d, reflectance):
 
 
 def light(shot, lobe):
-    return shot.rule.ways(lobe) * truth_at(shot.cells.theta_d)[:, None, None]
+    return shot.rule.directions(lobe) * truth_at(shot.cells.theta_d)[:, None, None]
 
 
 def noisy_table(shot, lobe, random):

@@ -10,7 +10,7 @@ from matcam.camera import PixelNoise
 from matcam.forward.integral.blur import blur_of
 from matcam.inverse.correction.rig_refits import rig_refits
 from matcam.inverse.fit.fit_setup import free_setup
-from matcam.inverse.operator.chosen_cells import ChosenCells, chosen_cells, places_in
+from matcam.inverse.operator.chosen_cells import ChosenCells, chosen_cells, positions_in
 from matcam.inverse.operator.lamp_lines import lamp_discs, lamp_kernel
 from matcam.inverse.operator.lobe_operator import lobe_operator, operator_in
 from matcam.inverse.operator.rig_axes import free_axis, rig_with
@@ -32,13 +32,13 @@ def off_the_peak(radius, degrees, alpha, theta_d, cells):
     """Errors of cells (theta_h, phi_d), rad, over each slice's peak."""
     rig, theta_d = under(radius, degrees), np.radians(theta_d)
     theta_h, phi_d = (np.broadcast_to(a, (theta_d.size, len(cells))) for a in np.array(cells).T)
-    places = places_in(sample_view(rig), theta_h, theta_d[:, None], phi_d)
+    positions = positions_in(sample_view(rig), theta_h, theta_d[:, None], phi_d)
     ring = np.zeros(theta_h.shape, int)
     valid = np.ones(ring.shape, bool)
-    chosen = ChosenCells(np.arange(theta_d.size), theta_d, ring, ring, theta_h, phi_d, valid, *places, ~valid)
+    chosen = ChosenCells(np.arange(theta_d.size), theta_d, ring, ring, theta_h, phi_d, valid, *positions, ~valid)
     found = np.asarray(operator_in(rig, chosen, (), "discs", NEVER).record(GGX(alpha), "smith", ()))
     truth = disc_cells.DiscCells(theta_h, theta_d, phi_d, oracle.Setup(radius=radius, lamp=np.radians(degrees)), alpha)
-    truth = truth.ways(oracle.GGX(alpha)).mean(-1)
+    truth = truth.directions(oracle.GGX(alpha)).mean(-1)
     off = (np.abs(found - truth) / truth[:, :1]).max(axis=1)
     print(f"{radius:g} px, {degrees} degrees, alpha {alpha}: {[f'{e:.1e}' for e in off]} of the peak")
     return off
@@ -95,14 +95,16 @@ def test_cells_under_near_and_turned_discs(camera, lamp, azimuth):
 
 def test_small_discs_stay_gaussians():
     """Where the image is small beside the blur, and where there is none."""
-    places = np.zeros(2), np.zeros(2)
+    positions = np.zeros(2), np.zeros(2)
     for degrees, wanted in ((0.0, False), (0.05, False), (0.5, True)):
         rig = under(128.0, degrees)
-        (disc,), _ = lamp_discs(sample_view(rig), [blur_of(rig)], sharpest(blur_of(rig)), np.array([0.2, 1.0]), *places)
+        (disc,), _ = lamp_discs(
+            sample_view(rig), [blur_of(rig)], sharpest(blur_of(rig)), np.array([0.2, 1.0]), *positions
+        )
         assert (disc is not None) is wanted
     point, wide = (blur_of(under(128.0, degrees)) for degrees in (0.0, 0.5))
     (first, second), moved = lamp_discs(
-        sample_view(rig), [point, wide], sharpest(point, wide), np.array([0.2, 1.0]), *places
+        sample_view(rig), [point, wide], sharpest(point, wide), np.array([0.2, 1.0]), *positions
     )
     assert first is None  # a point beside a disc takes no chords
     assert second is not None
@@ -151,9 +153,9 @@ def test_a_fit_under_a_disc():
     rule = disc_cells.DiscCells(
         GRID.theta_h[cells.i_theta_h], cells.theta_d, GRID.phi_d[cells.i_phi_d], setup, alpha, fineness=0.8
     )
-    ways = rule.ways(oracle.GGX(alpha), lambda theta_d: conductor(theta_d, *recorded.CHROMIUM))
+    directions = rule.directions(oracle.GGX(alpha), lambda theta_d: conductor(theta_d, *recorded.CHROMIUM))
     noise = PixelNoise(2e-3, 1e-5)
-    values = rule.far.noisy(ways, np.random.default_rng(4), noise.relative, noise.floor, 0.0)
+    values = rule.far.noisy(directions, np.random.default_rng(4), noise.relative, noise.floor, 0.0)
     found = fit(
         recorded.table_of(cells, values),
         rig_with(recorded.rig(), {"lamp_radius": lamp}),

@@ -24,7 +24,7 @@ from matcam.core.errors import ArgumentError
 from matcam.core.grid import merl_grid
 from matcam.core.jax import jnp
 from matcam.core.workspace import Workspace
-from matcam.inverse.operator.chosen_cells import ChosenCells, cell_places, chosen_cells
+from matcam.inverse.operator.chosen_cells import ChosenCells, cell_positions, chosen_cells
 from matcam.inverse.operator.lobe_operator import WholeRule, lobe_operator, operator_in
 from matcam.inverse.operator.rig_axes import free_axis, prior_axis, rig_with
 from matcam.inverse.operator.sample_view import SampleView
@@ -38,9 +38,9 @@ EVERY = 18  # theta_d = 9.5, 27.5, 45.5, 63.5, 81.5 degrees
 def cells_at(theta_h, theta_d, phi_d, rings):
     """One slice of one cell for each of these angles."""
     column = [np.asarray(a)[:, None] for a in (rings, rings, theta_h, phi_d)]
-    places = cell_places(256.0, column[2], np.asarray(theta_d)[:, None], column[3])
+    positions = cell_positions(256.0, column[2], np.asarray(theta_d)[:, None], column[3])
     valid = np.ones(column[0].shape, bool)
-    return ChosenCells(np.arange(len(theta_d)), np.asarray(theta_d), *column, valid, *places, ~valid)
+    return ChosenCells(np.arange(len(theta_d)), np.asarray(theta_d), *column, valid, *positions, ~valid)
 
 
 def test_golden_cells():
@@ -48,10 +48,10 @@ def test_golden_cells():
     golden = rows("measure_cells")
     cells = cells_at(*([row[key] for row in golden] for key in ("theta_h", "theta_d", "phi_d", "i_theta_h")))
     operator = operator_in(rigs.merl(), cells, (), "golden", Workspace(entries=0))
-    for place, row in enumerate(golden):
-        record = np.asarray(operator.ways(GGX(row["alpha"]), "smith", ()))[place, 0]
+    for position, row in enumerate(golden):
+        record = np.asarray(operator.directions(GGX(row["alpha"]), "smith", ()))[position, 0]
         truth = np.array([row["recorded_one_way"], row["recorded_other_way"]])
-        grazing = min(cells.cos_i[place].min(), cells.cos_o[place].min())
+        grazing = min(cells.cos_i[position].min(), cells.cos_o[position].min())
         # rough lobes bend within the last pixel of the limb, where their masking is taken at two azimuths
         allowed = 2e-6 if grazing > 0.3 else 2e-5 if grazing > 0.15 else 1e-4
         np.testing.assert_allclose(record, truth, rtol=allowed, err_msg=f"{row}")
@@ -69,7 +69,7 @@ def test_against_the_oracle(radius, rms, worst):
         (oracle.EPD(0.002, 0.5), EPD(0.002, 0.5)),
         (oracle.EPD(0.1, 1.8), EPD(0.1, 1.8)),
     ):
-        truth = shot.rule.ways(lobe).mean(-1)
+        truth = shot.rule.directions(lobe).mean(-1)
         there = np.isfinite(truth) & shot.cells.valid
         assert there.sum() > radius
         peak = np.max(np.where(there, truth, 0), axis=1, keepdims=True)

@@ -80,8 +80,8 @@ class TwoLobes:
 def test_no_coefficient_reaches_a_user():
     """A spline-modified fit to what the oracle records of two lobes: its numbers are the lobe's own, within their errors."""
     shot, lobe = recorded.made(18, oracle.Setup()), TwoLobes()
-    ways = shot.rule.ways(lobe) * conductor(shot.cells.theta_d, *recorded.CHROMIUM)[:, None, None]
-    table = shot.table(shot.rule.noisy(ways, np.random.default_rng(5)))
+    directions = shot.rule.directions(lobe) * conductor(shot.cells.theta_d, *recorded.CHROMIUM)[:, None, None]
+    table = shot.table(shot.rule.noisy(directions, np.random.default_rng(5)))
     found = fit(table, recorded.rig(), fresnel="free", diffuse=True, spline=1.0, slice_step=18)
     truth = dict(zip(READ, direct(lobe), strict=True))
     print({name: f"{found.params[name]:.5g} +- {found.std[name]:.2g}, true {truth[name]:.5g}" for name in READ})

@@ -31,9 +31,9 @@ def test_slopes_are_differences_of_the_record(kind, lobe):
     value, slopes = record_and_slopes(operator, kind, q)
     np.testing.assert_allclose(value, record(q), rtol=1e-12, atol=1e-15 * np.abs(value).max())
     step = 1e-3
-    for place, slope in enumerate(slopes):
+    for position, slope in enumerate(slopes):
         near, far = (
-            (record(q + n * step * np.eye(q.size)[place]) - record(q - n * step * np.eye(q.size)[place]))
+            (record(q + n * step * np.eye(q.size)[position]) - record(q - n * step * np.eye(q.size)[position]))
             / (2 * n * step)
             for n in (1, 2)
         )

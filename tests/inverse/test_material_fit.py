@@ -20,12 +20,12 @@ F75 = float(conductor(recorded.SEVENTY_FIVE, *recorded.CHROMIUM))
 
 def light(lobe):
     shot = recorded.pictures(EVERY)
-    return shot, shot.rule.ways(lobe) * conductor(shot.cells.theta_d, *recorded.CHROMIUM)[:, None, None]
+    return shot, shot.rule.directions(lobe) * conductor(shot.cells.theta_d, *recorded.CHROMIUM)[:, None, None]
 
 
 def noisy(lobe, seed, **noise):
-    shot, ways = light(lobe)
-    return shot.table(shot.rule.noisy(ways, np.random.default_rng(seed), **noise))
+    shot, directions = light(lobe)
+    return shot.table(shot.rule.noisy(directions, np.random.default_rng(seed), **noise))
 
 
 @pytest.mark.parametrize(
@@ -37,9 +37,13 @@ def noisy(lobe, seed, **noise):
 )
 def test_exact_data_give_the_truth(lobe):
     """No noise in the data, little assumed: what is left is the operator's own error."""
-    shot, ways = light(lobe)
+    shot, directions = light(lobe)
     found = fit(
-        shot.table(ways.mean(-1)), recorded.rig(), recorded.family(lobe), noise=PixelNoise(1e-3, 1e-5), slice_step=EVERY
+        shot.table(directions.mean(-1)),
+        recorded.rig(),
+        recorded.family(lobe),
+        noise=PixelNoise(1e-3, 1e-5),
+        slice_step=EVERY,
     )
     np.testing.assert_allclose(list(found.params.values())[: len(lobe)], lobe, rtol=3e-5)
     assert found.params["n[G]"] == pytest.approx(recorded.CHROMIUM[0], rel=2e-3)
@@ -71,8 +75,10 @@ def test_a_lens_with_a_prior_and_a_free_one():
     """True sigma_mtf 3 % off the rig's: the data say so, with the prior and without."""
     truth = 0.515
     shot = recorded.made(EVERY, oracle.Setup(sigma=truth))
-    ways = shot.rule.ways(oracle.GGX(0.004)) * conductor(shot.cells.theta_d, *recorded.CHROMIUM)[:, None, None]
-    table = shot.table(shot.rule.noisy(ways, np.random.default_rng(3)))
+    directions = (
+        shot.rule.directions(oracle.GGX(0.004)) * conductor(shot.cells.theta_d, *recorded.CHROMIUM)[:, None, None]
+    )
+    table = shot.table(shot.rule.noisy(directions, np.random.default_rng(3)))
     for rig, use in ((recorded.rig(std=0.015), "prior"), (recorded.rig(), "free")):
         found = fit(table, rig, noise=recorded.NOISE, slice_step=EVERY, camera_parameters=use)
         lens, std = found.params["optics.sigma_px"], found.std["optics.sigma_px"]
@@ -115,10 +121,10 @@ def test_two_materials_tell_one_lens():
 
 def test_diffuse_and_channels():
     """A Lambertian part, three channels of one roughness or of three."""
-    shot, ways = light(oracle.GGX(0.02))
+    shot, directions = light(oracle.GGX(0.02))
     random = np.random.default_rng(7)
     albedos = (0.1, 0.2, 0.3)
-    values = [shot.table(shot.rule.noisy(ways + albedo / np.pi, random)) for albedo in albedos]
+    values = [shot.table(shot.rule.noisy(directions + albedo / np.pi, random)) for albedo in albedos]
     table = xr.concat(values, "channel").transpose("theta_h", "theta_d", "phi_d", "channel")
     table = table.assign_coords(channel=["R", "G", "B"])
     table.attrs["sampling"] = "centre"

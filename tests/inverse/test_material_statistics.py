@@ -24,7 +24,7 @@ F75 = float(conductor(recorded.SEVENTY_FIVE, *recorded.CHROMIUM))
 
 def fitted(shot, lobe, random, rig, **options):
     """A fit of one noisy record; reflectance chromium's."""
-    light = shot.rule.ways(lobe) * conductor(shot.cells.theta_d, *recorded.CHROMIUM)[:, None, None]
+    light = shot.rule.directions(lobe) * conductor(shot.cells.theta_d, *recorded.CHROMIUM)[:, None, None]
     table = shot.table(shot.rule.noisy(light, random))
     return [fit(table, r, recorded.family(lobe), noise=recorded.NOISE, slice_step=EVERY, **options) for r in rig]
 
@@ -128,7 +128,7 @@ def test_reflectance_at_75_degrees(gain, fresnel, allowed):
     truth = float(conductor(at, *recorded.CHROMIUM))
     errors = []
     for lobe in recorded.draw(min(COUNT, 40), seed=80):
-        light = shot.rule.ways(lobe) * conductor(shot.cells.theta_d, *recorded.CHROMIUM)[:, None, None]
+        light = shot.rule.directions(lobe) * conductor(shot.cells.theta_d, *recorded.CHROMIUM)[:, None, None]
         table = shot.table(shot.rule.noisy(light, random, gain=gain))
         found = fit(table, recorded.rig(), recorded.family(lobe), fresnel=fresnel, noise=noise, slice_step=slice_step)
         errors.append(found.fresnel(at)[0] / truth - 1)

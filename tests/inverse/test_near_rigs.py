@@ -24,7 +24,7 @@ from matcam import (
 from matcam.camera import PixelNoise, Uncertainty
 from matcam.core.workspace import Workspace
 from matcam.forward import true_table, with_pixel_noise
-from matcam.inverse.operator.chosen_cells import ChosenCells, places_in
+from matcam.inverse.operator.chosen_cells import ChosenCells, positions_in
 from matcam.inverse.operator.lobe_operator import lobe_operator, operator_in
 from matcam.inverse.operator.rig_axes import free_axis, rig_with
 from matcam.inverse.operator.sample_view import SampleView, sample_view
@@ -78,16 +78,16 @@ def test_golden_cells_by_the_near_code():
     )
     rig = Rig(rigs.merl().camera, Sphere(256.0, 1e8), NearLamp(1e8))
     column = [a[:, None] for a in (rings, rings, theta_h, phi_d)]
-    places = places_in(sample_view(rig), column[2], theta_d[:, None], column[3])
+    positions = positions_in(sample_view(rig), column[2], theta_d[:, None], column[3])
     valid = np.ones(column[0].shape, bool)
-    cells = ChosenCells(np.arange(len(golden)), theta_d, *column, valid, *places, ~valid)
+    cells = ChosenCells(np.arange(len(golden)), theta_d, *column, valid, *positions, ~valid)
     operator = operator_in(rig, cells, (), "golden, near", NEVER)
     compared = 0
-    for place, row in enumerate(golden):
-        grazing = min(cells.cos_i[place].min(), cells.cos_o[place].min())
+    for position, row in enumerate(golden):
+        grazing = min(cells.cos_i[position].min(), cells.cos_o[position].min())
         if grazing < (0.06 if row["i_theta_h"] < 12 else 0.17):
             continue
-        record = np.asarray(operator.ways(GGX(row["alpha"]), "smith", ()))[place, 0]
+        record = np.asarray(operator.directions(GGX(row["alpha"]), "smith", ()))[position, 0]
         truth = np.array([row["recorded_one_way"], row["recorded_other_way"]])
         np.testing.assert_allclose(record, truth, rtol=1e-6, err_msg=f"{row}")
         compared += 1
@@ -101,12 +101,12 @@ def test_a_lamps_disc_is_changed_at_its_distance():
     assert float(rig.lamp_radius) == pytest.approx(0.02, rel=1e-12)
 
 
-def test_the_place_of_a_highlight_and_its_light():
+def test_the_position_of_a_highlight_and_its_light():
     """The flux of a highlight by its area in the picture, against the ratio of the picture's shift by finite differences."""
     view = SampleView(100.0, 1 / 6, 1 / 4)
     theta_d, step = np.radians([5.0, 40.0, 70.0]), 1e-4
     none = np.zeros(3)
-    peak = view.place(none, theta_d, none)
+    peak = view.position(none, theta_d, none)
     np.testing.assert_allclose(view.at_highlight(peak.lamp_angle), peak.x, rtol=1e-12)
     # normals a small angle from the half vector, each in the picture of the same lamp
     from scipy.optimize import brentq
@@ -116,11 +116,11 @@ def test_the_place_of_a_highlight_and_its_light():
         for phi in (0.0, np.pi / 2):
 
             def lamp_miss(at, phi=phi, n=n):
-                there = view.place(np.array([step]), np.array([at]), np.array([phi]))
+                there = view.position(np.array([step]), np.array([at]), np.array([phi]))
                 return float(there.lamp_angle[0] - peak.lamp_angle[n])
 
             at = brentq(lamp_miss, angle - 0.01, angle + 0.01, xtol=1e-15)
-            there = view.place(np.array([step]), np.array([at]), np.array([phi]))
+            there = view.position(np.array([step]), np.array([at]), np.array([phi]))
             corners.append((float(there.x[0] - peak.x[n]), float(there.y[0])))
         area = abs(corners[0][0] * corners[1][1] - corners[0][1] * corners[1][0]) / step**2
         lamp = 1 / (np.sqrt(1 - view.lamp**2 * np.sin(angle) ** 2) - view.lamp * np.cos(angle))

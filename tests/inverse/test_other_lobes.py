@@ -15,8 +15,8 @@ from tests.oracle.merl_lobe import conductor
 
 def fitted(lobe, slice_step=18, **more):
     shot = recorded.made(slice_step, oracle.Setup())
-    ways = shot.rule.ways(lobe) * conductor(shot.cells.theta_d, *recorded.CHROMIUM)[:, None, None]
-    table = shot.table(shot.rule.noisy(ways, np.random.default_rng(8)))
+    directions = shot.rule.directions(lobe) * conductor(shot.cells.theta_d, *recorded.CHROMIUM)[:, None, None]
+    table = shot.table(shot.rule.noisy(directions, np.random.default_rng(8)))
     setup = FitSetup((table,), recorded.rig(), "ggx", fresnel="free", diffuse=True, slice_step=slice_step)
     return setup, setup.with_(**more).solve()
 

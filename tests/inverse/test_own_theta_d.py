@@ -59,8 +59,8 @@ def truth(kind, camera, angles, alpha, f):
     )
     if kind is Sphere:
         return lamp_record.recorded_cell(angles, 0.0, surface, theirs, orders=(10, 14))
-    ways = [(*angles[:2], angles[2] + way) for way in (0, np.pi)]
-    return np.mean([lamp_record.recorded_line_cell(one, surface, theirs, orders=(10, 14)) for one in ways])
+    directions = [(*angles[:2], angles[2] + way) for way in (0, np.pi)]
+    return np.mean([lamp_record.recorded_line_cell(one, surface, theirs, orders=(10, 14)) for one in directions])
 
 
 def missed(kind, camera, alpha, slice_step, count):
@@ -123,8 +123,8 @@ def test_derivatives_of_a_near_rigs_model_are_differences(model, unit):
     weight = np.ones(problem.data.values.shape)
     found = problem.model(p, weight)
     assert np.abs(found.log_slope).max() > 1
-    for place, slope in enumerate(found.derivative):
-        step = 1e-4 * np.eye(p.size)[place]
+    for position, slope in enumerate(found.derivative):
+        step = 1e-4 * np.eye(p.size)[position]
         one, two = (
             problem.model(p + n * step, weight).value - problem.model(p - n * step, weight).value for n in (1, 2)
         )

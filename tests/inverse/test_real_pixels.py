@@ -72,7 +72,7 @@ def test_the_phase_under_a_lamp_at_an_azimuth(rule, azimuth):
 def test_other_tables_show_no_real_pixels():
     """Cells with a pixel of their own repeat nothing, and nothing is interpolated."""
     shot = recorded.pictures(30)
-    table = shot.table(shot.rule.ways(oracle.GGX(0.005)).mean(-1))
+    table = shot.table(shot.rule.directions(oracle.GGX(0.005)).mean(-1))
     assert cell_rule(table, 256.0)[:2] == (None, None)
     assert located_rig(rigs.merl(), table).rig.cell_value == "centre"
     constant = table.where(table.isnull(), 1.0)
@@ -165,10 +165,10 @@ def test_the_operator_against_the_oracle(rule):
     pixels = shot.truth.pixels(oracle.GGX(0.004))
     for s, values in enumerate(shot.truth.values(pixels)):
         at = {(i, k): n for n, (i, k) in enumerate(zip(shot.i[s], shot.k[s], strict=True))}
-        places = [
+        positions = [
             at[i, k] for i, k in zip(cells.i_theta_h[s][cells.valid[s]], cells.i_phi_d[s][cells.valid[s]], strict=True)
         ]
-        truth = values[places]
+        truth = values[positions]
         record = np.asarray(operator.record(GGX(0.004), "smith", ()))[s][cells.valid[s]]
         there = np.isfinite(truth)
         assert there.sum() > 30
@@ -210,9 +210,9 @@ def test_a_camera_that_sees_points_reads_the_pixels(rule, azimuth):
         good = cells.valid[s]
         theta_h, phi_d = (recorded.GRID[n][a[s][good]] for n, a in ((0, cells.i_theta_h), (2, cells.i_phi_d)))
         found = behind(rule, phase, theta_h, td, phi_d, azimuth=azimuth)
-        s2 = np.tan(angles_of(found.place, td)[0]) ** 2
-        cos_i = light_cosine(found.place, td)
-        cos_o = np.sqrt(1 - (found.place**2).sum(-1) / 256.0**2)
+        s2 = np.tan(angles_of(found.position, td)[0]) ** 2
+        cos_i = light_cosine(found.position, td)
+        cos_o = np.sqrt(1 - (found.position**2).sum(-1) / 256.0**2)
         light = lobe.p22(s2) * (1 + s2) ** 2 / (1 + lobe.smith(cos_i) + lobe.smith(cos_o)) / (4 * cos_i * cos_o)
         few = 1e-9 if rule != "mean" else 5e-5  # of more than four pixels on a side the mean and covariance are kept
         faint = 1e-9 * record[s].max() if rule == "mean" and azimuth else 0.0
@@ -234,7 +234,7 @@ def test_the_pixels_of_a_lens_of_fitted_shape():
     for s, of_pixels in enumerate(shot.truth.values(shot.truth.pixels(lobe))):
         i, k = (index[: 9 * 180 : 7] for index in (shot.i[s], shot.k[s]))
         cells = oracle.Cells(recorded.GRID.theta_h[i][None], shot.theta_d[[s]], recorded.GRID.phi_d[k][None])
-        own, of_pixels = cells.ways(lobe).mean(-1)[0], of_pixels[: 9 * 180 : 7]
+        own, of_pixels = cells.directions(lobe).mean(-1)[0], of_pixels[: 9 * 180 : 7]
         bright = of_pixels > 1e-3 * np.nanmax(of_pixels)
         assert bright.sum() > 150
         off = log[i, shot.slices[s], k] - np.log(own / of_pixels)

@@ -14,7 +14,7 @@ EVERY = 18
 
 def seen_by_a_camera(random):
     shot = recorded.pictures(EVERY)
-    light = shot.rule.ways(oracle.GGX(0.003)) * conductor(shot.cells.theta_d, *recorded.CHROMIUM)[:, None, None]
+    light = shot.rule.directions(oracle.GGX(0.003)) * conductor(shot.cells.theta_d, *recorded.CHROMIUM)[:, None, None]
     return shot.table(shot.rule.noisy(light, random, gain=0.0))
 
 

@@ -93,7 +93,7 @@ def test_cells_of_turned_real_pixels(rule):
     for s, n in np.random.default_rng(3).permutation(np.argwhere(cells.valid))[:6]:
         td = cells.theta_d[s]
         pixels = behind(rule, phase, cells.theta_h[s, n : n + 1], td, cells.phi_d[s, n : n + 1], 100.0, azimuth)
-        on_sensor, cosines = about_axis(pixels.place[0], azimuth), light_cosine(pixels.place[0], td, 100.0)
+        on_sensor, cosines = about_axis(pixels.position[0], azimuth), light_cosine(pixels.position[0], td, 100.0)
         records = [lamp_record.record(x, y, 2 * td, azimuth, surface, theirs) for x, y in on_sensor]
         truth = np.sum(pixels.share[0] * np.array(records) / cosines)
         assert found[s, n] == pytest.approx(truth, rel=1e-4)

@@ -36,8 +36,8 @@ def test_two_lobes_are_found_and_read_by_their_half_width():
     """Where GGX and EPD leave 20 % of noise, two lobes leave the 1 % that there is."""
     lobe = MIXTURES["GGX 0.005 (70 %), Beckmann 0.02"]
     shot = recorded.made(18, oracle.Setup())
-    ways = shot.rule.ways(lobe) * conductor(shot.cells.theta_d, *recorded.CHROMIUM)[:, None, None]
-    table = shot.table(shot.rule.noisy(ways, np.random.default_rng(8)))
+    directions = shot.rule.directions(lobe) * conductor(shot.cells.theta_d, *recorded.CHROMIUM)[:, None, None]
+    table = shot.table(shot.rule.noisy(directions, np.random.default_rng(8)))
     found = FitSetup((table,), recorded.rig(), TWO_LOBES, fresnel="free", diffuse=True, slice_step=18).solve()
     width = recorded.half_width(lobe)
     print(f"half width {found.hwhm:.6f} +- {found.hwhm_std:.6f}, true {width:.6f}; noise {found.noise.relative:.4f}")

@@ -59,7 +59,7 @@ def test_other_lobes_lenses_and_bodies_agree_with_the_rule_for_chosen_cells():
     case = Case("coma", (Facets(EPD(0.003, 1.0), (1.5,) * 3), Body((1, 1, 1), 1.0)), coma(0.5, angle=0.6))
     rule = sphere_cells.Cells(THETA_H[i][None], THETA_D[[50]], PHI_D[k][None], case.setup, finest=finest(case))
     found = records(case, [50])[:, i, 0, k]
-    for terms, right in zip(found, (rule.ways(EPD(0.003, 1.0))[0], rule.body()[0]), strict=True):
+    for terms, right in zip(found, (rule.directions(EPD(0.003, 1.0))[0], rule.body()[0]), strict=True):
         np.testing.assert_allclose(terms, right, rtol=1e-4, atol=1e-7 * right.max())
 
 

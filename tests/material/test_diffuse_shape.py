@@ -50,7 +50,7 @@ def test_laws_of_others_are_followed(directions, law, strength, left):
     assert error < np.sqrt(np.mean(lambertian**2)) / 2.5
 
 
-def test_light_and_view_may_change_places(directions):
+def test_light_and_view_may_change_positions(directions):
     cos_i, cos_o, _, between = directions
     one, other = (departure(np.full(TERMS, 0.1), *pair, between / 2) for pair in ((cos_i, cos_o), (cos_o, cos_i)))
     assert np.asarray(one) == pytest.approx(np.asarray(other), rel=1e-14)

@@ -5,7 +5,7 @@ import pytest
 
 from matcam import EPD, GGX
 from matcam.core.jax import jax, jnp
-from matcam.material.lambda_table import COTS, by_entries, lambda_at, place_of, quick_lambda, quick_table
+from matcam.material.lambda_table import COTS, by_entries, lambda_at, position_of, quick_lambda, quick_table
 from matcam.material.ndf.student_lobe import StudentLobe
 from matcam.material.ndf.two_lobes import TwoLobes
 
@@ -40,16 +40,16 @@ def test_lobes_in_closed_form_need_no_table():
     assert quick_table(GGX(0.1)) is None
 
 
-def test_places_are_counted_from_the_first_direction():
+def test_positions_are_counted_from_the_first_direction():
     cos = COTS / np.sqrt(1 + COTS**2)
-    np.testing.assert_allclose(place_of(cos)[:100], np.arange(100), atol=1e-9)
-    np.testing.assert_allclose(place_of(jnp.asarray(cos)), place_of(cos), rtol=1e-12)
+    np.testing.assert_allclose(position_of(cos)[:100], np.arange(100), atol=1e-9)
+    np.testing.assert_allclose(position_of(jnp.asarray(cos)), position_of(cos), rtol=1e-12)
 
 
 def test_derivatives_by_entries_are_those_of_the_sum():
     table = quick_table(StudentLobe(jnp.asarray(0.05), jnp.asarray(2.0)))  # of long tails: nowhere is Lambda 0
     rng = np.random.default_rng(5)
-    place, share = jnp.asarray(rng.uniform(-3, 110, (6, 50, 2))), jnp.asarray(rng.normal(size=(6, 50, 2)))
-    own = jax.vmap(jax.grad(lambda t, p, s: jnp.sum(s * lambda_at(t, p))), (None, 0, 0))(table, place, share)
-    found = by_entries(place, share * (1 + lambda_at(table, place)))
+    position, share = jnp.asarray(rng.uniform(-3, 110, (6, 50, 2))), jnp.asarray(rng.normal(size=(6, 50, 2)))
+    own = jax.vmap(jax.grad(lambda t, p, s: jnp.sum(s * lambda_at(t, p))), (None, 0, 0))(table, position, share)
+    found = by_entries(position, share * (1 + lambda_at(table, position)))
     np.testing.assert_allclose(found, own, atol=1e-5)

@@ -69,14 +69,14 @@ def test_the_parts_add_up(case):
 def test_gtc_gives_the_same(case):
     gtc = pytest.importorskip("GTC", reason="GTC is not installed")
     readings = [gtc.ureal(one, NOISE) for one in RANDOM.normal(size=12)]
-    places = np.flatnonzero(np.diag(PRIORS[case]))
-    prior = np.linalg.inv(PRIORS[case][np.ix_(places, places)])
+    positions = np.flatnonzero(np.diag(PRIORS[case]))
+    prior = np.linalg.inv(PRIORS[case][np.ix_(positions, positions)])
     std = np.sqrt(np.diag(prior))
     stated = [gtc.ureal(1.5, one, independent=case == "independent") for one in std]
     if case == "correlated":
         gtc.set_correlation(prior[0, 1] / std[0] / std[1], *stated)
     by_readings = DESIGN @ covariance(case) @ SLOPE / NOISE**2
-    by_stated = (PRIORS[case] @ covariance(case) @ SLOPE)[places]
+    by_stated = (PRIORS[case] @ covariance(case) @ SLOPE)[positions]
     result = sum(c * one for c, one in zip([*by_readings, *by_stated], [*readings, *stated], strict=True))
     budget = budget_of(case, result.x)
     assert budget.combined == pytest.approx(result.u, rel=limit("gum-budget"))

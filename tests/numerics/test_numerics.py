@@ -104,12 +104,12 @@ def test_mixed_steps_end_where_plain_ones_creep():
 def test_splines_of_four_are_those_of_the_whole_basis():
     """Their value, and sums of weights times each, from the first knot to the last."""
     rng = np.random.default_rng(6)
-    place = jnp.asarray(np.concatenate([[0.0, 1.0, 15.5, 16.0], rng.uniform(0, 16, 200)]))
-    coefficients, weights = jnp.asarray(rng.normal(size=17)), jnp.asarray(rng.normal(size=place.shape))
-    basis = cubic_basis(place, 17)
-    np.testing.assert_allclose(cubic_spline(coefficients, place), coefficients @ basis, atol=1e-14)
-    np.testing.assert_allclose(cubic_sums(place, weights, 17), basis @ weights, atol=1e-12)
+    position = jnp.asarray(np.concatenate([[0.0, 1.0, 15.5, 16.0], rng.uniform(0, 16, 200)]))
+    coefficients, weights = jnp.asarray(rng.normal(size=17)), jnp.asarray(rng.normal(size=position.shape))
+    basis = cubic_basis(position, 17)
+    np.testing.assert_allclose(cubic_spline(coefficients, position), coefficients @ basis, atol=1e-14)
+    np.testing.assert_allclose(cubic_sums(position, weights, 17), basis @ weights, atol=1e-12)
     np.testing.assert_allclose(
-        cubic_sums(place.reshape(4, 3, 17), weights.reshape(4, 3, 17), 17, axes=2),
+        cubic_sums(position.reshape(4, 3, 17), weights.reshape(4, 3, 17), 17, axes=2),
         (basis * weights).reshape(17, 4, 51).sum(-1), atol=1e-12,
     )  # fmt: skip

@@ -278,8 +278,8 @@ class _Reference:
         x, y = np.meshgrid(np.arange(column, column + width) - view.column, view.row - np.arange(row, row + height))
         focal = view.radius * np.sqrt(view.camera**2 - 1)
         shrink = (view.camera - self.patch.depth) / focal
-        place = np.stack([x * shrink, y * shrink, np.full(x.shape, self.patch.depth)], -1)
-        way = view.lamp * towards - place  # radii
+        position = np.stack([x * shrink, y * shrink, np.full(x.shape, self.patch.depth)], -1)
+        way = view.lamp * towards - position  # radii
         far = np.sqrt((way**2).sum(-1))
         normal = np.array([*self.patch.tilt, 1.0])
         cosine = np.maximum(way @ (normal / np.linalg.norm(normal)) / far, 0)

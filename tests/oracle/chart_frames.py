@@ -148,10 +148,10 @@ def random_frame(chart, page, pixels, seed, *, hand=None, shadow=None):
     y, x = np.mgrid[: camera.height, : camera.width]
     x, y = (x - camera.width / 2) / camera.width, (y - camera.height / 2) / camera.width
     drawn = {"shadow": 0.0, "hand": 0.0}
-    turn, place, soft = draw.uniform(0, 2 * np.pi), draw.uniform(-0.3, 0.3), draw.uniform(0.03, 0.3)
+    turn, position, soft = draw.uniform(0, 2 * np.pi), draw.uniform(-0.3, 0.3), draw.uniform(0.03, 0.3)
     depth, has_shadow = draw.uniform(0.1, 0.4), draw.random() < 0.5
     if has_shadow if shadow is None else shadow:
-        light = light * (1 - depth * ndtr((x * np.cos(turn) + y * np.sin(turn) - place) / soft))
+        light = light * (1 - depth * ndtr((x * np.cos(turn) + y * np.sin(turn) - position) / soft))
         drawn["shadow"] = depth
     picture = camera.expected(chart) * light
     turn, deep, wide = draw.uniform(0, 2 * np.pi), draw.uniform(0.05, 0.2), draw.uniform(0.05, 0.15)

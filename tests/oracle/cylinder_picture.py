@@ -50,11 +50,11 @@ def picture(surface, stand, towards, shift=0.0, fine=1):
     q = 1 / stand.camera
     stretch = stand.radius * np.sqrt(1 - q**2)
     depth = 1 - q * np.cos(u)
-    place = stand.column + shift + stretch * np.sin(u) / depth
+    position = stand.column + shift + stretch * np.sin(u) / depth
     share = weight * stretch * (np.cos(u) - q) / depth**2
     columns = np.arange(stand.shape[1])[:, None]
     unit = np.sqrt(2) * stand.sigma
-    kernel = erf((place - columns + stand.half_width) / unit) - erf((place - columns - stand.half_width) / unit)
+    kernel = erf((position - columns + stand.half_width) / unit) - erf((position - columns - stand.half_width) / unit)
     kernel *= share / (4 * stand.half_width)
     rows = np.arange(stand.shape[0])
     image = np.zeros((*stand.shape, max(len(surface.n), len(surface.diffuse))))

@@ -25,10 +25,10 @@ class DiscCells:
         self.far = sphere_cells.Cells(theta_h, theta_d, phi_d, setup, finest=finest / 30)
         self.theta_d, self.good = theta_d, self.far.good
 
-    def ways(self, lobe, reflectance=np.ones_like):
+    def directions(self, lobe, reflectance=np.ones_like):
         """What is recorded one way and the other, 1/sr: (slices, cells, 2), NaN where left out. reflectance: F of theta_d,
         which is each point's own."""
-        out = self.far.ways(lobe) * reflectance(self.theta_d)[:, None, None]
+        out = self.far.directions(lobe) * reflectance(self.theta_d)[:, None, None]
         for j, td in enumerate(self.theta_d):
             image = self.setup.lamp / 2 * self.setup.radius / np.cos(td)
             near = self.good[j] & (

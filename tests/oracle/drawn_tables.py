@@ -145,8 +145,8 @@ def recorded(draw, slices, i, k):
     f = conductor(theta_d, draw.n, draw.k)
     if draw.rule == "centre":
         rule = oracle.Cells(THETA_H[i], theta_d, PHI_D[k], draw.setup, finest=finest(draw.lobe))
-        ways = f[:, None, None] * rule.ways(draw.lobe) + draw.body * rule.body()
-        return ways.mean(-1), rule.noisy(ways, random, **NOISE)
+        directions = f[:, None, None] * rule.directions(draw.lobe) + draw.body * rule.body()
+        return directions.mean(-1), rule.noisy(directions, random, **NOISE)
     cells = [(THETA_H[a], PHI_D[b]) for a, b in zip(i, k, strict=True)]
     table = RealTable(draw.rule, draw.phase, theta_d, cells, draw.setup, finest(draw.lobe))
     pixels = f[:, None] * table.pixels(draw.lobe) + draw.body * table.rule.body()[..., 0]

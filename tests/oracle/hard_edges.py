@@ -72,8 +72,8 @@ def light_step(rng):
 def dust(scene, rng):
     """One to three specks of 1 to 3 px."""
     for _ in range(rng.integers(1, 4)):
-        place = rng.uniform(-12, 12), rng.uniform(-40, 40)
-        scene = edges.dusty(scene, place, rng.uniform(1, 3), rng.uniform(0.2, 0.8))
+        position = rng.uniform(-12, 12), rng.uniform(-40, 40)
+        scene = edges.dusty(scene, position, rng.uniform(1, 3), rng.uniform(0.2, 0.8))
     return scene
 
 
@@ -133,9 +133,9 @@ def drawn(rng, kind, size=SIZE):
     scene = edges.response(sigma, degrees, size, offset=rng.uniform(-0.5, 0.5))
     truth = edges.half(sigma, degrees)
     if kind == "far ghost":
-        share, place = rng.uniform(0.02, 0.15), rng.uniform(9, 25) * rng.choice([-1, 1])
-        scene = (1 - share) * scene + share * edges.response(sigma, degrees, size, offset=place)
-        truth = edges.ghosted_half(sigma, degrees, share, place)
+        share, position = rng.uniform(0.02, 0.15), rng.uniform(9, 25) * rng.choice([-1, 1])
+        scene = (1 - share) * scene + share * edges.response(sigma, degrees, size, offset=position)
+        truth = edges.ghosted_half(sigma, degrees, share, position)
     scene = edges.lit(scene, LIGHT[kind](rng)) if kind in LIGHT else edges.levels(scene)
     if kind == "dust":
         scene = dust(scene, rng)

@@ -72,7 +72,7 @@ def record(x, y, lamp_angle, azimuth, surface, rig, disc=(1, 1), orders=(10, 14)
 def recorded_cell(angles, azimuth, surface, rig, disc=(1, 1), orders=(12, 16)):
     """Mean of both ways of a cell over the irradiance, NaN below the horizon; each under the lamp that shows the cell's angles
     (theta_h, theta_d, phi_d). Vectors stand about the half vector and are turned to the sensor."""
-    ways = []
+    directions = []
     for phi in (angles[2], angles[2] + np.pi):
         normal = np.array([-np.sin(angles[0]) * np.cos(phi), np.sin(angles[0]) * np.sin(phi), np.cos(angles[0])])
         light, view = (np.array([side * np.sin(angles[1]), 0, np.cos(angles[1])]) for side in (1, -1))
@@ -86,8 +86,8 @@ def recorded_cell(angles, azimuth, surface, rig, disc=(1, 1), orders=(12, 16)):
         x, y = x * np.cos(azimuth) - y * np.sin(azimuth), x * np.sin(azimuth) + y * np.cos(azimuth)
         irradiance = normal @ light / np.sum((lamp - normal / rig.lamp_distance) ** 2)
         lamp_angle = np.arccos(np.clip(lamp @ axis, -1, 1))
-        ways.append(record(x, y, lamp_angle, azimuth, surface, rig, disc, orders) / irradiance)
-    return np.mean(ways)
+        directions.append(record(x, y, lamp_angle, azimuth, surface, rig, disc, orders) / irradiance)
+    return np.mean(directions)
 
 
 def recorded_line_cell(angles, surface, rig, disc=(1, 1), orders=(12, 16)):

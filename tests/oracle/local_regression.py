@@ -114,29 +114,29 @@ def _ridge(points, steep, centre, normal):
     sums = np.array([np.bincount(at, weight * q) for q in (along, across, np.ones_like(along))])
     sums = sums[:, np.bincount(at) > 12]
     smooth = np.array([np.convolve(row, np.ones(5), "same") for row in sums])
-    places = smooth[:2] / smooth[2]
-    step = np.abs(np.diff(places[1]))
-    quarter = places.shape[1] // 4
+    positions = smooth[:2] / smooth[2]
+    step = np.abs(np.diff(positions[1]))
+    quarter = positions.shape[1] // 4
     usual = step[quarter : 3 * quarter]
     far = np.abs(step - usual.mean()) > 2 * usual.std(ddof=1)
-    first, last = 0, places.shape[1]
+    first, last = 0, positions.shape[1]
     while first < quarter and far[first]:
         first += 1
     while last > 3 * quarter and far[last - 2]:
         last -= 1
-    return places[:, first:last]
+    return positions[:, first:last]
 
 
 def _distances(points, ridge, centre, normal):
     """Distance of every pixel from two parabolas that meet smoothly."""
     join = 1.0
-    t, place = ridge
+    t, position = ridge
     powers = np.stack([t**2, t, np.ones_like(t)], -1)
     design = np.hstack([powers * (t <= join)[:, None], powers * (t > join)[:, None]])
     meet = np.array([[join**2, join, 1], [2 * join, 1, 0]])
     meet = np.hstack([meet, -meet])
     system = np.block([[design.T @ design, meet.T], [meet, np.zeros((2, 2))]])
-    both = np.linalg.lstsq(system, np.append(design.T @ place, [0, 0]), rcond=None)[0][:6]
+    both = np.linalg.lstsq(system, np.append(design.T @ position, [0, 0]), rcond=None)[0][:6]
     off = points - centre
     along, across = off @ np.array([-normal[1], normal[0]]), off @ normal
     a, b, c = np.where((along < join)[:, None], both[:3], both[3:]).T

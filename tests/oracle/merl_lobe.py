@@ -62,12 +62,12 @@ class PixelMap:
         th, ph = np.meshgrid(THETA_H, PHI_D, indexing="ij")
         self.pairs = []
         for td in THETA_D:
-            ways = []
+            directions = []
             for psi in (np.pi - ph, 2 * np.pi - ph):
                 x = radius * (np.cos(th) * np.sin(td) + np.sin(th) * np.cos(psi) * np.cos(td))
                 y = radius * np.sin(th) * np.sin(psi)
-                ways.append(np.floor(x + 0.5) * 4096 + np.floor(y + 0.5))
-            _, index = np.unique(np.stack(ways), return_inverse=True)
+                directions.append(np.floor(x + 0.5) * 4096 + np.floor(y + 0.5))
+            _, index = np.unique(np.stack(directions), return_inverse=True)
             self.pairs.append((index.max() + 1, index.reshape(2, *th.shape)))
 
     def noisy(self, table, rng, relative=0.01, floor=1e-4):

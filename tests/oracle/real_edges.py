@@ -37,8 +37,8 @@ def response(sigma, degrees=5.0, size=(100, 80), course=None, offset=0.0):
     total = np.zeros_like(x)
     for shift, weight in zip(u, kernel, strict=True):
         v = y - shift
-        place = offset - np.tan(np.radians(degrees)) * v + (0.0 if course is None else course(v))
-        total += weight * box_of_step(x - place)
+        position = offset - np.tan(np.radians(degrees)) * v + (0.0 if course is None else course(v))
+        total += weight * box_of_step(x - position)
     return total / kernel.sum()
 
 
@@ -119,17 +119,17 @@ def rough(rms, rng, correlation=3.0):
     fine = 4
     bumps = gaussian_filter1d(rng.normal(size=4000), correlation * fine / np.sqrt(2))
     bumps *= rms / bumps.std()
-    places = (np.arange(4000) - 2000) / fine
-    return lambda v: np.interp(v, places, bumps)
+    positions = (np.arange(4000) - 2000) / fine
+    return lambda v: np.interp(v, positions, bumps)
 
 
 # ---------------------------------------------------------------- dirt and software: what comes after the light
 
 
-def with_pixels(counts, places, factor):
+def with_pixels(counts, positions, factor):
     """Hot (factor > 1) or dead (0) pixels."""
     counts = counts.copy()
-    for y, x in places:
+    for y, x in positions:
         counts[y, x] *= factor
     return counts
 
@@ -141,9 +141,9 @@ def near_edge(count, rng, size, degrees):
     return list(zip(rows, np.rint(columns).astype(int), strict=True))
 
 
-def dusty(scene, place, radius, depth):
+def dusty(scene, position, radius, depth):
     x, y = grid(*scene.shape)
-    return scene * (1 - depth * ((x - place[0]) ** 2 + (y - place[1]) ** 2 < radius**2))
+    return scene * (1 - depth * ((x - position[0]) ** 2 + (y - position[1]) ** 2 < radius**2))
 
 
 def crushed(counts, black):
@@ -202,8 +202,8 @@ def drawn(rng, flaw, size=SIZE):
         scene = dusty(scene, (rng.uniform(-6, 6), rng.uniform(-40, 40)), strength := 1 + 2 * u, 0.6)
     counts = exposed(scene, snr, rng)
     if flaw in ("hot", "dead"):
-        places = near_edge(int(strength := rng.integers(1, 4)), rng, size, degrees)
-        counts = with_pixels(counts, places, 2.0 if flaw == "hot" else 0.0)
+        positions = near_edge(int(strength := rng.integers(1, 4)), rng, size, degrees)
+        counts = with_pixels(counts, positions, 2.0 if flaw == "hot" else 0.0)
     truth = half(sigma, degrees) if ghost is None else ghosted_half(sigma, degrees, strength, ghost)
     return Drawn(flaw, strength, counts, truth, sigma, snr)
 

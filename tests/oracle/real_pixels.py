@@ -28,13 +28,13 @@ def shown_at(theta_h, theta_d, phi_d, radius=256.0):
 class Behind(NamedTuple):
     """The pixels behind cells: place (cells, pixels, 2) px, share (cells, pixels), which adds up to 1."""
 
-    place: np.ndarray
+    position: np.ndarray
     share: np.ndarray
 
 
-def about_axis(place, angle):
+def about_axis(position, angle):
     """Places (..., 2) turned about the optical axis."""
-    return place @ np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+    return position @ np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
 
 
 def behind(rule, phase, theta_h, theta_d, phi_d, radius=256.0, azimuth=0.0):
@@ -43,25 +43,25 @@ def behind(rule, phase, theta_h, theta_d, phi_d, radius=256.0, azimuth=0.0):
     lamp, which turns the sample's light and not the pixels; places are returned in the axes whose x points to the lamp."""
     if rule == "mean":
         return all_within(phase, theta_h, theta_d, phi_d, radius, azimuth)
-    places, shares = [], []
+    positions, shares = [], []
     offsets = np.array([(a, b) for a in range(-2, 4) for b in range(-2, 4)])
     for turn in (0, np.pi):
         at = about_axis(shown_at(theta_h, theta_d, phi_d + turn, radius), azimuth)[:, None]
         patch = np.floor(at - phase) + offsets + phase
         if rule == "nearest":
             nearest = np.argmin(((patch - at) ** 2).sum(-1), axis=1)
-            places.append(patch[np.arange(len(patch)), nearest][:, None])
+            positions.append(patch[np.arange(len(patch)), nearest][:, None])
             shares.append(np.ones((len(patch), 1)))
         else:
             hats = np.prod(np.maximum(1 - np.abs(patch - at), 0), axis=-1)
             four = np.argsort(-hats, axis=1)[:, :4]
-            places.append(np.take_along_axis(patch, four[..., None], 1))
+            positions.append(np.take_along_axis(patch, four[..., None], 1))
             shares.append(np.take_along_axis(hats, four, 1))
-    place, share = about_axis(np.concatenate(places, 1), -azimuth), np.concatenate(shares, 1)
-    inside = np.hypot(*np.moveaxis(place, -1, 0)) < radius
-    share = np.where(inside & (light_cosine(place, theta_d, radius) > 0), share, 0)
+    position, share = about_axis(np.concatenate(positions, 1), -azimuth), np.concatenate(shares, 1)
+    inside = np.hypot(*np.moveaxis(position, -1, 0)) < radius
+    share = np.where(inside & (light_cosine(position, theta_d, radius) > 0), share, 0)
     total = share.sum(1, keepdims=True)
-    return Behind(place, share / np.where(total > 0, total, 1))
+    return Behind(position, share / np.where(total > 0, total, 1))
 
 
 def cell_of(theta_h, psi):
@@ -73,31 +73,31 @@ def cell_of(theta_h, psi):
 def all_within(phase, theta_h, theta_d, phi_d, radius, azimuth=0.0):
     nearest = behind("nearest", phase, theta_h, theta_d, phi_d, radius, azimuth)
     line = np.arange(-int(radius) - 1, int(radius) + 2)
-    place = about_axis(np.stack(np.meshgrid(line, line), -1).reshape(-1, 2) + phase, -azimuth)
-    place = place[np.hypot(*place.T) < radius]
-    lit = place[light_cosine(place, theta_d, radius) > 0]
+    position = about_axis(np.stack(np.meshgrid(line, line), -1).reshape(-1, 2) + phase, -azimuth)
+    position = position[np.hypot(*position.T) < radius]
+    lit = position[light_cosine(position, theta_d, radius) > 0]
     lit = lit[np.argsort(cell_of(*angles_of(lit, theta_d, radius)), kind="stable")]
     numbers = cell_of(*angles_of(lit, theta_d, radius))
     first, last = (np.searchsorted(numbers, cell_of(theta_h, np.pi - phi_d), side) for side in ("left", "right"))
     most = max(2, (last - first).max())
-    places = np.repeat(nearest.place[:, :1], most, axis=1)
+    positions = np.repeat(nearest.position[:, :1], most, axis=1)
     shares = np.zeros((len(theta_h), most))
     for n, (a, b) in enumerate(zip(first, last, strict=True)):
         if a == b:
-            places[n, :2], shares[n, :2] = nearest.place[n], nearest.share[n]
+            positions[n, :2], shares[n, :2] = nearest.position[n], nearest.share[n]
         else:
-            places[n, : b - a], shares[n, : b - a] = lit[a:b], 1 / (b - a)
-    return Behind(places, shares)
+            positions[n, : b - a], shares[n, : b - a] = lit[a:b], 1 / (b - a)
+    return Behind(positions, shares)
 
 
-def light_cosine(place, theta_d, radius=256.0):
-    x, y = np.moveaxis(place, -1, 0) / radius
+def light_cosine(position, theta_d, radius=256.0):
+    x, y = np.moveaxis(position, -1, 0) / radius
     return x * np.sin(2 * theta_d) + np.sqrt(np.maximum(1 - x**2 - y**2, 0)) * np.cos(2 * theta_d)
 
 
-def angles_of(place, theta_d, radius=256.0):
+def angles_of(position, theta_d, radius=256.0):
     """(theta_h, psi) of pixels, by rotating the half vector onto z."""
-    x, y = np.moveaxis(place, -1, 0) / radius
+    x, y = np.moveaxis(position, -1, 0) / radius
     z = np.sqrt(np.maximum(1 - x**2 - y**2, 0))
     along = x * np.cos(theta_d) - z * np.sin(theta_d)
     return np.arctan2(np.hypot(along, y), x * np.sin(theta_d) + z * np.cos(theta_d)), np.arctan2(y, along)
@@ -115,7 +115,7 @@ class RealTable:
         phases = np.broadcast_to(phase, (self.theta_d.size, 2))
         for td, (theta_h, phi_d), shift in zip(self.theta_d, cells, phases, strict=True):
             found = behind(rule, shift, theta_h, td, phi_d, radius, azimuth)
-            number = np.rint(about_axis(found.place, azimuth) - shift).astype(int)
+            number = np.rint(about_axis(found.position, azimuth) - shift).astype(int)
             pixels, index = np.unique(number.reshape(-1, 2), axis=0, return_inverse=True)
             self.share.append(found.share)
             self.index.append(index.reshape(found.share.shape))
@@ -127,7 +127,7 @@ class RealTable:
 
     def pixels(self, lobe):
         """What every pixel's value is, (slices, pixels), 1/sr at F = 1."""
-        return self.rule.ways(lobe)[..., 0]
+        return self.rule.directions(lobe)[..., 0]
 
     def values(self, pixels, rng=None, relative=0.01, floor=1e-4, gain=0.0):
         """For each slice the cells' values, of noisy pixels where rng is given."""

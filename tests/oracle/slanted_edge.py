@@ -132,10 +132,10 @@ def bound_of_half(sigma, snr, degrees=5.0):
     x, y = grid()
 
     def expected(p):
-        dark, bright, gx, gy, place, slope, bow, s = p
+        dark, bright, gx, gy, position, slope, bow, s = p
         t = -np.tan(np.radians(degrees)) + slope
         c = 1 / np.hypot(1, t + 2 * bow * y)
-        response = edge((x - place - t * y - bow * y**2) * c, np.arctan(t), s)
+        response = edge((x - position - t * y - bow * y**2) * c, np.arctan(t), s)
         return (dark + (bright - dark) * response) * (1 + gx * x + gy * y) * snr**2
 
     at = np.array([DARK, BRIGHT, 0, 0, 0, 0, 0, sigma])

@@ -260,7 +260,7 @@ class Cells:
         x, unit, p = np.abs(x), np.sqrt(2) * sigma, self.setup.half_width
         return (erfc((x - p) / unit) - erfc((x + p) / unit)) / (4 * p)
 
-    def ways(self, lobe):
+    def directions(self, lobe):
         """What is recorded one way and the other, 1/sr at F = 1: (slices, cells, 2), NaN where left out."""
         return self._seen(
             lambda s2, cos_i, cos_o: lobe.p22(s2) * (1 + s2) ** 2 / (1 + lobe.smith(cos_i) + lobe.smith(cos_o))
@@ -285,11 +285,11 @@ class Cells:
         """Of the pixel that holds each place, unique within its picture."""
         return np.rint(self.x) * 4096 + np.rint(self.y)
 
-    def noisy(self, ways, rng, relative=0.01, floor=1e-4, gain=0.01):
+    def noisy(self, directions, rng, relative=0.01, floor=1e-4, gain=0.01):
         """Cells (slices, cells): mean of both places, each with its pixel's noise, under one gain for each picture."""
-        out = np.empty(ways.shape[:2])
+        out = np.empty(directions.shape[:2])
         number = self.pixel_numbers()
-        for j, pair in enumerate(ways):
+        for j, pair in enumerate(directions):
             _, index = np.unique(number[j], return_inverse=True)
             index = index.reshape(pair.shape)
             e = rng.standard_normal((2, index.max() + 1))

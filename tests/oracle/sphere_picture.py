@@ -369,10 +369,10 @@ def _add_ring(frames, surface, view, towards, window, fine):
         rows, columns = (
             np.clip(f[:, None] + out + margin + 1, 0, n - 1) for f, n in zip(first, (height, width), strict=True)
         )
-        place = (rows[:, :, None] * width + columns[:, None, :]).ravel()
+        position = (rows[:, :, None] * width + columns[:, None, :]).ravel()
         for frame, light in zip(frames, (lobe, body), strict=True):
             if frame is not None:
-                found = np.bincount(place, (kernel * (light * share)[lit, None]).ravel(), height * width)
+                found = np.bincount(position, (kernel * (light * share)[lit, None]).ravel(), height * width)
                 frame += found.reshape(height, width)[margin + 1 : -margin - 1, margin + 1 : -margin - 1]
 
 

@@ -44,7 +44,7 @@ class Setup(NamedTuple):
     half_width: float = 0.5
 
 
-def place(theta_h, theta_d, phi_d, radius):
+def position(theta_h, theta_d, phi_d, radius):
     """(x, y) px at which the picture with lamp and camera 2 theta_d apart shows the cell from the lamp's side
     (orthographic, docs/model.md 3); the other way is phi_d + pi."""
     psi = np.pi - phi_d
@@ -54,15 +54,15 @@ def place(theta_h, theta_d, phi_d, radius):
 
 def recorded_cell(theta_h, theta_d, phi_d, surface, setup, rtol=1e-8):
     """(one way, other way) of a cell, 1/sr: the pixel at its centre over the light's cosine there; NaN below the horizon."""
-    ways = []
+    directions = []
     for phi in (phi_d, phi_d + np.pi):
         mean, half = np.cos(theta_h) * np.cos(theta_d), np.sin(theta_h) * np.sin(theta_d) * np.cos(phi)
         if min(mean - half, mean + half) <= 0:
-            ways.append(np.nan)
+            directions.append(np.nan)
             continue
-        x, y = place(theta_h, theta_d, phi, setup.radius)
-        ways.append(record(x, y, 2 * theta_d, surface, setup, rtol) / (mean - half))
-    return tuple(ways)
+        x, y = position(theta_h, theta_d, phi, setup.radius)
+        directions.append(record(x, y, 2 * theta_d, surface, setup, rtol) / (mean - half))
+    return tuple(directions)
 
 
 def record(x, y, lamp_angle, surface, setup, rtol=1e-8):

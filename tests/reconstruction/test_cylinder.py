@@ -101,13 +101,13 @@ def test_derivatives_are_those_of_the_values(problem):
     for k in range(len(LAMPS)):
         _, slopes = made.recorded(p, k, slopes=True)
         used = made.pixels[k].used
-        for index, place in enumerate(layout.of_picture(k)):
+        for index, position in enumerate(layout.of_picture(k)):
             step = np.zeros(layout.size)
-            step[place] = 1e-5 * max(1.0, abs(p[place]))
+            step[position] = 1e-5 * max(1.0, abs(p[position]))
             up, down = (made.recorded(p + sign * step, k, slopes=False)[0] for sign in (1, -1))
             for name in ("lobe", "theta_d"):
                 ahead, behind, slope = (getattr(one, name) for one in (up, down, slopes))
-                difference = (ahead - behind)[used] / (2 * step[place])
+                difference = (ahead - behind)[used] / (2 * step[position])
                 missed = np.abs(slope[used, index] - difference) / (2e-5 * np.abs(difference).max() + 1e-9)
                 assert np.quantile(missed, 0.995) < 1
 

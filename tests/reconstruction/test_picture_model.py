@@ -11,7 +11,7 @@ from matcam.forward.integral.blur import blur_of
 from matcam.inverse.fit.fit_parameters import LobeKind
 from matcam.material.diffuse_shape import TERMS
 from matcam.reconstruction import picture_rule
-from matcam.reconstruction.observed_pixels import HighlightPlace, chosen_pixels
+from matcam.reconstruction.observed_pixels import HighlightPosition, chosen_pixels
 from matcam.reconstruction.picture_model import PictureModel, lamp_frame
 from matcam.reconstruction.rig.field_change import FieldChange
 from tests.oracle.sphere_picture import Surface, View, direction, lamp_angle, mirror_angle, picture
@@ -40,8 +40,8 @@ def seen(alpha, theta_d, azimuth, view=VIEW, field=None):
     normal = mirror_angle(lamp_angle(np.radians(theta_d), VIEW), VIEW)
     out = np.sin(normal) * np.sqrt(1 - NEAR[0] ** 2) / (1 - NEAR[0] * np.cos(normal))
     highlight = out * np.cos(azimuth), out * np.sin(azimuth)
-    place = HighlightPlace(VIEW.column, VIEW.row, VIEW.radius, lamp, highlight)
-    return lamp, chosen_pixels(merged, place, scale=alpha / 3, plateau=0.0, seed=0, field=field)
+    position = HighlightPosition(VIEW.column, VIEW.row, VIEW.radius, lamp, highlight)
+    return lamp, chosen_pixels(merged, position, scale=alpha / 3, plateau=0.0, seed=0, field=field)
 
 
 @pytest.mark.parametrize(
@@ -102,7 +102,7 @@ def test_a_change_of_the_field_is_seen_by_the_same_nodes(model):
     _, there = seen(0.02, 60, 0.7, other, field_of(other))
     assert np.array_equal(pixels.window.pixel_u, there.window.pixel_u)
     frame, p = lamp_frame(lamp), parameters(0.02)
-    row, column = MirrorBall(VIEW.row, VIEW.column, VIEW.radius, VIEW.camera).mirror_place(lamp, VIEW.lamp)
+    row, column = MirrorBall(VIEW.row, VIEW.column, VIEW.radius, VIEW.camera).mirror_position(lamp, VIEW.lamp)
     change = FieldChange(field_of(view), (float(column), float(row)), pixels.seen)
     window = change.window(pixels.window, np.array([0.001, 0.02]))
     near = there.used[:_WINDOW]
@@ -112,11 +112,11 @@ def test_a_change_of_the_field_is_seen_by_the_same_nodes(model):
     )
     assert np.abs(ours - truth).max() < 5e-4 * peak
     assert np.abs(plain - truth).max() > 0.01 * peak
-    places = np.array(change.places(np.array([0.001, 0.0])))
+    positions = np.array(change.positions(np.array([0.001, 0.0])))
     inside = pixels.seen[0] > 0
-    assert np.array(field_of(other).seen_at(*places))[:, inside] == pytest.approx(pixels.seen[:, inside], abs=1e-9)
-    step = (places - np.array(change.places(np.zeros(2)))) / 0.001
-    assert change.places_slopes(np.array([0.0005, 0.0]))[:, inside] == pytest.approx(
+    assert np.array(field_of(other).seen_at(*positions))[:, inside] == pytest.approx(pixels.seen[:, inside], abs=1e-9)
+    step = (positions - np.array(change.positions(np.zeros(2)))) / 0.001
+    assert change.positions_slopes(np.array([0.0005, 0.0]))[:, inside] == pytest.approx(
         step[:, inside], rel=2e-3, abs=1e-6
     )
 
@@ -127,7 +127,7 @@ def test_derivatives_are_those_of_the_values(model, shape):
     may differ. With a diffuse part of Lambert's law, and with one of another shape."""
     bent = VIEW._replace(k1=0.01)
     lamp, pixels = seen(0.02, 60, 0.7, bent, field_of(bent))
-    model = PictureModel(model.kind, model.blur, model.places, model.weights, shape)
+    model = PictureModel(model.kind, model.blur, model.positions, model.weights, shape)
     frame, p = lamp_frame(lamp), np.insert(parameters(0.02), 5, 0.05 * np.arange(1, shape + 1))
     calls = (
         lambda p, slopes: model.window(p, frame, pixels.window, slopes=slopes),
@@ -151,9 +151,9 @@ def test_a_bright_disc_is_the_mean_of_its_points(model):
     lamp, pixels = seen(0.02, 40, 0.3)
     recorded = []
     for points in (36, 90):
-        places, weights = picture_rule.lamp_disc(points)
+        positions, weights = picture_rule.lamp_disc(points)
         assert weights.sum() == pytest.approx(1)
-        disc = PictureModel(model.kind, model.blur, 0.02 * places, weights)
+        disc = PictureModel(model.kind, model.blur, 0.02 * positions, weights)
         recorded.append(
             np.asarray(disc.window(parameters(0.02), lamp_frame(lamp), pixels.window, slopes=False)[0].lobe)
         )

@@ -25,8 +25,8 @@ def made(case=WIDE):
     """Photographs of a lobe so wide that the camera loses nothing of it. Its records are the light of each pixel's centre."""
     kept = {}
     for j in photographs.SLICES:
-        place = photographs.positions(case, j)
-        x, y = place.T / cases.RADIUS
+        position = photographs.positions(case, j)
+        x, y = position.T / cases.RADIUS
         z = np.sqrt(np.maximum(1 - x**2 - y**2, 0))
         theta = THETA_D[j]
         cos_i = x * np.sin(2 * theta) + z * np.cos(2 * theta)
@@ -71,8 +71,8 @@ def test_hidden_cases_are_drawn_from_their_seed_alone():
 def test_the_pictures_hold_all_of_the_reflected_light():
     """Pixels without gaps: their sum is the integral over the sphere, with the light that the lens spreads beyond the limb."""
     j = photographs.SLICES[4]
-    place = photographs.positions(BODY, j)
-    found = photographs.records_of(BODY, j, place).sum(1)
+    position = photographs.positions(BODY, j)
+    found = photographs.records_of(BODY, j, position).sum(1)
     x, w = np.polynomial.legendre.leggauss(200)
     theta, end = THETA_D[j], np.pi / 2
     latitude, longitude = end * x[:, None], theta + (end - theta) * x

@@ -77,9 +77,9 @@ def agree(case, found, right):
 def drawn_pixels(case, j):
     """Positions (EACH + 1, 2) of the pixel at the highlight of slice j, and of random ones: half of them near the highlight."""
     random = np.random.default_rng([j, *case.name.encode()])
-    place = photographs.positions(case, j)
-    dark = -np.cos(2 * THETA_D[j]) * np.sqrt(np.maximum(cases.RADIUS**2 - place[:, 1] ** 2, 0))
-    inside = place[np.minimum(cases.RADIUS - np.hypot(*place.T), place[:, 0] - dark) > generate.EDGE]
+    position = photographs.positions(case, j)
+    dark = -np.cos(2 * THETA_D[j]) * np.sqrt(np.maximum(cases.RADIUS**2 - position[:, 1] ** 2, 0))
+    inside = position[np.minimum(cases.RADIUS - np.hypot(*position.T), position[:, 0] - dark) > generate.EDGE]
     distance = np.hypot(inside[:, 0] - cases.RADIUS * np.sin(THETA_D[j]), inside[:, 1])
     drawn = [group[random.integers(0, len(group), EACH // 2)] for group in (inside[distance < 12], inside)]
     return np.concatenate([inside[[np.argmin(distance)]], *drawn])
@@ -89,10 +89,12 @@ def drawn_pixels(case, j):
 @pytest.mark.parametrize("case", photographs.PUBLIC, ids=lambda case: case.name)
 def test_random_pixels(case):
     """1e-4 of the value, or 1e-7 of the largest value of the photograph, for each term of the material."""
-    place = np.array([drawn_pixels(case, j) for j in photographs.SLICES])
-    found = np.stack([photographs.records_of(case, j, at) for j, at in zip(photographs.SLICES, place, strict=True)], 1)
+    position = np.array([drawn_pixels(case, j) for j in photographs.SLICES])
+    found = np.stack(
+        [photographs.records_of(case, j, at) for j, at in zip(photographs.SLICES, position, strict=True)], 1
+    )
     theta_d = THETA_D[photographs.SLICES]
-    theta_h, psi = real_pixels.angles_of(place, theta_d[:, None])
+    theta_h, psi = real_pixels.angles_of(position, theta_d[:, None])
     rule = AnyLight(theta_h, theta_d, np.pi - psi, case.table.setup, turns=(0.0,), finest=finest(case.table))
     right = np.array([rule.record(term.light)[..., 0] for term in case.table.terms])
-    agree(case, found, right * real_pixels.light_cosine(place, theta_d[:, None]))
+    agree(case, found, right * real_pixels.light_cosine(position, theta_d[:, None]))

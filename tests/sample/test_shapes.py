@@ -73,11 +73,11 @@ def test_the_limb_is_at_the_radius(shape, distance):
 
 
 @pytest.mark.parametrize("distance", DISTANCES)
-def test_angles_have_their_place_and_the_place_has_these_angles(distance):
+def test_angles_have_their_position_and_the_position_has_these_angles(distance):
     sphere, random = Sphere(200.0, distance), np.random.default_rng(3)
     theta_h, theta_d = random.uniform(1e-3, 1.3, (2, 60))
     phi_d = random.uniform(-3.1, 3.1, 60)
-    place = sphere.place(theta_h, theta_d, phi_d)
+    place = sphere.position(theta_h, theta_d, phi_d)
     element, hits = sphere.at(place.x, place.y)
     light = (np.sin(place.lamp_angle), 0.0, np.cos(place.lamp_angle))
     seen = shading(element.normal, element.tangent, light, element.view)
@@ -96,18 +96,18 @@ def test_angles_have_their_place_and_the_place_has_these_angles(distance):
         assert_allclose(np.asarray(got)[above], wanted[above], atol=1e-7, err_msg=name)
 
 
-def test_a_distant_sphere_s_places_are_the_paper_s():
+def test_a_distant_sphere_s_positions_are_the_paper_s():
     """x = r (cos th sin td + sin th cos psi cos td), y = r sin th sin psi, psi = pi - phi_d (docs/model.md 3), lamp at 2 td."""
     theta_h, theta_d, phi_d = np.random.default_rng(4).uniform(0, np.pi / 2, (3, 200))
     phi_d *= 4
-    place = Sphere(256.0).place(theta_h, theta_d, phi_d)
+    place = Sphere(256.0).position(theta_h, theta_d, phi_d)
     psi = np.pi - phi_d
     x = np.cos(theta_h) * np.sin(theta_d) + np.sin(theta_h) * np.cos(psi) * np.cos(theta_d)
     assert_allclose(place.x, 256 * x, atol=1e-10)
     assert_allclose(place.y, 256 * np.sin(theta_h) * np.sin(psi), atol=1e-10)
     assert_allclose(place.lamp_angle, 2 * theta_d, atol=1e-12)
     # lamp and camera coincide: the frame's own direction
-    aligned = Sphere(256.0).place(0.3, 0.0, 0.4)
+    aligned = Sphere(256.0).position(0.3, 0.0, 0.4)
     assert_allclose([aligned.x, aligned.y], [-256 * np.sin(0.3) * np.cos(0.4), 256 * np.sin(0.3) * np.sin(0.4)])
 
 
@@ -156,9 +156,9 @@ def test_a_distant_cylinder_and_a_flat_sample_do_not_bend_where_they_are_straigh
     assert np.isinf(Flat().px_per_rad(theta)).all()
 
 
-def test_a_cylinder_places_the_normals_of_its_one_plane():
+def test_a_cylinder_positions_the_normals_of_its_one_plane():
     cylinder = Cylinder(50.0, 5.0)
-    place = cylinder.place(0.2, 0.5, np.array([0.0, np.pi, 1.0]))
+    place = cylinder.position(0.2, 0.5, np.array([0.0, np.pi, 1.0]))
     assert np.isnan(place.x[2])
     for x, lamp, phi_d in zip(place.x[:2], place.lamp_angle[:2], (0.0, np.pi), strict=True):
         element, _ = cylinder.at(x, np.zeros(()))

@@ -11,18 +11,18 @@ import numpy as np
 
 import matcam
 from matcam.forward.integral.blur import imaging_of
-from matcam.forward.sampler.plan import RecordPlaces, record_plan
+from matcam.forward.sampler.plan import RecordPositions, record_plan
 
 lamp_angle = np.radians(80)
 rig = matcam.rigs.merl()
 highlight = 256 * np.sin(lamp_angle / 2)
 pixels = np.array([[highlight + 0.4, 0.2], [250.0, 54.0]])  # one beside the highlight, one at the limb
-places = RecordPlaces(*pixels.T, np.full(2, lamp_angle))
-part = record_plan(imaging_of(rig), places, finest=0.001).parts[0]
+positions = RecordPositions(*pixels.T, np.full(2, lamp_angle))
+part = record_plan(imaging_of(rig), positions, finest=0.001).parts[0]
 
 figure, axes = plt.subplots(1, 2, figsize=(9, 4.6))
 for number, (axis, (x, y)) in enumerate(zip(axes, pixels, strict=True)):
-    arcs = part.arcs.at(np.flatnonzero(part.arcs.place == number))
+    arcs = part.arcs.at(np.flatnonzero(part.arcs.position == number))
     frame = part.frames[arcs.window].reshape(
         -1, 3, 3
     )  # axis of the circles, and the directions of azimuth 0 and 90 degrees

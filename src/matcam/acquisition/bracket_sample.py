@@ -139,5 +139,5 @@ def choose_pixels(around: np.ndarray, noise: float, seed: int) -> np.ndarray:
     if lit.size <= MOST:
         return lit
     order = lit[np.argpartition(score[lit], lit.size - MOST // 2)]
-    rest, brightest = order[: lit.size - MOST // 2], order[lit.size - MOST // 2 :]
-    return np.sort(np.concatenate([brightest, np.random.default_rng(seed).choice(rest, MOST // 2, replace=False)]))
+    others, brightest = order[: lit.size - MOST // 2], order[lit.size - MOST // 2 :]
+    return np.sort(np.concatenate([brightest, np.random.default_rng(seed).choice(others, MOST // 2, replace=False)]))

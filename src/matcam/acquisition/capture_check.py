@@ -108,8 +108,8 @@ def check_capture(capture: Capture) -> CaptureCheck:
     found += highlights.remarks
     table: TableCheck = check_table(capture, highlights.seen, outline)
     found += table.remarks
-    place = table.centre if outline is None else (outline.column, outline.row, outline.radius)
-    found += _lamp_remarks(capture, radiometry, place)
+    position = table.centre if outline is None else (outline.column, outline.row, outline.radius)
+    found += _lamp_remarks(capture, radiometry, position)
     unique = list(dict.fromkeys(found))
     return CaptureCheck(
         tuple(one for one in unique if one.code not in HARMLESS),
@@ -159,7 +159,7 @@ def _lamp_remarks(capture: Capture, radiometry: Radiometry | None, sample: tuple
         radiometry: radiometric calibration with the light of the reference.
         sample: column, row and radius, px, the origin of the position of a diffuse reference; NaN: unknown.
     """
-    if radiometry is None or capture.reference_place is None:
+    if radiometry is None or capture.reference_position is None:
         return []
     seen = {lamp: out for lamp, out in radiometry.lamp_output.items() if math.isfinite(out.value)}
     if len(seen) < 2:
@@ -182,17 +182,19 @@ def _lamp_remarks(capture: Capture, radiometry: Radiometry | None, sample: tuple
 
 def _near_light(capture: Capture, lamps: Sequence[str], sample: tuple[float, float, float]) -> np.ndarray:
     """Compute the light of near lamps on a white patch relative to that of distant lamps; 1 if it is not determined."""
-    section, place, far = capture.settings["reference"], capture.reference_place, capture.lamp_radii
+    section, position, far = capture.settings["reference"], capture.reference_position, capture.lamp_radii
     towards = np.array([capture.lamps[lamp].direction for lamp in lamps])
     column, row, radius = sample
-    if section["kind"] != "diffuse" or place is None or far is None:
+    if section["kind"] != "diffuse" or position is None or far is None:
         return np.ones(len(lamps))
     if not (math.isfinite(column) and math.isfinite(radius) and np.isfinite(towards).all()):
         return np.ones(len(lamps))
     camera, depth, radius_mm = capture.camera_radii, section["depth_mm"], capture.radius_mm
     if not math.isfinite(row):  # a cylinder
-        row = place[1] + (place[3] - 1) / 2
+        row = position[1] + (position[3] - 1) / 2
     ball = MirrorBall(row, column, radius, math.inf if camera is None else camera.value)
-    at = ReferencePatch(place).place(ball, 0.0 if depth is None or radius_mm is None else depth[0] / radius_mm.value)
+    at = ReferencePatch(position).position(
+        ball, 0.0 if depth is None or radius_mm is None else depth[0] / radius_mm.value
+    )
     near, distant = (patch_geometry(towards, nearness, at)[0] for nearness in (1 / far.value, 0.0))
     return np.asarray(near / distant)

@@ -82,10 +82,10 @@ def first_guess(
     for k in range(1, count):
         ratios = []
         for sample in samples:
-            places = {int(e): i for i, e in enumerate(sample.exposures)}
-            if k - 1 in places and k in places:
-                low, high = sample.light[places[k - 1]], sample.light[places[k]]
-                around = sample.around[places[k]]
+            positions = {int(e): i for i, e in enumerate(sample.exposures)}
+            if k - 1 in positions and k in positions:
+                low, high = sample.light[positions[k - 1]], sample.light[positions[k]]
+                around = sample.around[positions[k]]
                 good = (around > 40 * noise) & (around < 0.7 * top) & (high < 0.8 * top)
                 ratios += [(float(high[good].sum()), float(low[good].sum()))]
         over, under = (float(sum(column)) for column in zip(*ratios, strict=True)) if ratios else (0.0, 0.0)
@@ -202,10 +202,10 @@ def fit_gain(
         return float("nan"), float("inf")
     # bins by the neighbours: bins by the pixel itself would truncate its noise
     cuts = np.unique(np.quantile(brightness, np.linspace(0, 1, 25)))
-    place = np.clip(np.searchsorted(cuts, brightness, side="right") - 1, 0, len(cuts) - 2)
+    position = np.clip(np.searchsorted(cuts, brightness, side="right") - 1, 0, len(cuts) - 2)
     slope, extra, size = [], [], []
     for one in range(len(cuts) - 1):
-        part = place == one
+        part = position == one
         if part.sum() < 30:
             continue
         scaled = difference[part] / np.sqrt((1 + share[part]) * mean[part])
@@ -240,10 +240,10 @@ def fit_gain_of_single(samples: Sequence[BracketSample], clip: ClipLevel, noise:
         return float("nan"), float("inf")
     light, around = light[good], around[good]
     cuts = np.unique(np.quantile(around, np.linspace(0, 1, 25)))
-    place = np.clip(np.searchsorted(cuts, around, side="right") - 1, 0, len(cuts) - 2)
+    position = np.clip(np.searchsorted(cuts, around, side="right") - 1, 0, len(cuts) - 2)
     found = []
     for one in range(len(cuts) - 1):
-        part = place == one
+        part = position == one
         if part.sum() >= 30:
             spread = _ROBUST * float(np.median(np.abs((light - around)[part])))
             # the mean of eight neighbours adds an eighth of the variance
@@ -263,11 +263,11 @@ def _groups(
         usual = np.where(use, sample.around, 0).sum(0) / np.maximum((use * relative[:, None]).sum(0), 1e-300)
         bright = np.clip(np.floor(3 * np.log2(np.maximum(usual * relative[-1], 1e-3))), -20, 100).astype(int) + 20
         key = bright * (1 << len(relative)) + (use * (1 << np.arange(len(relative)))[:, None]).sum(0)
-        names, place = np.unique(key, return_inverse=True)
+        names, position = np.unique(key, return_inverse=True)
         one_sum, one_count = np.zeros((len(names), len(exposures))), np.zeros((len(names), len(exposures)))
         for i, k in enumerate(sample.exposures):
-            one_sum[:, k] = np.bincount(place, np.where(use[i], sample.light[i], 0), len(names))
-            one_count[:, k] = np.bincount(place, use[i], len(names))
+            one_sum[:, k] = np.bincount(position, np.where(use[i], sample.light[i], 0), len(names))
+            one_count[:, k] = np.bincount(position, use[i], len(names))
         sums.append(one_sum)
         counts.append(one_count)
         reference = sample.reference_total
@@ -307,14 +307,16 @@ def _solve(
 def _curve(sums: np.ndarray, counts: np.ndarray, mean: np.ndarray, variance: np.ndarray) -> np.ndarray:
     """Compute code, relative departure from linearity, and its standard deviation, by octaves of the code."""
     used = counts > 0
-    code, rest, var, size = mean[used], (sums - counts * mean)[used], variance[used], (counts * mean)[used]
+    code, residual, var, size = mean[used], (sums - counts * mean)[used], variance[used], (counts * mean)[used]
     if not code.size:
         return np.zeros((0, 3))
-    place = np.floor(2 * np.log2(np.maximum(code, 1e-3) / code.max())).astype(int)
+    position = np.floor(2 * np.log2(np.maximum(code, 1e-3) / code.max())).astype(int)
     rows = []
-    for one in np.unique(place):
-        part = place == one
+    for one in np.unique(position):
+        part = position == one
         total = size[part].sum()
         if total > 0:
-            rows.append((code[part].mean() / code.max(), rest[part].sum() / total, np.sqrt(var[part].sum()) / total))
+            rows.append(
+                (code[part].mean() / code.max(), residual[part].sum() / total, np.sqrt(var[part].sum()) / total)
+            )
     return np.array(rows).reshape(-1, 3)

@@ -65,16 +65,16 @@ def find_shifts(
     Raises:
         FitError: no image shows the limb.
     """
-    place = np.array([outline.row, outline.column, outline.radius])
+    position = np.array([outline.row, outline.column, outline.radius])
     shifts = np.zeros((len(pictures), 2))
     kind = "coated" if light == "lit" and outline.coated else light
-    fits = [OutlineFit(one, kind, outline.sighting, EXPONENTS[kind], place) for one in pictures]
+    fits = [OutlineFit(one, kind, outline.sighting, EXPONENTS[kind], position) for one in pictures]
     sigma = max(outline.sigma, 0.05)
     used: list[np.ndarray] = []
     for _ in range(_TURNS):
         blocks, pulls, used, left, weights = [], [], [], [], []
         for fit, shift in zip(fits, shifts, strict=True):
-            here = place + np.append(shift, 0.0)
+            here = position + np.append(shift, 0.0)
             edges = fit.edges(here, sigma, fit.exponents)
             with np.errstate(invalid="ignore"):
                 chosen = fit.usable(edges) & (np.abs(edges.offset) < 2.0)
@@ -96,15 +96,15 @@ def find_shifts(
             raise FitError(
                 "no image shows the limb in front of its background; photograph the outline before a bright field"
             )
-        step, covariance = _solved(np.array(blocks), np.array(pulls), shifts, shift_std, place, outline, same_radius)
-        place, shifts = place + step[:3], shifts + step[3:].reshape(-1, 2)
+        step, covariance = _solved(np.array(blocks), np.array(pulls), shifts, shift_std, position, outline, same_radius)
+        position, shifts = position + step[:3], shifts + step[3:].reshape(-1, 2)
         if np.abs(step).max() < _STILL:
             break
     chi2, number = 0.0, 0
     for k, ((offset, matrix), weight) in enumerate(zip(left, weights, strict=True)):
-        rest = offset - matrix @ (step[:3] + np.append(step[3 + 2 * k : 5 + 2 * k], 0.0))
-        chi2 += float(np.sum(weight * rest**2))
-        number += len(rest)
+        residual = offset - matrix @ (step[:3] + np.append(step[3 + 2 * k : 5 + 2 * k], 0.0))
+        chi2 += float(np.sum(weight * residual**2))
+        number += len(residual)
     covariance = covariance * max(1.0, chi2 / max(number - 3, 1))
     found = []
     for k, (shift, chosen) in enumerate(zip(shifts, used, strict=True)):
@@ -118,9 +118,9 @@ def find_shifts(
     common = outline.covariance - outline.noise if not same_radius else 0.0
     return replace(
         outline,
-        row=float(place[0]),
-        column=float(place[1]),
-        radius=float(place[2]),
+        row=float(position[0]),
+        column=float(position[1]),
+        radius=float(position[2]),
         covariance=covariance[:3, :3] + common,
         remarks=remarks,
     ), found
@@ -131,7 +131,7 @@ def _solved(
     pulls: np.ndarray,
     shifts: np.ndarray,
     shift_std: float,
-    place: np.ndarray,
+    position: np.ndarray,
     outline: Outline,
     same_radius: bool,
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -147,6 +147,6 @@ def _solved(
     if same_radius:
         weight = np.linalg.inv(outline.covariance)
         information[:3, :3] += weight
-        pull[:3] += weight @ ([outline.row, outline.column, outline.radius] - place)
+        pull[:3] += weight @ ([outline.row, outline.column, outline.radius] - position)
     covariance = np.linalg.inv(information)
     return covariance @ pull, covariance

@@ -108,15 +108,15 @@ def find_highlight(picture: MergedPicture, ball: MirrorBall, *, blur: float = 0.
         picture, ball, blur, rows.ravel()[chosen], columns.ravel()[chosen], chosen, start, first[3], background
     )
     try:
-        place, covariance, width = fit.solved()
+        position, covariance, width = fit.solved()
     except FitError as error:
         spot = np.sqrt(first[3] / np.pi)
-        place, covariance, width = np.array(start), np.eye(2) * (0.5 + spot / 2) ** 2, float(spot / ball.radius)
+        position, covariance, width = np.array(start), np.eye(2) * (0.5 + spot / 2) ** 2, float(spot / ball.radius)
         remarks.append(Remark("highlight-by-centroid", str(error)))
     if clipped:
         remarks.append(Remark("clipped", f"{picture.name}: {clipped} pixels of the highlight are clipped"))
-    normal = ball.normals(*place)
-    row, column = map(float, place)
+    normal = ball.normals(*position)
+    row, column = map(float, position)
     return Highlight(picture.name, row, column, covariance, normal, width, clipped, others, tuple(remarks))
 
 
@@ -138,9 +138,9 @@ def _spots(
     above = np.where(labels > 0, light - background, 0.0)
     total = np.atleast_1d(ndimage.sum(above, labels, index))
     size = np.atleast_1d(ndimage.sum(labels > 0, labels, index)).astype(int)
-    places = np.array(ndimage.center_of_mass(above, labels, index)).reshape(-1, 2)
+    positions = np.array(ndimage.center_of_mass(above, labels, index)).reshape(-1, 2)
     order = [k for k in np.argsort(total)[::-1] if total[k] > _WORTH * total.max()]
-    return [(float(places[k, 0]), float(places[k, 1]), float(total[k]), int(size[k])) for k in order], background
+    return [(float(positions[k, 0]), float(positions[k, 1]), float(total[k]), int(size[k])) for k in order], background
 
 
 class _LobeFit:
@@ -193,9 +193,9 @@ class _LobeFit:
 
     def residual(self, p: np.ndarray) -> np.ndarray:
         """Compute (light - model) over its error; a clipped pixel counts if the model is below it."""
-        rest = (self.values - self.model(p)) / self.error
+        residual = (self.values - self.model(p)) / self.error
         # weak prior: the exponent of the lobe is about 2
-        return np.append(np.where(self.clipped, np.maximum(rest, 0.0), rest), (p[4] - np.log(2.0)) / 1.0)
+        return np.append(np.where(self.clipped, np.maximum(residual, 0.0), residual), (p[4] - np.log(2.0)) / 1.0)
 
     def solved(self) -> tuple[np.ndarray, np.ndarray, float]:
         """Solve for the position, px (2,), its covariance, px^2 (2, 2), and the width of the lobe, rad."""
@@ -215,12 +215,12 @@ class _LobeFit:
             x_scale="jac",
             max_nfev=60,
         )
-        place = self.start + found.x[:2]
-        if not np.isfinite(self.ball.normals(*place)).all() or np.abs(found.x[:2]).max() > 0.99 * room:
+        position = self.start + found.x[:2]
+        if not np.isfinite(self.ball.normals(*position)).all() or np.abs(found.x[:2]).max() > 0.99 * room:
             raise FitError(f"{self.name}: the bright spot is not a lobe on the sphere: only its centroid can be used")
         spread = np.linalg.pinv(found.jac.T @ found.jac)[:2, :2]
         freedom = max(len(self.values) - len(first), 1)
-        return place, spread * max(1.0, 2 * found.cost / freedom), float(np.exp(found.x[3]))
+        return position, spread * max(1.0, 2 * found.cost / freedom), float(np.exp(found.x[3]))
 
 
 def lamp_from_highlight(

@@ -30,7 +30,7 @@ _DIM = 10.0
 
 A weight by its own noise would bias the pixel.
 """
-_ALIKE = 4.0
+_AGREE = 4.0
 """Largest difference of a pixel from the neighbours that determine its variance, in standard deviations."""
 _BRIGHT = 30.0
 """Signal, in read noises, above which a pixel tests the agreement of its exposures."""
@@ -206,11 +206,11 @@ def bracket_misfit(capture: Capture, lamp: str, radiometry: Radiometry, picture:
         mean = relative * steep
         good = (mean > _BRIGHT * noise) & (mean < _SAFE * (radiometry.clip.level - np.mean(dark))) & ~picture.clipped
         good &= (code < radiometry.clip.threshold) & np.isfinite(picture.values)
-        rest = (code - dark)[good] - mean[good]
+        residual = (code - dark)[good] - mean[good]
         # the mean contains this frame: its share of the information is not a residual
         own = (gain * mean[good] + noise**2) - (relative * (std * response)[good] * gain) ** 2
         kept = own > 0.05 * (gain * mean[good] + noise**2)
-        total += float(np.sum(rest[kept] ** 2 / own[kept]))
+        total += float(np.sum(residual[kept] ** 2 / own[kept]))
         count += int(kept.sum())
     return total / count if count else float("nan")
 
@@ -262,9 +262,9 @@ def _weighted(
     around = same_colour_neighbours(flux, step)
     np.maximum(under, np.float32(relative.min()), out=under)
     variance = (np.float32(gain) * np.maximum(around, 0) + np.float32(len(light) * noise**2) / under) / under
-    alike = (flux - around) ** 2 < _ALIKE**2 * variance
-    alike |= around * np.float32(relative[-1]) < _DIM * noise
-    flux = np.maximum(np.where(alike, around, flux), 0)
+    agrees = (flux - around) ** 2 < _AGREE**2 * variance
+    agrees |= around * np.float32(relative[-1]) < _DIM * noise
+    flux = np.maximum(np.where(agrees, around, flux), 0)
     top[:], under[:] = 0, 0
     for one, d, e in zip(use, light, relative.astype(np.float32), strict=True):
         np.multiply(flux, np.float32(gain) * e, out=own)

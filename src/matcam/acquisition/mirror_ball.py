@@ -34,7 +34,7 @@ class MirrorBall(NamedTuple):
         A lamp 60 degrees to the right, far away like the camera, is seen where the normal is at 30 degrees:
 
         >>> ball = MirrorBall(row=100.0, column=100.0, radius=80.0)
-        >>> row, column = ball.mirror_place(np.array([np.sin(np.pi / 3), 0.0, np.cos(np.pi / 3)]))
+        >>> row, column = ball.mirror_position(np.array([np.sin(np.pi / 3), 0.0, np.cos(np.pi / 3)]))
         >>> round(float(row), 6), round(float(column), 6)
         (100.0, 140.0)
     """
@@ -80,7 +80,7 @@ class MirrorBall(NamedTuple):
             foot = self.distance * ((1 - size / 2) * off - size / 2 * back)
             return foot - np.sqrt(1 - (foot**2).sum(-1, keepdims=True)) * ray
 
-    def place(self, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def position(self, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Compute the row and column of normals (..., 3) in the frame, px; NaN for invisible ones."""
         normals = np.asarray(normals, float)
         camera = self.towards_camera
@@ -147,11 +147,11 @@ class MirrorBall(NamedTuple):
         aside = across / np.where(size > 0, size, 1.0)[..., None]
         return np.cos(t) * camera + np.sin(t) * aside
 
-    def mirror_place(
+    def mirror_position(
         self, lamps: np.ndarray, lamp_distance: float | np.ndarray = np.inf
     ) -> tuple[np.ndarray, np.ndarray]:
         """Compute the row and column of the mirror images of lamps, px; arguments as for `mirror_normals`."""
-        return self.place(self.mirror_normals(lamps, lamp_distance))
+        return self.position(self.mirror_normals(lamps, lamp_distance))
 
 
 def pull_to_limb(theta_o: float | np.ndarray, width: float | np.ndarray) -> np.ndarray:

@@ -214,9 +214,9 @@ def _likelier(one: Outline, other: Outline) -> Outline:
     chi2, freedom = (np.array([np.sum(getattr(each.sectors, name)[both]) for each in (one, other)]) for name in _FIT)
     # the bands differ by a few pixels
     worse = float(np.diff((chi2 - freedom) / max(1.0, float(np.min(chi2 / freedom))))[0]) + _SIMPLER
-    best, rest = (one, other) if worse >= 0 else (other, one)
+    best, second = (one, other) if worse >= 0 else (other, one)
     share = 1 / (1 + np.exp(min(abs(worse) / _TEMPER, 50.0)))
-    apart = np.array([rest.row - best.row, rest.column - best.column, rest.radius - best.radius])
+    apart = np.array([second.row - best.row, second.column - best.column, second.radius - best.radius])
     return replace(best, covariance=best.covariance + share * (1 - share) * np.outer(apart, apart))
 
 
@@ -271,30 +271,30 @@ class OutlineFit:
         start: np.ndarray,
     ):
         self.picture, self.light, self.sighting = picture, light, sighting
-        self.exponents, self.place = tuple(exponents), start
+        self.exponents, self.position = tuple(exponents), start
         self.good = np.isfinite(picture.values) & (picture.std > 0) & ~picture.clipped
-        self.rows, self.columns = np.indices(picture.values.shape)
+        self.rows, self.columns = np.indices(picture.values.shape) + np.array(picture.origin)[:, None, None]
         self.inside = float(np.clip(0.1 * start[2], 6, 16))
         self.outside = 5.0
         area = 2 * np.pi * float(start[2]) * (self.inside + self.outside)
         self.count = int(np.clip(area / _PIXELS_IN_SECTOR, 24, 72))
 
-    def band(self, place: np.ndarray, wider: float = 0.0) -> BandPixels:
+    def band(self, position: np.ndarray, wider: float = 0.0) -> BandPixels:
         """Select the pixels near the curve."""
-        row, column = self.rows + self.picture.origin[0] - place[0], self.columns + self.picture.origin[1] - place[1]
-        reach = place[2] * 1.02 + self.outside + wider
+        row, column = self.rows - position[0], self.columns - position[1]
+        reach = position[2] * 1.02 + self.outside + wider
         near = self.good & (np.abs(row) < reach) & (np.abs(column) < reach)
         row, column = row[near], column[near]
         azimuth = np.arctan2(row, column)
-        inside = self.sighting.radius_at(azimuth, *place) - np.hypot(row, column)
+        inside = self.sighting.radius_at(azimuth, *position) - np.hypot(row, column)
         chosen = (inside > -self.outside - wider) & (inside < self.inside + wider)
         values, std, channel = (a[near][chosen] for a in (self.picture.values, self.picture.std, self.picture.channel))
-        return BandPixels(inside[chosen], azimuth[chosen], values, std, channel, float(place[2]))
+        return BandPixels(inside[chosen], azimuth[chosen], values, std, channel, float(position[2]))
 
-    def edges(self, place: np.ndarray, sigma: float, exponents: Sequence[float], wider: float = 0.0) -> LimbSectors:
+    def edges(self, position: np.ndarray, sigma: float, exponents: Sequence[float], wider: float = 0.0) -> LimbSectors:
         """Fit the edges of the sectors about a curve."""
-        coated = float(self.place[2]) if self.light == "coated" else None
-        return sector_edges(self.band(place, wider), blurred_powers(sigma, tuple(exponents), coated), self.count)
+        coated = float(self.position[2]) if self.light == "coated" else None
+        return sector_edges(self.band(position, wider), blurred_powers(sigma, tuple(exponents), coated), self.count)
 
     def usable(self, edges: LimbSectors) -> np.ndarray:
         """Check which sectors show a limb: visible, sharp enough, and unobstructed."""
@@ -302,30 +302,30 @@ class OutlineFit:
             sharp = (edges.contrast > _CONTRAST) & (edges.std < _LARGEST_STD)
             return sharp & (edges.misfit < _MISFIT * np.median(edges.misfit[sharp])) if sharp.any() else sharp
 
-    def slopes(self, place: np.ndarray, azimuth: np.ndarray) -> np.ndarray:
+    def slopes(self, position: np.ndarray, azimuth: np.ndarray) -> np.ndarray:
         """Compute the derivatives of the distance of an edge along its azimuth by row, column and radius (n, 3)."""
         matrix = np.stack([np.sin(azimuth), np.cos(azimuth), np.ones_like(azimuth)], axis=1)
         if self.sighting.axis is not None:
-            at = self.sighting.radius_at(azimuth, *place)
+            at = self.sighting.radius_at(azimuth, *position)
             for k in range(3):
-                moved = place + np.eye(3)[k]
+                moved = position + np.eye(3)[k]
                 matrix[:, k] = (matrix[:, k] if k < 2 else 0) + self.sighting.radius_at(azimuth, *moved) - at
         return matrix
 
     def settle(
-        self, place: np.ndarray, sigma: float, exponents: Sequence[float], turns: int = 6, wider: float = 0.0
+        self, position: np.ndarray, sigma: float, exponents: Sequence[float], turns: int = 6, wider: float = 0.0
     ) -> tuple[np.ndarray, LimbSectors, np.ndarray, np.ndarray, float]:
         """Iterate to convergence; return position, edges, used edges, both covariances and rms distance."""
         for _ in range(turns):
-            edges = self.edges(place, sigma, exponents, wider)
-            step, used, covariance, scatter = self.solve(place, edges, wider)
-            place = place + step
+            edges = self.edges(position, sigma, exponents, wider)
+            step, used, covariance, scatter = self.solve(position, edges, wider)
+            position = position + step
             if np.abs(step).max() < 2e-3:
                 break
-        return place, edges, used, covariance, scatter
+        return position, edges, used, covariance, scatter
 
     def solve(
-        self, place: np.ndarray, edges: LimbSectors, wider: float
+        self, position: np.ndarray, edges: LimbSectors, wider: float
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
         """Compute the step to the curve through the edges, the used edges, the covariance and the rms distance."""
         with np.errstate(invalid="ignore"):
@@ -335,7 +335,7 @@ class OutlineFit:
                 f"{self.picture.name}: only {used.sum()} of {self.count} parts of the limb stand out from the background; "
                 f"light it, or photograph the outline before a bright field"
             )
-        matrix = self.slopes(place, edges.azimuth)
+        matrix = self.slopes(position, edges.azimuth)
         std = np.nan_to_num(edges.std * np.sqrt(np.maximum(edges.misfit, 1.0)), nan=1.0)
         extra = 0.0
         for _ in range(12):
@@ -364,26 +364,26 @@ class OutlineFit:
         """Build the outline with all its uncertainties."""
         remarks = []
         # a step and a line converge from any result of the search
-        place, *_ = self.settle(self.place, 1.0, (0, 1), turns=4, wider=2.0)
+        position, *_ = self.settle(self.position, 1.0, (0, 1), turns=4, wider=2.0)
         if lens is None:
-            sigma, _ = self.lens(place)
-            place, *_ = self.settle(place, sigma, self.exponents, turns=3)
-            lens = self.lens(place, about=sigma)
+            sigma, _ = self.lens(position)
+            position, *_ = self.settle(position, sigma, self.exponents, turns=3)
+            lens = self.lens(position, about=sigma)
         sigma, sigma_std = lens
-        place, edges, used, covariance, scatter = self.settle(place, sigma, self.exponents)
+        position, edges, used, covariance, scatter = self.settle(position, sigma, self.exponents)
         noise = covariance
         # derivative of the outline by the lens
         step = 0.1 * sigma + 0.02
-        wider = self.settle(place, sigma + step, self.exponents, turns=1)[0]
-        by_lens = (wider - place) / step * sigma_std
+        wider = self.settle(position, sigma + step, self.exponents, turns=1)[0]
+        by_lens = (wider - position) / step * sigma_std
         covariance = covariance + np.outer(by_lens, by_lens)
         if self.light != "backlit" and len(self.exponents) > 2:
             # change of the outline with the model of the light inside the limb
-            by_light = (self.settle(place, sigma, self.exponents[:-1], turns=1)[0] - place) / 2
+            by_light = (self.settle(position, sigma, self.exponents[:-1], turns=1)[0] - position) / 2
             covariance = covariance + np.outer(by_light, by_light)
         if self.light == "backlit":
-            shrunk, shrunk_std = grazing_reflection(place[2], backlight_reach)
-            place = place + np.array([0.0, 0.0, shrunk])
+            shrunk, shrunk_std = grazing_reflection(position[2], backlight_reach)
+            position = position + np.array([0.0, 0.0, shrunk])
             covariance = covariance + np.diag([0, 0, shrunk_std**2])
             if backlight_reach is None:
                 remarks.append(
@@ -403,11 +403,11 @@ class OutlineFit:
             remarks.append(
                 Remark("limb-spoilt", f"{lost} of {self.count} parts of the limb do not follow it; left out")
             )
-        self.refuse_outside(place)
+        self.refuse_outside(position)
         return Outline(
-            row=float(place[0]),
-            column=float(place[1]),
-            radius=float(place[2]),
+            row=float(position[0]),
+            column=float(position[1]),
+            radius=float(position[2]),
             covariance=covariance,
             sigma=sigma,
             sigma_std=sigma_std,
@@ -420,16 +420,16 @@ class OutlineFit:
             remarks=tuple(remarks),
         )
 
-    def refuse_outside(self, place: np.ndarray) -> None:
+    def refuse_outside(self, position: np.ndarray) -> None:
         """Raise FitError for an outline that leaves the frame."""
-        row, column = place[0] - self.picture.origin[0], place[1] - self.picture.origin[1]
-        _refuse_cut(self.picture, FoundCircle(row, column, float(place[2]), 1.0))
+        row, column = position[:2] - np.array(self.picture.origin)
+        _refuse_cut(self.picture, FoundCircle(row, column, float(position[2]), 1.0))
 
-    def lens(self, place: np.ndarray, about: float | None = None) -> tuple[float, float]:
+    def lens(self, position: np.ndarray, about: float | None = None) -> tuple[float, float]:
         """Estimate the blur of the lens from the edges, and its standard deviation, px."""
 
         def misfit(log_sigma: float) -> float:
-            edges = self.edges(place, float(np.exp(log_sigma)), self.exponents)
+            edges = self.edges(position, float(np.exp(log_sigma)), self.exponents)
             with np.errstate(invalid="ignore"):
                 lit = self.usable(edges)
             chosen = lit if lit.sum() >= FEWEST_SECTORS else np.isfinite(edges.chi2)
@@ -443,7 +443,7 @@ class OutlineFit:
         found = minimize_scalar(misfit, bounds=bounds, method="bounded", options={"xatol": 0.02, "maxiter": 7})
         sigma, least = float(np.exp(found.x)), float(found.fun)
         # chi squared rises by its own scale at one standard deviation
-        freedom = float(self.edges(place, sigma, self.exponents).freedom.sum())
+        freedom = float(self.edges(position, sigma, self.exponents).freedom.sum())
         step = 0.15
         rise = (misfit(found.x + step) + misfit(found.x - step) - 2 * least) / step**2 / 2
         std = np.sqrt(max(least, 1e-12) / max(rise, 1e-12) / max(freedom, 1.0))

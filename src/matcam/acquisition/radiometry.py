@@ -393,8 +393,8 @@ def _order(samples: Sequence[BracketSample], count: int) -> np.ndarray:
 
 
 def _sorted(sample: BracketSample, back: np.ndarray) -> BracketSample:
-    places = back[sample.exposures]
-    return sample._replace(exposures=places).part(np.argsort(places))
+    positions = back[sample.exposures]
+    return sample._replace(exposures=positions).part(np.argsort(positions))
 
 
 def _read_noise(darkness: dict[str, Darkness]) -> float:

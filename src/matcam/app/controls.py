@@ -43,9 +43,9 @@ class Setting:
         value = min(value, self.high)
         return math.log10(value) if self.log else value
 
-    def from_slider(self, place: float) -> float:
+    def from_slider(self, position: float) -> float:
         """Convert the position of the slider to a value, with the digits of the number field."""
-        return float(f"{min(max(10**place if self.log else place, self.low), self.high):.3g}")
+        return float(f"{min(max(10**position if self.log else position, self.low), self.high):.3g}")
 
 
 class NumberControl:

@@ -213,16 +213,16 @@ def _narrowest(inputs: Sequence[Path], sampling: Sampling) -> list[tuple[Path, x
 
     Unreadable tables are skipped; their own jobs report them.
     """
-    places = np.unique(np.linspace(0, max(len(inputs) - 1, 0), min(_EXAMINED, len(inputs))).astype(int))
+    positions = np.unique(np.linspace(0, max(len(inputs) - 1, 0), min(_EXAMINED, len(inputs))).astype(int))
     widths: list[tuple[float, Path]] = []
-    for place in places:
+    for position in positions:
         try:
-            table = read_table(inputs[place], sampling=sampling)
+            table = read_table(inputs[position], sampling=sampling)
         except MatcamError:
             continue
         across = lobe_widths(table).across
         width = float(np.nanmedian(across)) if np.isfinite(across).any() else np.inf
-        widths.append((width, inputs[place]))
+        widths.append((width, inputs[position]))
     if not widths:
         raise FitError("no table can be read: a camera cannot be fitted")
     narrowest = sorted(widths, key=lambda entry: entry[0])[:_FITTED]

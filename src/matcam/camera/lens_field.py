@@ -53,7 +53,7 @@ class LensField:
     Example:
         >>> field = matcam.camera.LensField((500.0, 400.0), 640.0, matcam.camera.Coefficient(0.01, 0.001))
         >>> column, row = field.seen_at(1000.0, 400.0)
-        >>> round(float(column), 3), round(float(field.true_place(column, row)[0]), 6)
+        >>> round(float(column), 3), round(float(field.true_position(column, row)[0]), 6)
         (1003.052, 1000.0)
     """
 
@@ -99,7 +99,7 @@ class LensField:
         scale = 1 + self.k1.value * rho2 + self.k2.value * rho2**2
         return self.centre[0] + x * scale, self.centre[1] + y * scale
 
-    def true_place(self, column: ArrayLike, row: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+    def true_position(self, column: ArrayLike, row: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
         """Map distorted positions to undistorted ones, px.
 
         Args:
@@ -166,7 +166,7 @@ class LensField:
             row: row of its centre, px.
             radius: px.
         """
-        return _circle_through(*self.true_place(*_on_circle(column, row, radius)))
+        return _circle_through(*self.true_position(*_on_circle(column, row, radius)))
 
     def _from_centre(self, column: ArrayLike, row: ArrayLike) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         x, y = np.asarray(column, float) - self.centre[0], np.asarray(row, float) - self.centre[1]

@@ -165,10 +165,10 @@ def _write(result: Any, tables: Any, output: Path, force: bool, channel: str) ->
     from matcam.figures.style import save
     from matcam.files.datasets import write_netcdf
 
-    place = result["channel"].values.tolist().index(channel)
+    position = result["channel"].values.tolist().index(channel)
     write_netcdf(output.with_suffix(".nc"), result, force=force)
     write_columns(output.with_suffix(".csv"), result.drop_dims("source"), force=force)
-    save(fresnel_figure(result, tables, channel=place), output, force=force)
+    save(fresnel_figure(result, tables, channel=position), output, force=force)
 
 
 def _document(result: Any, tables: Any, files: list[Path]) -> dict[str, Any]:

@@ -37,7 +37,7 @@ def command(
     elif "albedo" in report:
         _print_brdf(report)
     else:
-        _print_rest(report)
+        _print_remainder(report)
 
 
 def _report(file: Path, sampling: Any, radius: float) -> dict[str, Any]:
@@ -109,7 +109,7 @@ def _print_cells(cells: dict[str, Any]) -> None:
     show.say(f"cells: {how} ({share}, {cells['distinct_values']:.0f} values a slice); {where}")
 
 
-def _print_rest(report: dict[str, Any]) -> None:
+def _print_remainder(report: dict[str, Any]) -> None:
     show.say(f"{report['file']}: {report.get('holds', report['format'])} ({report['format']})")
     for name, value in report.items():
         if name in ("file", "format", "holds"):

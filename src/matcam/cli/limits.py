@@ -99,8 +99,10 @@ def _print(found: Any) -> None:
     )
     rows = []
     for r in found["roughness"].values:
-        pairs = zip(found["alike"].sel(roughness=r).values, found["smallest"].sel(roughness=r).values, strict=True)
-        rows.append([f"{r:g}", *(f"{alike:.3f} / {smallest:.2g}" for alike, smallest in pairs)])
+        pairs = zip(
+            found["correlation"].sel(roughness=r).values, found["smallest"].sel(roughness=r).values, strict=True
+        )
+        rows.append([f"{r:g}", *(f"{correlation:.3f} / {smallest:.2g}" for correlation, smallest in pairs)])
     show.table(
         ["roughness", *map(str, found["blur"].values)], rows,
         "Blurs that resemble the lens: correlation (1: indistinguishable) / smallest detectable size",

@@ -89,8 +89,8 @@ def _cell_of(name: str, angle: ArrayLike, count: int) -> Any:
     """Return the index of the cell that contains an angle."""
     end = np.pi if name == "phi_d" else np.pi / 2
     share = np.asarray(checks.within(name, angle, 0, end, "rad")) / end
-    place = count * (np.sqrt(share) if name == "theta_h" else share)
-    cell = np.minimum(np.floor(place + _BORDER).astype(int), count - 1)
+    position = count * (np.sqrt(share) if name == "theta_h" else share)
+    cell = np.minimum(np.floor(position + _BORDER).astype(int), count - 1)
     return cell if cell.ndim else int(cell)
 
 

@@ -46,7 +46,7 @@ def check_output(path: str | Path, *, force: bool = False, inputs: Iterable[str 
     if re.search(UNPRINTABLE, path.name):
         raise OutputError(f"output {printable(str(path))} has a name that is not plain text: choose another")
     try:
-        _check_place(path, inputs)
+        _check_position(path, inputs)
         taken = os.path.lexists(path)  # a broken link is treated as existing, too
     except OSError as error:  # such as a name that is too long
         raise OutputError(f"output {path!s:.300} cannot be written: {error.strerror}") from None
@@ -55,7 +55,7 @@ def check_output(path: str | Path, *, force: bool = False, inputs: Iterable[str 
     return path
 
 
-def _check_place(path: Path, inputs: Iterable[str | Path]) -> None:
+def _check_position(path: Path, inputs: Iterable[str | Path]) -> None:
     for source in inputs:
         if path.exists() and Path(source).exists() and path.samefile(source):
             raise OutputError(f"output {path} is the input itself: choose another name")

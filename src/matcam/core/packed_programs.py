@@ -58,10 +58,10 @@ def pack_program(program: Any) -> bytes:
         ValueError: it cannot be serialised, or could not be read again.
     """
     stored, _, output = serialize_executable.serialize(program)
-    places = jax.tree.unflatten(output, range(output.num_leaves))
-    if jax.tree.structure(_as_tuples(json.loads(json.dumps(places)))) != output:
+    positions = jax.tree.unflatten(output, range(output.num_leaves))
+    if jax.tree.structure(_as_tuples(json.loads(json.dumps(positions)))) != output:
         raise ValueError("it returns something else than arrays and tuples of them")
-    packed = json.dumps(places).encode() + b"\n" + stored
+    packed = json.dumps(positions).encode() + b"\n" + stored
     unpack_program(packed)  # names of this version of JAX may be missing in the list
     return packed
 

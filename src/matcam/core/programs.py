@@ -200,7 +200,7 @@ class _Kept(NamedTuple):
         """Rebuild the structure of flat results."""
         if self.returns is None:
             return program
-        structure = jax.tree.structure(_places(self.returns))
+        structure = jax.tree.structure(_positions(self.returns))
         return lambda *arrays: jax.tree.unflatten(structure, program(*arrays))
 
     def _of_arrays(self) -> Callable[..., Any]:
@@ -217,12 +217,12 @@ class _Kept(NamedTuple):
         return of_arrays
 
 
-def _places(kind: Any) -> Any:
+def _positions(kind: Any) -> Any:
     """Return the structure of a nested named tuple, with a placeholder for each array."""
     if get_origin(kind) is tuple:
-        return tuple(map(_places, get_args(kind)))
+        return tuple(map(_positions, get_args(kind)))
     if isinstance(kind, type) and issubclass(kind, tuple):
-        return kind(*map(_places, get_type_hints(kind, localns={"jax": jax, "AnyArray": AnyArray}).values()))
+        return kind(*map(_positions, get_type_hints(kind, localns={"jax": jax, "AnyArray": AnyArray}).values()))
     return 0
 
 

@@ -146,16 +146,16 @@ def resampled_grid(
     visible = _visible(coarse, np.interp(coarse, u, facets), light_angles, size.azimuths)
     warp = Warp(visible)
     grid = np.linspace(0, 1, square)
-    place_u, place_v, tabulated_density = warp.inverse(grid, grid[: square // 2])  # the other half mirrors it
-    theta_m, phi_m = place_u**2 * _HALF_PI, (2 * place_v - 1) * np.pi
+    position_u, position_v, tabulated_density = warp.inverse(grid, grid[: square // 2])  # the other half mirrors it
+    theta_m, phi_m = position_u**2 * _HALF_PI, (2 * position_v - 1) * np.pi
     outgoing, cos_o, missing = _outgoing(material, theta_m, phi_m, light_angles)
-    d = np.interp(place_u, u, facets)
+    d = np.interp(position_u, u, facets)
     values = np.maximum(_fill_gaps(outgoing * (4 * seen_area[:, None, None] / d)[..., None], cos_o), 0)
     # density of samples: BRDF cos_o and the solid angle of views, 4 i . m that of half vectors, over the density of the
     # warp
     light = light_angles[:, None, None]
     cos = np.cos(light) * np.cos(theta_m) + np.sin(light) * np.sin(theta_m) * np.cos(phi_m)
-    solid = d * np.maximum(cos, 0) * _jacobian(place_u)
+    solid = d * np.maximum(cos, 0) * _jacobian(position_u)
     density = values.mean(axis=-1) * solid / np.where(tabulated_density > 0, tabulated_density, 1.0)
     whole = lambda half, axis: np.concatenate([half, np.flip(half, axis)], axis).astype(np.float32)  # noqa: E731
     note = (checks.instance("description", description, str) or "made by matcam").encode()
@@ -314,12 +314,12 @@ def _fill_gaps(values: np.ndarray, cos_o: np.ndarray) -> np.ndarray:
     """
     columns = np.arange(values.shape[2])
     result = np.empty_like(values)
-    for place in np.ndindex(values.shape[0], values.shape[1]):
-        row, cos = values[place], cos_o[place]
+    for position in np.ndindex(values.shape[0], values.shape[1]):
+        row, cos = values[position], cos_o[position]
         for channel in range(values.shape[-1]):
             known = np.flatnonzero(np.isfinite(row[:, channel]))
             if not known.size:
-                result[(*place, slice(None), channel)] = np.nan
+                result[(*position, slice(None), channel)] = np.nan
                 continue
             whole = np.interp(columns, known, row[known, channel])
             if known.size > 1 and known[-1] < columns[-1]:
@@ -327,6 +327,6 @@ def _fill_gaps(values: np.ndarray, cos_o: np.ndarray) -> np.ndarray:
                 slope = (row[b, channel] - row[a, channel]) / min(cos[b] - cos[a], -1e-6)
                 # towards the horizon the BRDF times the cosine may fall, but not rise
                 whole[b + 1 :] += max(slope, 0) * (np.maximum(cos[b + 1 :], -0.2) - cos[b])
-            result[(*place, slice(None), channel)] = whole
+            result[(*position, slice(None), channel)] = whole
     empty = ~np.isfinite(result)
     return np.where(empty, 0.0, result) if empty.any() else result

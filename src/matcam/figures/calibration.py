@@ -74,7 +74,7 @@ def _draw_region(axes: Axes, result: EdgeMTF, image: np.ndarray, roi: Sequence[i
     t = np.linspace(-1, 1, 65)[:, None] * np.hypot(w, h) / 2
     length = w if abs(np.sin(result.angle)) > np.sqrt(0.5) else h
     # the middle is displaced towards the bright side by the bow
-    points = np.array(result.place) + t * along - result.bow * (2 * t / length) ** 2 * out
+    points = np.array(result.position) + t * along - result.bow * (2 * t / length) ** 2 * out
     axes.plot(points[:, 0], points[:, 1], color=VERMILION, lw=0.9)
     axes.set(xlim=(x - 0.5, x + w - 0.5), ylim=(y + h - 0.5, y - 0.5), xlabel="x [px]", ylabel="y [px]")
     axes.grid(False)

@@ -222,10 +222,10 @@ def highlight_figure(result: Reconstruction) -> Figure:
         for axes in grid.flat:
             axes.axis("off")
         last = None
-        for place, k in enumerate(shown):
+        for position, k in enumerate(shown):
             one = windows.isel(picture=k)
             top = max(np.nanmax(one["window_fitted"].values), 1e-300)
-            row, column = divmod(place, columns)
+            row, column = divmod(position, columns)
             for panel, name in enumerate(("window_recorded", "window_fitted", "window_residual")):
                 axes, image = grid[row, 3 * column + panel], one[name].values
                 if name == "window_residual":

@@ -25,7 +25,7 @@ def profile_figure(result: Reconstruction) -> Figure:
     with styled():
         figure = Figure(figsize=(2.3 * len(shown) + 0.8, 5.2), layout="constrained")
         grid = figure.subplots(2, len(shown), squeeze=False, height_ratios=(2, 1), sharex="col")
-        for place, k in enumerate(shown):
+        for position, k in enumerate(shown):
             pixels = problem.pixels[k]
             columns = pixels.window.column
             model = problem.picture(solution.p, k, slopes=False).value
@@ -35,14 +35,16 @@ def profile_figure(result: Reconstruction) -> Figure:
                 of = slice(first, first + columns.shape[1])
                 used = pixels.used[of]
                 at, colour = columns[s][used], CYCLE[s % len(CYCLE)]
-                grid[0, place].plot(at, pixels.values[of][used], ".", color=colour, ms=4, label=f"strip {s + 1}")
-                grid[0, place].plot(at, model[of][used], "-", color=colour, lw=0.9)
+                grid[0, position].plot(at, pixels.values[of][used], ".", color=colour, ms=4, label=f"strip {s + 1}")
+                grid[0, position].plot(at, model[of][used], "-", color=colour, lw=0.9)
                 left = np.where(pixels.clipped, np.nan, (pixels.values - model) / std)[of][used]
-                grid[1, place].plot(at, left, ".", color=colour, ms=3)
-            grid[0, place].set_yscale("log")
-            grid[0, place].set_title(f"{fit.names[k]}, {np.degrees(solution.theta_d[k]):.0f}°", loc="left", fontsize=8)
-            grid[1, place].set_ylim(-5, 5)
-            grid[1, place].set_xlabel("column [px]")
+                grid[1, position].plot(at, left, ".", color=colour, ms=3)
+            grid[0, position].set_yscale("log")
+            grid[0, position].set_title(
+                f"{fit.names[k]}, {np.degrees(solution.theta_d[k]):.0f}°", loc="left", fontsize=8
+            )
+            grid[1, position].set_ylim(-5, 5)
+            grid[1, position].set_xlabel("column [px]")
         grid[0, 0].set_ylabel("light [unit of the merged images]")
         grid[1, 0].set_ylabel("recorded - fitted [standard deviations]")
         grid[0, 0].legend(loc="lower left", fontsize=7)

@@ -91,7 +91,7 @@ def read_bird(path: str | Path) -> xr.DataArray:
     if max(map(len, names)) > _LONGEST_NAME:
         raise FileFormatError(f"{path}: the name of a channel must have at most {_LONGEST_NAME} characters")
     pairs = np.stack([np.mod(a, 2 * np.pi) for a in angles], axis=1).round(9)
-    unique, first, place = np.unique(pairs, axis=0, return_index=True, return_inverse=True)
+    unique, first, position = np.unique(pairs, axis=0, return_index=True, return_inverse=True)
     order = np.argsort(np.argsort(first))  # pairs of directions in the order of the file
     if len(unique) * len(names) > _SPARSEST * len(values):
         raise FileFormatError(
@@ -100,7 +100,7 @@ def read_bird(path: str | Path) -> xr.DataArray:
     table = np.full((len(unique), len(names)), np.nan)
     number = {name: k for k, name in enumerate(names)}
     column = np.array([number[one] for one in channel])
-    row = order[place.reshape(-1)]
+    row = order[position.reshape(-1)]
     if len(set(zip(row.tolist(), column.tolist(), strict=True))) < len(values):
         raise FileFormatError(f"{path}: several readings have the same pair of directions and the same channel")
     table[row, column] = values

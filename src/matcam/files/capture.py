@@ -133,10 +133,10 @@ class Capture:
     def reference_region(self) -> Region | None:
         """Return the region of the reference in every frame; None: it is not in the frames."""
         section = self.settings["reference"]
-        return None if section is None or section["apart"] else self.reference_place
+        return None if section is None or section["apart"] else self.reference_position
 
     @property
-    def reference_place(self) -> Region | None:
+    def reference_position(self) -> Region | None:
         """Return the region of the reference in the frames of the sample or in separate images; None: not given."""
         section = self.settings["reference"]
         return None if section is None or section["region_px"] is None else tuple(section["region_px"])
@@ -369,10 +369,10 @@ def _unlisted(folder: Path, frames: Iterable[CaptureFrame], problems: Iterable[R
     named = {str(problem).partition(": ")[0] for problem in problems}
     extra: list[str] = []
     for kind in KINDS:
-        place = folder / kind
-        if not is_folder(place) or not place.resolve().is_relative_to(folder.resolve()):
+        position = folder / kind
+        if not is_folder(position) or not position.resolve().is_relative_to(folder.resolve()):
             continue
-        for path in sorted(place.iterdir()):
+        for path in sorted(position.iterdir()):
             name = f"{kind}/{path.name}"
             if path.suffix.lower() in PICTURES and name not in listed and str(path) not in named:
                 extra.append(name)

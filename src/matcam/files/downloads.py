@@ -224,8 +224,8 @@ class _RemoteFile(io.RawIOBase):
         size = max(0, self.size - self._at) if size < 0 else size
         if size > _MOST_AT_ONCE:
             raise DownloadError(f"{self.address}: its list of members takes {size} bytes: damaged")
-        place = self._at - self._tail_at
-        found = self._tail[place:][:size] if place >= 0 else self._streamed(size)
+        position = self._at - self._tail_at
+        found = self._tail[position:][:size] if position >= 0 else self._streamed(size)
         self._at += len(found)
         return found
 

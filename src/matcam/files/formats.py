@@ -306,6 +306,6 @@ def decoded_by(paths: Iterable[Path]) -> list[str]:
     return sorted({module for suffix in suffixes & set(_DECODERS) for module in _DECODERS[suffix]})
 
 
-def _function(place: str) -> Callable[..., Any]:
-    module, name = place.split(":")
+def _function(position: str) -> Callable[..., Any]:
+    module, name = position.split(":")
     return getattr(import_module(f"matcam.{module}"), name)

@@ -12,7 +12,7 @@ from matcam.core.grid import GRID_SHAPE, Sampling, cosines, merl_grid, theta_h_e
 from matcam.core.jax import AnyArray, is_concrete, jax, jnp
 from matcam.forward.pixel_grid import phase_of_slices, slice_pixels, turned
 from matcam.forward.sampler.cell_rings import Rings, rings_of
-from matcam.forward.sampler.plan import RecordPlaces
+from matcam.forward.sampler.plan import RecordPositions
 from matcam.lamp.lamps import closeness
 from matcam.rigs import ON_REAL_PIXELS, CellValue, PixelPhase
 from matcam.sample.shape import Curved
@@ -57,8 +57,8 @@ class CellChoice(NamedTuple):
         """Return the cells of a table of this sample."""
         cells = self._unshifted(sample, lamp_nearness)
         # a pixel of a shifted image corresponds to another position of the unshifted one
-        x, y = (at - by for at, by in zip(cells.places[:2], self.shift, strict=True))
-        return cells._replace(places=cells.places._replace(x=x, y=y))
+        x, y = (at - by for at, by in zip(cells.positions[:2], self.shift, strict=True))
+        return cells._replace(positions=cells.positions._replace(x=x, y=y))
 
     def _unshifted(self, sample: Curved, lamp_nearness: jax.Array | None) -> TableCells | RealCells:
         if self.pixel_phase is None and self.cell_value not in ON_REAL_PIXELS:
@@ -83,7 +83,7 @@ class TableCells(NamedTuple):
     even, phi_d covers the full turn.
 
     Attributes:
-        places: positions of the visible points, and of those from which rings are interpolated.
+        positions: positions of the visible points, and of those from which rings are interpolated.
         flat_index: indices of the visible points, except those on rings, in the flattened arrays.
         rings: cells that are interpolated.
         irradiance: cosine of the angle of incidence at each cell, times the irradiance of a near lamp relative to the centre.
@@ -92,7 +92,7 @@ class TableCells(NamedTuple):
         mirrored: True where reversing phi_d gives the other direction.
     """
 
-    places: RecordPlaces
+    positions: RecordPositions
     flat_index: np.ndarray
     rings: tuple[Rings, ...]
     irradiance: np.ndarray
@@ -116,10 +116,10 @@ def _table_cells(sample: Curved, choice: CellChoice, lamp_nearness: jax.Array | 
     theta_h, theta_d, phi_d = np.broadcast_arrays(theta_h, theta_d, phi_d)
     cos_i, cos_o = (np.asarray(c) for c in cosines(theta_h, theta_d, phi_d))
     seen = (cos_i > 0) & (cos_o > 0)
-    place = jax.jit(lambda sample, *angles: sample.place(*angles))
+    position = jax.jit(lambda sample, *angles: sample.position(*angles))
 
     def placed(*angles: np.ndarray) -> tuple[np.ndarray, ...]:
-        x, y, lamp_angle = (np.asarray(a) for a in place(sample, *angles, lamp_nearness))
+        x, y, lamp_angle = (np.asarray(a) for a in position(sample, *angles, lamp_nearness))
         return *turned(x, y, azimuth), lamp_angle
 
     x, y, lamp_angle = placed(theta_h, theta_d, phi_d)
@@ -137,7 +137,7 @@ def _table_cells(sample: Curved, choice: CellChoice, lamp_nearness: jax.Array | 
     direct = [a.ravel()[index] for a in (x, y, lamp_angle, picture)]
     slices = np.searchsorted(merl_grid(cell_sampling(cell_value)).theta_d, samples[1] - 1e-9)
     x, y, lamp_angle, picture = (np.concatenate(both) for both in zip(direct, (*placed(*samples), slices), strict=True))
-    places = RecordPlaces(x, y, lamp_angle, np.full(x.size, azimuth) if azimuth else None, picture)
+    positions = RecordPositions(x, y, lamp_angle, np.full(x.size, azimuth) if azimuth else None, picture)
 
     # pixels per point: distant camera, r^2 cos_o sin theta_h dtheta_h dphi_d (docs/model.md 8)
     edges = theta_h_edges()
@@ -147,7 +147,7 @@ def _table_cells(sample: Curved, choice: CellChoice, lamp_nearness: jax.Array | 
     # equal shares of sqrt(theta_h) contain unequal numbers of pixels
     weight = content * share[None, :, None, :, None] * np.sin(theta_h) if cell_value == "mean" else seen * 1.0
     irradiance = cos_i * np.asarray(closeness(lamp_nearness, jnp.asarray(cos_i))) ** 2
-    return TableCells(places, index, rings, irradiance, weight, pixels, mirrored)
+    return TableCells(positions, index, rings, irradiance, weight, pixels, mirrored)
 
 
 def _per_radian(sample: Curved, finest: float | None) -> float:
@@ -159,7 +159,7 @@ class RealCells(NamedTuple):
     """Cells of a table that are looked up in real pixels.
 
     Attributes:
-        places: the pixels, of all slices.
+        positions: the pixels, of all slices.
         irradiance: (pixels,), cosine of the angle of incidence at each.
         cell: (entries,), index of a cell in the flattened (theta_d, theta_h, phi_d).
         pixel: (entries,), index of a pixel behind it.
@@ -167,7 +167,7 @@ class RealCells(NamedTuple):
         pixels: pixels behind the cells, (theta_h, theta_d, phi_d).
     """
 
-    places: RecordPlaces
+    positions: RecordPositions
     irradiance: np.ndarray
     cell: np.ndarray
     pixel: np.ndarray
@@ -193,9 +193,9 @@ def _real_cells(radius: float, chosen: CellChoice, phase: PixelPhase) -> RealCel
         before += x.size
     x, y, picture, cos_i, cell, pixel, share = (np.concatenate(c) for c in zip(*columns, strict=True))
     turns = np.full(x.size, chosen.azimuth) if chosen.azimuth else None
-    places = RecordPlaces(x, y, 2 * theta_d[picture], turns, picture)
+    positions = RecordPositions(x, y, 2 * theta_d[picture], turns, picture)
     pixels = counts.reshape(n_d, n_h, n_p).transpose(1, 0, 2)
-    return RealCells(places, cos_i, cell, pixel, share, pixels)
+    return RealCells(positions, cos_i, cell, pixel, share, pixels)
 
 
 def cell_means(radiance: jax.Array, cells: TableCells | RealCells) -> AnyArray:

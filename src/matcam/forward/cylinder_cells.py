@@ -18,7 +18,7 @@ from matcam.core.jax import jax, jnp
 from matcam.core.workspace import Workspace
 from matcam.forward.cells_in_pictures import cell_sampling
 from matcam.forward.integral.blur import imaging_of
-from matcam.forward.sampler.plan import RecordPlaces
+from matcam.forward.sampler.plan import RecordPositions
 from matcam.forward.sampler.under_lamp import record_under_lamp
 from matcam.lamp.lamps import closeness
 from matcam.material.material import Material
@@ -36,13 +36,13 @@ class CylinderCells(NamedTuple):
     """Cells of a table on a cylinder. Arrays over (theta_h, theta_d, phi_d, direction).
 
     Attributes:
-        places: positions of the visible cells.
+        positions: positions of the visible cells.
         flat_index: indices of the visible cells in the flattened arrays.
         irradiance: irradiance of the surface at each cell, over that at the centre of a surface that faces the lamp.
         seen: True for visible cells.
     """
 
-    places: RecordPlaces
+    positions: RecordPositions
     flat_index: np.ndarray
     irradiance: np.ndarray
     seen: np.ndarray
@@ -74,17 +74,18 @@ def cylinder_table(material: Material, rig: Rig, workspace: Workspace) -> tuple[
     numbers = [jax.lax.stop_gradient(a) for a in (sample.radius, sample.distance, 0.0 if near is None else near)]
     key = *map(float, numbers), rig.cell_value, rig.crop
     cells = workspace.remember("cylinder cells", key, lambda: cylinder_cells(rig), most=1)
-    radiance = record_cells(material, rig, cells.places)
+    radiance = record_cells(material, rig, cells.positions)
     flat = jnp.zeros((cells.seen.size, radiance.shape[1])).at[cells.flat_index].set(radiance)
-    ways = flat.reshape(*cells.seen.shape, -1) / np.where(cells.seen, cells.irradiance, 1.0)[..., None]
+    directions = flat.reshape(*cells.seen.shape, -1) / np.where(cells.seen, cells.irradiance, 1.0)[..., None]
     count = cells.seen.sum(-1)[..., None]
-    return jnp.where(count > 0, ways.sum(3) / np.maximum(count, 1), jnp.nan), 1.0 * count[..., 0]
+    return jnp.where(count > 0, directions.sum(3) / np.maximum(count, 1), jnp.nan), 1.0 * count[..., 0]
 
 
-def record_cells(material: Material, rig: Rig, places: RecordPlaces) -> jax.Array:
+def record_cells(material: Material, rig: Rig, positions: RecordPositions) -> jax.Array:
     """Record positions on the line of a cylinder at height 0, 1/sr, (positions, channels)."""
     parts = (
-        places.at(np.arange(begin, min(begin + _PLACES, places.x.size))) for begin in range(0, places.x.size, _PLACES)
+        positions.at(np.arange(begin, min(begin + _PLACES, positions.x.size)))
+        for begin in range(0, positions.x.size, _PLACES)
     )
     return jnp.concatenate([record_under_lamp(material, rig, imaging_of(rig), part) for part in parts])
 
@@ -96,15 +97,15 @@ def cylinder_cells(rig: Rig) -> CylinderCells:
     theta_h, theta_d, phi_d = angles[0], angles[1], angles[2] + angles[3]
     cos_i, cos_o = (np.asarray(c) for c in cosines(theta_h, theta_d, phi_d))
     seen = (cos_i > 0) & (cos_o > 0)
-    places = line_places(rig, theta_h, theta_d, phi_d)
+    positions = line_positions(rig, theta_h, theta_d, phi_d)
     if rig.crop is not None:
-        seen &= np.abs(places.x) <= rig.crop[1] / 2
+        seen &= np.abs(positions.x) <= rig.crop[1] / 2
     index = np.flatnonzero(seen)
     irradiance = cos_i * np.asarray(closeness(rig.lamp.nearness, jnp.asarray(np.where(seen, cos_i, 1.0)))) ** 2
-    return CylinderCells(places.at(seen), index, irradiance, seen)
+    return CylinderCells(positions.at(seen), index, irradiance, seen)
 
 
-def line_places(rig: Rig, theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray) -> RecordPlaces:
+def line_positions(rig: Rig, theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray) -> RecordPositions:
     """Compute the positions of half and difference angles on the cylinder of a rig, and their lamps.
 
     The positions have the same distance from the optical axis as on a sphere of the same radius, under a lamp at the
@@ -113,7 +114,7 @@ def line_places(rig: Rig, theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.nd
     sample: Cylinder = rig.sample  # type: ignore[assignment]
     sphere = Sphere(float(sample.radius), float(sample.distance))
     near = None if rig.lamp.nearness is None else float(rig.lamp.nearness)
-    place = jax.jit(lambda h, d, p: sphere.place(h, d, p, near))(theta_h, theta_d, phi_d)
-    x, y, lamp_angle = (np.asarray(a) for a in place)
+    position = jax.jit(lambda h, d, p: sphere.position(h, d, p, near))(theta_h, theta_d, phi_d)
+    x, y, lamp_angle = (np.asarray(a) for a in position)
     off = np.hypot(x, y)
-    return RecordPlaces(off, np.zeros_like(off), lamp_angle, np.where(off > 0, np.arctan2(-y, x), 0.0))
+    return RecordPositions(off, np.zeros_like(off), lamp_angle, np.where(off > 0, np.arctan2(-y, x), 0.0))

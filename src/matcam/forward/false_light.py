@@ -12,7 +12,7 @@ from matcam.core.errors import ArgumentError
 from matcam.core.grid import cosines
 from matcam.core.results.labelled import named
 from matcam.forward.integral.blur import imaging_of
-from matcam.forward.sampler.plan import RecordPlaces, record_plan
+from matcam.forward.sampler.plan import RecordPositions, record_plan
 from matcam.forward.sampler.record import record
 from matcam.lamp.lamps import closeness
 from matcam.material.material import Material
@@ -58,14 +58,14 @@ def false_light(material: Material, rig: Rig, theta_d: float = np.pi / 8) -> xr.
     sphere = rig.sample
     theta_h, phi_d = _FALSE_LIGHT_THETA_H, np.full(_FALSE_LIGHT_THETA_H.size, np.pi / 2)
     near = rig.lamp.nearness
-    place = sphere.place(theta_h, np.full(theta_h.size, theta_d), phi_d, near)
-    x, y, lamp = (np.asarray(a) for a in place)
-    places, finest = RecordPlaces(x, y, lamp), float(material.finest)
+    position = sphere.position(theta_h, np.full(theta_h.size, theta_d), phi_d, near)
+    x, y, lamp = (np.asarray(a) for a in position)
+    positions, finest = RecordPositions(x, y, lamp), float(material.finest)
     cos_i = cosines(theta_h, theta_d, phi_d)[0]
     irradiance = np.asarray(cos_i * closeness(near, cos_i) ** 2)[:, None]
     bare = Rig(Camera(optics.core, rig.camera.pixel), sphere, rig.lamp, jitter=rig.jitter)
     with_halo, without = (
-        np.asarray(record(material, imaging, record_plan(imaging, places, finest))) / irradiance
+        np.asarray(record(material, imaging, record_plan(imaging, positions, finest))) / irradiance
         for imaging in (imaging_of(rig, gaussian_disc=True), imaging_of(bare, gaussian_disc=True))
     )
     true = np.asarray(material.brdf(theta_h, theta_d, phi_d)).reshape(theta_h.size, -1)

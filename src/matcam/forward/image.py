@@ -25,7 +25,7 @@ from matcam.forward.integral.blur import kernel_error
 from matcam.forward.integral.blur_groups import groups_of
 from matcam.forward.integral.discs import nearer
 from matcam.forward.integral.scene import Scene, Turn, highlight_x
-from matcam.forward.sampler.plan import RecordPlaces, rough_pixels
+from matcam.forward.sampler.plan import RecordPositions, rough_pixels
 from matcam.forward.view import View, exact_record, record_pixels, view_of
 from matcam.lamp.lamps import LampPoint
 from matcam.material.material import Material
@@ -217,7 +217,7 @@ def _turned(view: View) -> bool:
     return isinstance(view.imaging.sample, Sphere) and bool(np.any([point.azimuth for point in view.points]))
 
 
-_Places = Sequence[np.ndarray]
+_Positions = Sequence[np.ndarray]
 """x and y, px."""
 _ALONG = 0.5
 """Step along the limb at which light is evaluated, px."""
@@ -226,7 +226,7 @@ _BELOW_LIMB = 1.5 * 3.0 ** -np.arange(16)
 
 
 def _on_sphere(
-    material: Material, view: View, point: LampPoint, wide: _Places, pixels: _Places
+    material: Material, view: View, point: LampPoint, wide: _Positions, pixels: _Positions
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Compute the light of a point of the lamp at centres of pixels, the largest about each, and the pixels near its
     highlight.
@@ -242,7 +242,7 @@ def _on_sphere(
     return light, _most_at_limb(scene, float(sample.radius), light, wide), near[0] & near[1]
 
 
-def _most_at_limb(scene: Scene, radius: float, light: np.ndarray, wide: _Places) -> np.ndarray:
+def _most_at_limb(scene: Scene, radius: float, light: np.ndarray, wide: _Positions) -> np.ndarray:
     """Compute the light at centres, or at the nearest point of the limb if that is brighter."""
     count = few_lengths(int(np.ceil(2 * np.pi * radius / _ALONG)))
     azimuth = 2 * np.pi * np.arange(count) / count
@@ -257,7 +257,7 @@ def _most_at_limb(scene: Scene, radius: float, light: np.ndarray, wide: _Places)
 
 
 def _on_cylinder(
-    material: Material, view: View, point: LampPoint, wide: _Places, pixels: _Places
+    material: Material, view: View, point: LampPoint, wide: _Positions, pixels: _Positions
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Compute the same as `_on_sphere` for a cylinder, whose limbs are treated as highlights, too."""
     imaging = nearer(view.imaging, point.distance)
@@ -265,8 +265,8 @@ def _on_cylinder(
     scene = Scene(material, imaging.sample, jnp.asarray(point.angle), imaging.lamp_nearness, turn)
     light = np.asarray(_at_centres(scene, *wide))
     x, y = (at.ravel() for at in pixels)
-    places = RecordPlaces(x, y, *(np.full(x.size, a) for a in (point.angle, point.azimuth)))
-    return light, light, rough_pixels(imaging, places, float(material.elongation)).reshape(pixels[0].shape)
+    positions = RecordPositions(x, y, *(np.full(x.size, a) for a in (point.angle, point.azimuth)))
+    return light, light, rough_pixels(imaging, positions, float(material.elongation)).reshape(pixels[0].shape)
 
 
 @jax.jit

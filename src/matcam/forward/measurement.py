@@ -50,7 +50,7 @@ from matcam.material.optical_constants import metal
 from matcam.material.reflectance import Conductor
 from matcam.rigs import UNKNOWN, Rig, merl
 from matcam.sample.curved import Cylinder, Sphere
-from matcam.sample.shape import Flat, Place
+from matcam.sample.shape import Flat, Position
 
 
 def measure(
@@ -195,7 +195,7 @@ def _values_through(
     chosen = CellChoice(rig.cell_value, rig.crop, azimuth, rig.pixel_phase, even, shift, finest)
     if disc_of(rig.lamp) > 0:
         cells = chosen.cells(imaging.sample, imaging.lamp_nearness)
-        return cell_means(record_under_lamp(material, rig, imaging, cells.places), cells), cells.pixels
+        return cell_means(record_under_lamp(material, rig, imaging, cells.positions), cells), cells.pixels
     lobe = graded_for(checks.outside_jit(material.finest, "the material's parameters"), imaging), material.elongation
     cells, plan = _table_plan(imaging, chosen, lobe, workspace)
     return cell_means(record(material, imaging, plan), cells), cells.pixels
@@ -210,7 +210,7 @@ def _by_frequencies(
     assert isinstance(rig.sample, Sphere)
     cells = chosen.cells(rig.sample)
     angles = 2 * merl_grid(cell_sampling(chosen.cell_value)).theta_d
-    return cell_means(record_by_frequencies(material, rig, angles, azimuth, cells.places), cells), cells.pixels
+    return cell_means(record_by_frequencies(material, rig, angles, azimuth, cells.positions), cells), cells.pixels
 
 
 def _azimuth(rig: Rig, azimuth: ArrayLike | None) -> float:
@@ -255,7 +255,7 @@ def _table_plan(imaging: Imaging, chosen: CellChoice, lobe: tuple[float, float],
 
     def plan() -> TablePlan:
         cells = chosen.cells(imaging.sample, imaging.lamp_nearness)
-        return TablePlan(cells, record_plan(imaging, cells.places, *lobe))
+        return TablePlan(cells, record_plan(imaging, cells.positions, *lobe))
 
     key = tree, tuple(np.asarray(leaf).tobytes() for leaf in leaves), chosen, lobe
     return workspace.remember("table plan", key, plan, most=1)
@@ -334,9 +334,9 @@ def with_pixel_noise(table: xr.DataArray, rig: Rig, noise: PixelNoise, seed: int
             of_pixels = rng.standard_normal((2, share.shape[1], values.shape[3]))
             draws = np.stack([share @ e for e in of_pixels]).reshape(2, *values[:, j].shape)
         elif pixels is not None:
-            numbers, place = np.unique(np.stack([pixels.first[j], pixels.second[j]]), return_inverse=True)
-            place = place.reshape(2, *pixels.first[j].shape)
-            draws = rng.standard_normal((2, numbers.size, values.shape[3]))[:, place].mean(axis=1)
+            numbers, position = np.unique(np.stack([pixels.first[j], pixels.second[j]]), return_inverse=True)
+            position = position.reshape(2, *pixels.first[j].shape)
+            draws = rng.standard_normal((2, numbers.size, values.shape[3]))[:, position].mean(axis=1)
         else:  # each direction has its own pixel
             draws = rng.standard_normal((2, 2, *values[:, j].shape)).mean(axis=1)
         picture = values[:, j]
@@ -363,13 +363,13 @@ def cell_pixels(sphere: Sphere, sampling: Sampling, azimuth: float = 0.0) -> Cel
     """Number the pixels behind the cells in the images of a sphere. azimuth: azimuth of the lamp, rad."""
     grid = merl_grid(sampling)
     theta_h, theta_d, phi_d = grid.theta_h[:, None], grid.theta_d[:, None, None], grid.phi_d
-    place = jax.jit(lambda sphere, *angles: sphere.place(*angles))
-    places = (place(sphere, theta_h, theta_d, phi_d + turn) for turn in (0, np.pi))
-    return CellPixels(*(_pixel_number(one, azimuth) for one in places))
+    position = jax.jit(lambda sphere, *angles: sphere.position(*angles))
+    positions = (position(sphere, theta_h, theta_d, phi_d + turn) for turn in (0, np.pi))
+    return CellPixels(*(_pixel_number(one, azimuth) for one in positions))
 
 
-def _pixel_number(place: Place, azimuth: float) -> np.ndarray:
-    x, y = (np.rint(a).astype(np.int64) for a in turned(np.asarray(place.x), np.asarray(place.y), azimuth))
+def _pixel_number(position: Position, azimuth: float) -> np.ndarray:
+    x, y = (np.rint(a).astype(np.int64) for a in turned(np.asarray(position.x), np.asarray(position.y), azimuth))
     return x * PICTURE_STRIDE + y
 
 

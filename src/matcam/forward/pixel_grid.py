@@ -57,7 +57,7 @@ def grid_of(rig: Rig) -> PixelGrid | None:
     return None
 
 
-class PlacePixels(NamedTuple):
+class PositionPixels(NamedTuple):
     """Pixels that are looked up for positions in an image; the last axis is over the pixels of one position.
 
     Attributes:
@@ -87,7 +87,7 @@ class SlicePixels(NamedTuple):
     share: csr_matrix
 
 
-def looked_up(rule: CellValue, phase: ArrayLike, x: np.ndarray, y: np.ndarray) -> PlacePixels:
+def looked_up(rule: CellValue, phase: ArrayLike, x: np.ndarray, y: np.ndarray) -> PositionPixels:
     """Find the pixels that a rule looks up for positions of an image.
 
     Args:
@@ -100,13 +100,13 @@ def looked_up(rule: CellValue, phase: ArrayLike, x: np.ndarray, y: np.ndarray) -
     a, b = shift[..., 0], shift[..., 1]
     u, v = np.broadcast_arrays(x - a, y - b)
     if rule == "nearest":
-        return PlacePixels((np.rint(u) + a)[..., None], (np.rint(v) + b)[..., None], np.ones((*np.shape(u), 1)))
+        return PositionPixels((np.rint(u) + a)[..., None], (np.rint(v) + b)[..., None], np.ones((*np.shape(u), 1)))
     left, low = np.floor(u), np.floor(v)
     right, up = u - left, v - low
     columns = np.stack([left, left + 1, left, left + 1], axis=-1) + a[..., None]
     rows = np.stack([low, low, low + 1, low + 1], axis=-1) + b[..., None]
     weight = np.stack([(1 - right) * (1 - up), right * (1 - up), (1 - right) * up, right * up], axis=-1)
-    return PlacePixels(columns, rows, weight)
+    return PositionPixels(columns, rows, weight)
 
 
 class PixelAngles(NamedTuple):
@@ -185,10 +185,10 @@ def slice_pixels(
     x, y = turned(columns[first], rows[first], -azimuth)
     at = pixel_angles(radius, theta_d, x, y)
     seen = (at.cos_i > 0) & (at.cos_o > 0)
-    place = np.cumsum(seen) - 1
+    position = np.cumsum(seen) - 1
     there = seen[index]
     size = (n_h * n_p, int(seen.sum()))
-    share = csr_matrix((weight[there], (cells[there], place[index[there]])), shape=size)
+    share = csr_matrix((weight[there], (cells[there], position[index[there]])), shape=size)
     total = np.asarray(share.sum(axis=1)).ravel()
     share.data /= np.repeat(total, np.diff(share.indptr))
     return SlicePixels(x[seen], y[seen], at.cos_i[seen], share)

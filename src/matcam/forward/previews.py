@@ -111,9 +111,9 @@ def highlight_preview(
     rig, angle = _checked(material, rig, theta_d)
     given: Any = np.asarray(np.nan if half_side is None else float(checks.positive("half_side", half_side, "px")))
     # arrays of NumPy: each conversion by JAX would require a program
-    places: Any = np.linspace(-1, 1, _count("points", points, 3))
-    side, true, recorded = (np.asarray(part) for part in _closeup(material, rig, angle, places, given))
-    offsets = places * float(side)
+    positions: Any = np.linspace(-1, 1, _count("points", points, 3))
+    side, true, recorded = (np.asarray(part) for part in _closeup(material, rig, angle, positions, given))
+    offsets = positions * float(side)
     return _dataset(true, recorded, offsets, offsets, theta_d=float(theta_d))
 
 
@@ -271,14 +271,14 @@ def _responses(rig: Rig, ndf: MixtureNDF, theta: jax.Array) -> jax.Array:
 
 @eqx.filter_jit
 def _closeup(
-    material: Microfacet, rig: Rig, theta: jax.Array, places: jax.Array, half_side: jax.Array
+    material: Microfacet, rig: Rig, theta: jax.Array, positions: jax.Array, half_side: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Compute half the side, px, and the true and the recorded lobe, (y, x), 1/sr. half_side: NaN for the default."""
     lobe = _sum_of_gaussians(rig, _mixture(material), theta)
     half_side = jnp.where(jnp.isnan(half_side), 4 * _recorded_width(rig, lobe), half_side)
-    scene, place = _scene(material, rig, theta)
-    peak = _middle(scene.sent(scene.sample.at(place, jnp.zeros(()))[0]))
-    at = places * half_side
+    scene, position = _scene(material, rig, theta)
+    peak = _middle(scene.sent(scene.sample.at(position, jnp.zeros(()))[0]))
+    at = positions * half_side
     true = _product(lobe.weights, _lines(lobe.std[1], at), _lines(lobe.std[0], at))
     return half_side, peak * true, peak * _recorded(rig, lobe, at, at)
 
@@ -328,13 +328,13 @@ def _sphere(
     material: Microfacet, rig: Rig, theta: jax.Array, at: jax.Array, block: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
     """Compute the true and the recorded sphere at the positions `at` along both axes."""
-    scene, place = _scene(material, rig, theta)
+    scene, position = _scene(material, rig, theta)
     x, y = at[None, :], at[:, None]
     element, lit = scene.shown(x, y)
     points = jnp.where(lit, _middle(scene.sent(element)), 0.0)
-    peak = _middle(scene.sent(scene.sample.at(place, jnp.zeros(()))[0]))
+    peak = _middle(scene.sent(scene.sample.at(position, jnp.zeros(()))[0]))
     lobe = _sum_of_gaussians(rig, _mixture(material), theta)
-    down, across = (at, at - place)
+    down, across = (at, at - position)
     centre = _product(lobe.weights, _lines(lobe.std[1], down), _lines(lobe.std[0], across))
 
     def add(pixel: jax.Array, sums: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:

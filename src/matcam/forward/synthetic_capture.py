@@ -254,8 +254,8 @@ def _patch_radiance(patch: WhitePatch, rig: Rig, lamp: dict[str, Any], shape: tu
     )
     q, w = (0.0 if math.isinf(d) else 1 / d for d in (_of_curved(rig, "distance"), _lamp_distance(rig)))
     shrink = (1 - q * patch.depth) / (_of_curved(rig, "radius") * math.sqrt(1 - q**2))
-    place = np.stack([x * shrink, y * shrink, np.full(x.shape, patch.depth)], axis=-1)
-    way = np.array(lamp["direction"]) - w * place
+    position = np.stack([x * shrink, y * shrink, np.full(x.shape, patch.depth)], axis=-1)
+    way = np.array(lamp["direction"]) - w * position
     irradiance = np.maximum(way[..., 2], 0) / np.linalg.norm(way, axis=-1) ** 3
     return np.asarray(patch.reflectance / math.pi * irradiance)
 

@@ -26,7 +26,7 @@ from matcam.forward.integral.blur import Imaging, imaging_of
 from matcam.forward.integral.blur_groups import groups_of
 from matcam.forward.integral.discs import disc_fineness, nearer
 from matcam.forward.integral.scene import Scene, Turn
-from matcam.forward.sampler.plan import RecordPlaces
+from matcam.forward.sampler.plan import RecordPositions
 from matcam.forward.sampler.under_lamp import record_under_points
 from matcam.lamp.lamps import LampPoint, checked_lamp_angle, lamp_points
 from matcam.material.material import Material
@@ -219,6 +219,6 @@ def record_pixels(material: Material, view: View, x: np.ndarray, y: np.ndarray) 
     if Scene(material, view.imaging.sample, jnp.zeros(()), view.imaging.lamp_nearness).uniform_rows:
         x, which = np.unique(x, return_inverse=True)
         y = np.zeros_like(x)
-    places = RecordPlaces(x, y, np.full(x.size, view.lamp_angle))
+    positions = RecordPositions(x, y, np.full(x.size, view.lamp_angle))
     turning = 0.0 if view.turning is None else view.turning
-    return record_under_points(material, view.imaging, places, view.points, turning)[which]
+    return record_under_points(material, view.imaging, positions, view.points, turning)[which]

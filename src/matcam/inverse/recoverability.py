@@ -44,7 +44,7 @@ _NAMES = {
     "width_std_free": "bound of ln roughness, lens free",
     "lens_std_free": "bound of ln sigma_mtf, lens free",
     "fresnel_std": "bound of F, relative",
-    "alike": "correlation of the change by a blur with that by a wider lens",
+    "correlation": "correlation of the change by a blur with that by a wider lens",
     "smallest": "size of a blur that is detected at 3 standard deviations [unit in the name of the blur]",
     "width_bias": "change of ln roughness by an ignored blur",
     "width_std_changed": "bound of ln roughness after a change of the rig",
@@ -84,7 +84,7 @@ def limits(
         - `lens_std_free`: bound of ln sigma_mtf with the lens free.
         - `fresnel_std`: relative bound of F at each theta_d, without the image gain. The lens is as specified by its
            profile, otherwise exact.
-        - `alike`, (roughness, blur): correlation of the effect of a blur with that of a wider lens, after roughness and
+        - `correlation`, (roughness, blur): correlation of the effect of a blur with that of a wider lens, after roughness and
             F are fitted. 1 is indistinguishable.
         - `smallest`, (roughness, blur): size at which the blur is detected at 3 standard deviations, lens free.
         - `width_bias`, (roughness, blur): change of ln roughness if a blur of the size in `size` exists and is ignored.
@@ -116,26 +116,28 @@ def limits(
     stated_std = rig.camera.uncertainty.std().get(LENS, np.nan) if rig.camera.uncertainty else np.nan
     relative = stated_std / float(rig.camera.parameters()[LENS])
     own = [_Information(view, a) for a in values]
-    rest: dict[str, tuple[tuple[str, ...], np.ndarray]] = {}
+    variables: dict[str, tuple[tuple[str, ...], np.ndarray]] = {}
     stated = [i.std(relative) if np.isfinite(relative) else np.array([np.nan, np.nan]) for i in own]
-    rest["width_std"] = ("roughness",), np.array([i.std(0.0)[0] for i in own])
-    rest["width_std_stated"] = ("roughness",), np.array([s[0] for s in stated])
-    rest["width_std_free"] = ("roughness",), np.array([i.std(np.inf)[0] for i in own])
-    rest["lens_std_free"] = ("roughness",), np.array([i.std(np.inf)[1] for i in own])
+    variables["width_std"] = ("roughness",), np.array([i.std(0.0)[0] for i in own])
+    variables["width_std_stated"] = ("roughness",), np.array([s[0] for s in stated])
+    variables["width_std_free"] = ("roughness",), np.array([i.std(np.inf)[0] for i in own])
+    variables["lens_std_free"] = ("roughness",), np.array([i.std(np.inf)[1] for i in own])
     prior = relative if np.isfinite(relative) else 0.0
-    rest["fresnel_std"] = ("roughness", "theta_d"), np.array([i.fresnel_std(prior) for i in own])
+    variables["fresnel_std"] = ("roughness", "theta_d"), np.array([i.fresnel_std(prior) for i in own])
     blurs = {name: one for name, one in BLURS.items() if one[0] in widths_of(rig)}
     signatures = [[_signature(i, field, size) for field, size in blurs.values()] for i in own]
-    for name, column in zip(("alike", "smallest", "width_bias"), np.array(signatures).transpose(2, 0, 1), strict=True):
-        rest[name] = ("roughness", "blur"), column
+    for name, column in zip(
+        ("correlation", "smallest", "width_bias"), np.array(signatures).transpose(2, 0, 1), strict=True
+    ):
+        variables[name] = ("roughness", "blur"), column
     changes = changed_rigs(rig)
-    rest["width_std_changed"] = (
+    variables["width_std_changed"] = (
         ("roughness", "change", "lens"),
         np.array([[_exact_and_free(_Information(view._replace(rig=r), a)) for r in changes.values()] for a in values]),
     )
     cells = own[0].cells
     found = xr.Dataset(
-        rest,
+        variables,
         coords={
             "roughness": values,
             "theta_d": cells.theta_d,
@@ -243,7 +245,7 @@ def _exact_and_free(information: _Information) -> tuple[float, float]:
 
 
 def _signature(own: _Information, field: str, size: float) -> tuple[float, float, float]:
-    """Compute (alike, smallest, width_bias) of one blur."""
+    """Compute (correlation, smallest, width_bias) of one blur."""
     blurred = rig_with(own.view.rig, {field: size})
     other = _Information(own.view._replace(rig=blurred), own.roughness)
     change = own.free(other.record - own.record).ravel()
@@ -255,8 +257,8 @@ def _signature(own: _Information, field: str, size: float) -> tuple[float, float
 
     by_blur, by_lens = without_width(change), without_width(lens)
     sizes = np.sqrt((by_blur @ by_blur) * (by_lens @ by_lens))
-    alike = float(by_blur @ by_lens / sizes) if sizes > 0 else 1.0
+    correlation = float(by_blur @ by_lens / sizes) if sizes > 0 else 1.0
     left = by_blur - by_lens * (by_blur @ by_lens) / max(by_lens @ by_lens, 1e-300)
     deviations = float(np.sqrt(left @ left))  # at `size`; a blur adds variance, so they scale with size^2
     smallest = size * np.sqrt(_SEEN / deviations) if deviations > 1e-6 else np.inf
-    return alike, float(np.degrees(smallest)) if field == LAMP else smallest, exact
+    return correlation, float(np.degrees(smallest)) if field == LAMP else smallest, exact

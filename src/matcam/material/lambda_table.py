@@ -33,7 +33,7 @@ def quick_lambda(ndf: NDF, cos: jax.Array, table: jax.Array | None = None) -> ja
     table: from `quick_table`, if it is available. Default: None.
     """
     table = quick_table(ndf) if table is None else table
-    return ndf.smith_lambda(cos) if table is None else lambda_at(table, place_of(cos))
+    return ndf.smith_lambda(cos) if table is None else lambda_at(table, position_of(cos))
 
 
 def quick_table(ndf: NDF) -> jax.Array | None:
@@ -43,27 +43,27 @@ def quick_table(ndf: NDF) -> jax.Array | None:
     return jnp.log1p(ndf.smith_lambda(COTS / np.sqrt(1 + COTS**2)))
 
 
-def place_of(cos: AnyValues) -> AnyValues:
+def position_of(cos: AnyValues) -> AnyValues:
     """Compute the position of directions in the table, counted from 0. NumPy arrays give NumPy arrays."""
     numbers = np if isinstance(cos, np.ndarray) else jnp
     sin2 = numbers.maximum((1 - cos) * (1 + cos), _LEVEL**-2)
     return numbers.log(cos / numbers.sqrt(sin2) / STEEPEST) / _STEP
 
 
-def lambda_at(table: jax.Array, place: jax.Array) -> jax.Array:
+def lambda_at(table: jax.Array, position: jax.Array) -> jax.Array:
     """Interpolate Lambda at positions of a table by the cubic through four entries; steeper directions scale as 1 / cot."""
-    log = between_entries(table, jnp.clip(place, 0.0, _LAST))
-    return jnp.maximum(jnp.exp(log + _STEP * jnp.maximum(-place, 0.0)) - 1, 0.0)
+    log = between_entries(table, jnp.clip(position, 0.0, _LAST))
+    return jnp.maximum(jnp.exp(log + _STEP * jnp.maximum(-position, 0.0)) - 1, 0.0)
 
 
-def by_entries(place: jax.Array, by_log: jax.Array) -> jax.Array:
+def by_entries(position: jax.Array, by_log: jax.Array) -> jax.Array:
     """Differentiate a sum with respect to the entries of a table, for each index of the first axis, (cells, entries).
 
     by_log: derivatives with respect to ln(1 + Lambda) at each position, of its shape (cells, ...).
     """
-    first, shares = four_about(jnp.clip(place, 0.0, _LAST), _ENTRIES)
-    cell = jnp.arange(place.shape[0]).reshape(-1, *[1] * (place.ndim - 1))
-    total = jnp.zeros((place.shape[0], _ENTRIES))
+    first, shares = four_about(jnp.clip(position, 0.0, _LAST), _ENTRIES)
+    cell = jnp.arange(position.shape[0]).reshape(-1, *[1] * (position.ndim - 1))
+    total = jnp.zeros((position.shape[0], _ENTRIES))
     for k, share in enumerate(shares):
         total = total.at[cell, first + k].add(by_log * share, mode="promise_in_bounds")
     return total

@@ -94,12 +94,12 @@ class Tabulated(Material):
         n_h, n_d, n_p = GRID_SHAPE
         peak = theta_h == 0
         root = jnp.where(peak, 0.0, jnp.sqrt(jnp.where(peak, 1.0, theta_h / (np.pi / 2))))
-        place_h = jnp.clip(root * n_h - self.shift, 0, n_h - 1)
-        place_d = jnp.clip(theta_d * n_d / (np.pi / 2) - self.shift, 0, n_d - 1)
-        place_p = jnp.mod(phi_d / np.pi, 1.0) * n_p - self.shift
-        places = [_whole_where_close(place) for place in (place_h, place_d, place_p)]
-        low = [jnp.floor(place) for place in places]
-        rest = [place - floor for place, floor in zip(places, low, strict=True)]
+        position_h = jnp.clip(root * n_h - self.shift, 0, n_h - 1)
+        position_d = jnp.clip(theta_d * n_d / (np.pi / 2) - self.shift, 0, n_d - 1)
+        position_p = jnp.mod(phi_d / np.pi, 1.0) * n_p - self.shift
+        positions = [_whole_where_close(position) for position in (position_h, position_d, position_p)]
+        low = [jnp.floor(position) for position in positions]
+        fractions = [position - floor for position, floor in zip(positions, low, strict=True)]
         i_h, i_d, i_p = (floor.astype(int) for floor in low)
 
         total = weights = missing = jnp.zeros(())
@@ -109,7 +109,7 @@ class Tabulated(Material):
             value = self.values[at]
             share = jnp.ones(())
             nearest = jnp.ones((), dtype=bool)
-            for fraction, above in zip(rest, up, strict=True):
+            for fraction, above in zip(fractions, up, strict=True):
                 share = share * (fraction if above else 1 - fraction)
                 nearest = nearest & ((fraction > 0.5) if above else (fraction <= 0.5))
             known = jnp.isfinite(value)
@@ -124,13 +124,13 @@ class Tabulated(Material):
         return f"Tabulated({' x '.join(map(str, self.values.shape))}, sampling={sampling!r})"
 
 
-def _whole_where_close(place: jax.Array) -> jax.Array:
+def _whole_where_close(position: jax.Array) -> jax.Array:
     """Round positions that are integers up to rounding errors.
 
     A compiler may compute a position twice with different rounding: for its cell and for its fraction of the cell.
     """
-    whole = jnp.round(place)
-    return jnp.where(jnp.abs(place - whole) < 1e-9, whole, place)
+    whole = jnp.round(position)
+    return jnp.where(jnp.abs(position - whole) < 1e-9, whole, position)
 
 
 class Blend(NamedTuple):
@@ -179,8 +179,8 @@ def bilinear(slices: jax.Array, chosen: Blend | None, x: jax.Array, y: jax.Array
     return (1 - t_y) * upper + t_y * lower
 
 
-def _cell(place: jax.Array, nodes: int) -> tuple[jax.Array, jax.Array]:
-    scaled = jnp.clip(place, 0, 1) * (nodes - 1)
+def _cell(position: jax.Array, nodes: int) -> tuple[jax.Array, jax.Array]:
+    scaled = jnp.clip(position, 0, 1) * (nodes - 1)
     low = jnp.minimum(jnp.floor(scaled).astype(int), nodes - 2)
     return low, scaled - low
 
@@ -334,8 +334,8 @@ class Adaptive(Material):
         flat = Shading(*(jnp.broadcast_to(jnp.asarray(a, dtype=jnp.float64), shape).ravel() for a in shading))
         theta_i, phi_i, theta_m, phi_m = self._directions(flat)
         azimuth = phi_m if self.mirrored else phi_m - phi_i
-        place = (azimuth + np.pi) / (2 * np.pi)
-        u, v = jnp.sqrt(theta_m / _HALF_PI), place - jnp.floor(place)
+        position = (azimuth + np.pi) / (2 * np.pi)
+        u, v = jnp.sqrt(theta_m / _HALF_PI), position - jnp.floor(position)
         light = blend((self.azimuths, self.angles), phi_i, theta_i)
         outgoing = bilinear(self.values, light, *self.warp.flatten(light, u, v))
         if self.jacobian:

@@ -26,26 +26,26 @@ class AndersonMixing:
     """
 
     def __init__(self) -> None:
-        self._places: list[np.ndarray] = []
+        self._positions: list[np.ndarray] = []
         self._steps: list[np.ndarray] = []
 
-    def step(self, place: np.ndarray, step: np.ndarray, metric: np.ndarray) -> np.ndarray:
+    def step(self, position: np.ndarray, step: np.ndarray, metric: np.ndarray) -> np.ndarray:
         """Compute the accelerated step.
 
         Args:
-            place: current position of the iteration, (n,).
+            position: current position of the iteration, (n,).
             step: step of the iteration at this position, (n,).
             metric: matrix of the scalar product of steps, (n, n).
         """
-        self._places, self._steps = [*self._places[-_DEPTH:], place], [*self._steps[-_DEPTH:], step]
+        self._positions, self._steps = [*self._positions[-_DEPTH:], position], [*self._steps[-_DEPTH:], step]
         if len(self._steps) == 1:
             return step
-        places, steps = np.diff(self._places, axis=0).T, np.diff(self._steps, axis=0).T
+        positions, steps = np.diff(self._positions, axis=0).T, np.diff(self._steps, axis=0).T
         power = steps.T @ metric @ steps
         power += _FLOOR * np.trace(power) / len(power) * np.eye(len(power))
         share = np.linalg.lstsq(power, steps.T @ metric @ step, rcond=None)[0]
-        return step - (places + steps) @ share
+        return step - (positions + steps) @ share
 
     def forget(self) -> None:
         """Discard earlier steps, before steps of another kind."""
-        self._places, self._steps = [], []
+        self._positions, self._steps = [], []

@@ -30,16 +30,16 @@ def nodes_in_panels(cuts: AnyValues, order: int) -> tuple[AnyValues, AnyValues]:
     return nodes.reshape(*nodes.shape[:-2], -1), weights.reshape(*nodes.shape[:-2], -1)
 
 
-def between_entries(table: jax.Array, place: jax.Array) -> jax.Array:
+def between_entries(table: jax.Array, position: jax.Array) -> jax.Array:
     """Interpolate at positions among the entries of a table, counted from 0, by Lagrange's cubic through four neighbours."""
-    first, shares = four_about(place, table.size)
+    first, shares = four_about(position, table.size)
     return sum((xp.take(table, first + k, mode="clip") * share for k, share in enumerate(shares)), xp.zeros(()))
 
 
-def four_about(place: jax.Array, entries: int) -> tuple[jax.Array, list[jax.Array]]:
+def four_about(position: jax.Array, entries: int) -> tuple[jax.Array, list[jax.Array]]:
     """Compute the first of the four entries about each position, and the weights of the four entries."""
-    left = constant(xp.clip(xp.floor(place), 1, entries - 3))
-    return left.astype(int) - 1, lagrange_basis(np.arange(-1.0, 3.0), place - left)
+    left = constant(xp.clip(xp.floor(position), 1, entries - 3))
+    return left.astype(int) - 1, lagrange_basis(np.arange(-1.0, 3.0), position - left)
 
 
 def lagrange_basis(points: Any, at: Any) -> list[Any]:
@@ -57,14 +57,14 @@ def lagrange_basis(points: Any, at: Any) -> list[Any]:
     return [below * above / row.prod() for below, above, row in zip(left, right[::-1], differences, strict=True)]
 
 
-def cubic_basis(place: jax.Array, count: int) -> jax.Array:
-    """Evaluate `count` cubic B-splines at `place` in [0, count - 1], on a leading axis.
+def cubic_basis(position: jax.Array, count: int) -> jax.Array:
+    """Evaluate `count` cubic B-splines at `position` in [0, count - 1], on a leading axis.
 
     They are local, smooth to the second derivative, and add up to 1. They are mirrored at 0 and constant at the end.
     """
     # one operation for all: a program with separate ones takes three times as long to compile and to load
-    knots = np.arange(-1.0, count + 1).reshape(-1, *[1] * place.ndim)
-    return _mirrored(_cubic(place - knots))
+    knots = np.arange(-1.0, count + 1).reshape(-1, *[1] * position.ndim)
+    return _mirrored(_cubic(position - knots))
 
 
 def _mirrored(splines: jax.Array) -> jax.Array:
@@ -76,24 +76,26 @@ def _mirrored(splines: jax.Array) -> jax.Array:
     )
 
 
-def cubic_spline(coefficients: jax.Array, place: jax.Array) -> jax.Array:
+def cubic_spline(coefficients: jax.Array, position: jax.Array) -> jax.Array:
     """Evaluate sum_k coefficient_k B_k of the splines of `cubic_basis`, of which four are non-zero at each position."""
     ends = coefficients[-1:]
     beyond = xp.concatenate([coefficients[1:2], coefficients, ends, ends])
-    left = constant(xp.clip(xp.floor(place), 0, coefficients.size - 2))
-    first, right = left.astype(int), place - left
+    left = constant(xp.clip(xp.floor(position), 0, coefficients.size - 2))
+    first, right = left.astype(int), position - left
     return sum(
-        (xp.take(beyond, first + k, mode="clip") * _cubic(right + 1 - k) for k in range(4)), xp.zeros_like(place)
+        (xp.take(beyond, first + k, mode="clip") * _cubic(right + 1 - k) for k in range(4)), xp.zeros_like(position)
     )
 
 
-def cubic_sums(place: jax.Array, weights: jax.Array, count: int, axes: int = 1) -> jax.Array:
-    """Compute sum weights B_k(place) over the last `axes` axes, for each spline of `cubic_basis`, on a leading axis."""
+def cubic_sums(position: jax.Array, weights: jax.Array, count: int, axes: int = 1) -> jax.Array:
+    """Compute sum weights B_k(position) over the last `axes` axes, for each spline of `cubic_basis`, on a leading axis."""
     over = tuple(range(-axes, 0))
     # one sum after the other, because all splines at all positions would not fit into the cache
     from matcam.core.jax import jax
 
-    return _mirrored(jax.lax.map(lambda knot: xp.sum(_cubic(place - knot) * weights, over), np.arange(-1.0, count + 1)))
+    return _mirrored(
+        jax.lax.map(lambda knot: xp.sum(_cubic(position - knot) * weights, over), np.arange(-1.0, count + 1))
+    )
 
 
 def combined(coefficients: jax.Array, basis: jax.Array) -> jax.Array:

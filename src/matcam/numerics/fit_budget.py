@@ -29,13 +29,13 @@ class StatedParameter(NamedTuple):
     """Specified value of one parameter of a fit.
 
     Attributes:
-        place: index of the parameter.
+        position: index of the parameter.
         name: name of the parameter, with its unit.
         value: specified value, in its unit.
         slope: derivative of the value with respect to the coordinate of the fit, in its unit.
     """
 
-    place: int
+    position: int
     name: str
     value: float
     slope: float
@@ -68,9 +68,9 @@ class Statement(NamedTuple):
         if not self.stated:
             whole = math.sqrt(max(float(self.variance(slope, covariance)), 0.0))
             return [UncertaintySource(self.name, 0.0, whole, 1.0, "B")], np.eye(1)
-        places = [one.place for one in self.stated]
-        prior = scaled_inverse(self.information[np.ix_(places, places)])
-        moved = (self.information @ (covariance @ slope))[places]
+        positions = [one.position for one in self.stated]
+        prior = scaled_inverse(self.information[np.ix_(positions, positions)])
+        moved = (self.information @ (covariance @ slope))[positions]
         std = np.sqrt(np.diag(prior))
         found = [
             UncertaintySource(one.name, one.value, abs(one.slope) * own, float(by / one.slope), "B")
@@ -156,12 +156,12 @@ def statement_parts(
         own = one.variance(slopes, covariance)
         if len(one.stated) == 1:
             (stated,) = one.stated
-            std = abs(stated.slope) / math.sqrt(one.information[stated.place, stated.place])
+            std = abs(stated.slope) / math.sqrt(one.information[stated.position, stated.position])
             parts.append(VariancePart(stated.name, "B", own, stated.value, std))
         else:
             parts.append(VariancePart(one.name, "B", own))
-    rest = np.maximum(variance - sum((part.variance for part in parts), np.zeros_like(variance)), 0.0)
-    return (VariancePart(readings.name, readings.kind, rest, degrees=readings.degrees), *parts)
+    remainder = np.maximum(variance - sum((part.variance for part in parts), np.zeros_like(variance)), 0.0)
+    return (VariancePart(readings.name, readings.kind, remainder, degrees=readings.degrees), *parts)
 
 
 def parts_budget(name: str, value: float, parts: Sequence[VariancePart], at: Any = ()) -> UncertaintyBudget:
@@ -215,23 +215,23 @@ def stated_parameters(
         stated: the parameters. Parameters without prior knowledge are left out.
         least: information below which a parameter is unknown. Default: 0.
     """
-    known = [one for one in stated if information[one.place, one.place] > least]
+    known = [one for one in stated if information[one.position, one.position] > least]
     if not known:
         return []
-    places = [one.place for one in known]
+    positions = [one.position for one in known]
     _, group = connected_components(
-        np.abs(information[np.ix_(places, places)]) > _UNCORRELATED * _scale(information, places)
+        np.abs(information[np.ix_(positions, positions)]) > _UNCORRELATED * _scale(information, positions)
     )
     found = []
     for index in range(max(group) + 1):
         inside = [one for one, own in zip(known, group, strict=True) if own == index]
-        own = [one.place for one in inside]
+        own = [one.position for one in inside]
         part = np.zeros_like(information)
         part[np.ix_(own, own)] = information[np.ix_(own, own)]
         found.append(Statement(name if len(inside) > 1 else inside[0].name, part, tuple(inside)))
     return found
 
 
-def _scale(information: np.ndarray, places: list[int]) -> np.ndarray:
-    root = np.sqrt(np.diag(information)[places])
+def _scale(information: np.ndarray, positions: list[int]) -> np.ndarray:
+    root = np.sqrt(np.diag(information)[positions])
     return np.outer(root, root)

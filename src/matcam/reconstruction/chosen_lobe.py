@@ -22,7 +22,7 @@ from matcam.reconstruction.contradiction import contradiction, with_wider
 from matcam.reconstruction.joint.joint_fit import Likelihood
 from matcam.reconstruction.joint.unexplained import UnexplainedLight, unexplained_in
 from matcam.reconstruction.picture_model import SCENE
-from matcam.reconstruction.sphere_fit import SphereFit, counted_alike, fit_sphere
+from matcam.reconstruction.sphere_fit import SphereFit, fit_sphere, with_correlated_residuals
 from matcam.reconstruction.sphere_scene import SphereScene, part_of
 
 _SPLINE = 1.0
@@ -219,7 +219,7 @@ def chosen_fit(
                 gains[k] = np.hypot(gains[k], share)
             wider = replace(scene, gain_std=gains)
             best = fitted(first, wider, start=best, spline=_SPLINE if best.kind.spline_size else 0.0, rounds=1)
-        best = _with_its_lens_open(counted_alike(best))
+        best = _with_its_lens_open(with_correlated_residuals(best))
         remarks.extend(_odd_remark(best, k, share) for k, share in odd.items())
         return best
 
@@ -227,7 +227,7 @@ def chosen_fit(
         return ChosenFit(final(best), few.tried, tuple(remarks), few.widened)
     hopeless = False
     for _ in range(_TURNS):
-        found = contradiction(counted_alike(best), scene)
+        found = contradiction(with_correlated_residuals(best), scene)
         if found is None:
             break
         source, factor, remark = found
@@ -236,7 +236,7 @@ def chosen_fit(
             spline = _SPLINE if best.kind.spline_size else 0.0
             other = fitted(first, scene, start=best, spline=spline, shaped=True)
             tried[f"{first}, diffuse part shaped"] = other.solution.unexplained
-            if contradiction(counted_alike(other), scene) is None:
+            if contradiction(with_correlated_residuals(other), scene) is None:
                 best, shaped = other, True
                 break
         widened[source] = widened.get(source, 1.0) * factor

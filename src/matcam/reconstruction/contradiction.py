@@ -67,8 +67,8 @@ class _Blame(NamedTuple):
             return True
         judge, p = Likelihood(fit.solution.left), fit.solution.p
         problem = self.freed
-        ways = [np.clip(p + share * self.step, problem.low, problem.high) for share in (1.0, 0.3, 0.1)]
-        return fit.solution.cost - min(cost_at(problem, judge, one) for one in ways) > _MUCH
+        points = [np.clip(p + share * self.step, problem.low, problem.high) for share in (1.0, 0.3, 0.1)]
+        return fit.solution.cost - min(cost_at(problem, judge, one) for one in points) > _MUCH
 
 
 def contradiction(fit: SphereFit, scene: SphereScene) -> tuple[str, float, Remark] | None:

@@ -212,19 +212,19 @@ def inseparable(fit: SphereFit) -> tuple[Inseparable, ...]:
         information = solution.problem.information_of(source)
         if not information.any():
             continue
-        place = names.index(name)
+        position = names.index(name)
         after = shared.covariance(solution.covariance_without((1 - _KEPT) * information))
-        grown = after[place, place] / max(before[place], 1e-300)
+        grown = after[position, position] / max(before[position], 1e-300)
         if not np.isfinite(grown) or grown < _WEAK**2:
             continue
         std = np.sqrt(np.maximum(np.diag(after), 1e-300))
-        correlation = after[place] / (std[place] * std)
+        correlation = after[position] / (std[position] * std)
         # a correlation with an undetermined parameter is not counted
         said = {one for pair in found for one in pair.names}
         apart = [
             Inseparable((name, names[other]), float(np.clip(value, -1, 1)))
             for other, value in enumerate(correlation.tolist())
-            if other != place and abs(value) > _APART and before[other] > 0 and names[other] not in said
+            if other != position and abs(value) > _APART and before[other] > 0 and names[other] not in said
         ]
         # a nearly free parameter is correlated with all others
         found += sorted(apart, key=lambda one: -abs(one.correlation))[:1]
@@ -266,10 +266,10 @@ def parameter_readings(
     for index, (channel, curve) in enumerate(zip(fit.channels, curves, strict=True)):
         for name, (value, row) in curve.parameters().items():
             found[f"{name}_{channel}"] = _of_curve(fit, curve, index, value, row)
-        place = layout.diffuse.start + index
-        if not fit.solution.problem.fixed[place]:
+        position = layout.diffuse.start + index
+        if not fit.solution.problem.fixed[position]:
             unit = units[index].value
-            found[f"diffuse_{channel}"] = FitReading(float(p[place]) / unit, unity[place] / unit)
+            found[f"diffuse_{channel}"] = FitReading(float(p[position]) / unit, unity[position] / unit)
     return found
 
 
@@ -307,12 +307,12 @@ def length_readings(fit: SphereFit) -> dict[str, FitReading]:
     """
     scene, unity = fit.layout.scene, np.eye(fit.layout.size)
     p = fit.solution.p[scene]
-    place = {name: scene.start + index for index, name in enumerate(SCENE)}
-    found = {"outline_radius_px": FitReading(float(p[SCENE.index("radius")]), unity[place["radius"]])}
+    position = {name: scene.start + index for index, name in enumerate(SCENE)}
+    found = {"outline_radius_px": FitReading(float(p[SCENE.index("radius")]), unity[position["radius"]])}
     for name in ("camera", "lamp"):
         nearness = float(p[SCENE.index(name)])
         if nearness > 0:
-            found[f"{name}_distance_radii"] = FitReading(1 / nearness, -unity[place[name]] / nearness**2)
+            found[f"{name}_distance_radii"] = FitReading(1 / nearness, -unity[position[name]] / nearness**2)
     return found
 
 

@@ -37,7 +37,7 @@ class ObservedPixels(NamedTuple):
         channel: index of the colour of each pixel.
         used: True for pixels that have a value and are fitted.
         seen: columns and rows of the scattered pixels in the frame, px, (2, SCATTERED).
-        places: columns and rows of all pixels in the frame, px, (2, WINDOW^2 + SCATTERED).
+        positions: columns and rows of all pixels in the frame, px, (2, WINDOW^2 + SCATTERED).
     """
 
     window: Any
@@ -49,10 +49,10 @@ class ObservedPixels(NamedTuple):
     channel: np.ndarray
     used: np.ndarray
     seen: np.ndarray
-    places: np.ndarray
+    positions: np.ndarray
 
 
-class HighlightPlace(NamedTuple):
+class HighlightPosition(NamedTuple):
     """Position of a highlight and its sphere in the frame, without the distortion of the lens.
 
     Attributes:
@@ -72,7 +72,7 @@ class HighlightPlace(NamedTuple):
 
 def chosen_pixels(
     picture: MergedPicture,
-    place: HighlightPlace,
+    position: HighlightPosition,
     *,
     scale: float,
     plateau: float,
@@ -84,7 +84,7 @@ def chosen_pixels(
 
     Args:
         picture: values of the image and their noise.
-        place: positions of sphere and highlight.
+        position: positions of sphere and highlight.
         scale: angle on which the lobe changes at its peak, rad.
         plateau: half the lamp's angular radius, rad.
         seed: seed of the draw of the scattered pixels.
@@ -92,9 +92,9 @@ def chosen_pixels(
         field: distortion and blur of the lens over the field. Default: None, uniform.
     """
     window = window_about(
-        (place.column, place.row),
-        place.radius,
-        place.highlight,
+        (position.column, position.row),
+        position.radius,
+        position.highlight,
         scale=scale,
         plateau=plateau,
         keep=None if keep is None else keep.window,
@@ -105,29 +105,29 @@ def chosen_pixels(
         and np.array_equal(keep.window.pixel_u, window.pixel_u)
         and np.array_equal(keep.window.pixel_v, window.pixel_v)
     ):
-        far = keep.seen if field is None else np.array(field.true_place(*keep.seen))
+        far = keep.seen if field is None else np.array(field.true_position(*keep.seen))
         return keep._replace(window=window, column=far[0], row=far[1])
     first, second = np.meshgrid(window.pixel_u, window.pixel_v)
     near_column, near_row = (second, first) if window.turned else (first, second)
-    far_column, far_row = _scattered(picture, place, (near_column, near_row), seed, field)
+    far_column, far_row = _scattered(picture, position, (near_column, near_row), seed, field)
     column = np.concatenate([near_column.ravel(), far_column])
     row = np.concatenate([near_row.ravel(), far_row])
-    places = np.stack([column, row])
+    positions = np.stack([column, row])
     at_row, at_column = row.astype(int) - picture.origin[0], column.astype(int) - picture.origin[1]
     height, width = picture.values.shape
     inside = (at_row >= 0) & (at_row < height) & (at_column >= 0) & (at_column < width)
     at_row, at_column = np.where(inside, at_row, 0), np.where(inside, at_column, 0)
     values, std = picture.values[at_row, at_column], picture.std[at_row, at_column]
     if field is not None:
-        column, row = field.true_place(column, row)
-    away = np.hypot(column - place.column, row - place.row)
-    used = inside & np.isfinite(values) & (std > 0) & (away < place.radius + _OUTSIDE)
+        column, row = field.true_position(column, row)
+    away = np.hypot(column - position.column, row - position.row)
+    used = inside & np.isfinite(values) & (std > 0) & (away < position.radius + _OUTSIDE)
     # the limb, with dirt and supports, is read only near the highlight
     peak_column, peak_row = (
-        place.column + place.radius * place.highlight[0],
-        place.row - place.radius * place.highlight[1],
+        position.column + position.radius * position.highlight[0],
+        position.row - position.radius * position.highlight[1],
     )
-    used &= (away < place.radius - _LIMB) | (np.hypot(column - peak_column, row - peak_row) < _BESIDE)
+    used &= (away < position.radius - _LIMB) | (np.hypot(column - peak_column, row - peak_row) < _BESIDE)
     return ObservedPixels(
         window=window,
         column=column[near_row.size :],
@@ -138,13 +138,13 @@ def chosen_pixels(
         channel=picture.channel[at_row, at_column].astype(int),
         used=used,
         seen=np.array([far_column, far_row]),
-        places=places,
+        positions=positions,
     )
 
 
 def _scattered(
     picture: MergedPicture,
-    place: HighlightPlace,
+    position: HighlightPosition,
     near: tuple[np.ndarray, np.ndarray],
     seed: int,
     field: LensField | None = None,
@@ -153,16 +153,16 @@ def _scattered(
     height, width = picture.values.shape
     row, column = np.mgrid[0:height, 0:width]
     row, column = row.ravel() + picture.origin[0], column.ravel() + picture.origin[1]
-    true_column, true_row = (column, row) if field is None else field.true_place(column, row)
-    p_x, p_y = (true_column - place.column) / place.radius, (place.row - true_row) / place.radius
+    true_column, true_row = (column, row) if field is None else field.true_position(column, row)
+    p_x, p_y = (true_column - position.column) / position.radius, (position.row - true_row) / position.radius
     depth2 = 1 - p_x**2 - p_y**2
     out = (np.abs(column - near[0].mean()) > WINDOW // 2) | (np.abs(row - near[1].mean()) > WINDOW // 2)
-    keep = (np.hypot(p_x, p_y) < 1 - _LIMB / place.radius) & out
+    keep = (np.hypot(p_x, p_y) < 1 - _LIMB / position.radius) & out
     depth = np.sqrt(np.where(keep, depth2, 1.0))
-    keep &= p_x * place.lamp[0] + p_y * place.lamp[1] + depth * place.lamp[2] > _LIT
+    keep &= p_x * position.lamp[0] + p_y * position.lamp[1] + depth * position.lamp[2] > _LIT
     index = np.flatnonzero(keep)
     random = np.random.default_rng(seed)
-    half = place.lamp + np.array([0.0, 0.0, 1.0])
+    half = position.lamp + np.array([0.0, 0.0, 1.0])
     half /= max(np.linalg.norm(half), 1e-12)
     normal = np.stack([p_x[index], p_y[index], depth[index]])
     chord = np.linalg.norm(normal - half[:, None], axis=0)

@@ -107,14 +107,14 @@ class PictureModel(eqx.Module):
     Attributes:
         kind: family, masking and splines of the lobe.
         blur: kernel of the camera, with a lens that is a sum of Gaussians.
-        places: positions on the source disc as turns of the lamp, rad, (points, 2).
+        positions: positions on the source disc as turns of the lamp, rad, (points, 2).
         weights: weights of these positions, (points,); their sum is 1.
         shape: number of terms of the diffuse part beside Lambert's. Default: 0.
     """
 
     kind: LobeKind = eqx.field(static=True)
     blur: Blur
-    places: np.ndarray
+    positions: np.ndarray
     weights: np.ndarray
     shape: int = eqx.field(static=True, default=0)
 
@@ -279,20 +279,20 @@ class PictureModel(eqx.Module):
         normal = normal_at(p_x, p_y, depth, camera)
 
         def under(point: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
-            place, weight = point
-            x, y, z = turned_lamp(frame, a + place[0], b + place[1])
+            position, weight = point
+            x, y, z = turned_lamp(frame, a + position[0], b + position[1])
             shaded = sphere_shading(normal, (x, y, z), camera, lamp)
             lobe, lambert = radiance(ndf, self.kind.masking, terms, *shaded, light.table)
             return weight * lobe, weight * lambert
 
         if len(self.weights) == 1:
-            return under((self.places[0], self.weights[0]))
+            return under((self.positions[0], self.weights[0]))
 
         def add(total: Any, point: Any) -> tuple[Any, None]:
             return jax.tree.map(jnp.add, total, under(point)), None
 
         start = (jnp.zeros_like(p_x * depth), jnp.zeros_like(p_x * depth))
-        return jax.lax.scan(add, start, (jnp.asarray(self.places), jnp.asarray(self.weights)))[0]
+        return jax.lax.scan(add, start, (jnp.asarray(self.positions), jnp.asarray(self.weights)))[0]
 
     def _in_order(self, light: ShownSlopes, kernel: jax.Array) -> jax.Array:
         """Order derivatives as the parameters of an image: lobe, scene, diffuse part, own."""

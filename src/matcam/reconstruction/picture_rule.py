@@ -63,7 +63,7 @@ class Window(NamedTuple):
 def window_about(
     centre: tuple[float, float],
     radius: float,
-    place: tuple[float, float],
+    position: tuple[float, float],
     *,
     scale: float,
     plateau: float = 0.0,
@@ -75,7 +75,7 @@ def window_about(
     Args:
         centre: column and row of the outline's centre, px.
         radius: radius of the outline, px.
-        place: p_x and p_y of the highlight on the disc of the outline.
+        position: p_x and p_y of the highlight on the disc of the outline.
         scale: angle on which the lobe changes at its peak, rad.
         plateau: angle about the peak within which it may lie, rad: half a lamp's radius. Default: 0.
         keep: earlier window, whose pixels are kept if the highlight has moved by at most a pixel. Default: None.
@@ -84,7 +84,7 @@ def window_about(
     Returns:
         Window with nodes and pixels.
     """
-    p_x, p_y = place
+    p_x, p_y = position
     turned = abs(p_y) > abs(p_x)
     along, across = (p_y, p_x) if turned else (p_x, p_y)
     column, row = centre[0] + radius * p_x, centre[1] - radius * p_y
@@ -185,17 +185,17 @@ def lamp_disc(points: int) -> tuple[np.ndarray, np.ndarray]:
         return np.zeros((1, 2)), np.ones(1)
     rings = int(np.ceil((np.sqrt(1 + 4 * (points - 1) / 3) - 1) / 2))
     x, w = np.polynomial.legendre.leggauss(rings)
-    places, weights = [], []
+    positions, weights = [], []
     for ring in range(rings):
         count = 6 * (ring + 1)
         angle = 2 * np.pi * (np.arange(count) + 0.5 * (ring % 2)) / count
         radius = np.sqrt((1 + x[ring]) / 2)  # Gauss rule in the square of the radius, for equal areas
-        places.append(radius * np.column_stack([np.cos(angle), np.sin(angle)]))
+        positions.append(radius * np.column_stack([np.cos(angle), np.sin(angle)]))
         weights.append(np.full(count, w[ring] / 2 / count))
-    return np.concatenate(places), np.concatenate(weights)
+    return np.concatenate(positions), np.concatenate(weights)
 
 
-class LampPlaces(NamedTuple):
+class LampPositions(NamedTuple):
     """Positions on a source disc that represent it.
 
     Attributes:
@@ -209,7 +209,7 @@ class LampPlaces(NamedTuple):
     plateau: float
 
 
-def lamp_places(lamp_radius: float, width: float) -> LampPlaces:
+def lamp_positions(lamp_radius: float, width: float) -> LampPositions:
     """Choose the positions on a source disc: its centre alone if the disc is much smaller than the lobe.
 
     Args:
@@ -217,5 +217,5 @@ def lamp_places(lamp_radius: float, width: float) -> LampPlaces:
         width: width of the lobe, rad.
     """
     radius = lamp_radius if lamp_radius / 2 > _NO_DISC * width else 0.0
-    places, weights = lamp_disc(_DISC_POINTS if radius else 1)
-    return LampPlaces(places * radius, weights, radius / 2)
+    positions, weights = lamp_disc(_DISC_POINTS if radius else 1)
+    return LampPositions(positions * radius, weights, radius / 2)

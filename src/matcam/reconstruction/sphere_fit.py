@@ -25,9 +25,9 @@ from matcam.reconstruction.joint.joint_fit import JointSolution, Likelihood, sol
 from matcam.reconstruction.joint.joint_problem import JointLayout, JointProblem
 from matcam.reconstruction.joint.rounds import Rounds
 from matcam.reconstruction.joint.unexplained import UnexplainedLight, unexplained_by, unexplained_share
-from matcam.reconstruction.observed_pixels import HighlightPlace, ObservedPixels, chosen_pixels
+from matcam.reconstruction.observed_pixels import HighlightPosition, ObservedPixels, chosen_pixels
 from matcam.reconstruction.picture_model import PictureModel, lamp_frame, turned_lamp
-from matcam.reconstruction.picture_rule import lamp_places
+from matcam.reconstruction.picture_rule import lamp_positions
 from matcam.reconstruction.rig.field_change import FieldChange, changed_field
 from matcam.reconstruction.sphere_scene import SphereScene, joint_problem, part_of
 from matcam.rigs import Rig
@@ -260,7 +260,7 @@ def fit_sphere(
     return found
 
 
-def counted_alike(fit: SphereFit) -> SphereFit:
+def with_correlated_residuals(fit: SphereFit) -> SphereFit:
     """Refine a fit with fully correlated pixels treated as one.
 
     A search must not start with these weights, because far from the optimum all residuals are correlated and the search
@@ -361,7 +361,7 @@ def sphere_problem(
     """Place the windows about the highlights at p, with the lamps of `known` as base, and build the prior of `scene`."""
     width = float(np.exp(p[0]))
     _, radius, camera, lamp = p[layout.scene]
-    lit = lamp_places(scene.lamp_radius if disc else 0.0, width)
+    lit = lamp_positions(scene.lamp_radius if disc else 0.0, width)
     blur = blur_of(Rig(scene.camera, Sphere(scene.radius)))
     model = PictureModel(kind, blur, lit.turns, lit.weights, layout.shape)
     frames = [lamp_frame(one / np.linalg.norm(one)) for one in known.lamps]
@@ -371,12 +371,12 @@ def sphere_problem(
     for k, picture in enumerate(pictures):
         column, row = p[layout.own(k)][:2]
         distance, far = (1 / max(nearness, 1e-12) for nearness in (camera, lamp))
-        at_row, at_column = MirrorBall(row, column, radius, distance).mirror_place(frames[k].base, far)
+        at_row, at_column = MirrorBall(row, column, radius, distance).mirror_position(frames[k].base, far)
         highlight = float((at_column - column) / radius), float((row - at_row) / radius)
-        place = HighlightPlace(column, row, radius, frames[k].base, highlight)
+        position = HighlightPosition(column, row, radius, frames[k].base, highlight)
         last = None if keep is None else keep[k]
         pixels.append(
-            chosen_pixels(picture, place, scale=width / 3, plateau=lit.plateau, seed=k, keep=last, field=field)
+            chosen_pixels(picture, position, scale=width / 3, plateau=lit.plateau, seed=k, keep=last, field=field)
         )
         if scene.field is not None:
             at = float(column + radius * highlight[0]), float(row - radius * highlight[1])
@@ -407,7 +407,7 @@ def _lamps_again(fit: SphereFit, pictures: Sequence[MergedPicture]) -> np.ndarra
         picture = pictures[k]
         rows, columns = np.indices(picture.values.shape) + np.array(picture.origin)[:, None, None]
         if fit.scene.camera.field is not None:
-            columns, rows = fit.scene.camera.field.true_place(columns, rows)
+            columns, rows = fit.scene.camera.field.true_position(columns, rows)
         away = np.hypot(rows - row, columns - column)
         light = np.where(np.isfinite(picture.values) & (away < radius - 0.5), picture.values, -np.inf)
         at = np.unravel_index(int(np.argmax(light)), light.shape)

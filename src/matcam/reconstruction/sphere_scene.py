@@ -131,10 +131,10 @@ def prior_of(
     lens = layout.lobe + SCENE.index("lens")
     if scene.rig is not None:
         in_rig = scene.rig.knows
-        places = [lens, *(layout.lobe + SCENE.index(name) for name in ("camera", "lamp"))]
-        places += [layout.field.start, layout.field.start + 1]
+        positions = [lens, *(layout.lobe + SCENE.index(name) for name in ("camera", "lamp"))]
+        positions += [layout.field.start, layout.field.start + 1]
         own_lamps = [layout.own(i).start + 2 for i in range(layout.pictures)]
-        for row, value in zip(*scene.rig.prior(layout.size, places, own_lamps, frames), strict=True):
+        for row, value in zip(*scene.rig.prior(layout.size, positions, own_lamps, frames), strict=True):
             add("rig", row, float(value))
     if scene.lens_std > 0 and not in_rig[0]:
         unit("lens", layout.lobe, scene.lens_std, 0.0)
@@ -159,8 +159,8 @@ def prior_of(
     covariance[-1, -1] = common[2, 2]
     covariance[np.arange(2 * k), np.arange(2 * k)] += max(scene.shift_std, 1e-4) ** 2
     root = np.linalg.inv(np.linalg.cholesky(covariance))
-    places = [layout.own(i).start for i in range(k)] + [layout.own(i).start + 1 for i in range(k)]
-    places.append(layout.lobe + SCENE.index("radius"))
+    positions = [layout.own(i).start for i in range(k)] + [layout.own(i).start + 1 for i in range(k)]
+    positions.append(layout.lobe + SCENE.index("radius"))
     expected = np.concatenate([scene.centres[:, 0], scene.centres[:, 1], [scene.radius]])
     moved = np.zeros(2 * k + 1)
     if field is not None:
@@ -171,7 +171,7 @@ def prior_of(
                 unit(FIELD[index], layout.field.start + index, one.std, 0.0)
     for line in root:
         row = np.zeros(layout.size)
-        row[places] = line
+        row[positions] = line
         row[layout.field.start] = line @ moved
         add("outline", row, float(line @ expected))
     stds = np.broadcast_to(np.asarray(scene.lamp_std, dtype=float), k)
@@ -242,8 +242,8 @@ def joint_problem(
     for index in range(len(FIELD)):
         fixed[layout.field.start + index] = known_field is None or (known_field.k1, known_field.growth)[index].std == 0
     rows, values, sources = prior_of(layout, scene, frames, spline, len(kind.family_names))
-    for place in (layout.lobe, layout.sample_radius):  # an exact lens, or a radius without distances relative to it
-        fixed[place] |= not rows[:, place].any()
+    for position in (layout.lobe, layout.sample_radius):  # an exact lens, or a radius without distances relative to it
+        fixed[position] |= not rows[:, position].any()
     for k, one in enumerate(pixels):  # a colour without pixels in an image
         for c in range(layout.channels):
             if not (one.used & (one.channel == c)).any():

@@ -14,7 +14,7 @@ from matcam.numerics.elementary import plane_length, sine
 from matcam.sample.shape import (
     Curved,
     Element,
-    Place,
+    Position,
     checked_distance,
     depth_of,
     is_infinite,
@@ -119,9 +119,9 @@ class Sphere(Curved):
         n_x, n_y, n_z = element.normal
         return xp.arctan2(n_x, n_z), xp.arcsin(xp.clip(n_y, -1, 1))
 
-    def place(
+    def position(
         self, theta_h: AnyArray, theta_d: AnyArray, phi_d: AnyArray, lamp_nearness: ArrayLike | None = None
-    ) -> Place:
+    ) -> Position:
         """Compute the position and the lamp for half and difference angles.
 
         The half vector lies at azimuth psi = pi - phi_d on the normal's sphere, as seen from it (docs/model.md 3); for
@@ -159,7 +159,7 @@ class Sphere(Curved):
             ]
         )
         scale = self.stretch / (1 - q * xp.sum(normal * axis, axis=0))
-        return Place(
+        return Position(
             x=scale * xp.sum(normal * x_axis, axis=0),
             y=scale * xp.sum(normal * y_axis, axis=0),
             lamp_angle=xp.arctan2(xp.sum(light * x_axis, axis=0), xp.sum(light * axis, axis=0)),
@@ -233,9 +233,9 @@ class Cylinder(Curved):
         """Return the position along the axis, in radii."""
         return element.y / self.stretch * (1 - self.nearness * element.normal[2])
 
-    def place(
+    def position(
         self, theta_h: AnyArray, theta_d: AnyArray, phi_d: AnyArray, lamp_nearness: ArrayLike | None = None
-    ) -> Place:
+    ) -> Position:
         """Compute the position and the lamp for half and difference angles.
 
         At v = 0 only normals in the plane of camera and lamp are visible: the position is NaN unless phi_d is 0 or pi.
@@ -248,7 +248,7 @@ class Cylinder(Curved):
         x = xp.where(in_plane, self.surface(u, xp.zeros(())).x, xp.nan)
         aside = theta_d - side * theta_h
         seen = aside if lamp_nearness is None else aside - xp.arcsin(lamp_nearness * xp.sin(aside))
-        return Place(x=x, y=xp.zeros_like(x), lamp_angle=u + seen)
+        return Position(x=x, y=xp.zeros_like(x), lamp_angle=u + seen)
 
     def section(self, v: jax.Array) -> jax.Array:
         """Return 1, because the section is constant."""

@@ -48,7 +48,7 @@ class Element(NamedTuple):
     area: jax.Array
 
 
-class Place(NamedTuple):
+class Position(NamedTuple):
     """Image position of a pair of half and difference angles, with its lamp.
 
     Attributes:
@@ -173,9 +173,9 @@ class Curved(Sample):
         """
 
     @abstractmethod
-    def place(
+    def position(
         self, theta_h: AnyArray, theta_d: AnyArray, phi_d: AnyArray, lamp_nearness: ArrayLike | None = None
-    ) -> Place:
+    ) -> Position:
         """Compute the position and the lamp for half and difference angles.
 
         They are meaningless below the horizon.

@@ -64,4 +64,4 @@ def _half_angles(capture: Capture, tilts: np.ndarray) -> list[Remark]:
     if np.ptp(angle) >= _SPREAD:
         return []
     text = f"all images have half angles from {angle.min():.0f} to {angle.max():.0f} degrees: tilt the sample, or move the "
-    return [Remark("half-angles-alike", f"{text}lamp, until they span {_SPREAD:.0f} degrees or more")]
+    return [Remark("half-angles-similar", f"{text}lamp, until they span {_SPREAD:.0f} degrees or more")]

@@ -85,7 +85,7 @@ def quick_highlights(
         frames = sorted(
             capture.of("frames", lamp=lamp), key=lambda f: order.index(f.exposure) if f.exposure in order else 99
         )
-        place = None
+        position = None
         for frame in frames:
             try:
                 codes = _codes(capture, reader, frame)
@@ -97,11 +97,11 @@ def quick_highlights(
                     tops.append(_top_codes(codes, frame, reader, radiometry))
             if kind == "flat":
                 break
-            place = _place(capture, reader, codes, radiometry, outline, camera)
-            if place is not None:
-                found.seen[lamp] = place
+            position = _position(capture, reader, codes, radiometry, outline, camera)
+            if position is not None:
+                found.seen[lamp] = position
                 break
-        if place is None and frames and kind != "flat":
+        if position is None and frames and kind != "flat":
             text = (
                 f"{capture.folder / frames[-1].file}: lamp {lamp} shows no highlight; check the lamp and the exposures"
             )
@@ -155,7 +155,7 @@ def _piled(tops: list[TopCodes], radiometry: Radiometry | None) -> dict[int, int
     return {} if pile is None else {k: int(tops[k].near) for k in pile.frames}
 
 
-def _place(
+def _position(
     capture: Capture,
     reader: MosaicReader,
     codes: np.ndarray,

@@ -70,22 +70,22 @@ def quick_outline(capture: Capture, black: float, sigma: float) -> tuple[QuickOu
             found.append(_missing_cylinder() if cylinder else _missing_sphere())
         return given, found
     reader = MosaicReader(capture)
-    places: list[tuple[CaptureFrame, QuickOutline]] = []
+    positions: list[tuple[CaptureFrame, QuickOutline]] = []
     for frame in frames:
-        place, said = _measured(capture, reader, frame, black, sigma)
+        position, said = _measured(capture, reader, frame, black, sigma)
         found += said
-        if place is not None:
-            places.append((frame, place))
+        if position is not None:
+            positions.append((frame, position))
     what = "cylinder" if cylinder else "sphere"
-    for frame, place in places[1:]:
-        first = places[0][1]
-        moved = float(np.hypot(place.column - first.column, 0.0 if cylinder else place.row - first.row))
-        if moved > _MOVED or abs(place.radius - first.radius) > _MOVED:
+    for frame, position in positions[1:]:
+        first = positions[0][1]
+        moved = float(np.hypot(position.column - first.column, 0.0 if cylinder else position.row - first.row))
+        if moved > _MOVED or abs(position.radius - first.radius) > _MOVED:
             path = capture.folder / frame.file
-            text = f"{path}: the {what} is {moved:.1f} px from its position in {places[0][0].file}"
+            text = f"{path}: the {what} is {moved:.1f} px from its position in {positions[0][0].file}"
             found.append(Remark(f"{what}-moved", text))
-    if places and (cylinder or given is None):
-        return places[0][1], found
+    if positions and (cylinder or given is None):
+        return positions[0][1], found
     return given, found
 
 

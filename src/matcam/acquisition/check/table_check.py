@@ -110,17 +110,17 @@ def _of_sphere(
     capture: Capture, names: list[str], directions: np.ndarray, seen: list[Seen], outline: QuickOutline | None
 ) -> TableCheck:
     rig = _rig(capture)
-    places = np.array([[one.column, one.row] for one in seen])
+    positions = np.array([[one.column, one.row] for one in seen])
 
     def expected(p: np.ndarray, flip: float = 1.0) -> np.ndarray:
         ball = MirrorBall(p[4], p[3], abs(p[5]), rig.camera)
         turned = Rotation.from_rotvec(p[:3]).apply(directions * [1.0, flip, 1.0])
-        row, column = ball.mirror_place(turned, rig.lamp)
+        row, column = ball.mirror_position(turned, rig.lamp)
         return np.column_stack([column, row])
 
-    middle = np.median(places, axis=0)
+    middle = np.median(positions, axis=0)
     if outline is None:
-        spread = max(float(np.ptp(places, axis=0).max()), 10.0)
+        spread = max(float(np.ptp(positions, axis=0).max()), 10.0)
         start, std = np.array([0, 0, 0, *middle, spread]), np.array([0, 0, np.inf, np.inf, np.inf, np.inf])
     else:
         start = np.array([0, 0, 0, outline.column, outline.row, outline.radius])
@@ -129,7 +129,7 @@ def _of_sphere(
     free = start.copy()
     loose = np.array([0, 0, 0, np.inf, np.inf, np.inf])
     errors = _errors(capture, seen, start[5])
-    right, flipped = (_fitted(partial(expected, flip=way), free, loose, places, errors) for way in (1.0, -1.0))
+    right, flipped = (_fitted(partial(expected, flip=way), free, loose, positions, errors) for way in (1.0, -1.0))
     spread = float(np.ptp(directions[:, 1]))
     apart, other = float(np.median(right.off)), float(np.median(flipped.off))
     if spread > 0.2 and other < 0.2 * apart and apart > 2:
@@ -137,14 +137,14 @@ def _of_sphere(
         return TableCheck(_sphere(right), np.zeros(3), np.full(3, math.nan), (Remark("table-flipped", text),))
     if outline is not None:
         ball = MirrorBall(outline.row, outline.column, outline.radius, rig.camera)
-        lamps = ball.lamp_seen_at(ball.normals(places[:, 1], places[:, 0]), rig.lamp)
+        lamps = ball.lamp_seen_at(ball.normals(positions[:, 1], positions[:, 0]), rig.lamp)
         good = np.isfinite(lamps).all(axis=1)
         if good.sum() >= _FEWEST:
             verdict = explain_lamp_table(lamps[good], directions[good])
             if verdict.mistake not in ("none", "unexplained"):
                 return TableCheck(_sphere(right), np.zeros(3), np.full(3, math.nan), verdict.remarks)
             start[:3] = Rotation.align_vectors(lamps[good], directions[good])[0].as_rotvec()
-    fit = _fitted(expected, start, std, places, errors)
+    fit = _fitted(expected, start, std, positions, errors)
     remarks = _turn_remarks(fit, std, "sphere's")
     if outline is not None:
         remarks += _radius_remarks(fit, outline, std[5])
@@ -162,8 +162,8 @@ def _of_cylinder(
 
     def expected(p: np.ndarray) -> np.ndarray:
         turned = Rotation.from_rotvec(p[:3]).apply(directions)
-        places = [cylinder_line(one, rig.camera, rig.lamp) for one in turned]
-        return (p[3] + p[5] * np.array(places))[:, None]
+        positions = [cylinder_line(one, rig.camera, rig.lamp) for one in turned]
+        return (p[3] + p[5] * np.array(positions))[:, None]
 
     start = np.array([0, 0, 0, outline.column, 0.0, outline.radius])
     radius_std = math.hypot(outline.std[2], outline.radius * rig.growth_std)
@@ -188,7 +188,7 @@ def _fitted(
     expected: Callable[[np.ndarray], np.ndarray],
     start: np.ndarray,
     std: np.ndarray,
-    places: np.ndarray,
+    positions: np.ndarray,
     errors: np.ndarray,
 ) -> _Fit:
     """Fit the parameters with a standard deviation above 0, robustly against single wrong lamps."""
@@ -202,14 +202,14 @@ def _fitted(
         return p
 
     def away(q: np.ndarray) -> np.ndarray:
-        return np.nan_to_num(expected(whole(q)) - places, nan=1e3)
+        return np.nan_to_num(expected(whole(q)) - positions, nan=1e3)
 
     def residual(q: np.ndarray) -> np.ndarray:
         p = whole(q)
         return np.append((away(q) / errors[:, None]).ravel(), (p[known] - center[known]) / std[known])
 
     found = least_squares(residual, start[free], loss="soft_l1", x_scale="jac")
-    off = np.hypot(*away(found.x).T) if places.shape[1] == 2 else np.abs(away(found.x)[:, 0])
+    off = np.hypot(*away(found.x).T) if positions.shape[1] == 2 else np.abs(away(found.x)[:, 0])
     scatter = 1.4826 * float(np.median(np.abs((away(found.x) / errors[:, None]).ravel())))
     covariance = np.zeros((start.size, start.size))
     covariance[np.ix_(free, free)] = np.linalg.pinv(found.jac.T @ found.jac) * max(1.0, scatter) ** 2

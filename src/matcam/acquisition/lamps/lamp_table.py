@@ -81,12 +81,12 @@ def radius_by_highlights(
         raise FitError(f"{len(rows)} highlights do not determine a radius; at least 4 are needed")
 
     def off(p: np.ndarray) -> np.ndarray:
-        row, column = MirrorBall(*p).mirror_place(lamps)
+        row, column = MirrorBall(*p).mirror_position(lamps)
         return np.nan_to_num(np.concatenate([row - rows, column - columns]), nan=1e3)
 
     found = least_squares(off, [ball.row, ball.column, ball.radius], loss="soft_l1", x_scale="jac")
-    rest = off(found.x)
-    variance = float(np.sum(rest**2)) / (2 * len(rows) - 3)
+    residual = off(found.x)
+    variance = float(np.sum(residual**2)) / (2 * len(rows) - 3)
     std = np.sqrt(np.diag(np.linalg.inv(found.jac.T @ found.jac)) * variance)
     by_outline = np.zeros(3) if ball_std is None else np.asarray(ball_std, float)
     ratio = float(found.x[2] / ball.radius)
@@ -122,7 +122,7 @@ def radius_by_highlights(
         column,
         radius,
         std,
-        float(np.sqrt(np.sum(rest**2) / len(rows))),
+        float(np.sqrt(np.sum(residual**2) / len(rows))),
         ratio - 1,
         ratio_std,
         inverse,

@@ -131,15 +131,15 @@ def smooth_field(total: np.ndarray, of: np.ndarray) -> tuple[np.ndarray, float]:
         of: pixels of the colour, same shape.
     """
     powers = [np.vander(np.linspace(-1, 1, size), 5, increasing=True) for size in total.shape]  # of row and column
-    places = np.argwhere(of)[:: max(1, int(of.sum()) // 20_000)]
+    positions = np.argwhere(of)[:: max(1, int(of.sum()) // 20_000)]
     pairs = [(i, j) for i in range(5) for j in range(5 - i)]
-    a = np.stack([powers[0][places[:, 0], i] * powers[1][places[:, 1], j] for i, j in pairs], axis=-1)
-    b = total[places[:, 0], places[:, 1]]
+    a = np.stack([powers[0][positions[:, 0], i] * powers[1][positions[:, 1], j] for i, j in pairs], axis=-1)
+    b = total[positions[:, 0], positions[:, 1]]
     usual = np.ones(len(b), bool)
     for _ in range(3):
         found = np.linalg.lstsq(a[usual], b[usual], rcond=None)[0]
-        rest = b - a @ found
-        usual = np.abs(rest) <= 5 * _ROBUST * np.median(np.abs(rest)) + 1e-12
+        residual = b - a @ found
+        usual = np.abs(residual) <= 5 * _ROBUST * np.median(np.abs(residual)) + 1e-12
     coefficients = np.zeros((5, 5))
     coefficients[tuple(np.transpose(pairs))] = found
     trend = np.maximum(powers[0] @ coefficients @ powers[1].T, 1e-9)
@@ -168,7 +168,7 @@ def _beside(
     reader: MosaicReader, capture: Capture, frame: CaptureFrame, darkness: dict[str, Darkness]
 ) -> np.ndarray | None:
     """Average the light of a flat frame at the position of the reference, by channel."""
-    region = capture.reference_place
+    region = capture.reference_position
     if region is None:
         return None
     codes = reader.read(frame, region)

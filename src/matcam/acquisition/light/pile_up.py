@@ -134,12 +134,12 @@ def find_pile_up(tops: Sequence[TopCodes], noise: float, gain: float) -> PileUp 
         # log10 of the probability of one more pixel within the width
         log_p = np.array([_log_share(top, width, noise, common) for top, width in zip(tops, widths, strict=True)])
         for level in np.unique(levels):
-            alike = (levels <= level) & (levels > level - (0.5 if exact else 1.0) * widths)
-            total = float(np.sum(counts[alike] * log_p[alike]) - log_p[alike].min())
+            merged = (levels <= level) & (levels > level - (0.5 if exact else 1.0) * widths)
+            total = float(np.sum(counts[merged] * log_p[merged]) - log_p[merged].min())
             if total < best:
-                frames = np.flatnonzero(alike).tolist()
-                apart = np.flatnonzero(((counts - 1) * log_p < _IMPROBABLE) & ~alike).tolist()
-                pixels, spread = int(counts[alike].sum()), 0.0 if exact else noise
+                frames = np.flatnonzero(merged).tolist()
+                apart = np.flatnonzero(((counts - 1) * log_p < _IMPROBABLE) & ~merged).tolist()
+                pixels, spread = int(counts[merged].sum()), 0.0 if exact else noise
                 at = float(np.median([tops[k].level if exact else tops[k].median for k in frames]))
                 std = math.hypot(1.25 * spread / math.sqrt(pixels), 0.29 * tops[frames[0]].unit)
                 best = total

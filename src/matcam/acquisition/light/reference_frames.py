@@ -80,7 +80,7 @@ def in_own_frames(
         darkness: dark signal of each exposure.
         threshold: code above which a pixel is clipped, DN.
     """
-    region, remarks = capture.reference_place, list[Remark]()
+    region, remarks = capture.reference_position, list[Remark]()
     if region is None:
         text = "reference.region_px is not specified: the images in reference/ were not read"
         return [_unseen(lamp, len(reader.channels)) for lamp in lamps], [Remark("no-reference", text)]

@@ -44,7 +44,7 @@ class ReferencePatch(NamedTuple):
     depth: Stated = _UNKNOWN_DEPTH
     tilt_std: float = float(np.radians(1.0))
 
-    def place(self, ball: MirrorBall, depth: float) -> np.ndarray:
+    def position(self, ball: MirrorBall, depth: float) -> np.ndarray:
         """Compute its position from the centre of the sphere, radii (3,): x right, y up, z to the camera."""
         column, row, width, height = self.region
         across = np.array([column + (width - 1) / 2 - ball.column, ball.row - row - (height - 1) / 2]) / ball.radius
@@ -70,7 +70,7 @@ class PatchLight(NamedTuple):
 
 
 def patch_geometry(
-    lamps: np.ndarray, nearness: float, place: np.ndarray, tilt: tuple[float, float] = (0.0, 0.0)
+    lamps: np.ndarray, nearness: float, position: np.ndarray, tilt: tuple[float, float] = (0.0, 0.0)
 ) -> tuple[np.ndarray, np.ndarray]:
     """Compute the relative irradiance on a patch, and the cosine of its incidence.
 
@@ -79,7 +79,7 @@ def patch_geometry(
     Args:
         lamps: unit vectors from the sphere's centre, (n, 3).
         nearness: inverse distance of the lamp, 1/radii; 0 for a distant lamp.
-        place: position of the patch, radii, (3,).
+        position: position of the patch, radii, (3,).
         tilt: x and y of its normal over z, no unit. Default: it faces the camera.
 
     Example:
@@ -87,7 +87,7 @@ def patch_geometry(
         (array([1.]), array([1.]))
     """
     normal = np.array([*tilt, 1.0]) / np.sqrt(1 + tilt[0] ** 2 + tilt[1] ** 2)
-    way = lamps - nearness * place
+    way = lamps - nearness * position
     far = np.linalg.norm(way, axis=1)
     cosine = way @ normal / far
     return cosine / far**2, cosine
@@ -128,12 +128,12 @@ def patch_light(
     count, errors = len(lamps), np.array([patch.depth.std, patch.tilt_std, patch.tilt_std, lamp_nearness.std])
 
     def log_of(lamps: np.ndarray, depth: float, right: float, up: float, nearness: float) -> np.ndarray:
-        geometry, cosine = patch_geometry(lamps, nearness, patch.place(ball, depth), (right, up))
+        geometry, cosine = patch_geometry(lamps, nearness, patch.position(ball, depth), (right, up))
         with np.errstate(invalid="ignore", divide="ignore"):
             return np.where(cosine > GRAZING / 2, np.log(geometry), np.nan)
 
     start = np.array([patch.depth.value, 0.0, 0.0, lamp_nearness.value])
-    _, cosine = patch_geometry(lamps, start[3], patch.place(ball, start[0]))
+    _, cosine = patch_geometry(lamps, start[3], patch.position(ball, start[0]))
     used = np.isfinite(value).all(1) & (value > 3 * std).all(1) & (cosine > GRAZING)
     if not used.any():
         return None

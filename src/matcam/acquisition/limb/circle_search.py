@@ -54,13 +54,13 @@ def find_circles(values: np.ndarray, std: np.ndarray, *, bright_inside: bool, mo
     """
     bin_ = int(np.ceil(max(values.shape) / _LARGEST))
     bin_ += bin_ % 2 if mosaic else 0
-    place, inwards = _edges(*_binned(values, std, max(bin_, 2 if mosaic else 1)), bright_inside)
+    position, inwards = _edges(*_binned(values, std, max(bin_, 2 if mosaic else 1)), bright_inside)
     bin_ = max(bin_, 2 if mosaic else 1)
     found: list[FoundCircle] = []
-    free = np.ones(len(place), bool)
+    free = np.ones(len(position), bool)
     rng = np.random.default_rng(0)
     while len(found) < 2 and free.sum() > 12:
-        circle = _best(place[free], inwards[free], rng, max(values.shape) / bin_)
+        circle = _best(position[free], inwards[free], rng, max(values.shape) / bin_)
         if circle is None or circle.coverage < 0.15:
             break
         apart = [
@@ -71,7 +71,7 @@ def find_circles(values: np.ndarray, std: np.ndarray, *, bright_inside: bool, mo
             found.append(circle)
         else:
             break
-        distance = np.hypot(place[:, 0] - circle.row, place[:, 1] - circle.column)
+        distance = np.hypot(position[:, 0] - circle.row, position[:, 1] - circle.column)
         free &= distance > circle.radius * 1.05 + _NEAR
     shift = (bin_ - 1) / 2
     return [FoundCircle(c.row * bin_ + shift, c.column * bin_ + shift, c.radius * bin_, c.coverage) for c in found]
@@ -114,51 +114,51 @@ def _edges(picture: np.ndarray, noise: float, bright_inside: bool) -> tuple[np.n
     curvature = 2 * middle - ahead - behind
     with np.errstate(invalid="ignore", divide="ignore"):
         fine = np.where(curvature > 0, (ahead - behind) / (2 * curvature), 0.0)
-    place = index + (np.clip(fine, -0.5, 0.5) * along).T
-    if len(place) > _EDGES:
-        chosen = np.random.default_rng(1).choice(len(place), _EDGES, replace=False)
-        place, along = place[chosen], along[:, chosen]
-    return place, along.T if bright_inside else -along.T
+    position = index + (np.clip(fine, -0.5, 0.5) * along).T
+    if len(position) > _EDGES:
+        chosen = np.random.default_rng(1).choice(len(position), _EDGES, replace=False)
+        position, along = position[chosen], along[:, chosen]
+    return position, along.T if bright_inside else -along.T
 
 
-def _best(place: np.ndarray, inwards: np.ndarray, rng: np.random.Generator, largest: float) -> FoundCircle | None:
+def _best(position: np.ndarray, inwards: np.ndarray, rng: np.random.Generator, largest: float) -> FoundCircle | None:
     """Find the circle with the greatest length of edges along its circumference."""
-    i, j = rng.integers(0, len(place), (2, _PAIRS))
-    apart, turned = place[j] - place[i], inwards[i] - inwards[j]
+    i, j = rng.integers(0, len(position), (2, _PAIRS))
+    apart, turned = position[j] - position[i], inwards[i] - inwards[j]
     size = (turned**2).sum(1)
     with np.errstate(invalid="ignore", divide="ignore"):
         radius = (apart * turned).sum(1) / size
-    first, second = place[i] + radius[:, None] * inwards[i], place[j] + radius[:, None] * inwards[j]
+    first, second = position[i] + radius[:, None] * inwards[i], position[j] + radius[:, None] * inwards[j]
     meets = (size > 0.1) & (radius > 6) & (radius < largest)
     meets &= np.hypot(*(first - second).T) < 1 + 0.05 * radius
     chosen = np.flatnonzero(meets)[:_TRIED]
     if not len(chosen):
         return None
     centre, radius = (first[chosen] + second[chosen]) / 2, radius[chosen]
-    score = np.array([_coverage(place, inwards, c[0], c[1], r)[0] * r for c, r in zip(centre, radius, strict=True)])
+    score = np.array([_coverage(position, inwards, c[0], c[1], r)[0] * r for c, r in zip(centre, radius, strict=True)])
     best: FoundCircle | None = None
     for k in np.argsort(score)[::-1][:5]:
         (row, column), size_ = centre[k], radius[k]
         for _ in range(4):
-            _, near = _coverage(place, inwards, row, column, size_)
+            _, near = _coverage(position, inwards, row, column, size_)
             if near.sum() < 6:
                 break
-            y, x = place[near].T
+            y, x = position[near].T
             a, b, c = np.linalg.lstsq(np.stack([y, x, np.ones_like(x)], 1), y**2 + x**2, rcond=None)[0]
             if c + a**2 / 4 + b**2 / 4 <= 0:
                 break
             row, column, size_ = a / 2, b / 2, np.sqrt(c + a**2 / 4 + b**2 / 4)
-        circle = FoundCircle(row, column, size_, _coverage(place, inwards, row, column, size_)[0])
+        circle = FoundCircle(row, column, size_, _coverage(position, inwards, row, column, size_)[0])
         if best is None or circle.score > best.score:
             best = circle
     return best
 
 
 def _coverage(
-    place: np.ndarray, inwards: np.ndarray, row: float, column: float, radius: float
+    position: np.ndarray, inwards: np.ndarray, row: float, column: float, radius: float
 ) -> tuple[float, np.ndarray]:
     """Compute the share of the circumference of a circle with an edge, and those edges."""
-    y, x = row - place[:, 0], column - place[:, 1]
+    y, x = row - position[:, 0], column - position[:, 1]
     distance = np.hypot(y, x)
     near = (np.abs(distance - radius) < _NEAR) & (y * inwards[:, 0] + x * inwards[:, 1] > _STRAIGHT * distance)
     bins = ((np.arctan2(y[near], x[near]) / (2 * np.pi) + 0.5) * _BINS).astype(int) % _BINS

@@ -79,12 +79,12 @@ class BlurredPowers:
     ):
         self.exponents = tuple(exponents)
         self.variance = sigma**2 + half_width**2 / 3
-        self.places = np.arange(-8.0, reach, _STEP)
+        self.positions = np.arange(-8.0, reach, _STEP)
         end = 8 * np.sqrt(self.variance)
         root2 = np.sqrt(2) * max(sigma, 1e-3)
         nodes, weights = _GAUSS
         # u = s^2, the distance inside the edge, removes the infinite slope of the root
-        t = self.places[:, None]
+        t = self.positions[:, None]
         top, bottom = (np.sqrt(np.maximum(t + side, 0.0)) for side in (end, -end))
         s = bottom + (top - bottom) * (nodes + 1) / 2
         lsf = (erf((t - s**2 + half_width) / root2) - erf((t - s**2 - half_width) / root2)) / (4 * half_width)
@@ -101,9 +101,9 @@ class BlurredPowers:
         Args:
             t: distance inside the edge, px (n,).
         """
-        place = np.clip((t - self.places[0]) / _STEP, 0, len(self.places) - 1.001)
-        low = place.astype(int)
-        share = place - low
+        position = np.clip((t - self.positions[0]) / _STEP, 0, len(self.positions) - 1.001)
+        low = position.astype(int)
+        share = position - low
         values = self.columns[:, low] * (1 - share) + self.columns[:, low + 1] * share
         slopes = self.slopes[:, low] * (1 - share) + self.slopes[:, low + 1] * share
         return values, slopes

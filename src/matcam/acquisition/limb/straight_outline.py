@@ -80,11 +80,11 @@ def straight_outline(
     for first, last in pairwise(borders.tolist()):
         middle.append((first + last - 1) / 2)
         edges.append([_edge(levels[first:last], at, side) for at, side in ((left, -1), (right, 1))])
-    at, places = np.array(middle) - (height - 1) / 2, np.array(edges)
+    at, positions = np.array(middle) - (height - 1) / 2, np.array(edges)
     design = np.column_stack([np.ones_like(at), at])
-    lines, *_ = np.linalg.lstsq(design, places, rcond=None)
+    lines, *_ = np.linalg.lstsq(design, positions, rcond=None)
     freedom = max(len(at) - 2, 1)
-    scatter = float(np.sqrt(((places - design @ lines) ** 2).sum() / (2 * freedom))) if len(at) > 2 else 0.0
+    scatter = float(np.sqrt(((positions - design @ lines) ** 2).sum() / (2 * freedom))) if len(at) > 2 else 0.0
     noise = max(scatter / np.sqrt(len(at)), _LEAST_STD)
     lean = float(lines[1].mean())
     upright = 1 / np.sqrt(1 + lean**2)
@@ -120,8 +120,8 @@ def _edge(levels: np.ndarray, start: float, side: int) -> float:
     profile = levels[:, columns].mean(axis=0)
 
     def residual(p: np.ndarray) -> np.ndarray:
-        place, log_width, low, high = p
-        return low + (high - low) * ndtr(side * (columns - place) / np.exp(log_width)) - profile
+        position, log_width, low, high = p
+        return low + (high - low) * ndtr(side * (columns - position) / np.exp(log_width)) - profile
 
     found = least_squares(residual, [start, np.log(0.7), profile.min(), profile.max()], x_scale=[1, 1, 0.1, 0.1])
     return float(found.x[0])

@@ -64,12 +64,12 @@ def fitted_pictures(name: str, data: xr.Dataset) -> list[FittedPicture]:
         return []
     try:
         names = [str(one) for one in data["picture_name"].values.tolist()]
-        places = {key: np.asarray(data[key].values, dtype=float) for key in _PLACES}
+        positions = {key: np.asarray(data[key].values, dtype=float) for key in _PLACES}
         windows = {key: np.asarray(data[key].values, dtype=np.float32) for key in WINDOWS}
         count, rows, columns = windows[WINDOWS[0]].shape
         if not (
             1 <= count <= _MOST and rows > 1 and columns > 1 and len(names) == count
-            and all(one.shape == (count,) and np.isfinite(one).all() for one in places.values())
+            and all(one.shape == (count,) and np.isfinite(one).all() for one in positions.values())
             and all(one.shape == (count, rows, columns) for one in windows.values())
         ):  # fmt: skip
             raise ValueError("its images must have one outline, highlight and window each")
@@ -78,10 +78,14 @@ def fitted_pictures(name: str, data: xr.Dataset) -> list[FittedPicture]:
     return [
         FittedPicture(
             names[k],
-            float(places["picture_theta_d"][k]),
-            (float(places["outline_column"][k]), float(places["outline_row"][k]), float(places["outline_radius"][k])),
-            (float(places["highlight_column"][k]), float(places["highlight_row"][k])),
-            (float(places["window_left"][k]), float(places["window_top"][k])),
+            float(positions["picture_theta_d"][k]),
+            (
+                float(positions["outline_column"][k]),
+                float(positions["outline_row"][k]),
+                float(positions["outline_radius"][k]),
+            ),
+            (float(positions["highlight_column"][k]), float(positions["highlight_row"][k])),
+            (float(positions["window_left"][k]), float(positions["window_top"][k])),
             {key: one[k] for key, one in windows.items()},
         )
         for k in range(count)

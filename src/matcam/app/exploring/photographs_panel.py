@@ -125,8 +125,8 @@ class PhotographsPanel:
             return
         rows, columns = one.windows[WINDOWS[0]].shape
         left, top = one.corner
-        place = {"x": [left - 0.5], "y": [top - 0.5], "dw": [columns], "dh": [rows]}
-        self._values.data = {name: [np.ascontiguousarray(values)] for name, values in one.windows.items()} | place
+        position = {"x": [left - 0.5], "y": [top - 0.5], "dw": [columns], "dh": [rows]}
+        self._values.data = {name: [np.ascontiguousarray(values)] for name, values in one.windows.items()} | position
         self._ranges["x_range"].update(start=left - 0.5, end=left - 0.5 + columns)
         self._ranges["y_range"].update(start=top - 0.5 + rows, end=top - 0.5)
         peak = float(np.nanmax([np.nanmax(one.windows[name], initial=0.0) for name in WINDOWS[:2]]))

@@ -70,8 +70,8 @@ class ClusterExecutor(Executor):
         """Check whether jobs would be sent unencrypted to another machine."""
         if _LOCAL.fullmatch(self.address):
             return False
-        protocol, _, place = self.address.partition("://")
-        host = place.rpartition(":")[0].strip("[]").lower()
+        protocol, _, position = self.address.partition("://")
+        host = position.rpartition(":")[0].strip("[]").lower()
         return protocol != "tls" and host != "localhost" and not _is_loopback(host)
 
     def outcomes(self, jobs: Sequence[Job]) -> Generator[Outcome]:

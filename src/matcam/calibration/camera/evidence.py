@@ -283,11 +283,11 @@ def dot_positions(chart: Chart, targets: Targets) -> tuple[BlurSamples, ...]:
         return ()
     page = np.concatenate(printed)
     expected = cKDTree(targets.registration(page))
-    places = []
+    positions = []
     for grid in targets.grids:
         seen = np.column_stack([grid.x, grid.y])
-        places.append((seen, grid.sigma, grid.sigma_std, page[expected.query(seen)[1]]))
-    return (BlurSamples(*(np.concatenate(column) for column in zip(*places, strict=True))),)
+        positions.append((seen, grid.sigma, grid.sigma_std, page[expected.query(seen)[1]]))
+    return (BlurSamples(*(np.concatenate(column) for column in zip(*positions, strict=True))),)
 
 
 def _group(samples: MTFSamples) -> str:
@@ -349,12 +349,12 @@ class Evidence:
         shapes = {f.shape for f in self._findings if f.shape is not None}
         if len(shapes) != 1:
             return None
-        places, edges = [one for f in self._findings for one in f.dots], self.table()
+        positions, edges = [one for f in self._findings for one in f.dots], self.table()
         # Each image is a group of its own, because the blur depends on the aperture.
         if edges is not None:
             pictures = map(edges.of_source, dict.fromkeys(edges.source.tolist()))
-            places += [BlurSamples(np.column_stack([of.x, of.y]), of.sigma, of.sigma_std) for of in pictures]
-        return lens_over_field(places, *shapes)
+            positions += [BlurSamples(np.column_stack([of.x, of.y]), of.sigma, of.sigma_std) for of in pictures]
+        return lens_over_field(positions, *shapes)
 
     def table(self) -> EdgeTable | None:
         """Collect all edges without problems; None if there are no edges."""
@@ -363,5 +363,5 @@ class Evidence:
             fit, good = edges.parametric, edges.good
             sigma, std = fit.values[:, 0], np.sqrt(fit.covariance[:, 0, 0])
             own = (edges.mtf50, edges.mtf50_std, edges.mtf, edges.mtf_std, np.full(len(edges), source))
-            tables.append(EdgeTable(*(column[good] for column in (*edges.place, edges.angle, sigma, std, *own))))
+            tables.append(EdgeTable(*(column[good] for column in (*edges.position, edges.angle, sigma, std, *own))))
         return EdgeTable.joined(tables) if tables else None

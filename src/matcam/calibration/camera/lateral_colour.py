@@ -54,7 +54,7 @@ def lateral_colour(of: EdgeTable, reference: EdgeTable, shape: tuple[int, int]) 
     `shape`: height and width of the images, px.
     """
     middle, unit = (np.array(shape[::-1]) - 1) / 2, float(np.hypot(*shape) / 2)
-    places, moved, normals = [], [], []
+    positions, moved, normals = [], [], []
     for source in set(of.source) & set(reference.source):
         mine, theirs = of.of_source(source), reference.of_source(source)
         here, there = (np.column_stack([edges.x, edges.y]) for edges in (mine, theirs))
@@ -62,12 +62,12 @@ def lateral_colour(of: EdgeTable, reference: EdgeTable, shape: tuple[int, int]) 
         angle = theirs.angle[nearest]
         same = (far < _SAME) & (np.abs(np.angle(np.exp(1j * (mine.angle - angle)))) < _SAME_DIRECTION)
         normal = np.column_stack([np.cos(angle), np.sin(angle)])[same]
-        places.append(there[nearest][same])
+        positions.append(there[nearest][same])
         normals.append(normal)
         moved.append(((here - there[nearest])[same] * normal).sum(1))
-    if sum(map(len, places)) < _FEWEST:
+    if sum(map(len, positions)) < _FEWEST:
         return None
-    at, normal, off = (np.concatenate(parts) for parts in (places, normals, moved))
+    at, normal, off = (np.concatenate(parts) for parts in (positions, normals, moved))
     from_middle = (at - middle) / unit
     out = (from_middle * normal).sum(1)
     columns = [normal[:, 0], normal[:, 1], out]

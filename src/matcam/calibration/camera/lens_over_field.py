@@ -41,17 +41,17 @@ class BlurSamples(NamedTuple):
     printed: np.ndarray | None = None
 
 
-def lens_over_field(places: Sequence[BlurSamples], shape: tuple[int, int]) -> LensField | None:
+def lens_over_field(positions: Sequence[BlurSamples], shape: tuple[int, int]) -> LensField | None:
     """Estimate the distortion and the growth of the blur over the field; None if neither was measured.
 
     Args:
-        places: edges or dots of each image; each group has its own mean width. The blur of groups with fewer than 12
+        positions: edges or dots of each image; each group has its own mean width. The blur of groups with fewer than 12
             positions is not used.
         shape: height and width of the images, px.
     """
     middle, unit = ((shape[1] - 1) / 2, (shape[0] - 1) / 2), float(np.hypot(*shape) / 2)
     found = []
-    for one in places:
+    for one in positions:
         if one.printed is not None:
             with suppress(FitError):
                 found.append(radial_distortion(one.printed, one.seen, shape))
@@ -62,7 +62,7 @@ def lens_over_field(places: Sequence[BlurSamples], shape: tuple[int, int]) -> Le
         mean = float(np.average(values, weights=weight))
         chi2 = float(weight @ (values - mean) ** 2) / max(len(values) - 1, 1)
         k1 = Coefficient(mean, float(np.hypot(np.sqrt(max(chi2, 1.0) / weight.sum()), _MODEL * mean)))
-    growth, holds_at = _growth([one for one in places if len(one.seen) >= _FEWEST], np.array(middle), unit)
+    growth, holds_at = _growth([one for one in positions if len(one.seen) >= _FEWEST], np.array(middle), unit)
     if not found and growth is None:
         return None
     return LensField(middle, unit, k1, growth=growth or Coefficient(), holds_at=holds_at)

@@ -128,9 +128,9 @@ def _fiducials(width: float, height: float, margin: float, radius: float) -> Ite
     mirrored and rotated views are not mistaken for a view in perspective.
     """
     near, far = (margin, margin), (width - margin, height - margin)
-    places = [near, (0.4 * width, near[1]), (far[0], near[1]), (far[0], 0.4 * height), far, (0.6 * width, far[1])]
-    for place in [*places, (near[0], far[1]), (near[0], 0.5 * height)]:
-        yield Fiducial(place, radius, 2 if place == near else 1)
+    positions = [near, (0.4 * width, near[1]), (far[0], near[1]), (far[0], 0.4 * height), far, (0.6 * width, far[1])]
+    for position in [*positions, (near[0], far[1]), (near[0], 0.5 * height)]:
+        yield Fiducial(position, radius, 2 if position == near else 1)
 
 
 def _patches(left: float, top: float, width: float, height: float) -> Iterator[Patch]:
@@ -143,7 +143,7 @@ def _patches(left: float, top: float, width: float, height: float) -> Iterator[P
         )
 
 
-def _places(corner: Point, size: Point, pitch: float) -> Iterator[tuple[int, int, float, float]]:
+def _positions(corner: Point, size: Point, pitch: float) -> Iterator[tuple[int, int, float, float]]:
     """Yield row, column and centre of the cells of a regular grid that fills the panel and is centred in it."""
     columns, rows = (int(side / pitch + 1e-9) for side in size)
     if columns * rows > _LARGEST:
@@ -168,7 +168,7 @@ def _fitting_side(size: Point, usual: float, pitch: float, least: int) -> float:
 def _squares(corner: Point, size: Point, pixel: float) -> Iterator[Square]:
     """Fill a panel with slanted squares."""
     side = _fitting_side(size, _SQUARE * pixel, _SPACING, 1)
-    for _, _, x, y in _places(corner, size, _SPACING * side):
+    for _, _, x, y in _positions(corner, size, _SPACING * side):
         points = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * side / 2 @ _SLANTED.T + (x, y)
         a, b, c, d = ((float(px), float(py)) for px, py in points)
         yield Square((a, b, c, d), _DARK)
@@ -180,13 +180,13 @@ def _gratings(profile: str) -> Callable[[Point, Point, float], Iterator[Grating]
 
     def panel(corner: Point, size: Point, pixel: float) -> Iterator[Grating]:
         side = _fitting_side(size, _PATCH * pixel, _GAP, 2)
-        places = list(_places(corner, size, _GAP * side))
-        count = min(len(places) // 2, len(_FREQUENCIES))
+        positions = list(_positions(corner, size, _GAP * side))
+        count = min(len(positions) // 2, len(_FREQUENCIES))
         # A single pair of gratings has a medium frequency, which is sensitive to blur.
         first = 0 if count > 1 else len(_FREQUENCIES) // 2 - 1
         chosen = [_FREQUENCIES[i] for i in np.linspace(first, len(_FREQUENCIES) - 1, count).round().astype(int)]
         wanted = [(f, angle) for f in chosen for angle in (_TILT, _TILT + math.pi / 2)]
-        for (_, _, x, y), (frequency, angle) in zip(places, wanted, strict=False):
+        for (_, _, x, y), (frequency, angle) in zip(positions, wanted, strict=False):
             period = pixel / frequency
             across = max(1, round(side / period)) * period  # with whole periods, the mean is that of one period
             yield Grating(profile, (x, y), (across, side), angle, period, 0.0, _DARK, bright, duty)
@@ -212,7 +212,7 @@ def _dots(corner: Point, size: Point, pixel: float) -> Iterator[Dots]:
     inner = tuple(s / (np.cos(_SLANT) + np.sin(_SLANT) * max(size) / min(size)) for s in size)
     points = [
         tuple(float(v) for v in _SLANTED @ (x, y) + middle)
-        for _, _, x, y in _places((-inner[0] / 2, -inner[1] / 2), (inner[0], inner[1]), _PITCH * pixel)
+        for _, _, x, y in _positions((-inner[0] / 2, -inner[1] / 2), (inner[0], inner[1]), _PITCH * pixel)
     ]
     if len(points) >= 9:
         yield Dots(tuple((x, y) for x, y in points), _DOT * pixel, _PITCH * pixel, _INK)

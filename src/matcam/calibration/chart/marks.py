@@ -96,7 +96,7 @@ def _marks_below(share: FloatArray, dark: float) -> list[Mark]:
     rows, columns = np.nonzero(label)
     which = label[rows, columns] - 1
     area = np.bincount(which, minlength=count)
-    y, x = (np.bincount(which, place, count) / area for place in (rows, columns))
+    y, x = (np.bincount(which, position, count) / area for position in (rows, columns))
     small = np.flatnonzero((area >= _SMALLEST) & (area < _LARGEST * share.size))
     radii = np.sqrt(area[small] / np.pi)
     around = cKDTree(np.stack([x, y], axis=-1)).query_ball_point(
@@ -162,7 +162,7 @@ def match_marks(chart: Chart, marks: list[Mark], smooth: FloatArray) -> Match:
     `smooth`: (height, width) image with little noise, without missing pixels.
     """
     similar_marks = _similar_marks(marks)
-    places = np.array([fiducial.centre for fiducial in chart.fiducials])
+    positions = np.array([fiducial.centre for fiducial in chart.fiducials])
     middle = (np.array(smooth.shape[::-1]) - 1) / 2
     unit = float(np.hypot(*smooth.shape)) / 2
     tops = [i for i, j in enumerate(similar_marks[: _MOST_MARKS[0]]) if marks[j].rings == 2]
@@ -172,18 +172,18 @@ def match_marks(chart: Chart, marks: list[Mark], smooth: FloatArray) -> Match:
     for pinned in (True, False) if tops else (False,):
         marks_used = similar_marks[: _MOST_MARKS[0 if pinned else 1]]
         seen = np.array([marks[j][:2] for j in marks_used])
-        quads = _quads(places, [first] if pinned else list(range(len(places))))
+        quads = _quads(positions, [first] if pinned else list(range(len(positions))))
         found: list[_Views] = []
         for barrel in _BARREL:
             off = (seen - middle) / unit
             flat = (seen - middle) * (1 + barrel * (off**2).sum(1, keepdims=True))
             starts = tops if pinned else list(range(len(seen)))
-            found.append(_views(places, quads, flat, starts, barrel, pinned=pinned))
-            if found[-1].agree(max(5, min(len(seen), len(places)) - 1)):
+            found.append(_views(positions, quads, flat, starts, barrel, pinned=pinned))
+            if found[-1].agree(max(5, min(len(seen), len(positions)) - 1)):
                 break
         best = _best(found)
         top = int(best.explained.max(initial=0))
-        if top >= max(min(5, len(places)), min(len(seen), len(places)) - 2):
+        if top >= max(min(5, len(positions)), min(len(seen), len(positions)) - 2):
             break
     if best is None or not top:
         return Match([], False)
@@ -195,7 +195,7 @@ def match_marks(chart: Chart, marks: list[Mark], smooth: FloatArray) -> Match:
     chosen = int(np.argmin(candidates.off - (scores if top < 5 else 0.01 * scores)))
     pairs = [(i, marks_used[int(j)]) for i, j in enumerate(candidates.nearest[chosen]) if j >= 0]
     # Marks that are not explained while fiducials are missing may be those of another chart.
-    astray = top < len(places) and len(marks) > top + 1
+    astray = top < len(positions) and len(marks) > top + 1
     return Match(pairs, bool(scores[chosen] > _CLEAR) if top < 5 or astray else True)
 
 
@@ -208,14 +208,14 @@ def _similar_marks(marks: list[Mark]) -> list[int]:
     return [int(i) for i in np.argsort(off, kind="stable")]
 
 
-def _quads(places: FloatArray, begin: list[int]) -> np.ndarray:
+def _quads(positions: FloatArray, begin: list[int]) -> np.ndarray:
     """List quadruples of points in cyclic order (n, 4); the first of each is one of `begin`."""
-    rows = [(start, *three) for start in begin for three in itertools.combinations(_in_turn(places, start), 3)]
+    rows = [(start, *three) for start in begin for three in itertools.combinations(_in_turn(positions, start), 3)]
     return np.array(rows, dtype=int).reshape(-1, 4)
 
 
 def _views(
-    places: FloatArray, quads: np.ndarray, seen: FloatArray, starts: list[int], barrel: float, *, pinned: bool
+    positions: FloatArray, quads: np.ndarray, seen: FloatArray, starts: list[int], barrel: float, *, pinned: bool
 ) -> _Views:
     """Compute the views that quadruples of marks and of fiducials define.
 
@@ -225,11 +225,11 @@ def _views(
     if not pinned:
         # Only the quadruples of the page occur with all starting points.
         fours = fours[fours[:, 0] == fours.min(1)]
-    to_page, to_picture = _bases(places[quads]), _bases(seen[fours])
+    to_page, to_picture = _bases(positions[quads]), _bases(seen[fours])
     to_page, to_picture = (maps[np.isfinite(maps).all((1, 2))] for maps in (to_page, to_picture))
     matrix = (to_picture[:, None] @ np.linalg.inv(to_page)).reshape(-1, 3, 3)
     matrix = matrix / matrix[:, 2:, 2:]
-    x, y, w = np.einsum("nij,jk->ink", matrix, np.column_stack([places, np.ones(len(places))]).T)
+    x, y, w = np.einsum("nij,jk->ink", matrix, np.column_stack([positions, np.ones(len(positions))]).T)
     front = (w > 0).all(1)
     expected = np.stack([x, y], axis=-1)[front] / w[front][..., None]
     matrix = matrix[front]

@@ -131,8 +131,8 @@ def _over_paper(values: FloatArray, patch: Patch, projection: Projection) -> tup
     line = np.linspace(-1, 1, _GRID)
 
     def level(u: FloatArray, v: FloatArray) -> tuple[float, float] | None:
-        place = np.stack([a.ravel() for a in np.meshgrid(u, v)], axis=-1)
-        at = np.rint(projection(centre + place[:, :1] * across + place[:, 1:] * along)).astype(int)
+        position = np.stack([a.ravel() for a in np.meshgrid(u, v)], axis=-1)
+        at = np.rint(projection(centre + position[:, :1] * across + position[:, 1:] * along)).astype(int)
         at = np.unique(at, axis=0)
         at = at[((at >= 0) & (at < values.shape[::-1])).all(1)]
         seen = values[at[:, 1], at[:, 0]]

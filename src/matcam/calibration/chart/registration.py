@@ -146,36 +146,36 @@ def register_chart(image: ArrayLike | LinearImage, chart: Chart, *, mosaic: bool
         raise FitError(
             f"no chart of this description in the image: {len(marks)} fiducials found, but at other positions"
         )
-    places = np.array([chart.fiducials[i].centre for i, _ in match.pairs])
+    positions = np.array([chart.fiducials[i].centre for i, _ in match.pairs])
     seen = np.array([marks[j][:2] for _, j in match.pairs])
     shape = (picture.shape[0], picture.shape[1])
-    found = _registration_through(places, seen, shape, chart.page)
+    found = _registration_through(positions, seen, shape, chart.page)
     for _ in range(_ROUNDS):
         sides = seen_sides(smooth, chart, found)
         # If most squares are hidden, other structures may be found instead.
         if sides is None or sides.found.mean() < _FEWEST_SIDES:
             break
-        found = _registration_through(places, seen, shape, chart.page, sides)
+        found = _registration_through(positions, seen, shape, chart.page, sides)
     return found
 
 
-def radial_distortion(places: FloatArray, seen: FloatArray, shape: tuple[int, ...]) -> tuple[float, float]:
+def radial_distortion(positions: FloatArray, seen: FloatArray, shape: tuple[int, ...]) -> tuple[float, float]:
     """Fit the coefficient a of the distorted radius r (1 + a r^2), with the standard deviation from the scatter.
 
     Args:
-        places: (n, 2) positions on a plane page, any unit.
+        positions: (n, 2) positions on a plane page, any unit.
         seen: (n, 2) positions in the image, px.
         shape: height and width of the image, px. The unit of r is half the diagonal.
 
     Raises:
         FitError: there are fewer than 12 positions, or they do not determine the pose of the page.
     """
-    if len(places) < _FEWEST_POSITIONS:
+    if len(positions) < _FEWEST_POSITIONS:
         raise FitError(
-            f"{len(places)} positions do not determine the distortion; at least {_FEWEST_POSITIONS} are needed"
+            f"{len(positions)} positions do not determine the distortion; at least {_FEWEST_POSITIONS} are needed"
         )
-    middle, spread = places.mean(0), max(float(np.ptp(places, axis=0).max()), 1e-300)
-    at, used = (places - middle) / spread, np.ones(len(places), bool)
+    middle, spread = positions.mean(0), max(float(np.ptp(positions, axis=0).max()), 1e-300)
+    at, used = (positions - middle) / spread, np.ones(len(positions), bool)
     for _ in range(3):
         try:
             start = np.append(_homography(at[used], _from_middle(seen[used], shape)).ravel()[:8], 0.0)
@@ -214,13 +214,17 @@ def pixel_box(points: FloatArray, shape: tuple[int, int], margin: int) -> tuple[
 
 
 def _registration_through(
-    places: FloatArray, seen: FloatArray, shape: tuple[int, int], page: tuple[float, float], sides: Sides | None = None
+    positions: FloatArray,
+    seen: FloatArray,
+    shape: tuple[int, int],
+    page: tuple[float, float],
+    sides: Sides | None = None,
 ) -> Registration:
     """Fit the camera and the curvature of the page to the positions of points, mm and px.
 
     `sides`: further positions with a known component across the side only. FitError if the fit is not consistent.
     """
-    start = np.append(_homography(places, _from_middle(seen, shape)).ravel()[:8], np.zeros(7))
+    start = np.append(_homography(positions, _from_middle(seen, shape)).ravel()[:8], np.zeros(7))
     # Priors keep undetermined parameters near 0: distortion, curvature, and the foot point of the camera.
     prior = np.concatenate([[0.1, 0.1], np.full(3, _CURL), [1.0, 1.0]])
     size = np.append(np.maximum(np.abs(start[:8]), 1e-6), prior)
@@ -232,7 +236,7 @@ def _registration_through(
 
     def residual(p: FloatArray) -> FloatArray:
         whole = p * size
-        parts = [((_project(whole, places, shape, page) - seen) / _MARK_STD).ravel(), p[8:]]
+        parts = [((_project(whole, positions, shape, page) - seen) / _MARK_STD).ravel(), p[8:]]
         if along is not None:
             off = ((_project(whole, along[0], shape, page) - along[1]) * along[2]).sum(1)
             parts.append(off / along[3])
@@ -241,7 +245,7 @@ def _registration_through(
     # The robust loss reduces the weight of wrong positions on sides that are partly covered.
     fit = least_squares(residual, start / size, x_scale="jac", loss="soft_l1", f_scale=3.0)
     whole = fit.x * size
-    left = np.hypot(*(_project(whole, places, shape, page) - seen).T)
+    left = np.hypot(*(_project(whole, positions, shape, page) - seen).T)
     rms = float(np.sqrt((left**2).mean()))
     if rms > _WORST * max(1.0, max(shape) / 1000):
         raise FitError(
@@ -249,7 +253,7 @@ def _registration_through(
         )
     return Registration(
         np.append(whole[:8], 1.0).reshape(3, 3), (float(whole[8]), float(whole[9])), (shape[0], shape[1]), rms,
-        len(places), tuple(float(v) for v in whole[10:]), page,
+        len(positions), tuple(float(v) for v in whole[10:]), page,
     )  # fmt: skip
 
 

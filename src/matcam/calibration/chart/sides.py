@@ -68,9 +68,9 @@ def seen_sides(smooth: FloatArray, chart: Chart, projection: Callable[[FloatArra
     depth = 2 * np.abs(inwards).min(1)
     search_range = min(float(np.median(np.minimum(depth, length))) * _SEARCH_RANGE, _FARTHEST)
     steps = np.arange(-np.ceil(search_range / _STEP), np.ceil(search_range / _STEP) + 1) * _STEP
-    places = at[:, :, None] + normal[:, :, None] * steps[:, None]
+    positions = at[:, :, None] + normal[:, :, None] * steps[:, None]
     profile = ndimage.map_coordinates(
-        smooth, places[..., ::-1].transpose(3, 0, 1, 2), order=1, mode="constant", cval=np.nan
+        smooth, positions[..., ::-1].transpose(3, 0, 1, 2), order=1, mode="constant", cval=np.nan
     )
     level = np.repeat([square.level for square in squares], 4)
     off = _steepest(profile, steps, level)
@@ -85,8 +85,8 @@ def _steepest(profile: FloatArray, steps: FloatArray, level: FloatArray) -> Floa
     near = np.abs(between - between[best][..., None]) <= _CORE
     weight = np.where(near, np.maximum(slope, 0.0), 0.0)
     total = weight.sum(2)
-    place = (weight * between).sum(2) / np.maximum(total, 1e-300)
+    position = (weight * between).sum(2) / np.maximum(total, 1e-300)
     paper = profile[..., -3:].mean(2)
     good = (total > _LEAST * (1 - level)[:, None] * paper) & np.isfinite(profile).all(2)
     inside = (best > 1) & (best < slope.shape[2] - 2)
-    return np.where(good & inside, place, np.nan)
+    return np.where(good & inside, position, np.nan)

@@ -68,7 +68,7 @@ class EdgeMTF(Summarised, EdgeValues[float]):
             y down, (-pi, pi].
         angle_std: standard deviation of `angle`, rad.
         bow: distance of the middle of the edge from the chord of its ends, towards the bright side, px.
-        place: (x, y) of the middle of the edge, px; pixel centres of the image are whole numbers.
+        position: (x, y) of the middle of the edge, px; pixel centres of the image are whole numbers.
         dark: level of the dark side, in the (linear) units of the image.
         bright: level of the bright side, in the units of the image.
         light: relative change of the light along the rows and columns of the image, 1/px.
@@ -297,7 +297,7 @@ class EdgeStack(Summarised, EdgeValues[np.ndarray]):
         angle: angle from the rows of the image to the normal of the edge (n,), rad.
         angle_std: standard deviation of `angle` (n,), rad.
         bow: distance of the middle of the edge from the chord of its ends (n,), px.
-        place: (x, y) of the middle of the edge, (n,) each, px.
+        position: (x, y) of the middle of the edge, (n,) each, px.
         dark: level of the dark side (n,), in the units of the image.
         bright: level of the bright side (n,), in the units of the image.
         light: relative change of the light along rows and columns, (n,) each, 1/px.

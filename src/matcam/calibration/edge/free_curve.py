@@ -145,11 +145,11 @@ def edge_basis(shape: CoreShape, distance: jax.Array, spread: jax.Array) -> Basi
 
     `spread`: variance of the distances in each cell, px^2.
     """
-    places, width = _bumps(shape)
+    positions, width = _bumps(shape)
     blurred = xp.sqrt(shape.sigma**2 + spread)
     pilot, line, _ = edge_and_slopes(distance, shape.angle, shape.half_width, blurred)
     wide = xp.sqrt(width[:, None] ** 2 + spread)
-    right, left = (_step((distance - sign * places[:, None]) / wide) for sign in (1, -1))
+    right, left = (_step((distance - sign * positions[:, None]) / wide) for sign in (1, -1))
     tail_width = _TAIL * line_width(shape)
     # The Cauchy function is not Gaussian: the variance of the distances enters through its second derivative.
     curvature = -2 * distance * tail_width / (xp.pi * (distance**2 + tail_width**2) ** 2)
@@ -166,11 +166,11 @@ def glare_edge(radius: jax.Array, distance: jax.Array, spread: jax.Array) -> jax
 
 def transfer_basis(shape: CoreShape, f: jax.Array) -> Basis:
     """Evaluate the Fourier transforms of the basis at f cycles/px: the real parts of P and B_k, the imaginary part of O_k."""
-    places, width = _bumps(shape)
+    positions, width = _bumps(shape)
     gauss = lambda std: xp.exp(-2 * (xp.pi * std * f) ** 2)  # noqa: E731
     box = 2 * shape.half_width * f
     pilot = gauss(shape.sigma) * xp.sinc(box * xp.cos(shape.angle)) * xp.sinc(box * xp.sin(shape.angle))
-    turn, bump = 2 * xp.pi * f * places[:, None], gauss(width[:, None])
+    turn, bump = 2 * xp.pi * f * positions[:, None], gauss(width[:, None])
     tail = xp.exp(-2 * xp.pi * _TAIL * line_width(shape) * xp.abs(f))
     moved = 2 * xp.pi * f * line_width(shape) * pilot
     even = xp.concatenate([bump * xp.cos(turn), tail[None], gauss(shape.radius)[None]])

@@ -212,9 +212,9 @@ def ghost_found(fit: LinearFit, known: jax.Array) -> tuple[jax.Array, jax.Array]
     beside = fit.solved(changed(fit.columns, _COLUMN, xp.where(rise > FOUND, _column(fit, log_radius), 0.0)))
     first = _FIRST_GHOST * line_width(fit.shape)
     last = xp.minimum(xp.maximum(_LAST_GHOST * line_width(fit.shape), _FURTHEST), _GHOST_ROOM * _width(fit.cells))
-    places = xp.linspace(first, last, _GHOST_DISTANCES)
+    positions = xp.linspace(first, last, _GHOST_DISTANCES)
 
-    columns = _ghosts(beside, places)
+    columns = _ghosts(beside, positions)
     weighted = columns * beside.weight
     cross, score = weighted @ beside.columns.T, (weighted @ beside.left)[..., None]
     alone = weighted @ columns.swapaxes(1, 2) - cross @ beside.inverse @ cross.swapaxes(1, 2)
@@ -222,13 +222,13 @@ def ghost_found(fit: LinearFit, known: jax.Array) -> tuple[jax.Array, jax.Array]
     best = xp.argmax(rises)
     left = (beside.chi2 - rises[best]) / beside.degrees
     found = rises[best] > GHOST_FOUND * xp.where(known, 1.0, xp.maximum(left, 1.0))
-    return found & (first < last), places[best]
+    return found & (first < last), positions[best]
 
 
-def _ghosts(fit: LinearFit, places: jax.Array) -> jax.Array:
+def _ghosts(fit: LinearFit, positions: jax.Array) -> jax.Array:
     """Compute the columns of ghosts with coefficient 1, even and odd pairs, at each distance (distances, 6, n)."""
     s = line_width(fit.shape)
-    at = (places[:, None] + GHOST_STEP * s * xp.arange(GHOSTS.size))[..., None]
+    at = (positions[:, None] + GHOST_STEP * s * xp.arange(GHOSTS.size))[..., None]
     right, left = (glare_edge(GHOST_WIDTH * s, fit.cells.distance - sign * at, fit.cells.spread) for sign in (1, -1))
     return xp.concatenate([(right + left) / 2 - fit.pilot, (left - right) / 2], 1) * fit.step
 

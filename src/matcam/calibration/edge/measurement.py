@@ -178,13 +178,13 @@ def edge_fits(
     seen = LensAtEdge(Gaussian(), xp.arctan(slope), half)
     shape = CoreShape(xp.exp(at.state.profile[0]), seen.angle, half, radius=one, apart=one)
 
-    def with_ghost(fit: free_fit.LinearFit, place: jax.Array) -> free_fit.LinearFit:
+    def with_ghost(fit: free_fit.LinearFit, position: jax.Array) -> free_fit.LinearFit:
         """Repeat the fit of the free curve with the ghost, which is otherwise fitted as uneven light."""
-        return free_fit.linear_fit(cells, at, noise, fit.shape._replace(apart=place), 1.0)
+        return free_fit.linear_fit(cells, at, noise, fit.shape._replace(apart=position), 1.0)
 
     linear = free_fit.linear_fit(cells, at, noise, shape)
-    ghost, place = free_fit.ghost_found(linear, known)
-    linear = either(ghost, with_ghost, lambda fit, _: fit, linear, place)
+    ghost, position = free_fit.ghost_found(linear, known)
+    linear = either(ghost, with_ghost, lambda fit, _: fit, linear, position)
     # Fit the Gaussian lens in the selected light.
     chosen = at.state._replace(linear=at.state.linear * linear.used, used=linear.used)
     model = edge_model(cells, _climb(cells, chosen, seen, noise, _STEPS), seen.profile)

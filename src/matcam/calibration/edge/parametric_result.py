@@ -46,7 +46,7 @@ class EdgeValues(Generic[Number]):
     angle: Number
     angle_std: Number
     bow: Number
-    place: tuple[Number, Number]
+    position: tuple[Number, Number]
     dark: Number
     bright: Number
     light: tuple[Number, Number]

@@ -261,9 +261,9 @@ def describe_content(value: np.ndarray) -> str:
 
 def clearance(found: EdgeFits, region: EdgeRegions) -> np.ndarray:
     """Compute the distance of edges from the borders of their regions (n,), in standard deviations of their blur."""
-    place, there = region.crossings(found.curve), np.isfinite(region.value)
+    position, there = region.crossings(found.curve), np.isfinite(region.value)
     first, last = there.argmax(2), region.value.shape[2] - 1 - there[:, :, ::-1].argmax(2)
-    off = np.stack([place - region.start - region.step * first, region.start + region.step * last - place])
+    off = np.stack([position - region.start - region.step * first, region.start + region.step * last - position])
     known = there.any(2)
     nearest = np.array(
         [np.quantile(off[:, k, some], _SOME, axis=1).min() if some.any() else np.nan for k, some in enumerate(known)]
@@ -273,8 +273,8 @@ def clearance(found: EdgeFits, region: EdgeRegions) -> np.ndarray:
 
 def _largest_gap(region: EdgeRegions, found: EdgeFits) -> np.ndarray:
     """Compute the largest gap between the distances of samples from the edge, px (n,)."""
-    place, slopes = region.crossings(found.curve), np.nan_to_num(np.asarray(found.slope))
-    offset = (place - region.start) / region.step
+    position, slopes = region.crossings(found.curve), np.nan_to_num(np.asarray(found.slope))
+    offset = (position - region.start) / region.step
     nearest = np.clip(np.rint(offset), 0, region.value.shape[2] - 1).astype(int)
     there = np.isfinite(np.take_along_axis(region.value, nearest[..., None], axis=2)[..., 0])
     crossed = there & (np.abs(offset - nearest) <= 0.5)

@@ -74,11 +74,11 @@ def find_curve(rows: Rows) -> tuple[jax.Array, jax.Array]:
     last = xp.max(xp.where(there > 0, x, -xp.inf), axis=1)
     found = xp.where(there.sum(1) > 0, last, 0.0) + rows.step / 2 - bright
     margin = _MARGIN * rows.step
-    place = edge_position(curve, rows.y)
+    position = edge_position(curve, rows.y)
     first = xp.min(xp.where(there > 0, x, xp.inf), axis=1)
     gaps = (there.sum(1) - 1) * rows.step < last - first
-    whole = (first <= place - margin) & (last >= place + margin) & ~gaps
-    off = xp.abs(found - place)
+    whole = (first <= position - margin) & (last >= position + margin) & ~gaps
+    off = xp.abs(found - position)
     weight = (whole & (off < _HALF_WINDOW / 2)).astype(float)
     return _polynomial(rows.y, found, weight, CURVE, length), whole.sum()
 
@@ -167,8 +167,8 @@ def _largest_steps(rows: Rows) -> tuple[jax.Array, jax.Array]:
     shown = xp.isfinite(at(step)) & (size > 0)
     some = shown.any()
     usual = xp.where(some, xp.nanmedian(xp.where(shown | ~some, size, xp.nan)), xp.nan)
-    place = rows.start + (best + 0.5) * rows.step
-    return xp.asarray(place), (shown & (size > _WEAK * usual)).astype(float)
+    position = rows.start + (best + 0.5) * rows.step
+    return xp.asarray(position), (shown & (size > _WEAK * usual)).astype(float)
 
 
 def _polynomial(y: AnyArray, x: AnyArray, weight: jax.Array, terms: int, length: jax.Array) -> jax.Array:

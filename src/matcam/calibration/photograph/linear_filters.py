@@ -199,10 +199,10 @@ def edge_gain(edge: BareEdge) -> float:
         return columns - (columns @ basis) @ basis.T
 
     distance = edge.distance
-    places, widths = _line_bumps(edge.blur, _ROOM * min(float(distance.max()), -float(distance.min())))
+    positions, widths = _line_bumps(edge.blur, _ROOM * min(float(distance.max()), -float(distance.min())))
 
     def edges(more: float) -> FloatArray:
-        return np.asarray(ndtr((distance - places[:, None]) / np.sqrt(widths[:, None] ** 2 + edge.spread + more**2)))
+        return np.asarray(ndtr((distance - positions[:, None]) / np.sqrt(widths[:, None] ** 2 + edge.spread + more**2)))
 
     lens, wider = edges(0.0), edges(RADIUS)
     wanted = beyond((edge.value * weight)[None])[0]
@@ -345,8 +345,8 @@ def _filled_mosaic() -> tuple[FloatArray, FloatArray]:
 
 def _shifted(weights: FloatArray, first: int, frequency: FloatArray, phase: float) -> FloatArray:
     """Compute the transfer of filter taps at first, first + 1, ... px, relative to the interpolated point `phase`."""
-    places = first + np.arange(weights.size) - phase
-    return np.asarray(np.exp(-2j * np.pi * frequency[:, None] * places) @ weights)
+    positions = first + np.arange(weights.size) - phase
+    return np.asarray(np.exp(-2j * np.pi * frequency[:, None] * positions) @ weights)
 
 
 def _linear(frequency: FloatArray, phase: float) -> FloatArray:
@@ -373,13 +373,13 @@ def _line_bumps(blur: float, outermost: float) -> tuple[FloatArray, FloatArray]:
     half = min(max(_CORE * blur, 5.0), outermost)
     core = width * np.arange(int(2 * half / width) + 1)
     core -= core.mean()
-    places, widths, at = [], [], float(core[-1])
+    positions, widths, at = [], [], float(core[-1])
     while at < outermost:
         step = max(width, _COARSER * at)
         at += step
-        places.append(at)
+        positions.append(at)
         widths.append(step)
-    outside, wide = np.array(places[:-1]), np.array(widths[:-1])
+    outside, wide = np.array(positions[:-1]), np.array(widths[:-1])
     return np.concatenate([-outside[::-1], core, outside]), np.concatenate(
         [wide[::-1], np.full(core.size, width), wide]
     )

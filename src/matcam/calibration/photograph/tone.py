@@ -138,10 +138,10 @@ def patch_tone_curve(picture: str | Path, patches: str | Path) -> np.ndarray:
         raise FileFormatError(
             f"{patches}: x, y, width and height of a patch must be whole numbers of px, its light a number"
         )
-    places = rows[:, :4].astype(int).tolist()
+    positions = rows[:, :4].astype(int).tolist()
     try:
         if image.ndim == 2:
-            return tone_from_patches(image, places, rows[:, 4])
-        return np.stack([tone_from_patches(image, places, rows[:, 4], channel) for channel in range(3)], axis=1)
+            return tone_from_patches(image, positions, rows[:, 4])
+        return np.stack([tone_from_patches(image, positions, rows[:, 4], channel) for channel in range(3)], axis=1)
     except ArgumentError as error:
         raise FileFormatError(f"{patches}: {error}") from None

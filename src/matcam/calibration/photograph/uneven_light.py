@@ -206,14 +206,14 @@ def _polynomials(x: FloatArray, y: FloatArray) -> FloatArray:
 
 
 def _unknown(
-    bins: _Bins, best: _Family, amplitude: float, noise: float, places: tuple[FloatArray, ...], blur: float
+    bins: _Bins, best: _Family, amplitude: float, noise: float, positions: tuple[FloatArray, ...], blur: float
 ) -> float:
     """Compute the relative standard deviation of the step of the light across the edge, averaged along the edge.
 
     `amplitude`: relative standard deviation of the light. `noise`: variance of the bins relative to independent noise.
-    `places`: x, y and distance of all pixels, px.
+    `positions`: x, y and distance of all pixels, px.
     """
-    x, y, distance = places
+    x, y, distance = positions
     # In selected rows, use the pixels that are one blur width from the edge on both sides.
     rows = np.linspace(0, len(x) - 1, min(len(x), _ROWS)).astype(int)
     at = [np.abs(distance[rows] - side * blur).argmin(1) for side in (1, -1)]

@@ -165,7 +165,7 @@ def iso12233_sfr(
     number = np.arange(len(value), dtype=float)
     if value.shape[1] < 8:
         raise FitError("the region has missing pixels: the method of ISO 12233 requires all of them")
-    place = _edge_places(value, start, number, order)
+    place = _edge_positions(value, start, number, order)
     straight = np.polynomial.Polynomial.fit(number, place, 1).convert().coef[1]
     if abs(straight) * len(value) < _LEAST_TURNS:
         raise FitError(
@@ -183,7 +183,7 @@ def iso12233_sfr(
     return ISOEdge(frequency, sfr, sfr50, sfr10, float(np.arccos(across)), esf, spacing)
 
 
-def _edge_places(value: FloatArray, start: FloatArray, number: FloatArray, order: int) -> FloatArray:
+def _edge_positions(value: FloatArray, start: FloatArray, number: FloatArray, order: int) -> FloatArray:
     """Find the position of the edge in every row, in samples, from a polynomial through centroids of the derivative.
 
     `start`: position of the first sample of each row, in samples. `number`: number of each row.
@@ -220,8 +220,8 @@ def _edge_spread(value: FloatArray, distance: FloatArray) -> FloatArray:
     known = count > 0
     if known.sum() < 2 * _BINS:
         raise FitError("the edge leaves the region: choose a region whose middle the edge crosses")
-    places = np.arange(count.size)
-    return np.asarray(np.interp(places, places[known], total[known] / count[known]))
+    positions = np.arange(count.size)
+    return np.asarray(np.interp(positions, positions[known], total[known] / count[known]))
 
 
 def _response(esf: FloatArray, spacing: float) -> tuple[FloatArray, FloatArray]:

@@ -101,9 +101,9 @@ def described_edges(values: FloatArray, chart: Chart, projection: Projection) ->
     if sides is None:
         return None
     found = sides.found & (sides.found.sum(1) >= _FEWEST)[:, None]
-    square, place = np.nonzero(found)
+    square, position = np.nonzero(found)
     some, one = np.unique(square, return_inverse=True)
-    (x, y), (nx, ny) = sides.seen[square, place].T, sides.normal[square, place].T
+    (x, y), (nx, ny) = sides.seen[square, position].T, sides.normal[square, position].T
     x, y, angle, _, width = _moments(one, some.size, x, y, nx, ny, np.ones(one.size))[0].T
     good = width < np.sqrt(12) * _STRAIGHT
     return clear_edges(smooth, x[good], y[good], angle[good], sides.length[some[good]], _SIDE_CORNER)

@@ -64,8 +64,8 @@ def _disc_nodes(radii: int = 5, turns: int = 14) -> tuple[FloatArray, FloatArray
     """Compute nodes (2, n) and weights (n,) of a quadrature over the unit disc: Gauss nodes in radius, rotated rings."""
     nodes, weights = np.polynomial.legendre.leggauss(radii)
     turn = 2 * np.pi * (np.arange(turns) + 0.5 * (np.arange(radii)[:, None] % 2)) / turns
-    places = np.sqrt((nodes + 1) / 2)[:, None] * np.stack([np.cos(turn), np.sin(turn)])
-    return places.reshape(2, -1), np.repeat(weights / 2 / turns, turns)
+    positions = np.sqrt((nodes + 1) / 2)[:, None] * np.stack([np.cos(turn), np.sin(turn)])
+    return positions.reshape(2, -1), np.repeat(weights / 2 / turns, turns)
 
 
 _DISC, _SHARE = _disc_nodes()
@@ -254,7 +254,7 @@ def square_lattice(x: FloatArray, y: FloatArray) -> DotLattice:
     second = steps[int(np.argmax(across))]
     if np.abs(across).max() < 0.7 or not 0.5 < np.hypot(*second) / np.hypot(*first) < 2:
         raise FitError("the spots in the region do not form a square grid: give a region of dots alone")
-    place: dict[int, tuple[int, int]] = {central: (0, 0)}
+    position: dict[int, tuple[int, int]] = {central: (0, 0)}
     basis: dict[int, FloatArray] = {central: np.stack([first, second])}
     queue = [central]
     while queue:
@@ -262,18 +262,18 @@ def square_lattice(x: FloatArray, y: FloatArray) -> DotLattice:
         for axis, sign in ((0, 1), (0, -1), (1, 1), (1, -1)):
             step = sign * basis[at][axis]
             off, other = tree.query(points[at] + step)
-            if off > _OFF * np.hypot(*step) or int(other) in place:
+            if off > _OFF * np.hypot(*step) or int(other) in position:
                 continue
-            where = list(place[at])
+            where = list(position[at])
             where[axis] += sign
-            place[int(other)] = (where[0], where[1])
+            position[int(other)] = (where[0], where[1])
             # In perspective, the lattice vectors change slowly: each dot provides initial vectors for its neighbours.
             moved = basis[at].copy()
             moved[axis] = 0.7 * moved[axis] + 0.3 * sign * (points[other] - points[at])
             basis[int(other)] = moved
             queue.append(int(other))
-    index = np.array(sorted(place))
-    where_all = np.array([place[i] for i in index], dtype=float)
+    index = np.array(sorted(position))
+    where_all = np.array([position[i] for i in index], dtype=float)
     if len(index) < FEWEST or len({tuple(w) for w in where_all}) != len(index):
         raise FitError(f"the spots in the region do not form a square grid: {len(index)} of {len(points)} fit into one")
     return DotLattice(x[index], y[index], where_all[:, 0], where_all[:, 1])

@@ -303,7 +303,7 @@ def _constant(frequency: FloatArray, direction: FloatArray) -> FloatArray:
 
 def _grating_result(
     picture: LinearImage, fit: WaveFit, printed: Grating, orders: tuple[int, ...], signs: FloatArray,
-    frequency: FloatArray, place: FloatArray,
+    frequency: FloatArray, position: FloatArray,
 ) -> GratingMTF:  # fmt: skip
     """Compute the MTF of a grating from its harmonics and those of the print.
 
@@ -320,7 +320,7 @@ def _grating_result(
         )
     scale = (signs / size)[useful]
     samples = MTFSamples.of_region(
-        "grating", picture, place, f * np.array(orders)[useful], np.full(useful.size, direction),
+        "grating", picture, position, f * np.array(orders)[useful], np.full(useful.size, direction),
         modulation[useful] / size[useful], fit.covariance[np.ix_(useful, useful)] * np.outer(scale, scale),
     )  # fmt: skip
     return GratingMTF(

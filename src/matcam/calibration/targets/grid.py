@@ -122,11 +122,11 @@ class DotGrid:
     Example:
         >>> y, x = np.mgrid[:90, :90]
         >>> page = np.full((90, 90), 1000.0)
-        >>> for place in np.ndindex(7, 7):
-        ...     page -= 900 * np.exp(-((x - 9 - 12 * place[0]) ** 2 + (y - 9 - 12 * place[1]) ** 2) / 2)
+        >>> for position in np.ndindex(7, 7):
+        ...     page -= 900 * np.exp(-((x - 9 - 12 * position[0]) ** 2 + (y - 9 - 12 * position[1]) ** 2) / 2)
         >>> grid = matcam.targets.dot_grid(page, radius=0.05)
         >>> sigma, std = grid.sigma_at(45, 45)
-        >>> round(float(sigma), 1), grid.to_dict()["field"]["place_px"][0]
+        >>> round(float(sigma), 1), grid.to_dict()["field"]["position_px"][0]
         (0.9, [45.0, 45.0])
     """
 
@@ -165,8 +165,8 @@ class DotGrid:
             grid and at the corners of the square around it.
         """
         middle, half = np.array(self.middle), self.field.half
-        places = middle + half * np.array([[0, 0], [-1, -1], [1, -1], [1, 1], [-1, 1]])
-        sigma, std = self.sigma_at(*places.T)
+        positions = middle + half * np.array([[0, 0], [-1, -1], [1, -1], [1, 1], [-1, 1]])
+        sigma, std = self.sigma_at(*positions.T)
         return plain(
             {
                 "x_px": self.x,
@@ -174,7 +174,7 @@ class DotGrid:
                 "sigma_px": self.sigma,
                 "sigma_std_px": self.sigma_std,
                 "samples": [one.to_dict() for one in self.samples],
-                "field": {"place_px": places, "sigma_px": sigma, "sigma_std_px": std},
+                "field": {"position_px": positions, "sigma_px": sigma, "sigma_std_px": std},
                 "radius_px": self.radius,
                 "gain": self.gain,
                 "read_variance": self.read_variance,

@@ -25,7 +25,7 @@ class MTFSamples:
 
     Attributes:
         kind: target: "edge", "grating", "star" or "dots".
-        position: (x, y) of the middle of the target in the image, px; pixel centres are whole numbers, row 0 is at the top.
+        place: (x, y) of the middle of the target in the image, px; pixel centres are whole numbers, row 0 is at the top.
         frequency: (n,) positive frequencies, cycles/px of the full pixel grid, also for a plane of a mosaic.
         direction: (n,) angle from the rows of the image to the frequency vector, rad; x right, y down; defined modulo pi.
         mtf: (n,) MTF, no unit.

@@ -70,7 +70,7 @@ class StarMTF:
         >>> y, x = np.mgrid[:110, :110] - 54.5
         >>> wave = np.cos(20 * np.arctan2(y, x)) * (np.hypot(x, y) < 52)
         >>> result = matcam.targets.star_mtf(1000 * (1 + 0.5 * wave), contrast=0.5)
-        >>> [round(place, 2) for place in result.centre], result.to_dict()["cycles"]
+        >>> [round(position, 2) for position in result.centre], result.to_dict()["cycles"]
         ([54.5, 54.5], 20)
     """
 
@@ -268,17 +268,17 @@ def _star_result(
     `stated`: contrast of the print; None if it is to be extrapolated.
     """
     knots = _knots(edges)
-    places = np.array([knots[i + 1 : i + 4].mean() for i in range(len(knots) - 4)])
-    frequency, direction = (a.ravel() for a in np.meshgrid(places, _DIRECTIONS, indexing="ij"))
+    positions = np.array([knots[i + 1 : i + 4].mean() for i in range(len(knots) - 4)])
+    frequency, direction = (a.ravel() for a in np.meshgrid(positions, _DIRECTIONS, indexing="ij"))
     rows = _basis(frequency, direction, edges)
     amplitude, covariance = rows @ fit.coefficients, rows @ fit.covariance @ rows.T
     size, size_std = (stated, 0.0) if stated is not None else _extrapolated_contrast(frequency, amplitude, covariance)
     mtf = amplitude / size
     covariance = (covariance + np.outer(mtf, mtf) * size_std**2) / size**2
-    place, std = fit.parameters[:2], fit.parameters_std
+    position, std = fit.parameters[:2], fit.parameters_std
     cycles = found.phase.cycles
     samples = MTFSamples.of_region(
-        "star", picture, (place[0], place[1]), frequency, direction, _as_plane_waves(mtf, cycles), covariance
+        "star", picture, (position[0], position[1]), frequency, direction, _as_plane_waves(mtf, cycles), covariance
     )
     return StarMTF(
         samples, samples.position, (float(std[0]), float(std[1])), cycles, size, size_std, fit.chi2, fit.gain,

@@ -74,11 +74,11 @@ class WavePixels(NamedTuple):
 
     def subset(self, mask: np.ndarray | None = None, most: int | None = None) -> np.ndarray:
         """Select the indices of at most `most` pixels, a reproducible random subset of a mask (n,)."""
-        places = np.arange(self.value.size) if mask is None else np.flatnonzero(mask)
+        positions = np.arange(self.value.size) if mask is None else np.flatnonzero(mask)
         most = _MOST if most is None else most
-        if len(places) <= most:
-            return places
-        return np.sort(np.random.default_rng(0).choice(places, most, replace=False))
+        if len(positions) <= most:
+            return positions
+        return np.sort(np.random.default_rng(0).choice(positions, most, replace=False))
 
     def at(self, indices: np.ndarray) -> WavePixels:
         """Select the pixels with given indices."""

@@ -158,7 +158,7 @@ def finest_width(optics: Optics) -> float:
 def few_gaussians(optics: Optics) -> GaussianSum:
     """Approximate the mean of a lens over all directions by few Gaussians, which are accurate only far from its centre.
 
-    Their residual must be added (`forward/integral/kernel_rest.py`).
+    Their residual must be added (`forward/integral/kernel_residual.py`).
     """
     return _of_all_pieces(optics, lambda band: (_FEW_NARROWEST / band, _FEW, _TAIL))
 

@@ -163,11 +163,11 @@ def from_table(table: jax.Array, phase: int, end: jax.Array, angle: jax.Array) -
         xp.mod(angle, 2 * xp.pi) * (round_fine / (2 * np.pi)) + _BEYOND,
     )
 
-    def at(*place: jax.Array) -> jax.Array:
-        first = [xp.floor(a).astype(int) - (_POINTS // 2 - 1) for a in place]
+    def at(*position: jax.Array) -> jax.Array:
+        first = [xp.floor(a).astype(int) - (_POINTS // 2 - 1) for a in position]
         down, across = (
             xp.stack(lagrange_basis(np.arange(float(_POINTS)), a - one), axis=-1)
-            for a, one in zip(place, first, strict=True)
+            for a, one in zip(position, first, strict=True)
         )
         index = (first[0][:, None] + steps)[:, :, None] * width + (first[1][:, None] + steps)[:, None, :]
         return xp.sum(down[:, :, None] * xp.take(flat, index) * across[:, None, :], axis=(1, 2))

@@ -36,7 +36,9 @@ class PatchSize(NamedTuple):
     rows: int
 
 
-def patch_size(widths: RegionWidths, squeezed: float, step: float, taps: Taps, alike: bool, turned: bool) -> PatchSize:
+def patch_size(
+    widths: RegionWidths, squeezed: float, step: float, taps: Taps, symmetric: bool, turned: bool
+) -> PatchSize:
     """Choose the size of the patch about a highlight.
 
     Args:
@@ -44,7 +46,7 @@ def patch_size(widths: RegionWidths, squeezed: float, step: float, taps: Taps, a
         squeezed: cosine of the viewing angle at the highlight.
         step: step of the grid, px.
         taps: weights of a point of light at the points of the grid.
-        alike: True if only the upper half is computed, for symmetric light.
+        symmetric: True if only the upper half is computed, for symmetric light.
         turned: True if the sensor is turned relative to the scene.
     """
     squeezed = max(squeezed, STEEPEST)
@@ -53,12 +55,12 @@ def patch_size(widths: RegionWidths, squeezed: float, step: float, taps: Taps, a
     most = min(panels * widest, widths.around / STEEPEST)
     wide = 2 * widths.around
     # if turned, each latitude is placed separately
-    high = wide if turned else most if alike else 2 * most
+    high = wide if turned else most if symmetric else 2 * most
     return PatchSize(panels, *(int(np.ceil(side / step)) + 2 * taps.reach + 2 for side in (wide, high)))
 
 
 def lay_highlight(
-    grid: jax.Array, regions: Regions, size: PatchSize, x: jax.Array, y: jax.Array, taps: Taps, alike: bool
+    grid: jax.Array, regions: Regions, size: PatchSize, x: jax.Array, y: jax.Array, taps: Taps, symmetric: bool
 ) -> jax.Array:
     """Add the light around a highlight to a grid.
 
@@ -69,7 +71,7 @@ def lay_highlight(
         x: positions of the grid's columns, px.
         y: positions of its rows, px.
         taps: weights of light on the grid.
-        alike: True if only the upper half is computed, for symmetric light.
+        symmetric: True if only the upper half is computed, for symmetric light.
     """
     scene, around = regions.scene, regions.widths.around
     counts = min(size.columns, x.size), min(size.rows, y.size)
@@ -86,7 +88,7 @@ def lay_highlight(
     if scene.turn is None:  # one latitude has one height
         at_x, at_y, sent = nodes
         left = _start(x, regions.peak, counts[0])
-        low = jnp.zeros((), int) if alike else _start(y, jnp.zeros(()), counts[1])
+        low = jnp.zeros((), int) if symmetric else _start(y, jnp.zeros(()), counts[1])
         values = jax.lax.map(lambda row: shares(x, row[0], left, counts[0]) @ row[1], (at_x, sent))
         rows = sum(shares(y, side * at_y[:, 0], low, counts[1]) for side in (1, -1))
         return _added(grid, jnp.einsum("rv,vck->rck", rows, values), low, left)
@@ -111,8 +113,8 @@ def _added(grid: jax.Array, part: jax.Array, row: jax.Array, column: jax.Array) 
 
 
 def _start(line: jax.Array, middle: jax.Array, count: int) -> jax.Array:
-    place = (jax.lax.stop_gradient(middle) - line[0]) / (line[1] - line[0])
-    return jnp.clip(jnp.round(place).astype(int) - count // 2, 0, line.size - count)
+    position = (jax.lax.stop_gradient(middle) - line[0]) / (line[1] - line[0])
+    return jnp.clip(jnp.round(position).astype(int) - count // 2, 0, line.size - count)
 
 
 def _light(regions: Regions, v: jax.Array, width: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:

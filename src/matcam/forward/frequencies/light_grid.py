@@ -59,20 +59,20 @@ class LightGrid(NamedTuple):
         y: positions of the rows, px; if the light is symmetric, starting half a step above the axis.
         widths: widths of the regions.
         taps: weights of single points of light.
-        alike: True if only the upper half is computed, for symmetric light.
+        symmetric: True if only the upper half is computed, for symmetric light.
     """
 
     x: np.ndarray
     y: np.ndarray
     widths: RegionWidths
     taps: Taps
-    alike: bool
+    symmetric: bool
 
     @classmethod
-    def of(cls, x: np.ndarray, y: np.ndarray, highest: float, *, alike: bool = False) -> LightGrid:
+    def of(cls, x: np.ndarray, y: np.ndarray, highest: float, *, symmetric: bool = False) -> LightGrid:
         """Build the grid for a band up to `highest`, cycles/px."""
         per_px = 1 / abs(x[1] - x[0])
-        return cls(x, y, RegionWidths.above(per_px - highest), Taps.below(highest / per_px), alike)
+        return cls(x, y, RegionWidths.above(per_px - highest), Taps.below(highest / per_px), symmetric)
 
     def laying(self, scene: Scene) -> Laying:
         """Choose the arrangement of the light of a scene; its parameters must be concrete, apart from their derivatives."""
@@ -83,16 +83,16 @@ class LightGrid(NamedTuple):
         sides = [(False, 1), (False, -1), (True, 1), (True, -1)]
         lines = tuple(
             limb_lines(self.x if upright else self.y, radius, self.widths.widest_line, self.taps, upright, side)
-            for upright, side in sides[: 3 if self.alike else 4]
+            for upright, side in sides[: 3 if self.symmetric else 4]
         )
         turned = scene.turn is not None
-        return Laying(lines, patch_size(self.widths, cosine, step, self.taps, self.alike, turned))
+        return Laying(lines, patch_size(self.widths, cosine, step, self.taps, self.symmetric, turned))
 
     def laid(self, scene: Scene, laying: Laying | None = None) -> jax.Array:
         """Compute the light of a scene on the grid, 1/sr, (rows, columns, channels). laying: for parameters that are
         not concrete.
         """
-        return _laid(scene, self.x, self.y, (self.widths, self.taps, self.alike), laying or self.laying(scene))
+        return _laid(scene, self.x, self.y, (self.widths, self.taps, self.symmetric), laying or self.laying(scene))
 
 
 def per_px_for(highest: float, radius: float) -> int:
@@ -131,7 +131,7 @@ def _laid(
     kind: tuple[RegionWidths, Taps, bool],
     laying: Laying,
 ) -> jax.Array:
-    widths, taps, alike = kind
+    widths, taps, symmetric = kind
     x, y = jnp.asarray(x), jnp.asarray(y)
     regions = Regions.of(scene, widths)
     grid = _smooth_part(regions, x, y)
@@ -140,7 +140,7 @@ def _laid(
         grid = lay_limb(grid, regions, served, across, along, taps)
     grid = remove_kink(grid, regions, False, y, x)
     grid = remove_kink(grid, regions, True, x, y)
-    return lay_highlight(grid, regions, laying.patch, x, y, taps, alike)
+    return lay_highlight(grid, regions, laying.patch, x, y, taps, symmetric)
 
 
 def _smooth_part(regions: Regions, x: jax.Array, y: jax.Array) -> jax.Array:

@@ -1,6 +1,6 @@
 """Filter of an image: one lens, one lens per colour, or several lenses between which the kernel is interpolated.
 
-A lens that varies over the field is sampled at some positions (`place_shares.py`). The light is divided into as many
+A lens that varies over the field is sampled at some positions (`position_shares.py`). The light is divided into as many
 shares by smooth weights of the position of its source. Each share is filtered by its own lens, and the shares are
 added. Each surface element is thus blurred by the kernel at its own position.
 """
@@ -21,7 +21,7 @@ from matcam.camera.pixel import PixelResponse
 from matcam.core.errors import ArgumentError
 from matcam.core.jax import jax, jnp
 from matcam.forward.frequencies.band_limited import EXACT, BandLimit, band_limit, concrete, optics_band, sampling_of
-from matcam.forward.frequencies.place_shares import PlaceShares
+from matcam.forward.frequencies.position_shares import PositionShares
 
 _DEGREES = (3, 6, 9, 12, 16)
 """Degrees of the weights as polynomials of the position; the lowest sufficient one is used."""
@@ -64,7 +64,7 @@ class PictureLens(NamedTuple):
     pixel: PixelResponse
     limit: BandLimit
     colours: tuple[ColourLens, ...]
-    shares: PlaceShares | None
+    shares: PositionShares | None
     error: float
 
     @property
@@ -112,7 +112,7 @@ def picture_lens(camera: Camera, radius: float, error: float | None = None) -> P
         )
     if shares is not None:
         varying = [one for one in parts if isinstance(one, SeidelOptics)]
-        between += shares.left_over(limit.sigma, _sampled(varying, shares.places, _CHECKED))
+        between += shares.left_over(limit.sigma, _sampled(varying, shares.positions, _CHECKED))
         if between > _TOLERABLE:
             raise ArgumentError(
                 f"the lens varies too much within a few pixels of a sample of {radius:g} px: give a larger unit"
@@ -126,31 +126,31 @@ def varies_over_field(optics: Optics) -> bool:
     return any(isinstance(one, SeidelOptics) for one in parts)
 
 
-def _colour(optics: Optics, shares: PlaceShares | None, shift: jax.Array | None = None) -> ColourLens:
+def _colour(optics: Optics, shares: PositionShares | None, shift: jax.Array | None = None) -> ColourLens:
     shift = jnp.zeros(2) if shift is None else shift
     if shares is None:
         return ColourLens((optics,), shift)
     if isinstance(optics, SeidelOptics):
-        return ColourLens(tuple(optics.at(*place) for place in shares.places), shift)
-    return ColourLens((optics,) * len(shares.places), shift)
+        return ColourLens(tuple(optics.at(*position) for position in shares.positions), shift)
+    return ColourLens((optics,) * len(shares.positions), shift)
 
 
-def _shares_for(optics: tuple[Optics, ...], radius: float) -> tuple[PlaceShares | None, float]:
+def _shares_for(optics: tuple[Optics, ...], radius: float) -> tuple[PositionShares | None, float]:
     """Choose the fewest shares between which the lenses are interpolated accurately, and compute their error."""
     varying = [jax.lax.stop_gradient(one) for one in optics if isinstance(one, SeidelOptics)]
     if not varying:
         return None, 0.0
     turn = 2 * np.pi * (np.arange(_ROUND) + 0.2) / _ROUND
-    places = radius * np.concatenate([ring * np.stack([np.cos(turn), np.sin(turn)], -1) for ring in _RINGS])
-    true = _sampled(varying, places, _CHECKED)
+    positions = radius * np.concatenate([ring * np.stack([np.cos(turn), np.sin(turn)], -1) for ring in _RINGS])
+    true = _sampled(varying, positions, _CHECKED)
 
-    def fitted(places: np.ndarray) -> np.ndarray:
-        return _sampled(varying, places, _FITTED)
+    def fitted(positions: np.ndarray) -> np.ndarray:
+        return _sampled(varying, positions, _FITTED)
 
     error = np.inf
     for degree in _DEGREES:
-        shares = PlaceShares.of(degree, radius, fitted, _LEFT_OUT)
-        error = float(np.abs(shares.at(places) @ _sampled(varying, shares.places, _CHECKED) - true).max())
+        shares = PositionShares.of(degree, radius, fitted, _LEFT_OUT)
+        error = float(np.abs(shares.at(positions) @ _sampled(varying, shares.positions, _CHECKED) - true).max())
         if error < _ENOUGH:
             break
     if error > _TOLERABLE:
@@ -161,7 +161,9 @@ def _shares_for(optics: tuple[Optics, ...], radius: float) -> tuple[PlaceShares 
     return shares, error
 
 
-def _sampled(lenses: list[SeidelOptics], places: np.ndarray, frequencies: tuple[tuple[float, ...], int]) -> np.ndarray:
+def _sampled(
+    lenses: list[SeidelOptics], positions: np.ndarray, frequencies: tuple[tuple[float, ...], int]
+) -> np.ndarray:
     """Evaluate transfer functions at positions (n, 2), px: (n, lenses times frequencies).
 
     frequencies: shares of the cutoff, and number of directions.
@@ -171,7 +173,7 @@ def _sampled(lenses: list[SeidelOptics], places: np.ndarray, frequencies: tuple[
     end, direction = (np.broadcast_to(a, (share.size, angle.size)).ravel() for a in (np.arccos(share), angle))
     parts = []
     for lens in lenses:
-        terms = np.asarray(lens.terms_at(places[:, 0], places[:, 1]))
+        terms = np.asarray(lens.terms_at(positions[:, 0], positions[:, 1]))
         for one in terms:
             check_phase(one)
         order = overlap_order(max(map(phase_of, terms)))

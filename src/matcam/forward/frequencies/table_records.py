@@ -25,7 +25,7 @@ from matcam.forward.frequencies.light_grid import Laying, LightGrid, margin_of, 
 from matcam.forward.frequencies.mirrored import MirroredTransfer
 from matcam.forward.frequencies.reading import Reading
 from matcam.forward.integral.scene import Scene, Turn
-from matcam.forward.sampler.plan import RecordPlaces
+from matcam.forward.sampler.plan import RecordPositions
 from matcam.material.material import Material
 from matcam.rigs import Rig
 from matcam.sample.curved import Sphere
@@ -70,7 +70,7 @@ def served_by_frequencies(rig: Rig, material: Material) -> bool:
 
 
 def record_by_frequencies(
-    material: Material, rig: Rig, lamps: np.ndarray, azimuth: float, places: RecordPlaces
+    material: Material, rig: Rig, lamps: np.ndarray, azimuth: float, positions: RecordPositions
 ) -> jax.Array:
     """Record a material at positions in the images of a sphere.
 
@@ -79,16 +79,16 @@ def record_by_frequencies(
         rig: camera and sphere; see `served_by_frequencies`.
         lamps: angle between the lamp of each image and the optical axis, rad.
         azimuth: azimuth of all lamps, rad.
-        places: positions in ascending order of their images.
+        positions: positions in ascending order of their images.
 
     Returns:
-        Radiance under unit irradiance, 1/sr, (places, channels). Differentiable in material, sample and lens.
+        Radiance under unit irradiance, 1/sr, (positions, channels). Differentiable in material, sample and lens.
     """
     sample = rig.sample
     assert isinstance(sample, Sphere)
     turn = Turn(placed(np.cos(azimuth)), placed(np.sin(azimuth))) if azimuth else None
-    assert places.picture is not None
-    counts = np.bincount(places.picture, minlength=lamps.size)
+    assert positions.picture is not None
+    counts = np.bincount(positions.picture, minlength=lamps.size)
     ends = np.cumsum(counts)
     records = [jnp.zeros((0, 1))] * lamps.size
     dark_left = (lamps >= np.pi / 2) & (turn is None)
@@ -96,13 +96,13 @@ def record_by_frequencies(
         pictures = np.flatnonzero((dark_left == right_half) & (counts > 0))
         if not pictures.size:
             continue
-        frame = _frame(rig, sample, right_half=right_half, alike=turn is None)
+        frame = _frame(rig, sample, right_half=right_half, symmetric=turn is None)
         most = int(counts[pictures].max())
         known = all(map(is_concrete, jax.tree.leaves((material, sample, frame.transfer))))
         for k in pictures:
             # one program for all images: equal numbers of positions
             index = np.minimum(np.arange(ends[k] - counts[k], ends[k] - counts[k] + most), ends[k] - 1)
-            at = placed(places.x[index]), placed(places.y[index])
+            at = placed(positions.x[index]), placed(positions.y[index])
             scene = Scene(material, sample, placed(lamps[k]), None, turn)
             recorded: Callable[..., jax.Array] = partial(_recorded, frame.grid, frame.grid.laying(scene), at)
             if not known:
@@ -120,7 +120,7 @@ def _recorded(
     return _read(grid.laid(scene, laying), frame, at)
 
 
-def _frame(rig: Rig, sample: Sphere, *, right_half: bool, alike: bool) -> _Frame:
+def _frame(rig: Rig, sample: Sphere, *, right_half: bool, symmetric: bool) -> _Frame:
     """Build the common grid of all images of half a sphere or a full one, and the transfer function on it."""
     optics, pixel = rig.camera.optics, rig.camera.pixel
     highest, radius = optics_band(optics), float(jax.lax.stop_gradient(sample.radius))
@@ -128,7 +128,7 @@ def _frame(rig: Rig, sample: Sphere, *, right_half: bool, alike: bool) -> _Frame
     margin = int(np.ceil(margin_of(per_px, highest) * per_px))
     line = np.arange(-int(np.ceil(radius * per_px)) - margin, int(np.ceil(radius * per_px)) + margin + 1) / per_px
     x = line[line.size // 2 - margin :] if right_half else line
-    y = line[line.size // 2 : -1] + 0.5 / per_px if alike else line
+    y = line[line.size // 2 : -1] + 0.5 / per_px if symmetric else line
     wide = next_fast_len(x.size + APART * per_px, real=True)
     # half of the rows is an even number, too
     high = 4 * next_fast_len(-(-(line.size + APART * per_px) // 4))
@@ -143,8 +143,8 @@ def _frame(rig: Rig, sample: Sphere, *, right_half: bool, alike: bool) -> _Frame
     rows, columns = np.nonzero(np.hypot(fx, known[:, None]) <= highest)
     passed = optics.otf(fx[columns], known[rows])
     whole = jnp.zeros((known.size, fx.size), passed.dtype).at[rows, columns].set(passed) * lines[0]
-    grid, transfer = LightGrid.of(x, y, highest, alike=alike), lines[1][: known.size, None] * whole
-    if alike and optics.isotropic:
+    grid, transfer = LightGrid.of(x, y, highest, symmetric=symmetric), lines[1][: known.size, None] * whole
+    if symmetric and optics.isotropic:
         return _Frame(grid, MirroredTransfer.of(transfer[:-1]), (high, wide), per_px, reading)
     if optics.isotropic:  # symmetric above and below
         transfer = transfer[np.minimum(np.arange(high), high - np.arange(high))]
@@ -155,14 +155,14 @@ def _frame(rig: Rig, sample: Sphere, *, right_half: bool, alike: bool) -> _Frame
 def _read(light: jax.Array, frame: _Frame, at: tuple[jax.Array, jax.Array]) -> jax.Array:
     """Interpolate the filtered image, 1/sr, at positions on the sensor, px; (positions, channels)."""
     column, row = (
-        (place - line[0]) * frame.per_px for place, line in zip(at, (frame.grid.x, frame.grid.y), strict=True)
+        (position - line[0]) * frame.per_px for position, line in zip(at, (frame.grid.x, frame.grid.y), strict=True)
     )
     if isinstance(frame.transfer, MirroredTransfer):
         return frame.reading.values(frame.transfer.seen(light, frame.sides[1]), row, column, mirrored=True)
     height, width, channels = light.shape
     # the image is periodic: positions below the axis follow after its last row
     whole = jnp.zeros((*frame.sides, channels)).at[:height, :width].set(light)
-    if frame.grid.alike:
+    if frame.grid.symmetric:
         whole = whole.at[-height:, :width].set(light[::-1])
     spectrum = jnp.fft.rfft2(whole, axes=(0, 1)) * frame.transfer[..., None]
     return frame.reading.values(jnp.fft.irfft2(spectrum, frame.sides, axes=(0, 1)), row, column)

@@ -48,9 +48,9 @@ def remove_kink(grid: jax.Array, regions: Regions, upright: bool, across: jax.Ar
         share = jnp.where(there, share * regions.inside(*lines.ordered(at, lines.fixed)), 0.0)
         near = _STEP * jnp.abs(step)
         slope = regions.sent(*lines.ordered(at - side * near, lines.fixed)) / near
-        place = (at - first) / step
-        below = jnp.floor(jax.lax.stop_gradient(place))
-        rest = place - below
+        position = (at - first) / step
+        below = jnp.floor(jax.lax.stop_gradient(position))
+        rest = position - below
         off = jnp.where(side * step < 0, 1 - rest, rest)  # light lies on the other side of the end
         added = jnp.abs(step) / 2 * (off**2 - off + 1 / 6) * share
         for point, part in ((below, 1 - rest), (below + 1, rest)):

@@ -1,6 +1,6 @@
 """Blur of a rig: a sum of Gaussians, with the pixel in closed form.
 
-- The lens is a sum of Gaussians (`camera/optics/gaussian.py`) and their residual (`kernel_rest.py`). Registration
+- The lens is a sum of Gaussians (`camera/optics/gaussian.py`) and their residual (`kernel_residual.py`). Registration
   jitter adds its variance to each.
 - A lens out of focus spreads light over a disc. A source disc spreads the half vector over an ellipse (docs/model.md
   3). Both vary over the image. Records of pixels and cells integrate the first over chords of the disc, each a product
@@ -23,7 +23,7 @@ from matcam.camera.optics.optics import Optics
 from matcam.camera.pixel import PIXELS_SHARE, PixelResponse
 from matcam.core.errors import ArgumentError
 from matcam.core.jax import is_concrete, jax, jnp
-from matcam.forward.integral.kernel_rest import KernelRest, kernel_rest
+from matcam.forward.integral.kernel_residual import KernelResidual, kernel_residual
 from matcam.lamp.lamps import STEEPEST, closeness
 from matcam.numerics.disc_chords import COUNTS, Chords, chord_rule, chords_of, half_of
 from matcam.rigs import Rig
@@ -64,7 +64,7 @@ class Blur(eqx.Module):
         focus: angle of the normals in focus from the optical axis, rad.
         varies: True where lamp or focus add to the terms; the kernel then depends on the position.
         chords: number of chords of the disc of a lens out of focus, one of `disc_chords.COUNTS`; 0: it is a Gaussian.
-        rest: residual of the Gaussians, the last term; None: no residual.
+        residual: residual of the Gaussians, the last term; None: no residual.
     """
 
     pixel: PixelResponse
@@ -75,12 +75,12 @@ class Blur(eqx.Module):
     focus: jax.Array
     varies: bool = eqx.field(static=True)
     chords: int = eqx.field(static=True, default=0)
-    rest: KernelRest | None = None
+    residual: KernelResidual | None = None
 
     @property
     def terms(self) -> tuple[int, ...]:
         """Return the indices of all terms."""
-        return tuple(range(self.stds.size + (self.rest is not None)))
+        return tuple(range(self.stds.size + (self.residual is not None)))
 
     @property
     def std_of_half(self) -> float:
@@ -90,21 +90,21 @@ class Blur(eqx.Module):
     @property
     def even(self) -> bool:
         """Check whether the kernel is symmetric above and below."""
-        return self.rest is None or self.rest.even
+        return self.residual is None or self.residual.even
 
-    def is_rest(self, term: int) -> bool:
+    def is_residual(self, term: int) -> bool:
         """Check whether a term is the residual of the Gaussians."""
         return term == self.stds.size
 
     def share(self, term: int) -> jax.Array:
         """Return the factor of a term in the blur, no unit."""
-        return jnp.ones(()) if self.is_rest(term) else self.weights[term]
+        return jnp.ones(()) if self.is_residual(term) else self.weights[term]
 
     def only(self, terms: tuple[int, ...]) -> Blur:
         """Restrict the blur to some of the terms. A program depends on the number of Gaussians, not on their widths."""
-        index = np.array([term for term in terms if not self.is_rest(term)], dtype=int)
-        rest = self.rest if any(map(self.is_rest, terms)) else None
-        return dataclasses.replace(self, weights=self.weights[index], stds=self.stds[index], rest=rest)
+        index = np.array([term for term in terms if not self.is_residual(term)], dtype=int)
+        residual = self.residual if any(map(self.is_residual, terms)) else None
+        return dataclasses.replace(self, weights=self.weights[index], stds=self.stds[index], residual=residual)
 
     def spread(
         self, sample: Curved, normal_z: jax.Array, lamp_angle: jax.Array, lamp_nearness: jax.Array | None = None
@@ -132,8 +132,8 @@ class Blur(eqx.Module):
 
     def at(self, term: int, spread: Spread, x: jax.Array, y: jax.Array) -> jax.Array:
         """Evaluate one term, 1/px^2, at offsets of the pixel from the image of a surface element along x and y, px."""
-        if self.rest is not None and self.is_rest(term):
-            return self.rest.at(x, y, self._rest_variances(spread))
+        if self.residual is not None and self.is_residual(term):
+            return self.residual.at(x, y, self._residual_variances(spread))
         return self.through_disc(term, spread, lambda along, across: along(x) * across(y))
 
     def across(self, term: int, spread: Spread, x: jax.Array) -> jax.Array:
@@ -148,8 +148,8 @@ class Blur(eqx.Module):
             spread: contribution of focus and lamp.
             of: function of the kernel along x and along y.
         """
-        if self.is_rest(term):
-            return self._through_rest(spread, of)
+        if self.is_residual(term):
+            return self._through_residual(spread, of)
         if not self.chords:
             return of(lambda x: self.kernel(x, term, spread.along), lambda y: self.kernel(y, term, spread.across))
         disc = jnp.maximum(spread.disc, _LEAST_DISC * self.stds[term])
@@ -170,21 +170,21 @@ class Blur(eqx.Module):
 
         chords = jax.tree.map(jnp.asarray, half_of(chords_of(self.chords)))
         first = of_chord(jax.tree.map(lambda a: a[0], chords))
-        rest = jax.tree.map(lambda a: a[1:], chords)
-        return jax.lax.scan(lambda total, chord: (total + of_chord(chord), None), first, rest)[0]
+        others = jax.tree.map(lambda a: a[1:], chords)
+        return jax.lax.scan(lambda total, chord: (total + of_chord(chord), None), first, others)[0]
 
-    def _through_rest(self, spread: Spread, of: Callable[[Line, Line], jax.Array]) -> jax.Array:
+    def _through_residual(self, spread: Spread, of: Callable[[Line, Line], jax.Array]) -> jax.Array:
         """Sum a function over the products of the residual. It is small, so discs are replaced by Gaussians."""
-        rest, (along, across) = self.rest, self._rest_variances(spread) or (None, None)
-        assert rest is not None
+        residual, (along, across) = self.residual, self._residual_variances(spread) or (None, None)
+        assert residual is not None
 
         def of_product(lines: jax.Array) -> jax.Array:
-            return of(lambda x: rest.line(lines[0], x, along), lambda y: rest.line(lines[1], y, across))
+            return of(lambda x: residual.line(lines[0], x, along), lambda y: residual.line(lines[1], y, across))
 
-        first = of_product(rest.lines[0])
-        return jax.lax.scan(lambda total, lines: (total + of_product(lines), None), first, rest.lines[1:])[0]
+        first = of_product(residual.lines[0])
+        return jax.lax.scan(lambda total, lines: (total + of_product(lines), None), first, residual.lines[1:])[0]
 
-    def _rest_variances(self, spread: Spread) -> tuple[jax.Array, jax.Array] | None:
+    def _residual_variances(self, spread: Spread) -> tuple[jax.Array, jax.Array] | None:
         if not self.varies:
             return None
         return spread.along + spread.disc**2 / 4, spread.across + spread.disc**2 / 4
@@ -230,20 +230,20 @@ class Blur(eqx.Module):
         first, second = jnp.where(wider, x, y), jnp.where(wider, y, x)
         variance = jnp.where(wider, var_x, var_y)
         slope = (along - across) * cosine * sine / variance
-        std, rest = jnp.sqrt(variance), jnp.sqrt(jnp.where(wider, var_y, var_x) - slope**2 * variance)
+        std, other_std = jnp.sqrt(variance), jnp.sqrt(jnp.where(wider, var_y, var_x) - slope**2 * variance)
         total: jax.Array | float = 0.0
         for node, weight in zip(*np.polynomial.legendre.leggauss(nodes), strict=True):
             at = node * self.pixel.half_width
             off = first - at
             share = weight * self.pixel.half_width * self.pixel.response(at)
             density = jnp.exp(-0.5 * (off / std) ** 2) / (np.sqrt(2 * np.pi) * std)
-            total += share * density * self.pixel.of_gaussian(second - slope * off, rest)
+            total += share * density * self.pixel.of_gaussian(second - slope * off, other_std)
         return jnp.asarray(total)
 
     def plane_rule(self, term: int, spread: Spread) -> tuple[jax.Array, jax.Array, jax.Array]:
         """Compute offsets along x and y (px) and weights that integrate smooth light through a term, (..., nodes)."""
-        if self.rest is not None and self.is_rest(term):
-            return self.rest.nodes()
+        if self.residual is not None and self.is_residual(term):
+            return self.residual.nodes()
         (dx, x_weight), (dy, y_weight) = (self.rule(term, added) for added in (spread.along, spread.across))
         shape = (*jnp.broadcast_shapes(dx.shape[:-1], dy.shape[:-1]), -1)
         dx, dy = (a.reshape(shape) for a in jnp.broadcast_arrays(dx[..., None, :], dy[..., :, None]))
@@ -314,17 +314,17 @@ def std_of_half(weights: np.ndarray, stds: np.ndarray) -> float:
     return float(np.sqrt(np.log(2) / 2) / (np.pi * frequency[np.argmax(passed < 0.5)]))
 
 
-def blur_of(rig: Rig, *, in_discs: bool = False, whole: bool = False, rest: KernelRest | None = None) -> Blur:
+def blur_of(rig: Rig, *, in_discs: bool = False, whole: bool = False, residual: KernelResidual | None = None) -> Blur:
     """Build the blur of a rig.
 
     Args:
         rig: the rig.
         in_discs: True if a lens out of focus is described by discs, False for Gaussians.
         whole: True to include the residual of the Gaussians as a term. The lens then need not be isotropic.
-        rest: residual to use, for a lens that differs little. Default: None, that of the lens.
+        residual: residual to use, for a lens that differs little. Default: None, that of the lens.
     """
     optics = rig.camera.optics
-    lens = _with_rest(optics) if whole else gaussian_sum(optics)
+    lens = _with_residual(optics) if whole else gaussian_sum(optics)
     uniform = all(is_concrete(a) and float(a) == 0 for a in (rig.lamp_radius, rig.aperture))
     return Blur(
         pixel=rig.camera.pixel,
@@ -335,11 +335,11 @@ def blur_of(rig: Rig, *, in_discs: bool = False, whole: bool = False, rest: Kern
         focus=rig.focus,
         varies=not uniform,
         chords=_chords(rig, lens) if in_discs else 0,
-        rest=(rest or kernel_rest(optics, rig.camera.pixel, lens, rig.jitter)) if whole else None,
+        residual=(residual or kernel_residual(optics, rig.camera.pixel, lens, rig.jitter)) if whole else None,
     )
 
 
-def _with_rest(optics: Optics) -> GaussianSum:
+def _with_residual(optics: Optics) -> GaussianSum:
     """Return the Gaussians of a lens with a residual. There are more for derivatives, which neglect the residual."""
     known = all(map(is_concrete, jax.tree.leaves(optics)))
     return few_gaussians(optics) if known else round_gaussians(optics)
@@ -362,8 +362,8 @@ def kernel_error(rig: Rig) -> float:
     """Return the largest error of the transfer function of a record; 0 for Gaussian lenses."""
     if not isinstance(rig.sample, Sphere):
         return float(gaussian_sum(rig.camera.optics).total_error)
-    rest = blur_of(rig, whole=True).rest
-    return 0.0 if rest is None else float(rest.error)
+    residual = blur_of(rig, whole=True).residual
+    return 0.0 if residual is None else float(residual.error)
 
 
 class Imaging(NamedTuple):

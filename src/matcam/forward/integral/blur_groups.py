@@ -9,7 +9,7 @@ import numpy as np
 from matcam.core.errors import ArgumentError
 from matcam.core.jax import is_concrete, jax
 from matcam.forward.integral.blur import Blur
-from matcam.forward.integral.kernel_rest import KernelRest
+from matcam.forward.integral.kernel_residual import KernelResidual
 from matcam.lamp.lamps import STEEPEST
 from matcam.sample.shape import Curved
 
@@ -67,19 +67,19 @@ def groups_of(blur: Blur, sample: Curved) -> tuple[BlurGroup, ...]:
     groups: list[BlurGroup] = []
     left = list(np.argsort(stds))
     while left:
-        ratio = _ONE_WIDTH_OF_TAILS if groups and blur.rest is not None else _ONE_WIDTH
+        ratio = _ONE_WIDTH_OF_TAILS if groups and blur.residual is not None else _ONE_WIDTH
         together = [j for j in left if stds[j] <= ratio * stds[left[0]]]
         groups.append(BlurGroup(tuple(int(j) for j in together), _scale(half, stds[together], widened[together])))
         left = left[len(together) :]
-    if blur.rest is not None:
-        groups.append(BlurGroup((stds.size,), _rest_scale(blur.rest, added)))
+    if blur.residual is not None:
+        groups.append(BlurGroup((stds.size,), _residual_scale(blur.residual, added)))
     return tuple(groups)
 
 
-def _rest_scale(rest: KernelRest, added: float) -> BlurScale:
+def _residual_scale(residual: KernelResidual, added: float) -> BlurScale:
     """Compute the lengths of the residual of the Gaussians. added: variance that focus and lamp add to it, px^2."""
-    reach = float(rest.reach_through(added))
-    fineness = max(reach / float(rest.period) / _PERIODS, 1.0)
+    reach = float(residual.reach_through(added))
+    fineness = max(reach / float(residual.period) / _PERIODS, 1.0)
     return BlurScale(near=_REST_NEAR * reach, margin=reach, reach=reach, fineness=fineness)
 
 

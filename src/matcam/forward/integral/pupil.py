@@ -55,5 +55,5 @@ def mean_over_pupil(
         return share * sent(at_x, at_y) / jnp.abs(1 + change)[..., None]
 
     points = tuple(jnp.asarray(a) for a in _PUPIL)
-    first, rest = tuple(a[0] for a in points), tuple(a[1:] for a in points)
-    return jax.lax.scan(lambda total, point: (total + of_point(point), None), of_point(first), rest)[0]
+    first, others = tuple(a[0] for a in points), tuple(a[1:] for a in points)
+    return jax.lax.scan(lambda total, point: (total + of_point(point), None), of_point(first), others)[0]

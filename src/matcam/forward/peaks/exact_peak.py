@@ -8,7 +8,7 @@ from matcam.core.errors import ArgumentError
 from matcam.core.jax import AnyArray, is_concrete, jax, jnp
 from matcam.forward.integral.blur import imaging_of
 from matcam.forward.integral.scene import Scene, highlight_x
-from matcam.forward.sampler.plan import RecordPlaces
+from matcam.forward.sampler.plan import RecordPositions
 from matcam.forward.sampler.under_lamp import record_under_lamp
 from matcam.material.masking import Masking
 from matcam.material.microfacet import Microfacet
@@ -30,6 +30,6 @@ def exact_response(rig: Rig, ndf: SlopeDistribution, theta: AnyArray, masking: M
     sample, near, material = rig.sample, rig.lamp.nearness, Microfacet(ndf, 1.0, masking=masking)
     lamps = np.asarray(jax.lax.stop_gradient(sample.lamp_angle(jnp.asarray(theta), near)))
     x = np.asarray(jax.lax.stop_gradient(highlight_x(sample, jnp.asarray(lamps), near)))
-    recorded = record_under_lamp(material, rig, imaging_of(rig), RecordPlaces(x, np.zeros_like(x), lamps))
+    recorded = record_under_lamp(material, rig, imaging_of(rig), RecordPositions(x, np.zeros_like(x), lamps))
     element, _ = sample.at(jnp.asarray(x), jnp.zeros(x.size))
     return recorded[:, 0] / Scene(material, sample, jnp.asarray(lamps), near).sent(element)[:, 0]

@@ -42,26 +42,26 @@ _UNKNOWN_REACH = 8.0
 _CHEBYSHEV = 64
 """Number of slices for interpolation if only the length of the lobe varies. The error is 1e-9."""
 
-Places = tuple["jax.Array", "jax.Array"]
+Positions = tuple["jax.Array", "jax.Array"]
 """Offsets from the peak towards the limb and across, px, (slices, points) each."""
 
 
-def plane_record(rig: Rig, ndf: NDF, theta: jax.Array, places: Places | None) -> jax.Array:
+def plane_record(rig: Rig, ndf: NDF, theta: jax.Array, positions: Positions | None) -> jax.Array:
     """Compute the record of a lobe over the true peak, (slices, points).
 
     Args:
         rig: the rig.
         ndf: the lobe.
         theta: viewing angles of the peak, rad, (slices,).
-        places: positions of the record; None: one point at the peak.
+        positions: positions of the record; None: one point at the peak.
     """
     scale_x, scale_y = rig.px_per_rad(theta)
     uniform = xp.isinf(scale_x) | xp.isinf(scale_y)
     scale_x, scale_y = xp.where(uniform, 1.0, scale_x), xp.where(uniform, 1.0, scale_y)
     discs = disc_sizes(rig, theta)
-    nodes = _polar_nodes(rig, ndf, (scale_x, scale_y), discs, places)
-    given = (scale_x, scale_y, *(discs[:3] if discs else ()), *(places or ()))
-    if discs is None and places is None and _only_length_varies(scale_x, scale_y):
+    nodes = _polar_nodes(rig, ndf, (scale_x, scale_y), discs, positions)
+    given = (scale_x, scale_y, *(discs[:3] if discs else ()), *(positions or ()))
+    if discs is None and positions is None and _only_length_varies(scale_x, scale_y):
         records = _interpolated(nodes, scale_x, scale_y[:1])
     else:
         records = first_axis_map(nodes.at, given, nodes.together)
@@ -150,20 +150,20 @@ class _PolarNodes(NamedTuple):
             lamp_x, lamp_y, lens = (size[:, None, None] for size in more[:3])
             lamp = turns * xp.sqrt((lamp_x * self.cos) ** 2 + (lamp_y * self.sin) ** 2)
             spectra = spectra * jinc(lamp, self.largest) * jinc(turns * lens, self.largest)
-        places = more[3:] if self.discs else more
-        if not places:
+        positions = more[3:] if self.discs else more
+        if not positions:
             return xp.sum(spectra, axis=(1, 2))[:, None]
         along, across = (
-            xp.cos(turns * axis * at[..., None, None]) for axis, at in zip((self.cos, self.sin), places, strict=True)
+            xp.cos(turns * axis * at[..., None, None]) for axis, at in zip((self.cos, self.sin), positions, strict=True)
         )
         return xp.sum(spectra[:, None] * along * across, axis=(2, 3))
 
 
 def _polar_nodes(
-    rig: Rig, ndf: NDF, scales: tuple[jax.Array, jax.Array], discs: Discs | None, places: Places | None
+    rig: Rig, ndf: NDF, scales: tuple[jax.Array, jax.Array], discs: Discs | None, positions: Positions | None
 ) -> _PolarNodes:
     of_discs = _largest(*discs[:3]) if discs else 0.0
-    reach = of_discs + _largest(*(places or ()))
+    reach = of_discs + _largest(*(positions or ()))
     rule = _frequencies(rig, ndf, xp.maximum(*scales), reach)
     ratio = constant(xp.min(scales[0] / scales[1]))
     short = float(np.clip(ratio, 1e-6, 1)) if is_concrete(ratio) else _SHORTEST
@@ -174,7 +174,7 @@ def _polar_nodes(
     f, cos, sin = xp.asarray(rule.frequency)[:, None], np.cos(phi), np.sin(phi)
     area = 4 * xp.asarray(rule.weight)[:, None] * f * (weight * short * np.cosh(v))
     transfer = rig.camera.transfer(f * cos, f * sin) * _of_jitter(rig, f)
-    together = max(1, _VALUES // (area.size * (1 if places is None else places[0].shape[1])))
+    together = max(1, _VALUES // (area.size * (1 if positions is None else positions[0].shape[1])))
     largest = 2 * np.pi * of_discs * band
     return _PolarNodes(lobe_spectrum(ndf, 2), f, cos, sin, area * transfer, discs is not None, largest, together)
 
@@ -218,6 +218,6 @@ def _interpolated(nodes: _PolarNodes, scale_x: np.ndarray, scale_y: np.ndarray) 
     length = np.exp(domain.mean() + np.ptp(domain) / 2 * unit)
     records = first_axis_map(nodes.at, (length, np.full_like(length, scale_y[0])), nodes.together)[:, 0]
     basis = np.polynomial.chebyshev.chebvander(unit, _CHEBYSHEV - 1)
-    place = (2 * np.log(scale_x) - domain.sum()) / np.ptp(domain)
-    shares = np.polynomial.chebyshev.chebvander(place, _CHEBYSHEV - 1) @ np.linalg.inv(basis)
+    position = (2 * np.log(scale_x) - domain.sum()) / np.ptp(domain)
+    shares = np.polynomial.chebyshev.chebvander(position, _CHEBYSHEV - 1) @ np.linalg.inv(basis)
     return (shares @ records)[:, None]

@@ -78,11 +78,11 @@ def lobe_record(rig: Rig, ndf: NDF, theta_o: AnyArray, x: AnyArray, y: AnyArray)
     Returns:
         Relative record, (slices, points), no unit. At offset (0, 0) it is the response at the peak.
     """
-    places = xp.asarray(x), xp.asarray(y)
+    positions = xp.asarray(x), xp.asarray(y)
     lens = _gaussians_of(rig)
     if lens is not None and isinstance(ndf, MixtureNDF):
-        return _closed_record(rig, ndf, lens, xp.asarray(theta_o), places)
-    return plane_record(rig, ndf, xp.asarray(theta_o), places)
+        return _closed_record(rig, ndf, lens, xp.asarray(theta_o), positions)
+    return plane_record(rig, ndf, xp.asarray(theta_o), positions)
 
 
 def _gaussians_of(rig: Rig) -> Gaussians | None:
@@ -94,25 +94,25 @@ def _gaussians_of(rig: Rig) -> Gaussians | None:
 
 
 def _closed_record(
-    rig: Rig, ndf: MixtureNDF, lens: Gaussians, theta: jax.Array, places: tuple[jax.Array, jax.Array]
+    rig: Rig, ndf: MixtureNDF, lens: Gaussians, theta: jax.Array, positions: tuple[jax.Array, jax.Array]
 ) -> jax.Array:
     """Compute the record of a lobe at positions (x, y), (slices, points)."""
     if not has_discs(rig):
-        return _closed_in_focus(rig, ndf, lens, theta, places)
+        return _closed_in_focus(rig, ndf, lens, theta, positions)
 
     def mean(slices: np.ndarray, points: DiscPoints) -> jax.Array:
         at = [
-            (place[slices][..., None] - point[:, None]).reshape(slices.size, -1)
-            for place, point in zip(places, (points.x, points.y), strict=True)
+            (position[slices][..., None] - point[:, None]).reshape(slices.size, -1)
+            for position, point in zip(positions, (points.x, points.y), strict=True)
         ]
         records = _closed_in_focus(rig, ndf, lens, theta[slices], (at[0], at[1]))
-        return records.reshape(slices.size, places[0].shape[1], -1) @ points.share
+        return records.reshape(slices.size, positions[0].shape[1], -1) @ points.share
 
     return mean_over_discs(rig, theta, mean)
 
 
 def _closed_in_focus(
-    rig: Rig, ndf: MixtureNDF, lens: Gaussians, theta: jax.Array, places: tuple[jax.Array, jax.Array]
+    rig: Rig, ndf: MixtureNDF, lens: Gaussians, theta: jax.Array, positions: tuple[jax.Array, jax.Array]
 ) -> jax.Array:
     """Compute the record of a lobe under a point lamp, through a lens in focus."""
     weights, widths = ndf.mixture()
@@ -125,8 +125,8 @@ def _closed_in_focus(
         products = (along * across for along, across in zip(*lines, strict=True))
         return sum((share * (product @ weights) for (share, _), product in zip(lens, products, strict=True)))
 
-    together = max(1, _VALUES // (places[0].shape[1] * widths.size))
-    return first_axis_map(record, (*rig.px_per_rad(theta), *places), together)
+    together = max(1, _VALUES // (positions[0].shape[1] * widths.size))
+    return first_axis_map(record, (*rig.px_per_rad(theta), *positions), together)
 
 
 def _closed_line(rig: Rig, ndf: MixtureNDF, lens: Gaussians, theta: jax.Array, one_plane: bool) -> jax.Array:

@@ -141,8 +141,8 @@ def lay_circles(view: SphereView, windows: Windows, finest: float, fineness: flo
     side = np.maximum(np.abs(last - peak_polar), np.abs(first - peak_polar))
     both = ~strip & (low < side) & (high > _FORESHORTENED * side)
     nodes = _ACROSS * fineness
-    alike = np.where(~strip & (low < side), np.clip((high - low) / width, 1, 2), 1.0)
-    pitches = np.where(both, width, (high - low) / alike) / nodes, (high - side) / nodes
+    ratio = np.where(~strip & (low < side), np.clip((high - low) / width, 1, 2), 1.0)
+    pitches = np.where(both, width, (high - low) / ratio) / nodes, (high - side) / nodes
     scale = np.where(strip, _UNGRADED, min(COARSEST / view.radius, finest))
     touching = np.where(ends[:, None], _touching(view, windows, frame), np.nan)
     spans = _spans(np.where(both, side, np.nan), touching, (low, high), scale, pitches)

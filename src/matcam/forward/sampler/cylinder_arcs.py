@@ -47,7 +47,7 @@ class CrossArcs(NamedTuple):
 
     Attributes:
         nodes: number of nodes.
-        place: index of the pixel.
+        position: index of the pixel.
         row: row of the image, px.
         weight: weight of the row, px, times half the length of the arc in t; no unit where all rows are equal.
         centre: angle of the normal at which t is 0, rad.
@@ -57,7 +57,7 @@ class CrossArcs(NamedTuple):
     """
 
     nodes: np.ndarray
-    place: np.ndarray
+    position: np.ndarray
     row: np.ndarray
     weight: np.ndarray
     centre: np.ndarray

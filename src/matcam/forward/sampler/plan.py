@@ -15,7 +15,7 @@ from matcam.core.programs import kept_program
 from matcam.core.threads import available_cores, in_order
 from matcam.forward.integral.blur import Imaging
 from matcam.forward.integral.blur_groups import BlurGroup, groups_of
-from matcam.forward.integral.rest_at_limb import LimbRule, limb_rule
+from matcam.forward.integral.residual_at_limb import LimbRule, limb_rule
 from matcam.forward.integral.scene import Turn
 from matcam.forward.sampler.arcs import CHUNK
 from matcam.forward.sampler.circle_arcs import CircleArcs
@@ -42,8 +42,8 @@ _NO_CRESCENT = 0.6
 """Share of the support radius of a residual within which all surface must be lit for smooth light up to the limb."""
 
 
-class RecordPlaces(NamedTuple):
-    """Pixel centres in images of a sample, arrays of shape (places,).
+class RecordPositions(NamedTuple):
+    """Pixel centres in images of a sample, arrays of shape (positions,).
 
     Attributes:
         x: column from the optical axis, px.
@@ -59,7 +59,7 @@ class RecordPlaces(NamedTuple):
     azimuth: np.ndarray | None = None
     picture: np.ndarray | None = None
 
-    def at(self, index: np.ndarray) -> RecordPlaces:
+    def at(self, index: np.ndarray) -> RecordPositions:
         """Return the positions at indices."""
         return self._replace(**{name: np.asarray(a)[index] for name, a in self._asdict().items() if a is not None})
 
@@ -74,7 +74,7 @@ class ArcRows(NamedTuple):
 
     Attributes:
         nodes: number of nodes.
-        place: index of the pixel.
+        position: index of the pixel.
         window: index of the pixel among those with arcs.
         angle: angle of the circle from its axis, rad.
         weight: weight of the circle, see `Circles`, times half the length of the arc.
@@ -83,7 +83,7 @@ class ArcRows(NamedTuple):
     """
 
     nodes: np.ndarray
-    place: np.ndarray
+    position: np.ndarray
     window: np.ndarray
     angle: np.ndarray
     weight: np.ndarray
@@ -124,16 +124,16 @@ class PlanPart(NamedTuple):
 class RecordPlan(NamedTuple):
     """Positions of a record, and a part of the plan for each scale of the blur."""
 
-    places: RecordPlaces
+    positions: RecordPositions
     parts: tuple[PlanPart, ...]
 
 
-def record_plan(imaging: Imaging, places: RecordPlaces, finest: float, elongation: float = 1.0) -> RecordPlan:
+def record_plan(imaging: Imaging, positions: RecordPositions, finest: float, elongation: float = 1.0) -> RecordPlan:
     """Plan a record. ArgumentError inside jax.jit.
 
     Args:
         imaging: sample, blur and the lamp's nearness.
-        places: positions to record.
+        positions: positions to record.
         finest: narrowest scale of the lobe, rad.
         elongation: elongation of the lobe, no unit: factor of the distance from a highlight within which a lobe may be
             narrow on the scale of the kernel. Default: 1, a round lobe.
@@ -144,14 +144,15 @@ def record_plan(imaging: Imaging, places: RecordPlaces, finest: float, elongatio
     imaging = jax.lax.stop_gradient(imaging)
     groups = groups_of(imaging.blur, imaging.sample)
     part = _part_on_cylinder if isinstance(imaging.sample, Cylinder) else _part
-    return RecordPlan(places, tuple(part(imaging, group, places, finest, elongation) for group in groups))
+    return RecordPlan(positions, tuple(part(imaging, group, positions, finest, elongation) for group in groups))
 
 
-def rough_pixels(imaging: Imaging, places: RecordPlaces, elongation: float) -> np.ndarray:
+def rough_pixels(imaging: Imaging, positions: RecordPositions, elongation: float) -> np.ndarray:
     """Find pixels of a cylinder that require arcs. elongation: see `record_plan`."""
     scales = [group.scale for group in groups_of(imaging.blur, imaging.sample)]
     smooth = [
-        smooth_on_cylinder(imaging, _pixels(imaging, places, scale.reach), scale.near * elongation) for scale in scales
+        smooth_on_cylinder(imaging, _pixels(imaging, positions, scale.reach), scale.near * elongation)
+        for scale in scales
     ]
     return ~np.all(smooth, axis=0)
 
@@ -161,47 +162,47 @@ def graded_for(finest: float, imaging: Imaging) -> float:
     return min(float(np.exp2(np.floor(np.log2(finest)))), COARSEST / float(imaging.sample.radius))
 
 
-def _part(imaging: Imaging, group: BlurGroup, places: RecordPlaces, finest: float, elongation: float) -> PlanPart:
+def _part(imaging: Imaging, group: BlurGroup, positions: RecordPositions, finest: float, elongation: float) -> PlanPart:
     scale = group.scale
     lamp = np.zeros(()) if imaging.lamp_nearness is None else np.asarray(imaging.lamp_nearness)
     view = SphereView(float(imaging.sample.radius), float(imaging.sample.nearness), float(lamp))
-    pixels = _pixels(imaging, places, scale.reach)
+    pixels = _pixels(imaging, positions, scale.reach)
     clear, dark = _clear(imaging, pixels, scale.margin), _dark(view, pixels)
     near, crowded = _near(view, pixels, scale.near * elongation), _crowded(view, pixels)
-    smooth, limb, rule = clear & ~near & ~crowded, np.zeros(places.x.size, dtype=bool), None
-    if imaging.blur.is_rest(group.terms[0]):
-        rule = None if imaging.blur.varies else limb_rule(imaging.blur.rest, view.radius)  # type: ignore[arg-type]
+    smooth, limb, rule = clear & ~near & ~crowded, np.zeros(positions.x.size, dtype=bool), None
+    if imaging.blur.is_residual(group.terms[0]):
+        rule = None if imaging.blur.varies else limb_rule(imaging.blur.residual, view.radius)  # type: ignore[arg-type]
         if rule is not None:
-            limb, dim = _rest_beside(imaging, view, pixels, ~dark & ~near & ~smooth)
+            limb, dim = _residual_beside(imaging, view, pixels, ~dark & ~near & ~smooth)
             smooth |= dim
     rough = np.flatnonzero(~dark & ~smooth & ~limb)
     frames, arcs = _arcs(view, pixels.at(rough), scale.fineness, finest, elongation)
-    arcs = arcs._replace(place=rough[arcs.window])
+    arcs = arcs._replace(position=rough[arcs.window])
     return PlanPart(group.terms, np.flatnonzero(smooth), np.flatnonzero(limb), rule, frames, arcs)
 
 
 def _part_on_cylinder(
-    imaging: Imaging, group: BlurGroup, places: RecordPlaces, finest: float, elongation: float
+    imaging: Imaging, group: BlurGroup, positions: RecordPositions, finest: float, elongation: float
 ) -> PlanPart:
     scale, nothing = group.scale, np.zeros(0, dtype=int)
-    pixels = _pixels(imaging, places, scale.reach)
+    pixels = _pixels(imaging, positions, scale.reach)
     smooth = smooth_on_cylinder(imaging, pixels, scale.near * elongation)
     rough = np.flatnonzero(~smooth)
     arcs = arcs_across(imaging, pixels.at(rough), scale.fineness, finest, elongation)
-    arcs = arcs._replace(place=rough[arcs.place])
+    arcs = arcs._replace(position=rough[arcs.position])
     return PlanPart(group.terms, np.flatnonzero(smooth), nothing, None, np.zeros((0, 9)), arcs)
 
 
-def _pixels(imaging: Imaging, places: RecordPlaces, half: float) -> Windows:
+def _pixels(imaging: Imaging, positions: RecordPositions, half: float) -> Windows:
     """Build the windows of pixels. half: half the side of a window, px."""
-    size = places.x.size
-    turn = places.turn or Turn(np.ones(size), np.zeros(size))  # type: ignore[arg-type]
-    lamps, which = np.unique(places.lamp_angle, return_inverse=True)
+    size = positions.x.size
+    turn = positions.turn or Turn(np.ones(size), np.zeros(size))  # type: ignore[arg-type]
+    lamps, which = np.unique(positions.lamp_angle, return_inverse=True)
     on_sphere = size and isinstance(imaging.sample, Sphere)
     peaks = np.asarray(_highlights(imaging, lamps))[which] if on_sphere else np.zeros(size)
-    x, y = (np.asarray(a, dtype=float) for a in places[:2])
+    x, y = (np.asarray(a, dtype=float) for a in positions[:2])
     return Windows(
-        x, y, places.lamp_angle, peaks, np.asarray(turn.cosine), np.asarray(turn.sine), np.full((2, size), half)
+        x, y, positions.lamp_angle, peaks, np.asarray(turn.cosine), np.asarray(turn.sine), np.full((2, size), half)
     )
 
 
@@ -271,16 +272,16 @@ def _clear_blocks(
     return (in_blocks(block, used, rows),)
 
 
-def _rest_beside(
-    imaging: Imaging, view: SphereView, pixels: Windows, places: np.ndarray
+def _residual_beside(
+    imaging: Imaging, view: SphereView, pixels: Windows, positions: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Select pixels with the limb in the support of a residual that require no window, and those in smooth light.
 
     The effect of a terminator, where light starts at 0, on the residual is at most 2e-5 of the peak. A terminator beside the
     limb counts only if the light is a thin crescent.
     """
-    index = np.flatnonzero(places)
-    limb, dim = np.zeros_like(places), np.zeros_like(places)
+    index = np.flatnonzero(positions)
+    limb, dim = np.zeros_like(positions), np.zeros_like(positions)
     own, reach = pixels.at(index), float(pixels.half.max(initial=0.0))
     off = np.hypot(own.x, own.y)
     # positions beyond the limb are replaced by the nearest ones inside

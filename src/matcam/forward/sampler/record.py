@@ -13,12 +13,12 @@ from matcam.core.jax import AnyArray, is_concrete, jax, jnp
 from matcam.core.programs import kept_program
 from matcam.core.threads import available_cores, in_order
 from matcam.forward.integral.blur import BlurTerms, Imaging
-from matcam.forward.integral.rest_at_limb import LimbRule
+from matcam.forward.integral.residual_at_limb import LimbRule
 from matcam.forward.integral.scene import Scene, Turn
 from matcam.forward.sampler.circle_arcs import CircleArcs
 from matcam.forward.sampler.cylinder_arcs import CrossArcs
 from matcam.forward.sampler.gauss_rules import MOST_NODES, gauss_rules
-from matcam.forward.sampler.plan import PlanPart, RecordPlaces, RecordPlan
+from matcam.forward.sampler.plan import PlanPart, RecordPlan, RecordPositions
 from matcam.forward.sampler.smooth_light import record_inside
 from matcam.material.material import Material
 from matcam.numerics.blocks import in_blocks, repeated_sum, shaped
@@ -67,7 +67,7 @@ def record(material: Material, imaging: Imaging, plan: RecordPlan, turning: jax.
         turning: small angle by which the lamps are turned away from the optical axis, rad. Default: 0.
 
     Returns:
-        Radiance under unit irradiance, 1/sr, (places, channels). Differentiable in material, sample, blur and turning.
+        Radiance under unit irradiance, 1/sr, (positions, channels). Differentiable in material, sample, blur and turning.
     """
     subject = Subject(material, imaging, jnp.asarray(turning, dtype=float))
     calls: list[_Call] = []
@@ -75,16 +75,16 @@ def record(material: Material, imaging: Imaging, plan: RecordPlan, turning: jax.
         blur = BlurTerms(imaging.blur, part.terms)
         for index, rule in ((part.smooth, None), (part.limb, part.limb_rule)):
             calls += [
-                partial(_record_smooth, subject, blur, rule, plan.places, index[begin : begin + _BLOCKS * _SMOOTH])
+                partial(_record_smooth, subject, blur, rule, plan.positions, index[begin : begin + _BLOCKS * _SMOOTH])
                 for begin in range(0, index.size, _BLOCKS * _SMOOTH)
             ]
         calls += [
-            partial(_record_arcs, subject, blur, plan.places, part, slice(begin, begin + _BLOCKS * _ARCS))
-            for begin in range(0, part.arcs.place.size, _BLOCKS * _ARCS)
+            partial(_record_arcs, subject, blur, plan.positions, part, slice(begin, begin + _BLOCKS * _ARCS))
+            for begin in range(0, part.arcs.position.size, _BLOCKS * _ARCS)
         ]
-    total: Any = np.zeros((plan.places.x.size, subject.under(jnp.zeros(())).channels()))
-    for place, values in in_order(lambda call: call(), calls, available_cores() if subject.known else 1):
-        total = _added(total, place, values.reshape(-1, total.shape[1])[: place.size])
+    total: Any = np.zeros((plan.positions.x.size, subject.under(jnp.zeros(())).channels()))
+    for position, values in in_order(lambda call: call(), calls, available_cores() if subject.known else 1):
+        total = _added(total, position, values.reshape(-1, total.shape[1])[: position.size])
     return jnp.asarray(total)
 
 
@@ -92,19 +92,19 @@ _Call = Callable[[], tuple[np.ndarray, Any]]
 """Program call: indices of pixels, and values to add to their records, (blocks, rows, channels)."""
 
 
-def _added(total: Any, place: np.ndarray, values: Any) -> Any:
+def _added(total: Any, position: np.ndarray, values: Any) -> Any:
     """Add values, (rows, channels), to pixels."""
     if not is_concrete(values):
-        return jnp.asarray(total).at[place].add(values)
-    columns = (np.bincount(place, column, total.shape[0]) for column in np.asarray(values).T)
+        return jnp.asarray(total).at[position].add(values)
+    columns = (np.bincount(position, column, total.shape[0]) for column in np.asarray(values).T)
     return total + np.stack(list(columns), axis=-1)
 
 
 def _record_smooth(
-    subject: Subject, blur: BlurTerms, rule: LimbRule | None, places: RecordPlaces, index: np.ndarray
+    subject: Subject, blur: BlurTerms, rule: LimbRule | None, positions: RecordPositions, index: np.ndarray
 ) -> tuple[np.ndarray, Any]:
     """Record pixels in smooth light, or at the limb with a rule for the residual of a lens."""
-    pixels = places.at(index)
+    pixels = positions.at(index)
     used, rows = shaped((*pixels[:3], pixels.turn), _BLOCKS, _SMOOTH)
     return index, subject.computed(_smooth_blocks(subject, blur, rule, used if subject.known else None, rows))
 
@@ -120,7 +120,7 @@ def _smooth_blocks(subject: Subject, blur: BlurTerms, rule: LimbRule | None, use
 
 
 class _ArcInputs(NamedTuple):
-    """Arcs with the pixels that they belong to, arrays of one shape; see `RecordPlaces`."""
+    """Arcs with the pixels that they belong to, arrays of one shape; see `RecordPositions`."""
 
     x: AnyArray
     y: AnyArray
@@ -130,17 +130,17 @@ class _ArcInputs(NamedTuple):
 
 
 def _record_arcs(
-    subject: Subject, blur: BlurTerms, places: RecordPlaces, part: PlanPart, some: slice
+    subject: Subject, blur: BlurTerms, positions: RecordPositions, part: PlanPart, some: slice
 ) -> tuple[np.ndarray, Any]:
     """Record the light of some arcs."""
     own = part.arcs.at(some)
-    pixels = places.at(own.place)
+    pixels = positions.at(own.position)
     arcs = own if isinstance(own, CrossArcs) else own.on_circles(part.frames)
     used, rows = shaped(_ArcInputs(*pixels[:3], pixels.turn, arcs), _BLOCKS, _ARCS)
     counts = np.resize(own.nodes, _BLOCKS * _ARCS).reshape(_BLOCKS, _ARCS).max(axis=1)
     rules = next(rules for rules in map(gauss_rules, _RULES) if counts.max() < rules.shape[1])
     values = _arc_blocks(subject, blur, used if subject.known else None, counts, rules, rows)
-    return own.place, subject.computed(values)
+    return own.position, subject.computed(values)
 
 
 @kept_program

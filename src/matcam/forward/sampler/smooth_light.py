@@ -32,7 +32,9 @@ def record_inside(scene: Scene, blur: BlurTerms, x: jax.Array, y: jax.Array) -> 
         else:
             dx, dy, share = blur.blur.plane_rule(term, spread)
         light = _arriving(scene, blur.blur, x[:, None] - dx, y[:, None] - dy)
-        if blur.blur.is_rest(term):  # the corners of the residual have negligible weight and may lie beyond the limb
+        if blur.blur.is_residual(
+            term
+        ):  # the corners of the residual have negligible weight and may lie beyond the limb
             _, lit = scene.shown(x[:, None] - dx, y[:, None] - dy)
             light = jnp.where(lit[..., None], light, 0.0)
         total += blur.blur.share(term) * jnp.sum(light * share[..., None], axis=1)

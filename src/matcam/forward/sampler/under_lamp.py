@@ -11,7 +11,7 @@ from matcam.core import checks
 from matcam.core.jax import jax, jnp
 from matcam.forward.integral.blur import Imaging
 from matcam.forward.integral.discs import disc_fineness, nearer
-from matcam.forward.sampler.plan import RecordPlaces, record_plan
+from matcam.forward.sampler.plan import RecordPositions, record_plan
 from matcam.forward.sampler.record import record
 from matcam.lamp.lamps import LampPoint, disc_of, lamp_points
 from matcam.material.material import Material
@@ -23,7 +23,7 @@ _PLACES = 1 << 18
 """Number of pixels times points of a lamp that are recorded at once. They fit into 1 GiB."""
 
 
-def record_under_lamp(material: Material, rig: Rig, imaging: Imaging, places: RecordPlaces) -> jax.Array:
+def record_under_lamp(material: Material, rig: Rig, imaging: Imaging, positions: RecordPositions) -> jax.Array:
     """Record a material at positions in images of a sample.
 
     Places whose lamps require a similar number of points are recorded together.
@@ -32,20 +32,20 @@ def record_under_lamp(material: Material, rig: Rig, imaging: Imaging, places: Re
         material: the material.
         rig: the rig; its lamp may be a disc.
         imaging: imaging of the rig under a point lamp.
-        places: the positions.
+        positions: the positions.
 
     Returns:
-        Radiance under unit irradiance, 1/sr, (places, channels).
+        Radiance under unit irradiance, 1/sr, (positions, channels).
     """
-    levels = np.zeros(places.x.size)
+    levels = np.zeros(positions.x.size)
     if disc_of(rig.lamp) > 0:
-        turns = 0.0 if places.azimuth is None else places.azimuth
-        fineness = np.maximum(disc_fineness(rig, imaging, places.lamp_angle, material, turns), _LEAST_FINENESS)
+        turns = 0.0 if positions.azimuth is None else positions.azimuth
+        fineness = np.maximum(disc_fineness(rig, imaging, positions.lamp_angle, material, turns), _LEAST_FINENESS)
         levels = np.exp2(np.ceil(2 * np.log2(fineness)) / 2)
     parts, order = [], []
     for level in np.unique(levels):
         index = np.flatnonzero(levels == level)
-        own = places.at(index)
+        own = positions.at(index)
         azimuth = np.zeros(index.size) if own.azimuth is None else own.azimuth
         points = lamp_points(rig.lamp, own.lamp_angle, azimuth, float(level))
         parts.append(record_under_points(material, imaging, own, points))
@@ -56,7 +56,7 @@ def record_under_lamp(material: Material, rig: Rig, imaging: Imaging, places: Re
 def record_under_points(
     material: Material,
     imaging: Imaging,
-    places: RecordPlaces,
+    positions: RecordPositions,
     points: list[LampPoint],
     turning: jax.Array | float = 0.0,
 ) -> jax.Array:
@@ -65,22 +65,22 @@ def record_under_points(
     Args:
         material: the material.
         imaging: imaging of the rig under a point lamp.
-        places: the positions; their lamps are those of the points.
-        points: points of the lamp; angle and azimuth are numbers, or of shape (places,).
+        positions: the positions; their lamps are those of the points.
+        points: points of the lamp; angle and azimuth are numbers, or of shape (positions,).
         turning: small angle by which the lamps are turned away from the optical axis, rad. Default: 0.
 
     Returns:
-        Radiance under unit irradiance, 1/sr, (places, channels).
+        Radiance under unit irradiance, 1/sr, (positions, channels).
     """
-    finest, count = checks.outside_jit(material.finest, "the material's parameters"), places.x.size
+    finest, count = checks.outside_jit(material.finest, "the material's parameters"), positions.x.size
     total: jax.Array | float = 0.0
     for some in _rings(points, max(1, _PLACES // max(count, 1))):
         angle, azimuth = (
             np.concatenate([np.broadcast_to(getattr(point, name), count) for point in some])
             for name in ("angle", "azimuth")
         )
-        x, y = (np.tile(a, len(some)) for a in (places.x, places.y))
-        every = RecordPlaces(x, y, angle, azimuth if np.any(azimuth) else None)
+        x, y = (np.tile(a, len(some)) for a in (positions.x, positions.y))
+        every = RecordPositions(x, y, angle, azimuth if np.any(azimuth) else None)
         near = nearer(imaging, some[0].distance)
         values = record(material, near, record_plan(near, every, finest, material.elongation), turning)
         weights = np.array([point.weight for point in some])

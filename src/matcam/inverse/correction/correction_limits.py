@@ -197,10 +197,10 @@ def _albedo_rule() -> tuple[np.ndarray, csr_matrix]:
         index = np.ravel_multi_index(at, GRID_SHAPE)
         weight = 4 * cos_d * cos_o * ring[:, None] * (2 * np.pi / _AZIMUTHS)
         rows.append((index[seen], weight[seen]))
-    cells, place = np.unique(np.concatenate([index for index, _ in rows]), return_inverse=True)
+    cells, position = np.unique(np.concatenate([index for index, _ in rows]), return_inverse=True)
     counts = np.cumsum([0, *(index.size for index, _ in rows)])
     weights = np.concatenate([weight for _, weight in rows])
-    return cells, csr_matrix((weights, place, counts), shape=(len(rows), cells.size))
+    return cells, csr_matrix((weights, position, counts), shape=(len(rows), cells.size))
 
 
 @cache

@@ -90,7 +90,7 @@ def _at_least(noise: PixelNoise, least: PixelNoise) -> PixelNoise:
 
 
 def _mirrored_noise(setup: FitSetup) -> PixelNoise | None:
-    """Estimate noise from cells at phi_d and pi - phi_d, which an isotropic lens records alike (docs/model.md 3)."""
+    """Estimate noise from cells at phi_d and pi - phi_d, which an isotropic lens records equally (docs/model.md 3)."""
     problem = setup.problem
     cells, data, (table,) = problem.cells, problem.data, setup.tables
     if cells.real is not None or (setup.rig is not None and not setup.rig.camera.optics.isotropic):

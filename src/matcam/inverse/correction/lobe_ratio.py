@@ -233,8 +233,8 @@ def _peak_parts(
     columns: result of `_columns`. variance: variance of the ratio at the peaks, (90,).
     """
     rings, slices, azimuths = where.spacing
-    place = int(np.argmin(np.abs(np.array(rings)))) * len(azimuths) + int(np.argmin(np.abs(np.array(azimuths) - 90)))
-    at_peaks = columns[:, :, place].T
+    position = int(np.argmin(np.abs(np.array(rings)))) * len(azimuths) + int(np.argmin(np.abs(np.array(azimuths) - 90)))
+    at_peaks = columns[:, :, position].T
     whole = np.einsum("sp,pq,sq->s", at_peaks, shape.covariance, at_peaks)
     readings = fit_readings_source(found.freedom, noise_given=found.noise_given)
     parts = statement_parts(shape.statements, at_peaks, shape.covariance, whole, readings)

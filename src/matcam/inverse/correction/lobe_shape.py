@@ -99,10 +99,10 @@ def shape_uncertainty(found: MaterialFit, noise: PixelNoise | None, kappa: float
     scale, covariance = _SCALES[0], np.zeros((count, count))
     for _ in range(_ROUNDS):
         value = np.maximum(model.value + np.tensordot(result, columns, 1), 1e-3 * model.value)
-        rest = linear.residual - np.tensordot(result, columns, 1)
+        residual = linear.residual - np.tensordot(result, columns, 1)
         if noise is None:
-            assumed = estimate_noise(data, np.where(data.used, rest, 0), value, count, assumed)
-        robust = huber_weights(standardised_residual(data, rest, value, assumed, np.inf))
+            assumed = estimate_noise(data, np.where(data.used, residual, 0), value, count, assumed)
+        robust = huber_weights(standardised_residual(data, residual, value, assumed, np.inf))
         white = whitening(data, robust / cell_variance(data, value, assumed), model.lobe, np.inf)
         flat, target = white(columns).reshape(count, -1), white(linear.residual).ravel()
         information, right = kappa * flat @ flat.T, kappa * flat @ target

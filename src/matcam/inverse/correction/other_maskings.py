@@ -42,7 +42,7 @@ def other_maskings(found: MaterialFit, kappa: float) -> tuple[OtherMasking, ...]
     if at.kind.shadows or problem.layout.lobes > 1:
         return ()
     white = problem.whitening(model, solution.weight, np.inf)
-    flat, rest = white(model.derivative).reshape(solution.p.size, -1), white(linear.residual).ravel()
+    flat, residual = white(model.derivative).reshape(solution.p.size, -1), white(linear.residual).ravel()
     prior = problem.prior.rows(problem.layout)
     inverse = scaled_inverse(flat @ flat.T + prior.T @ prior)
     own = len(at.lobe) + len(at.rig)
@@ -53,7 +53,7 @@ def other_maskings(found: MaterialFit, kappa: float) -> tuple[OtherMasking, ...]
         record = problem.read(model, lambda one, kind=kind, q=q: np.asarray(lobe_record(one, kind, q)))  # type: ignore[misc]
         added = white(np.nan_to_num(model.strength)[..., None] * (record - model.lobe)).ravel()
         change = -inverse @ (flat @ added)
-        gains.append(float(added @ rest) - 0.5 * float(added @ (added + change @ flat)))
+        gains.append(float(added @ residual) - 0.5 * float(added @ (added + change @ flat)))
         moved.append(change[:own])
     tempered = kappa * (np.array(gains) - max(gains))
     share = np.exp(tempered) / np.exp(tempered).sum()

@@ -106,15 +106,15 @@ def _log_behind(record: _SliceRecord, radius: float, theta_d: float, pixels: Pix
 
 
 @kept_program
-def _ways(operator: LobeOperator, kind: LobeKind, q: jax.Array, shifts: jax.Array) -> jax.Array:
+def _directions(operator: LobeOperator, kind: LobeKind, q: jax.Array, shifts: jax.Array) -> jax.Array:
     """Compute the record of a lobe in each direction, (slices, cells, 2)."""
-    return operator.ways(kind.ndf(q), kind.masking, shifts)
+    return operator.directions(kind.ndf(q), kind.masking, shifts)
 
 
 def _record(where: ResponseLattice, at: FitCoordinates, shifts: np.ndarray) -> np.ndarray:
     """Compute the record in each direction on a lattice, (slices, rings, azimuths of `_around`); NaN where unknown."""
     rings, slices, azimuths = where.spacing
-    both = np.asarray(_ways(where.recorded, at.kind, placed(at.lobe), placed(shifts)))
+    both = np.asarray(_directions(where.recorded, at.kind, placed(at.lobe), placed(shifts)))
     both = np.where(where.cells.valid[..., None], both, np.nan).reshape(len(slices), len(rings), len(azimuths), 2)
     if where.spacing.mirrored:  # the first direction lies at 180 degrees less phi_d, the second, mirrored, at phi_d
         whole = np.concatenate([both[..., 1], both[:, :, -2::-1, 0]], axis=-1)

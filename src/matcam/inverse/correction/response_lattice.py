@@ -16,7 +16,7 @@ from scipy.interpolate import CubicSpline, PchipInterpolator
 
 from matcam.core.grid import GRID_SHAPE, Sampling, merl_grid
 from matcam.core.workspace import Workspace
-from matcam.inverse.operator.chosen_cells import ChosenCells, places_in
+from matcam.inverse.operator.chosen_cells import ChosenCells, positions_in
 from matcam.inverse.operator.lobe_operator import LobeOperator, operator_in, point_operator, rig_key
 from matcam.inverse.operator.rig_axes import Axis
 from matcam.inverse.operator.sample_view import SampleView, sample_view
@@ -128,7 +128,7 @@ def _lattice_cells(view: SampleView, sampling: Sampling, spacing: Spacing) -> Ch
     shape = (slices.size, ring.size)
     theta_h, theta_d = np.broadcast_to(grid.theta_h[ring], shape), grid.theta_d[slices]
     phi_d = np.broadcast_to(azimuth, shape)
-    x, y, cos_i, cos_o = places_in(view, theta_h, theta_d[:, None], phi_d)
+    x, y, cos_i, cos_o = positions_in(view, theta_h, theta_d[:, None], phi_d)
     valid = np.minimum(cos_i, cos_o).min(-1) > _LATTICE_COSINE
     safe = np.where(valid[..., None], cos_i, 1.0)
     none = np.zeros(shape, int)  # cells of the lattice lie between those of a table

@@ -109,19 +109,19 @@ def _followed_refit(free: FitSetup, found: MaterialFit, name: str) -> RigRefit:
 def _free_refit(fit: MaterialFit, name: str) -> RigRefit:
     """Refit with a parameter free that the rig gives as exact."""
     at = fit.coordinates
-    place = [axis.name for axis in at.axes].index(name)
-    own = len(at.lobe) + place
-    coordinate, std = float(at.rig[place]), float(np.sqrt(at.covariance[own, own]))
+    position = [axis.name for axis in at.axes].index(name)
+    own = len(at.lobe) + position
+    coordinate, std = float(at.rig[position]), float(np.sqrt(at.covariance[own, own]))
     contradicts = bool(abs(coordinate) > max(_SIGNIFICANT * std, _LEAST))
-    return RigRefit(at.axes[place], coordinate, fit.params[name], fit.std[name], contradicts, fit, weight=1.0)
+    return RigRefit(at.axes[position], coordinate, fit.params[name], fit.std[name], contradicts, fit, weight=1.0)
 
 
 def _fitted_refit(fit: MaterialFit, name: str, rig: Rig) -> RigRefit:
     """Compare a parameter that has a prior with its estimate from the data alone."""
     at = fit.coordinates
-    place = [axis.name for axis in at.axes].index(name)
-    own = len(at.lobe) + place
-    axis, coordinate, variance = at.axes[place], float(at.rig[place]), float(at.covariance[own, own])
+    position = [axis.name for axis in at.axes].index(name)
+    own = len(at.lobe) + position
+    axis, coordinate, variance = at.axes[position], float(at.rig[position]), float(at.covariance[own, own])
     known = known_lens(rig.camera).uncertainty
     relative = (known.std()[name] if known else 0.0) / axis.base
     if is_guess(name, relative):  # no exact value that the data could contradict

@@ -183,16 +183,16 @@ def estimate_noise(
     gain = float(np.sqrt(max((gains[seen] ** 2).mean() - (1 / power[seen]).mean(), 0.0)))
     # a gain absorbs more of the noise of the cells that determine it
     left = np.maximum(1 - slices**2 / power, _LEAST_LEFT)
-    rest = ((residual - gains * model) ** 2 / left)[used]
-    rest *= used.sum() / max(used.sum() - fitted, 1)
+    chi2 = ((residual - gains * model) ** 2 / left)[used]
+    chi2 *= used.sum() / max(used.sum() - fitted, 1)
     value2 = (data.share * model**2)[used]
     peak2 = np.broadcast_to(data.share * data.peak[..., None] ** 2, model.shape)[used]
 
     def objective(logs: np.ndarray) -> tuple[float, np.ndarray]:
         relative, floor = np.exp(2 * logs)
         total = relative * value2 + floor * peak2
-        slope = (1 - rest / total) / total
-        return float((np.log(total) + rest / total).mean()), np.array(
+        slope = (1 - chi2 / total) / total
+        return float((np.log(total) + chi2 / total).mean()), np.array(
             [2 * relative * (slope * value2).mean(), 2 * floor * (slope * peak2).mean()]
         )
 

@@ -64,8 +64,8 @@ class Prior(NamedTuple):
             for lobe in range(layout.lobes if count else 0):
                 smooth = rows_of()
                 own = np.zeros((len(smooth), layout.size))
-                place = layout.lobe(lobe).start + start
-                own[:, place : place + count] = smooth
+                position = layout.lobe(lobe).start + start
+                own[:, position : position + count] = smooth
                 rows.append(own)
         return np.concatenate(rows)
 
@@ -184,10 +184,10 @@ class FitProblem:
             slope = model.strength[u][None, :, None] * by_lobe
             derivative[layout.lobe(index), u] = slope[: layout.kind.size]
             derivative[layout.rig, u] = slope[layout.kind.size :]
-            place = layout.unit(u)
-            derivative[place.start : place.start + layout.fresnel_size, u] = by_fresnel[u]
+            position = layout.unit(u)
+            derivative[position.start : position.start + layout.fresnel_size, u] = by_fresnel[u]
             if layout.diffuse:
-                derivative[place.stop - 1, u] = 1 / np.pi
+                derivative[position.stop - 1, u] = 1 / np.pi
         return model._replace(derivative=derivative)
 
     def start_model(self, record: np.ndarray, weight: np.ndarray) -> FitModel:

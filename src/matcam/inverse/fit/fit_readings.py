@@ -202,7 +202,7 @@ def fit_remarks(
 ) -> tuple[Remark, ...]:
     """List the remarks on a fit."""
     remarks = []
-    prior, place, noise = solution.problem.prior, solution.problem.layout.rig, solution.noise
+    prior, position, noise = solution.problem.prior, solution.problem.layout.rig, solution.noise
     if camera is None:
         remarks.append(Remark("no-rig", "no rig: fitted as if the camera were perfect"))
     elif not prior.axes:
@@ -213,8 +213,8 @@ def fit_remarks(
             "standard deviation, or 0 for an exact lens"
         )
         remarks.append(Remark("lens-assumed", text))
-    stds = np.sqrt(np.diag(solution.covariance)[place])
-    for axis, coordinate, own in zip(prior.axes, solution.p[place], stds, strict=True):
+    stds = np.sqrt(np.diag(solution.covariance)[position])
+    for axis, coordinate, own in zip(prior.axes, solution.p[position], stds, strict=True):
         square, std = axis.square(coordinate, own)
         if axis.softening and square < _UNSEEN * std:
             text = f"{axis.name} is compatible with 0: its square is {square:.2g} +- {std:.2g}"
@@ -279,17 +279,17 @@ def named_parameters(solution: Solution) -> NamedParameters:
             slopes.append(np.zeros(layout.size))
             slopes[-1][layout.lobe(lobe)] = slope
     one_each = np.eye(layout.size)
-    for place, axis in enumerate(problem.prior.axes, layout.rig.start):
-        std = float(np.sqrt(solution.covariance[place, place]))
+    for position, axis in enumerate(problem.prior.axes, layout.rig.start):
+        std = float(np.sqrt(solution.covariance[position, position]))
         names.append(axis.name)
-        values.append(axis.value(solution.p[place]))
-        slopes.append(one_each[place] * axis.slope(solution.p[place], std))
+        values.append(axis.value(solution.p[position]))
+        slopes.append(one_each[position] * axis.slope(solution.p[position], std))
     for unit, unit_name in enumerate(unit_names):
-        for place, name in enumerate(layout.unit_names, layout.unit(unit).start):
-            value, slope = readable_value(name, float(solution.p[place]))
+        for position, name in enumerate(layout.unit_names, layout.unit(unit).start):
+            value, slope = readable_value(name, float(solution.p[position]))
             names.append(f"{name}[{unit_name}]")
             values.append(value)
-            slopes.append(one_each[place] * slope)
+            slopes.append(one_each[position] * slope)
     by_p = np.array(slopes).reshape(-1, layout.size)
     return NamedParameters(names, np.array(values), by_p @ solution.covariance @ by_p.T, by_p)
 
@@ -323,13 +323,13 @@ def _material(solution: Solution, units: list[int], strength: np.ndarray) -> Mic
 def fitted_camera(solution: Solution, camera: Camera) -> Camera:
     """Build the fitted camera, with its uncertainty after the fit."""
     problem: FitProblem = solution.problem
-    axes, place = problem.prior.axes, problem.layout.rig
+    axes, position = problem.prior.axes, problem.layout.rig
     lens = [n for n, axis in enumerate(axes) if axis.name not in (*WIDTHS, *CHANGES)]
     if not lens:
         return camera
-    coordinates = solution.p[place]
+    coordinates = solution.p[position]
     values = {axes[n].name: axes[n].value(float(coordinates[n])) for n in lens}
-    covariance = solution.covariance[place, place][np.ix_(lens, lens)]
+    covariance = solution.covariance[position, position][np.ix_(lens, lens)]
     slopes = [axes[n].slope(float(coordinates[n]), float(np.sqrt(covariance[m, m]))) for m, n in enumerate(lens)]
     covariance = covariance * np.outer(slopes, slopes)
     fitted = camera.with_parameters(values)

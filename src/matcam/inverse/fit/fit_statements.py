@@ -32,8 +32,8 @@ def rig_statements(axes: Sequence[Axis], information: np.ndarray, first: int, si
     own = slice(first, first + len(axes))
     whole[own, own] = information
     stated = [
-        StatedParameter(place, axis.name, axis.value(0.0), _slope(axis, float(whole[place, place])))
-        for place, axis in enumerate(axes, first)
+        StatedParameter(position, axis.name, axis.value(0.0), _slope(axis, float(whole[position, position])))
+        for position, axis in enumerate(axes, first)
     ]
     return stated_parameters(RIG, whole, stated, least=_LEAST)
 

@@ -282,9 +282,9 @@ class MaterialFit(Summarised):
             raise ArgumentError(
                 f"{name!r} of the rig was not fitted; the fitted parameters are: {', '.join(names) or 'none'}"
             )
-        place = names.index(name)
-        own = len(at.lobe) + place
-        return at.axes[place].square(float(at.rig[place]), float(np.sqrt(at.covariance[own, own])))
+        position = names.index(name)
+        own = len(at.lobe) + position
+        return at.axes[position].square(float(at.rig[position]), float(np.sqrt(at.covariance[own, own])))
 
     def linearised(self) -> LinearisedFit:
         """Return the fit as a linear least-squares problem.

@@ -73,7 +73,7 @@ class _Lobe(NamedTuple):
 
     def directions(self, operator: LobeOperator) -> tuple[jax.Array, jax.Array]:
         """Return the light and the view of an operator as `lambda_of` takes them."""
-        return (operator.place_i, operator.place_o) if self.tabulated else (operator.cos_i, operator.cos_o)
+        return (operator.position_i, operator.position_o) if self.tabulated else (operator.cos_i, operator.cos_o)
 
     def lambda_of(self, by: jax.Array, direction: jax.Array) -> jax.Array:
         """Compute Lambda in directions. by: its argument."""

@@ -16,7 +16,7 @@ from matcam.core.jax import jax, jnp, placed
 from matcam.core.programs import kept_program
 from matcam.inverse.fit.fit_parameters import FRESNEL_LATTICE, reflectance_at
 
-_ALIKE = 0.01
+_LEAST_RELATIVE_STD = 0.01
 """Smallest relative standard deviation of strengths, because no mixture equals the curve of a surface."""
 
 
@@ -35,7 +35,7 @@ class StrengthSlopes:
         return np.stack([self._of_unit(*unit) for unit in zip(strength, std, strict=True)])
 
     def _of_unit(self, strength: np.ndarray, std: np.ndarray) -> np.ndarray:
-        root = np.where(strength > 0, 1 / np.hypot(std, _ALIKE * np.maximum(strength, 1e-300)), 0.0)
+        root = np.where(strength > 0, 1 / np.hypot(std, _LEAST_RELATIVE_STD * np.maximum(strength, 1e-300)), 0.0)
         share, _ = nnls((self._curves * root).T, strength * root)
         mixture = share @ self._curves
         return np.where(mixture > 0, share @ self._rises / np.where(mixture > 0, mixture, 1.0), 0.0)

@@ -21,7 +21,7 @@ from matcam.forward.sampler.windows import Windows
 from matcam.inverse.operator.chosen_cells import ChosenCells
 from matcam.inverse.operator.cylinder_rule import CylinderRule, LinePixels, cylinder_rule, line_window
 from matcam.inverse.operator.lamp_lines import LampDisc, lamp_discs
-from matcam.inverse.operator.line_rule import ARMS, ImagePlaces, line_rule
+from matcam.inverse.operator.line_rule import ARMS, ImagePositions, line_rule
 from matcam.inverse.operator.rig_axes import Axis, MovedBlur, along_axes, blurs_along, change_kernels
 from matcam.inverse.operator.sample_view import SampleView, sample_view
 from matcam.inverse.operator.sphere_rule import Kernel, SphereRule, kernel_reach, sphere_range, sphere_rule
@@ -88,8 +88,8 @@ def rule_arrays(rig: Rig, cells: ChosenCells, axes: tuple[Axis, ...]) -> dict[st
 
     A near rig has moments in addition: moment, moment_along0, moment_along1 ...
     """
-    ways = cells.x.shape[-1]
-    flat = np.flatnonzero(np.repeat(cells.valid.ravel(), ways))
+    directions = cells.x.shape[-1]
+    flat = np.flatnonzero(np.repeat(cells.valid.ravel(), directions))
     view = sample_view(rig)
     theta_d = np.broadcast_to(cells.theta_d[:, None, None], cells.x.shape)
     factor = cells.weight / (cells.cos_i * view.irradiance(cells.cos_i))
@@ -100,7 +100,7 @@ def rule_arrays(rig: Rig, cells: ChosenCells, axes: tuple[Axis, ...]) -> dict[st
         lamp_angle = padded(view.lamp_angles(cells.theta_h, cells.theta_d[:, None], cells.phi_d).ravel()[flat])
     own = blur_of(rig, in_discs=True, whole=not view.line)
     moved, changes = [MovedBlur(own), *blurs_along(rig, own, axes)], change_kernels(own, axes)
-    if own.rest is None and own.stds.size == 1:  # a Gaussian and round changes of it share a program
+    if own.residual is None and own.stds.size == 1:  # a Gaussian and round changes of it share a program
         ends = sum(not any(one.stretch) for one in changes)
         moved, changes = moved + changes[:ends], changes[ends:]
     count = len(moved) + len(changes)
@@ -108,7 +108,7 @@ def rule_arrays(rig: Rig, cells: ChosenCells, axes: tuple[Axis, ...]) -> dict[st
     def full(part: np.ndarray) -> np.ndarray:
         result = np.zeros((cells.x.size, *part.shape[1:]))
         result[flat] = part[: flat.size]
-        return result.reshape(-1, ways, *part.shape[1:])
+        return result.reshape(-1, directions, *part.shape[1:])
 
     columns: list[dict[str, np.ndarray]] = []
     widths: list[_Blurs] = []
@@ -117,8 +117,8 @@ def rule_arrays(rig: Rig, cells: ChosenCells, axes: tuple[Axis, ...]) -> dict[st
         groups = [(term,) for terms in groups for term in terms]
     for terms in groups:
         parts = [one._replace(blur=one.blur.only(terms)) for one in moved]
-        if parts[0].blur.rest is not None:
-            widths.append(_rest_blurs(view, rig, parts, (x, y, lamp_angle)))
+        if parts[0].blur.residual is not None:
+            widths.append(_residual_blurs(view, rig, parts, (x, y, lamp_angle)))
         else:
             lenses = [one.blur.std_of_half for one in moved]
             widths.append(_gaussian_blurs(view, rig, parts, (x, y, lamp_angle), lenses))
@@ -184,7 +184,7 @@ def _gaussian_blurs(
     return _Blurs(blurs, spreads, reaches, discs, lamps, tuple(range(len(blurs))))
 
 
-def _rest_blurs(
+def _residual_blurs(
     view: SampleView, rig: Rig, moved: list[MovedBlur], pixels: tuple[np.ndarray, np.ndarray, np.ndarray]
 ) -> _Blurs:
     """Build the residuals of the lenses beyond their Gaussians. They are small: lamp and focus widen them as Gaussians.
@@ -193,9 +193,9 @@ def _rest_blurs(
     """
     variances, reaches, blurs = [], [], [one.blur for one in moved]
     for blur in blurs:
-        added = _variances(view, rig, blurs[0] if blur.rest is blurs[0].rest else blur, pixels)
+        added = _variances(view, rig, blurs[0] if blur.residual is blurs[0].residual else blur, pixels)
         variances.append(added)
-        reaches.append(blur.rest.reach_through(np.stack(added)))  # type: ignore[union-attr]
+        reaches.append(blur.residual.reach_through(np.stack(added)))  # type: ignore[union-attr]
     varies = any(np.any(added) for added in variances)
     blurs = [dataclasses.replace(blur, varies=varies, chords=0) for blur in blurs]
     return _Blurs(blurs, variances, reaches, [None] * len(blurs), [0.0] * len(blurs), tuple(range(len(blurs))))
@@ -275,7 +275,7 @@ def _rules(view: SampleView, pixels: tuple[np.ndarray, ...], widths: list[_Blurs
     if any(through.lamps) or not view.distant:
         pixels = LinePixels(np.hypot(x, y), lamp_angle, np.arctan2(-y, x), factor)
         return _cylinder_rules(view, pixels, through, None if view.distant else theta_d)
-    return _line_rules(view.radius, ImagePlaces(x, y, theta_d, factor), through)
+    return _line_rules(view.radius, ImagePositions(x, y, theta_d, factor), through)
 
 
 def _widest_disc(view: SampleView, blur: Blur, x: np.ndarray, y: np.ndarray, std: float) -> np.ndarray:
@@ -315,19 +315,16 @@ def _sphere_rules(
     def parts(through: _Blurs, n: int) -> list[SphereRule]:
         """Compute the rules that add up to that of a blur, one for each angular range."""
         seen = sphere_range(sphere, windows._replace(half=through.reaches[n]))[0]
-        ranges = [seen._replace(finest=own)] if through.blurs[n].rest is None else seen.parts()
+        ranges = [seen._replace(finest=own)] if through.blurs[n].residual is None else seen.parts()
         return [rule(through, n, one, through.reaches[n]) for one in ranges]
 
     first = parts(widths[0], 0)
 
     def each(through: _Blurs) -> list[tuple[np.ndarray, ...]]:
         """Return weights, and in a near rig moments, of all blurs of a width; blurs of one residual share theirs."""
-        main, rest = _summed(first if through is widths[0] else parts(through, 0)), through.blurs[0].rest
-        others = enumerate(through.blurs[1:], start=1)
-        return [
-            main,
-            *(main if rest is not None and blur.rest is rest else _summed(parts(through, n)) for n, blur in others),
-        ]
+        main, common = _summed(first if through is widths[0] else parts(through, 0)), through.blurs[0].residual
+        same = [common is not None and blur.residual is common for blur in through.blurs[1:]]
+        return [main, *(main if one else _summed(parts(through, n)) for n, one in enumerate(same, start=1))]
 
     by_column: dict[int, list[tuple[np.ndarray, ...]]] = {}
     for through in widths:
@@ -365,11 +362,11 @@ def _standing_for(widths: list[_Blurs]) -> _Blurs:
     own = [through.blurs[0] for through in widths]
     weights, stds = (np.concatenate([np.asarray(getattr(blur, name)) for blur in own]) for name in ("weights", "stds"))
     std = max(std_of_half(weights, stds), np.max(widths[-1].reaches[0]) / _RESOLVED)
-    stand_in = dataclasses.replace(own[0], weights=jnp.ones(1), stds=jnp.array([std]), rest=None)
+    stand_in = dataclasses.replace(own[0], weights=jnp.ones(1), stds=jnp.array([std]), residual=None)
     return widths[0]._replace(blurs=[stand_in])
 
 
-def _line_rules(radius: float, pixels: ImagePlaces, through: _Blurs) -> list[_Found]:
+def _line_rules(radius: float, pixels: ImagePositions, through: _Blurs) -> list[_Found]:
     blurs, spreads, reaches, *_ = through
     terms = through.terms
     onto = np.max([along for along, _ in reaches], axis=0)

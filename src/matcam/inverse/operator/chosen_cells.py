@@ -15,14 +15,14 @@ import numpy as np
 from matcam.core.grid import GRID_SHAPE, Sampling, merl_grid
 from matcam.forward.pixel_grid import PixelGrid, grid_of, pixel_angles, turned
 from matcam.inverse.operator.pixels_behind import (
-    CellPlaces,
+    CellPositions,
     PixelsBehind,
-    cell_places,
+    cell_positions,
     pixel_counts,
     pixel_numbers,
     pixels_behind,
 )
-from matcam.inverse.operator.sample_view import BOTH_WAYS, SampleView, sample_view
+from matcam.inverse.operator.sample_view import BOTH_DIRECTIONS, SampleView, sample_view
 from matcam.rigs import Rig
 
 NEAR_RINGS = 12
@@ -116,7 +116,7 @@ def chosen_cells(
     i, k, valid = (np.stack([getattr(column, name) for column in columns]) for name in ("i", "k", "valid"))
     theta_h, phi_d = grid.theta_h[i], grid.phi_d[k]
     theta_d = grid.theta_d[slices]
-    x, y, cos_i, cos_o = places_in(view, theta_h, theta_d[:, None], phi_d)
+    x, y, cos_i, cos_o = positions_in(view, theta_h, theta_d[:, None], phi_d)
     shift = np.zeros((slices.size, 2)) if pixels is None else pixels.of_slices(slices)
     numbers = pixel_numbers(x, y, shift[:, None, None], _azimuth(view, pixels))
     one_pixel = (numbers[..., 0] == numbers[..., 1]) & (not view.line)
@@ -133,9 +133,9 @@ def chosen_cells(
 def peak_cells(view: SampleView, theta_d: np.ndarray) -> ChosenCells:
     """Choose one cell per slice, at its highlight. theta_d: theta_d of the slices, rad, (s,)."""
     none = np.zeros((theta_d.size, 1), dtype=int)
-    places = places_in(view, 0.0 * none, theta_d[:, None], 0.0 * none)
+    positions = positions_in(view, 0.0 * none, theta_d[:, None], 0.0 * none)
     there = np.ones(none.shape, dtype=bool)
-    return ChosenCells(np.arange(theta_d.size), theta_d, none, none, 0.0 * none, 0.0 * none, there, *places, there)
+    return ChosenCells(np.arange(theta_d.size), theta_d, none, none, 0.0 * none, 0.0 * none, there, *positions, there)
 
 
 def noise_shares(rig: Rig, sampling: Sampling) -> np.ndarray:
@@ -146,12 +146,12 @@ def noise_shares(rig: Rig, sampling: Sampling) -> np.ndarray:
     weights.
     """
     grid, view = merl_grid(sampling), sample_view(rig)
-    ways = [
+    directions = [
         turned(*view.from_highlight(grid.theta_h[:, None, None], grid.theta_d[:, None], grid.phi_d + way), view.azimuth)
-        for way in BOTH_WAYS
+        for way in BOTH_DIRECTIONS
     ]
     apart = 4 if rig.cell_value == "bilinear" else 1  # two interpolations share no pixel
-    x, y = ways[0]
+    x, y = directions[0]
     shares = np.where((2 * np.maximum(np.abs(x), np.abs(y)) >= apart) | view.line, 0.5, 1.0)
     if rig.cell_value == "mean":
         shares = np.minimum(shares, 1 / np.maximum(pixel_counts(view.radius, grid.theta_d), 1.0))
@@ -159,17 +159,17 @@ def noise_shares(rig: Rig, sampling: Sampling) -> np.ndarray:
     if pixels is not None and pixels.rule == "bilinear":
         at = np.stack(turned(view.radius * np.sin(grid.theta_d), np.zeros(grid.theta_d.size), pixels.azimuth), -1)
         off = (at - pixels.of_slices(np.arange(grid.theta_d.size)))[:, None]
-        parts = [np.mod(np.stack(np.broadcast_arrays(*way), -1) + off, 1.0) for way in ways]
+        parts = [np.mod(np.stack(np.broadcast_arrays(*way), -1) + off, 1.0) for way in directions]
         shares = shares * np.mean([np.prod(part**2 + (1 - part) ** 2, axis=-1) for part in parts], axis=0)
     return shares
 
 
-def places_in(view: SampleView, theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray) -> CellPlaces:
+def positions_in(view: SampleView, theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray) -> CellPositions:
     """Compute the two positions that show each cell, each in the image of its lamp (docs/model.md 10)."""
-    far = cell_places(view.radius, theta_h, theta_d, phi_d)
+    far = cell_positions(view.radius, theta_h, theta_d, phi_d)
     if view.distant:
         return far
-    near = view.place(theta_h[..., None], theta_d[..., None], phi_d[..., None] + BOTH_WAYS)
+    near = view.position(theta_h[..., None], theta_d[..., None], phi_d[..., None] + BOTH_DIRECTIONS)
     return far._replace(x=near.x, y=near.y)  # type: ignore[arg-type]
 
 
@@ -203,7 +203,7 @@ def _slice_cells(view: SampleView, sampling: Sampling, slice_: int, pixels: Pixe
     td, radius = theta_d[slice_], view.radius
     rings = [_ring_azimuths(ring, radius * theta_h[ring], td, phi_d.size) for ring in _RINGS]
     i, k = np.repeat(_RINGS, [one.size for one in rings]), np.concatenate(rings)
-    x, y, cos_i, cos_o = places_in(view, theta_h[i], np.full(k.size, td), phi_d[k])
+    x, y, cos_i, cos_o = positions_in(view, theta_h[i], np.full(k.size, td), phi_d[k])
     seen = np.minimum(cos_i, cos_o).min(axis=-1) > np.where(i < NEAR_RINGS, NEAR_COSINE, FAR_COSINE)
     shift, behind = np.zeros(2), None
     if pixels is not None:  # the pixels themselves must be recorded, too
@@ -238,6 +238,6 @@ def _ring_azimuths(ring: int, radius: float, theta_d: float, count: int) -> np.n
     """Return the indices of phi_d, of `count`, that are considered in a ring of `radius` px."""
     # half its circumference in px, foreshortened in one direction
     length = np.pi * radius * np.sqrt((1 + np.cos(theta_d) ** 2) / 2)
-    places = int(np.clip(np.ceil(2 * length), 1, 24)) if ring < NEAR_RINGS else _MOST_IN_RING
-    share = (np.arange(places) + (0.5 if ring % 2 else 0.2)) / places
+    positions = int(np.clip(np.ceil(2 * length), 1, 24)) if ring < NEAR_RINGS else _MOST_IN_RING
+    share = (np.arange(positions) + (0.5 if ring % 2 else 0.2)) / positions
     return np.unique((share * count).astype(int))

@@ -195,20 +195,20 @@ def cylinder_rule(
             share = share / square
         share = jnp.where((at.cos_i > 0) & (at.cos_o > 0), share, 0.0)
         scale, first, last = stretched(from_theta, to_theta)
-        place = jnp.clip(
+        position = jnp.clip(
             2 * (jnp.arcsinh(at.theta_h / scale[..., None]) - first[..., None]) / (last - first)[..., None] - 1,
             -1.1,
             1.1,
         )
-        weight = onto_nodes(place, share)
-        moment = None if cell is None else onto_nodes(place, share * rise_of(at.theta_d, cell[:, None, None]))
+        weight = onto_nodes(position, share)
+        moment = None if cell is None else onto_nodes(position, share * rise_of(at.theta_d, cell[:, None, None]))
         nodes = scale * jnp.sinh(first + (last - first) * (NODES[0] + 1) / 2)
         # nodes of all samples at about one turn form a circle
         cos_psi = (at.cos_i - at.cos_o) / jnp.maximum(2 * jnp.sin(at.theta_h) * jnp.sin(at.theta_d), 1e-300)
         cos_psi = jnp.clip(cos_psi, -1, 1)
         sums = [
             jnp.sum(share * one, axis=1)
-            for one in (1.0, cos_psi, cos_psi**2, cos_psi**3, place, at.theta_d, at.theta_d * cos_psi)
+            for one in (1.0, cos_psi, cos_psi**2, cos_psi**3, position, at.theta_d, at.theta_d * cos_psi)
         ]
         return nodes, weight, CircleSums(sums[0], jnp.stack(sums[1:4], 1), *sums[4:]), moment
 
@@ -253,8 +253,8 @@ def _samples(
     at, step = (a.reshape(row.shape[0], -1) for a in (at, step))
     each = at.shape[1] // row.shape[1]
     row, share = (jnp.repeat(a, each, axis=1) for a in (row, share))
-    place, length = jnp.sin(at), jnp.cos(at)
-    lamps = [_moved(light, disc, place, side * length) for side in (0.0, 1.0, -1.0)]
+    position, length = jnp.sin(at), jnp.cos(at)
+    lamps = [_moved(light, disc, position, side * length) for side in (0.0, 1.0, -1.0)]
     closest, *others = (ridge_of(cylinder, lamp, row, *ends)[0] for lamp, _ in lamps)
     share = share * step * 2 / jnp.pi * length**2 * lamps[0][1]
     return _Samples(lamps[0][0], row, share, (others[0] - closest, others[1] - closest))
@@ -288,16 +288,16 @@ def _crowded(middle: jax.Array, borders: tuple[jax.Array, ...], scale: jax.Array
     return middle + scale * jnp.sinh(t), step
 
 
-def _moved(light: PlacedLamps, disc: ArrayLike, place: jax.Array, along: jax.Array) -> tuple[PlacedLamps, jax.Array]:
+def _moved(light: PlacedLamps, disc: ArrayLike, position: jax.Array, along: jax.Array) -> tuple[PlacedLamps, jax.Array]:
     """Move the lamp to a point of its disc; return it with the light of the point over that of the middle.
 
-    place: position in radii of the disc, in the direction in which the half vector turns along the cylinder. along: in
+    position: position in radii of the disc, in the direction in which the half vector turns along the cylinder. along: in
     the other.
     """
     x, y, z = light.towards
     across = jnp.maximum(jnp.hypot(x, z), 1e-12)
     first, second = (z / across, 0 * x, -x / across), (-x * y / across, across, -y * z / across)
-    square = place**2 + along**2
+    square = position**2 + along**2
     if light.nearness is None:  # uniform over the solid angle of the disc
         sunk = square * 2 * jnp.sin(disc / 2) ** 2
         up, aside, length = 1 - sunk, np.sqrt(2) * jnp.sin(disc / 2) * jnp.sqrt(2 - sunk), jnp.ones_like(square)
@@ -305,7 +305,7 @@ def _moved(light: PlacedLamps, disc: ArrayLike, place: jax.Array, along: jax.Arr
         up, aside = jnp.ones_like(square), jnp.tan(disc) * jnp.ones_like(square)
         length = jnp.sqrt(1 + square * aside**2)
     lamp = [
-        (up * a + aside * (along * b + place * c)) / length for a, b, c in zip((x, y, z), first, second, strict=True)
+        (up * a + aside * (along * b + position * c)) / length for a, b, c in zip((x, y, z), first, second, strict=True)
     ]
     near = None if light.nearness is None else light.nearness / length
     return PlacedLamps((lamp[0], lamp[1], lamp[2]), near), 1 / length**2

@@ -186,13 +186,13 @@ def _by_chords(view, blur: Blur, terms, disc: LampDisc, normal, at, variances): 
             for n, side in ((0, 1), (1, -1))
         )
         to, light = _highlights(view, u, v, radius, lamp)
-        run = _rotated(*_place(view, to), *disc.turn.T)[1]
+        run = _rotated(*_position(view, to), *disc.turn.T)[1]
         # y of the image is a cubic of the position on the chord; `less` is the share of the third order in half the
         # difference between the ends
         less = ((4 - 8 * (run[4] - run[3]) / (run[2] - run[0])) / 3)[:, None]
         light = [(share * part / own_light)[:, None] for part in light[:3]]
         there = _turned(from_, [a[:3, :, None] for a in to], normal)
-        x, y = _rotated(*_place(view, there), cosine, sine)
+        x, y = _rotated(*_position(view, there), cosine, sine)
         x, (y_0, y_1, y_2) = x - own_x, y - own_y
         half, curvature = (y_2 - y_0) / 2, (y_2 + y_0) / 2 - y_1
         # position on the chord, in [-1, 1], that meets the pixel
@@ -233,9 +233,10 @@ def _moved(
     at_peak: list[list[np.ndarray]] = []
     for angle in _ROUND:
         to = _highlights(view, np.cos(angle), np.sin(angle), radius, lamp_angle)[0]
-        at_peak.append([np.asarray(a - b) for a, b in zip(_place(view, to), _place(view, peak), strict=True)])
+        at_peak.append([np.asarray(a - b) for a, b in zip(_position(view, to), _position(view, peak), strict=True)])
         here = [
-            np.asarray(a - b) for a, b in zip(_place(view, _turned(peak, to, seen)), _place(view, seen), strict=True)
+            np.asarray(a - b)
+            for a, b in zip(_position(view, _turned(peak, to, seen)), _position(view, seen), strict=True)
         ]
         for offset in (at_peak[-1], here):
             on_pixel = _rotated(offset[0], offset[1], np.cos(azimuth), np.sin(azimuth))
@@ -248,7 +249,7 @@ def _image(view: SphereView, lamp_angle: np.ndarray) -> tuple[np.ndarray, np.nda
     """Compute the shift of the highlight per shift of the lamp along and across, px/rad."""
     step = 1e-4  # rad; the error of the differences is of second order
     ends = [_highlights(view, u, v, step, lamp_angle)[0] for u, v in ((1.0, 0.0), (-1.0, 0.0), (0.0, 1.0))]
-    (x, _), (other, _), (_, y) = (_place(view, end) for end in ends)
+    (x, _), (other, _), (_, y) = (_position(view, end) for end in ends)
     return np.asarray(x - other) / 2 / step, np.asarray(y) / step
 
 
@@ -299,7 +300,7 @@ def _rotated(x: Any, y: Any, cosine: Any, sine: Any) -> tuple[Any, Any]:
     return x * cosine - y * sine, x * sine + y * cosine
 
 
-def _place(view: SphereView, normal: Any) -> tuple[Any, Any]:
+def _position(view: SphereView, normal: Any) -> tuple[Any, Any]:
     """Compute the image position of a normal, px."""
     far = is_concrete(view.camera) and view.camera == 0  # the z component of the normal is not required
     scale = view.stretch if far else view.stretch / (1 - view.camera * normal[2])

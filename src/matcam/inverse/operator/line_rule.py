@@ -30,7 +30,7 @@ ARMS = (1.0, -1.0)
 """Sides of the normal closest to the half vector: away from the axis, and towards it."""
 
 
-class ImagePlaces(NamedTuple):
+class ImagePositions(NamedTuple):
     """Positions in the images of a sphere, at the same distance from the axis as on the cylinder; arrays of one shape.
 
     Attributes:
@@ -66,7 +66,7 @@ def line_rule(
     blur: Blur,
     variance: jax.Array,
     terms: tuple[int, ...],
-    pixels: ImagePlaces,
+    pixels: ImagePositions,
     reach: jax.Array,
     onto: jax.Array,
     arm: float,
@@ -115,8 +115,8 @@ def line_rule(
         spread = Spread(variance, variance, jnp.abs(blur.defocus(radius, jnp.cos(at))))
         # the light is uniform along the axis, so the kernel depends on the column of each chord only
         kernel = sum(blur.weights[j] * blur.through_disc(j, spread, lambda along, _: along(offset)) for j in terms)
-        place = 2 * (t - first) / (last - first) - 1
-        weight = onto_nodes(place, factor * radius / 4 * kernel * step)
+        position = 2 * (t - first) / (last - first) - 1
+        weight = onto_nodes(position, factor * radius / 4 * kernel * step)
         turn = scale * jnp.sinh(first + (last - first) * (NODES[0] + 1) / 2)
         u = closest + arm * turn
         theta = jnp.arctan2(jnp.hypot(half[1], along * jnp.sin(turn)), along * jnp.cos(turn))

@@ -30,7 +30,7 @@ from matcam.core.jax import jax, jnp, placed
 from matcam.core.workspace import Workspace, default_workspace
 from matcam.forward.cylinder_cells import check_cylinder
 from matcam.forward.integral.blur import kernel_error
-from matcam.forward.integral.kernel_rest import REST_RULE
+from matcam.forward.integral.kernel_residual import RESIDUAL_RULE
 from matcam.forward.pixel_grid import PixelGrid, grid_of
 from matcam.inverse.operator.cell_rules import MOMENT_ALONG, rule_arrays
 from matcam.inverse.operator.chosen_cells import ChosenCells, chosen_cells
@@ -38,7 +38,7 @@ from matcam.inverse.operator.lamp_lines import DISC_RULE
 from matcam.inverse.operator.rig_axes import APERTURE, LAMP, Axis
 from matcam.inverse.operator.sample_view import FAR_AWAY, SampleView, sample_view
 from matcam.inverse.operator.theta_nodes import NODE_RULE, RISE, SAMPLED, THROUGH_SAMPLES
-from matcam.material.lambda_table import STEEPEST, lambda_at, place_of, quick_table
+from matcam.material.lambda_table import STEEPEST, lambda_at, position_of, quick_table
 from matcam.material.masking import Masking, g2
 from matcam.material.ndf.distribution import NDF
 from matcam.numerics.approximation import lagrange_basis
@@ -56,8 +56,8 @@ class LobeOperator(eqx.Module):
         along: for each axis, differences of the weights at the points of the axis, (points, cells, directions, nodes).
         cos_i: cosine of the angle of incidence, (cells, directions, groups of nodes, samples, 2).
         cos_o: cosine of the viewing angle, in the shape of `cos_i`.
-        place_i: index of the angle of incidence in the table of a Lambda (`lambda_table`), in the shape of `cos_i`.
-        place_o: index of the viewing angle in that table, in the shape of `cos_i`.
+        position_i: index of the angle of incidence in the table of a Lambda (`lambda_table`), in the shape of `cos_i`.
+        position_o: index of the viewing angle in that table, in the shape of `cos_i`.
         azimuth: azimuth between the directions of incidence and view, rad, in the shape of `cos_i`.
         through_samples: matrix that interpolates from the samples to the nodes of a group, (nodes of a group, samples).
         points: points of each axis, (points,). They are arrays, so that one compiled program serves rigs of any values.
@@ -71,8 +71,8 @@ class LobeOperator(eqx.Module):
     along: tuple[jax.Array, ...]
     cos_i: jax.Array
     cos_o: jax.Array
-    place_i: jax.Array
-    place_o: jax.Array
+    position_i: jax.Array
+    position_o: jax.Array
     azimuth: jax.Array
     through_samples: jax.Array
     points: tuple[jax.Array, ...]
@@ -129,7 +129,7 @@ class LobeOperator(eqx.Module):
 
         return self.slice_by_slice(one)
 
-    def ways(self, ndf: NDF, masking: Masking, shifts: jax.Array) -> jax.Array:
+    def directions(self, ndf: NDF, masking: Masking, shifts: jax.Array) -> jax.Array:
         """Compute the record of each direction, (slices, cells, directions); `record` is their mean."""
         return 2 * jnp.sum(self.weighted(ndf, masking, shifts), axis=-1).reshape(*self.shape, -1)
 
@@ -150,7 +150,7 @@ class LobeOperator(eqx.Module):
         """Evaluate Lambda at the angles of incidence and view. table: table of Lambda; None: Lambda has a closed form."""
         if table is None:
             return ndf.smith_lambda(self.cos_i), ndf.smith_lambda(self.cos_o)
-        return lambda_at(table, self.place_i), lambda_at(table, self.place_o)
+        return lambda_at(table, self.position_i), lambda_at(table, self.position_o)
 
     def light(self, ndf: NDF) -> jax.Array:
         """Evaluate D at the nodes, 1/sr: P22 / cos^4."""
@@ -172,18 +172,18 @@ class LobeOperator(eqx.Module):
         The arrays of all slices would require hundreds of MB. Those of one slice fit into the cache of the processor.
         """
 
-        def one(place: jax.Array) -> jax.Array:
-            return function(self._in_slice(place))
+        def one(position: jax.Array) -> jax.Array:
+            return function(self._in_slice(position))
 
-        places = jnp.arange(self.shape[0])
+        positions = jnp.arange(self.shape[0])
         # a GPU is faster if it processes all slices at once
-        return jax.lax.map(one, places) if jax.default_backend() == "cpu" else jax.vmap(one)(places)
+        return jax.lax.map(one, positions) if jax.default_backend() == "cpu" else jax.vmap(one)(positions)
 
-    def _in_slice(self, place: jax.Array) -> LobeOperator:
+    def _in_slice(self, position: jax.Array) -> LobeOperator:
         count = self.shape[1]
 
         def own(array: jax.Array, axis: int = 0) -> jax.Array:
-            return jax.lax.dynamic_slice_in_dim(array, place * count, count, axis)
+            return jax.lax.dynamic_slice_in_dim(array, position * count, count, axis)
 
         return self._of_cells(own, 1)
 
@@ -195,7 +195,7 @@ class LobeOperator(eqx.Module):
         """
         return dataclasses.replace(
             self, slope2=own(self.slope2), weight=own(self.weight), along=tuple(own(one, 1) for one in self.along),
-            cos_i=own(self.cos_i), cos_o=own(self.cos_o), place_i=own(self.place_i), place_o=own(self.place_o),
+            cos_i=own(self.cos_i), cos_o=own(self.cos_o), position_i=own(self.position_i), position_o=own(self.position_o),
             azimuth=own(self.azimuth), shape=(slices, self.shape[1]), share=None if self.share is None else own(self.share),
             moment=None,
         )  # fmt: skip
@@ -231,8 +231,8 @@ class _Rules(NamedTuple):
             along=tuple(placed(a) for a in self.along),
             cos_i=placed(cos_i),
             cos_o=placed(cos_o),
-            place_i=placed(place_of(cos_i)),
-            place_o=placed(place_of(cos_o)),
+            position_i=placed(position_of(cos_i)),
+            position_o=placed(position_of(cos_o)),
             azimuth=azimuth,
             through_samples=placed(through),
             points=tuple(placed(np.array(axis.points)) for axis in axes),
@@ -337,7 +337,7 @@ def operator_in(
     if float(rig.aperture) > 0 or any(axis.name == APERTURE for axis in axes):
         description = f"{description}, discs out of focus by {CHORD_RULE}"
     if kernel_error(rig) > 0:
-        description = f"{description}, rings by {REST_RULE}"
+        description = f"{description}, rings by {RESIDUAL_RULE}"
     view = sample_view(rig)
     description = f"{description}, masking at {'every node' if view.azimuth else f'{SAMPLED.size} nodes'}, {NODE_RULE}"
     if not view.distant:
@@ -374,12 +374,12 @@ def perfect_operator(
 
 def point_operator(cells: ChosenCells) -> LobeOperator:
     """Build the rule of a camera without blur, with one node at each cell or pixel."""
-    valid, ways = cells.valid[..., None], cells.x.shape[-1]
+    valid, count = cells.valid[..., None], cells.x.shape[-1]
     weight = np.where(valid, cells.weight / (4 * np.where(valid, cells.cos_i * cells.cos_o, 1.0)), 0.0)
     if cells.real is None:
         theta = np.repeat(cells.theta_h.reshape(-1, 1, 1), 2, axis=1)
         psi = np.pi - cells.phi_d.ravel()[:, None, None, None] + np.array([0.0, np.pi])[:, None, None]
     else:
-        theta, psi = cells.real.theta.reshape(-1, ways, 1), cells.real.psi.reshape(-1, ways, 1, 1)
-    rules = _Rules(theta, weight.reshape(-1, ways, 1), theta[:, :, None], np.cos(psi).reshape(-1, ways, 1, 1, 1), ())
+        theta, psi = cells.real.theta.reshape(-1, count, 1), cells.real.psi.reshape(-1, count, 1, 1)
+    rules = _Rules(theta, weight.reshape(-1, count, 1), theta[:, :, None], np.cos(psi).reshape(-1, count, 1, 1, 1), ())
     return rules.operator(cells, np.ones((1, 1)), ())

@@ -13,7 +13,7 @@ import xarray as xr
 
 from matcam.core.grid import GRID_SHAPE, Sampling, merl_grid
 from matcam.forward.pixel_grid import pixel_angles, turned
-from matcam.inverse.operator.pixels_behind import cell_places
+from matcam.inverse.operator.pixels_behind import cell_positions
 
 RINGS = 16
 """Rings about the highlight whose cells are compared: up to 1.1 degrees, 5 px on the MERL rig's sphere."""
@@ -68,7 +68,7 @@ class Borders:
     """
 
     def __init__(self, radius: float, sampling: Sampling, slices: np.ndarray, shown: Repeats, azimuth: float = 0.0):
-        self.places = shown_places(radius, sampling, slices, np.arange(RINGS), 1, azimuth)
+        self.positions = shown_positions(radius, sampling, slices, np.arange(RINGS), 1, azimuth)
         self.shown = shown
         self.count = int((shown.outwards == 0).sum() + (shown.around == 0).sum())
 
@@ -82,7 +82,7 @@ class Borders:
 
     def _values(self, x: float, y: float) -> np.ndarray:
         """Read cells from pixels of random values, (slices, rings, azimuths)."""
-        column, row = (np.rint(a - b).astype(int) for a, b in zip(self.places, (x, y), strict=True))
+        column, row = (np.rint(a - b).astype(int) for a, b in zip(self.positions, (x, y), strict=True))
         return _signature(column, row).mean(axis=-1)
 
     def width(self, best: tuple[float, float], fewest: int, step: float) -> float:
@@ -104,7 +104,9 @@ class MeanBorders(Borders):
         self.azimuth = azimuth
         peak = radius * np.sin(self.theta_d)
         middle = [np.rint(a).astype(int) for a in turned(peak, 0 * peak, azimuth)]
-        side = int(np.ceil(max(np.abs(p - m[..., None]).max() for p, m in zip(self.places, middle, strict=True)))) + 1
+        side = (
+            int(np.ceil(max(np.abs(p - m[..., None]).max() for p, m in zip(self.positions, middle, strict=True)))) + 1
+        )
         line = np.arange(-side, side + 1)
         self.columns, self.rows = np.broadcast_arrays(middle[0] + line[:, None], middle[1] + line)
 
@@ -127,7 +129,7 @@ def _signature(column: np.ndarray, row: np.ndarray) -> np.ndarray:
     return _SIGNATURES[np.mod(column, 64), np.mod(row, 64)]
 
 
-def shown_places(
+def shown_positions(
     radius: float, sampling: Sampling, slices: np.ndarray, rings: np.ndarray, every: int, azimuth: float = 0.0
 ) -> tuple[np.ndarray, np.ndarray]:
     """Compute the positions of cells, (slices, rings, azimuths, 2), along the axes of the pixels.
@@ -136,6 +138,6 @@ def shown_places(
     """
     grid = merl_grid(sampling)
     theta_h, phi_d = np.meshgrid(grid.theta_h[rings], grid.phi_d[::every], indexing="ij")
-    found = cell_places(radius, theta_h, grid.theta_d[slices][:, None, None], phi_d)
+    found = cell_positions(radius, theta_h, grid.theta_d[slices][:, None, None], phi_d)
     x, y = np.broadcast_arrays(found.x, found.y)
     return turned(x, y, azimuth)

@@ -34,7 +34,7 @@ from matcam.inverse.operator.pixel_borders import (
     MeanBorders,
     Repeats,
     repeats,
-    shown_places,
+    shown_positions,
 )
 from matcam.inverse.operator.sample_view import rig_behind, sample_view
 from matcam.rigs import ON_REAL_PIXELS, UNKNOWN, CellValue, PixelPhase, Rig
@@ -67,7 +67,7 @@ _FIRST_TRIES, _TRIES = 25, 90
 """Largest number of phases that are tried to detect a grid of pixels, and to locate it."""
 _FALLS = 0.2
 """Ratio of the residual after the first tries to that of the start, below which a grid is detected."""
-_MOST_REST = 1e-6
+_LARGEST_RESIDUAL = 1e-6
 """Largest share of the variance of interpolated cells that a grid may leave unexplained. The correct grid is exact."""
 READ_FROM: dict[CellValue, str] = {
     "nearest": "read from the nearest pixel",
@@ -248,7 +248,7 @@ def _upright(found: FoundPhase, cells: list[_NearCells], azimuth: float) -> Foun
         return found
     (x, y), cos, sin = found.phase, np.round(np.cos(2 * azimuth)), np.round(np.sin(2 * azimuth))
     mirrored = float(x * cos + y * sin), float(x * sin - y * cos)  # type: ignore[operator]
-    if _rest("nearest", mirrored, cells) < _rest("nearest", (x, y), cells):  # type: ignore[arg-type]
+    if _residual("nearest", mirrored, cells) < _residual("nearest", (x, y), cells):  # type: ignore[arg-type]
         return found._replace(phase=mirrored)
     return found
 
@@ -272,32 +272,32 @@ def _near_cells(table: xr.DataArray, radius: float, slices: np.ndarray, rings: i
 
     Slices are omitted if half of these cells or more have no value. rings: number of rings. every: step in azimuths.
     """
-    places = shown_places(radius, sampling_of(table), slices, np.arange(rings), every, azimuth_of(table) or 0.0)
+    positions = shown_positions(radius, sampling_of(table), slices, np.arange(rings), every, azimuth_of(table) or 0.0)
     values = table.values[:rings][:, slices, ::every].transpose(1, 0, 2, 3)
     channel = int(np.argmax(np.nan_to_num(values).max(axis=(0, 1, 2))))
     found = []
-    for x, y, one in zip(*places, values[..., channel], strict=True):
+    for x, y, one in zip(*positions, values[..., channel], strict=True):
         known = np.isfinite(one)
         if known.mean() > _MOST_OF_A_SLICE:
             found.append(_NearCells(x[known], y[known], one[known]))
     return found
 
 
-def _rest(rule: CellValue, phase: tuple[float, float], cells: list[_NearCells]) -> float:
+def _residual(rule: CellValue, phase: tuple[float, float], cells: list[_NearCells]) -> float:
     """Compute the mean share of the variance of slices that a grid does not explain."""
-    return float(np.mean([_interpolation_rest(rule, one, phase) for one in cells])) if cells else 1.0
+    return float(np.mean([_interpolation_residual(rule, one, phase) for one in cells])) if cells else 1.0
 
 
 def bilinear_phase(table: xr.DataArray, radius: float) -> FoundPhase:
     """Estimate the phase of a table whose cells were interpolated between pixels."""
     cells = _near_cells(table, radius, SLICES[::3], _FEW_RINGS, _FEW_AZIMUTHS)
 
-    def log_rest(phase: Sequence[float]) -> float:
-        return float(np.log(_rest("bilinear", (phase[0], phase[1]), cells) + 1e-30))
+    def log_residual(phase: Sequence[float]) -> float:
+        return float(np.log(_residual("bilinear", (phase[0], phase[1]), cells) + 1e-30))
 
     def descended(corners: np.ndarray, tries: int) -> OptimizeResult:
         options = {"initial_simplex": corners, "xatol": 1e-5, "maxfev": tries}
-        return minimize(log_rest, corners[0], method="Nelder-Mead", options=options)
+        return minimize(log_residual, corners[0], method="Nelder-Mead", options=options)
 
     def followed(before: float, u: float, v: float) -> OptimizeResult:
         """Refine a start, unless the first steps detect no grid. before: ln of the residual at the start."""
@@ -305,10 +305,10 @@ def bilinear_phase(table: xr.DataArray, radius: float) -> FoundPhase:
         return first if first.fun > before + np.log(_FALLS) else descended(first.final_simplex[0], _TRIES)
 
     line = np.arange(-0.5, 0.5, 0.1)
-    starts = sorted((log_rest((u, v)), u, v) for u in line for v in line)[:3]
+    starts = sorted((log_residual((u, v)), u, v) for u in line for v in line)[:3]
     found = min((followed(*start) for start in starts), key=lambda one: one.fun)
     unexplained = float(np.exp(found.fun))
-    if unexplained > _MOST_REST:
+    if unexplained > _LARGEST_RESIDUAL:
         raise FitError(
             f"no grid of pixels on a sphere of radius {radius:g} px explains the cells near the highlight by interpolation "
             f"({unexplained:.1g} of their variance is unexplained): specify the sphere's radius, or another cell_value"
@@ -316,7 +316,7 @@ def bilinear_phase(table: xr.DataArray, radius: float) -> FoundPhase:
     return FoundPhase(_wrapped((found.x[0], found.x[1])), 1e-3, unexplained)
 
 
-def _interpolation_rest(rule: CellValue, cells: _NearCells, phase: tuple[float, float]) -> float:
+def _interpolation_residual(rule: CellValue, cells: _NearCells, phase: tuple[float, float]) -> float:
     """Compute the share of the variance of a slice that a grid does not explain."""
     values = cells.values
     found = looked_up(rule, np.asarray(phase), cells.x, cells.y)

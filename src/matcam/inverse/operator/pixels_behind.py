@@ -14,7 +14,7 @@ import numpy as np
 
 from matcam.core.grid import GRID_SHAPE, merl_grid, theta_h_edges
 from matcam.forward.pixel_grid import PixelGrid, looked_up, phase_of_slices, slice_pixels, turned
-from matcam.inverse.operator.sample_view import BOTH_WAYS
+from matcam.inverse.operator.sample_view import BOTH_DIRECTIONS
 
 _STRIDE = 1 << 16
 """Number of pixels per row in the number of a pixel. It exceeds the width of any image."""
@@ -24,7 +24,7 @@ _GAUSS = 0.5 + np.array([-1.0, 1.0]) / np.sqrt(12)
 """Two Gauss-Legendre points along a side of a cell, as shares of its length."""
 
 
-class CellPlaces(NamedTuple):
+class CellPositions(NamedTuple):
     """Two positions on a sphere that show a cell, on a last axis.
 
     Attributes:
@@ -56,13 +56,13 @@ class PixelsBehind(NamedTuple):
     noise_share: np.ndarray
 
 
-def cell_places(radius: float, theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray) -> CellPlaces:
+def cell_positions(radius: float, theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray) -> CellPositions:
     """Compute the two positions at which a distant camera and lamp show each cell (docs/model.md 3)."""
     psi = np.pi - phi_d[..., None] + np.array([0.0, np.pi])
     th, td = theta_h[..., None], theta_d[..., None]
     mean, half = np.cos(th) * np.cos(td), np.sin(th) * np.sin(td) * np.cos(psi)
     x = radius * (np.cos(th) * np.sin(td) + np.sin(th) * np.cos(psi) * np.cos(td))
-    return CellPlaces(x, radius * np.sin(th) * np.sin(psi), mean + half, mean - half)
+    return CellPositions(x, radius * np.sin(th) * np.sin(psi), mean + half, mean - half)
 
 
 def pixel_numbers(x: np.ndarray, y: np.ndarray, phase: np.ndarray, azimuth: float = 0.0) -> np.ndarray:
@@ -98,8 +98,8 @@ def pixels_behind(
     if pixels.rule == "mean":
         return _inside(phase, radius, theta_d, i, k, pixels.azimuth)
     grid = merl_grid("centre")
-    place = cell_places(radius, grid.theta_h[i], np.full(i.size, theta_d), grid.phi_d[k])
-    found = looked_up(pixels.rule, phase, *turned(place.x, place.y, pixels.azimuth))
+    position = cell_positions(radius, grid.theta_h[i], np.full(i.size, theta_d), grid.phi_d[k])
+    found = looked_up(pixels.rule, phase, *turned(position.x, position.y, pixels.azimuth))
     x, y, weight = (a.reshape(i.size, -1) for a in (found.x, found.y, found.weight / 2))
     numbers = pixel_numbers(x, y, phase)
     x, y = turned(x, y, -pixels.azimuth)
@@ -112,11 +112,11 @@ def _anywhere_in(radius: float, theta_d: float, i: np.ndarray, k: np.ndarray, az
     n_h, _, n_p = GRID_SHAPE
     share = (i[:, None, None, None] + _GAUSS[:, None, None]) / n_h
     theta_h = share**2 * np.pi / 2
-    phi_d = (k[:, None, None, None] + _GAUSS[:, None]) / n_p * np.pi + BOTH_WAYS
+    phi_d = (k[:, None, None, None] + _GAUSS[:, None]) / n_p * np.pi + BOTH_DIRECTIONS
     theta_h, phi_d = np.broadcast_arrays(theta_h, phi_d)
-    place = cell_places(radius, theta_h, np.array(theta_d), phi_d)
-    x, y = place.x[..., 0], place.y[..., 0]
-    cos_i, cos_o = place.cos_i[..., 0], place.cos_o[..., 0]
+    position = cell_positions(radius, theta_h, np.array(theta_d), phi_d)
+    x, y = position.x[..., 0], position.y[..., 0]
+    cos_i, cos_o = position.cos_i[..., 0], position.cos_o[..., 0]
     weight = np.where((cos_i > 0) & (cos_o > 0), cos_o * share * np.sin(theta_h), 0.0)
     count = pixel_counts(radius, np.array([theta_d]))[i, 0, 0]
     x, y, weight = (a.reshape(i.size, -1) for a in (x, y, weight))
@@ -143,7 +143,7 @@ def _inside(
     count = np.bincount(side, minlength=2 * i.size)
     rank = np.arange(side.size) - np.repeat(np.cumsum(count) - count, count)
     grid = merl_grid("centre")
-    own = cell_places(radius, grid.theta_h[i], np.full(i.size, theta_d), grid.phi_d[k])
+    own = cell_positions(radius, grid.theta_h[i], np.full(i.size, theta_d), grid.phi_d[k])
     found = [np.repeat(a.reshape(-1, 1), _POINTS, axis=1) for a in (own.x, own.y, np.zeros((i.size, 2)))]
     few = count[side] <= _POINTS
     for target, values in zip(found, (x, y, share), strict=True):
@@ -174,5 +174,5 @@ def _same_moments(
     )
     variances, axes = np.linalg.eigh(covariance)
     reach = axes * np.sqrt(2 * np.maximum(variances, 0))[:, None, :]
-    places = middle[:, :, None] + np.concatenate([reach, -reach], axis=-1)
-    return places[:, 0], places[:, 1], np.repeat(total[:, None] / _POINTS, _POINTS, axis=1)
+    positions = middle[:, :, None] + np.concatenate([reach, -reach], axis=-1)
+    return positions[:, 0], positions[:, 1], np.repeat(total[:, None] / _POINTS, _POINTS, axis=1)

@@ -305,11 +305,13 @@ class MovedBlur(NamedTuple):
 def blurs_along(rig: Rig, own: Blur, axes: Sequence[Axis]) -> list[MovedBlur]:
     """Compute the blurs at the points of the axes of parameters of the rig. own: blur of the rig."""
     # the dependence of the residual on lens parameters is second order and is neglected
-    rest = own.rest if own.rest is not None and own.rest.even else None
-    whole = own.rest is not None
+    residual = own.residual if own.residual is not None and own.residual.even else None
+    whole = own.residual is not None
     points = [(axis, point) for axis in axes if axis.name not in CHANGES for point in axis.points if point]
     moved = ((axis, rig_with(rig, {axis.name: axis.value(point)})) for axis, point in points)
-    return [MovedBlur(blur_of(one, in_discs=True, whole=whole, rest=rest), axis.by_variance) for axis, one in moved]
+    return [
+        MovedBlur(blur_of(one, in_discs=True, whole=whole, residual=residual), axis.by_variance) for axis, one in moved
+    ]
 
 
 def change_kernels(own: Blur, axes: Sequence[Axis]) -> list[MovedBlur]:
@@ -319,7 +321,7 @@ def change_kernels(own: Blur, axes: Sequence[Axis]) -> list[MovedBlur]:
     for along, across in _change_variances(axes):
         least = min(along, across)
         std = jnp.full(1, np.sqrt(least * variance))
-        one = dataclasses.replace(own, weights=jnp.ones(1), stds=std, rest=None)
+        one = dataclasses.replace(own, weights=jnp.ones(1), stds=std, residual=None)
         kernels.append(MovedBlur(one, stretch=((along - least) * variance, (across - least) * variance)))
     return kernels
 

@@ -16,9 +16,9 @@ from matcam.forward.sampler.windows import SphereView
 from matcam.lamp.lamps import closeness
 from matcam.rigs import Rig
 from matcam.sample.curved import Cylinder, Sphere
-from matcam.sample.shape import Place
+from matcam.sample.shape import Position
 
-BOTH_WAYS = np.array([0.0, np.pi])
+BOTH_DIRECTIONS = np.array([0.0, np.pi])
 """Angles that are added to phi_d: an image shows a cell on the side of the lamp and on the opposite side."""
 
 
@@ -62,17 +62,17 @@ class SampleView(NamedTuple):
         """Return the cylinder of the size of the sphere."""
         return Cylinder(self.radius) if self.camera == 0 else Cylinder(self.radius, 1 / self.camera)
 
-    def place(self, theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray) -> Place:
+    def position(self, theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray) -> Position:
         """Compute the image position and the lamp of half and difference angles."""
         angles = np.broadcast_arrays(theta_h, theta_d, phi_d)
         count = angles[0].size
         size = 1 << max(count - 1, 1).bit_length()  # few sizes, because each is a program
-        place = _place(self.sphere, *(np.resize(a, size) for a in angles), self.lamp)
-        return Place(*(np.asarray(a)[:count].reshape(angles[0].shape) for a in place))  # type: ignore[arg-type]
+        position = _position(self.sphere, *(np.resize(a, size) for a in angles), self.lamp)
+        return Position(*(np.asarray(a)[:count].reshape(angles[0].shape) for a in position))  # type: ignore[arg-type]
 
     def lamp_angles(self, theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray) -> np.ndarray:
         """Compute the angle between lamp and optical axis at which each of the two positions of a cell shows it, rad."""
-        return self.place(theta_h[..., None], theta_d[..., None], phi_d[..., None] + BOTH_WAYS).lamp_angle  # type: ignore[return-value]
+        return self.position(theta_h[..., None], theta_d[..., None], phi_d[..., None] + BOTH_DIRECTIONS).lamp_angle  # type: ignore[return-value]
 
     def irradiance(self, cos_i: np.ndarray) -> np.ndarray:
         """Compute the irradiance of a surface that faces the lamp, relative to the centre of the sphere.
@@ -94,8 +94,8 @@ class SampleView(NamedTuple):
                 np.sin(theta_d) * (np.cos(theta_h) - 1) - np.sin(theta_h) * np.cos(phi_d) * np.cos(theta_d)
             )
             return x, self.radius * np.sin(theta_h) * np.sin(phi_d)
-        place = self.place(theta_h, theta_d, phi_d)
-        return np.asarray(place.x) - self.at_highlight(np.asarray(place.lamp_angle)), np.asarray(place.y)
+        position = self.position(theta_h, theta_d, phi_d)
+        return np.asarray(position.x) - self.at_highlight(np.asarray(position.lamp_angle)), np.asarray(position.y)
 
     def at_highlight(self, lamp_angle: np.ndarray) -> np.ndarray:
         """Compute the position of the highlight in the image, px along x."""
@@ -128,8 +128,8 @@ def sample_view(rig: Rig | None) -> SampleView:
         return FAR_AWAY
     sample, lamp, azimuth = rig.sample, rig.lamp.nearness, rig.lamp_azimuth or 0.0
     # square pixels and an isotropic lens are invariant under a quarter turn
-    alike = np.pi / 2 if rig.camera.optics.isotropic else 2 * np.pi
-    turned = 0.0 if abs(np.sin(np.pi * azimuth / alike)) < _ALIGNED else float(np.mod(azimuth, alike))
+    period = np.pi / 2 if rig.camera.optics.isotropic else 2 * np.pi
+    turned = 0.0 if abs(np.sin(np.pi * azimuth / period)) < _ALIGNED else float(np.mod(azimuth, period))
     near = float(sample.nearness), 0.0 if lamp is None else float(lamp)  # type: ignore[attr-defined]
     return SampleView(float(sample.radius), *near, turned, isinstance(sample, Cylinder))  # type: ignore[attr-defined]
 
@@ -154,8 +154,8 @@ def rig_behind(table: xr.DataArray, rig: Rig) -> Rig:
 
 
 @jax.jit
-def _place(sphere: Sphere, theta_h: jax.Array, theta_d: jax.Array, phi_d: jax.Array, lamp: jax.Array) -> Place:
-    return sphere.place(theta_h, theta_d, phi_d, lamp)
+def _position(sphere: Sphere, theta_h: jax.Array, theta_d: jax.Array, phi_d: jax.Array, lamp: jax.Array) -> Position:
+    return sphere.position(theta_h, theta_d, phi_d, lamp)
 
 
 @jax.jit

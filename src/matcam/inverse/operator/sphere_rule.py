@@ -169,7 +169,7 @@ def sphere_rule(
     scale, first, last = stretched(onto.low, onto.high, onto.finest)
     through = factor[:, None] * view.stretch**2 / 4 * np.sin(angle) * step
     pixel = arcs.circle // NODES[0].size
-    place = 2 * (np.arcsinh(angle / scale[:, None]) - first[:, None]) / (last - first)[:, None] - 1
+    position = 2 * (np.arcsinh(angle / scale[:, None]) - first[:, None]) / (last - first)[:, None] - 1
     per_pixel = (
         windows.x, windows.y, windows.cosine, windows.sine, windows.lamp, windows.peak, theta_d, scale, first, last,
     )  # fmt: skip
@@ -190,7 +190,7 @@ def sphere_rule(
     powers, *moments = (np.concatenate(parts, axis=1) for parts in zip(*sums, strict=True))
     total, *others = (np.bincount(arcs.circle, power, angle.size).reshape(angle.shape) for power in powers)
     if not near:
-        others += [total * place, total * theta_d[:, None], others[0] * theta_d[:, None]]
+        others += [total * position, total * theta_d[:, None], others[0] * theta_d[:, None]]
     seen = CircleSums(total, np.stack(others[:3]), *others[3:])
     if not near:
         return SphereRule(onto.carry(angle, through * total), seen)
@@ -239,7 +239,7 @@ def _arc_sums(
 ) -> tuple[jax.Array, ...]:
     """Sum over the nodes of arcs: powers, (4 or 7, arcs), and in a near rig Legendre's polynomials, (40, arcs) twice."""
     view = SphereView(*of_view) if near else SphereView(of_view[0], 0.0, 0.0)
-    node, node_weight = _ARC if blur.rest is None else _ARC_OF_RINGS
+    node, node_weight = _ARC if blur.residual is None else _ARC_OF_RINGS
 
     def block(arguments):  # type: ignore[no-untyped-def]
         of_pixel, of_arc, disc = arguments
@@ -263,7 +263,7 @@ def _arc_sums(
             return x * cosine + y * sine_, y * cosine - x * sine_
 
         def through(term: int) -> jax.Array:
-            if pixel_nodes and not blur.is_rest(term):
+            if pixel_nodes and not blur.is_residual(term):
                 added = Spread(var_x, var_y, out_of_focus)
                 return blur.turned_kernel(*in_plane(*offset), term, added, (cosine, sine_), pixel_nodes)
             # the residual of a lens is small: on a turned pixel its widening is treated as isotropic
@@ -280,13 +280,13 @@ def _arc_sums(
         at = directions(normal, jnp.sin(lamp), jnp.cos(lamp), view.camera, view.lamp)
         # area in the image over the cosine of the viewing angle, times the irradiance across the light
         share = share * at.view / depth**3 / at.light**2
-        place = 2 * (jnp.arcsinh(at.theta_h / scale) - first) / (last - first) - 1
-        place = jnp.clip(place, -_OUTSIDE, _OUTSIDE)
+        position = 2 * (jnp.arcsinh(at.theta_h / scale) - first) / (last - first) - 1
+        position = jnp.clip(position, -_OUTSIDE, _OUTSIDE)
         cos_psi = (at.cos_i - at.cos_o) / jnp.maximum(2 * jnp.sin(at.theta_h) * jnp.sin(at.theta_d), 1e-300)
         cos_psi = jnp.clip(cos_psi, -1, 1)
-        factors = 1, cos_psi, cos_psi**2, cos_psi**3, place, at.theta_d, at.theta_d * cos_psi
+        factors = 1, cos_psi, cos_psi**2, cos_psi**3, position, at.theta_d, at.theta_d * cos_psi
         powers = [jnp.sum(share * one, axis=1) for one in factors]
-        return powers, *legendre_sums(place, (share, share * rise_of(at.theta_d, cell)))
+        return powers, *legendre_sums(position, (share, share * rise_of(at.theta_d, cell)))
 
     def blocks(array: jax.Array) -> jax.Array:
         return array.reshape(-1, _BLOCK, *array.shape[1:])

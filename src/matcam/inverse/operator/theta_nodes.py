@@ -137,29 +137,29 @@ def on_highlight(radius: float, reach: float) -> float:
     return float(np.sqrt(2) * reach / radius / _FINEST)
 
 
-def onto_nodes(place: jax.Array, share: jax.Array) -> jax.Array:
+def onto_nodes(positions: jax.Array, share: jax.Array) -> jax.Array:
     """Compute weights at Gauss nodes that integrate polynomials as shares at positions do, (pixels, nodes).
 
     The polynomial through Gauss nodes is a sum of Legendre polynomials, whose coefficients are sums over the nodes.
 
     Args:
-        place: positions in [-1, 1], (pixels, ...).
+        positions: positions in [-1, 1], (pixels, ...).
         share: their shares, of the same shape.
     """
-    place, share = (a.reshape(a.shape[0], -1) for a in (place, share))
-    return legendre_sums(place, (share,))[0].T @ FROM_MOMENTS.T
+    positions, share = (a.reshape(a.shape[0], -1) for a in (positions, share))
+    return legendre_sums(positions, (share,))[0].T @ FROM_MOMENTS.T
 
 
-def legendre_sums(place: jax.Array, shares: tuple[jax.Array, ...]) -> tuple[jax.Array, ...]:
+def legendre_sums(position: jax.Array, shares: tuple[jax.Array, ...]) -> tuple[jax.Array, ...]:
     """Sum shares times Legendre polynomials of the position over the last axis: arrays (degrees, ...)."""
 
     def next_degree(state, k):  # type: ignore[no-untyped-def]
         before, now = state
         sums = tuple((share * now) @ ones for share in shares)  # XLA takes four times as long for jnp.sum
-        return (now, ((2 * k + 1) * place * now - k * before) / (k + 1)), sums
+        return (now, ((2 * k + 1) * position * now - k * before) / (k + 1)), sums
 
-    ones = np.ones(place.shape[-1])
-    start = jnp.zeros_like(place), jnp.ones_like(place)
+    ones = np.ones(position.shape[-1])
+    start = jnp.zeros_like(position), jnp.ones_like(position)
     return jax.lax.scan(next_degree, start, jnp.arange(NODES[0].size, dtype=float))[1]
 
 
@@ -183,14 +183,14 @@ class CircleSums(NamedTuple):
         total: sum of the weights.
         cosine: sum of the weights times powers 1 to 3 of the cosine of the azimuth about the half vector, (3, pixels,
             circles).
-        place: sum of the weights times the position among the nodes, in [-1, 1].
+        position: sum of the weights times the position among the nodes, in [-1, 1].
         theta_d: sum of the weights times theta_d, rad.
         product: sum of the weights times theta_d times the cosine, rad.
     """
 
     total: np.ndarray
     cosine: np.ndarray
-    place: np.ndarray
+    position: np.ndarray
     theta_d: np.ndarray
     product: np.ndarray
 
@@ -218,11 +218,11 @@ def masking_samples(circles: CircleSums, theta: np.ndarray, at: np.ndarray) -> t
     slope = (circles.product / safe - middle * beside) / std
     theta_d = beside[..., None] + slope[..., None] * nodes
     nearest = nearest_seen(seen)
-    place = np.take_along_axis(circles.place / safe, nearest, axis=1)
+    position = np.take_along_axis(circles.position / safe, nearest, axis=1)
     sampled = [np.take_along_axis(a, nearest[..., None], axis=1) for a in (cosine, theta_d, shares)]
     wanted = NODES[0][at]
-    low = np.clip((place[:, None] <= wanted[:, None]).sum(-1) - 1, 0, seen.shape[1] - 2)
-    left, right = (np.take_along_axis(place, low + n, axis=1) for n in (0, 1))
+    low = np.clip((position[:, None] <= wanted[:, None]).sum(-1) - 1, 0, seen.shape[1] - 2)
+    left, right = (np.take_along_axis(position, low + n, axis=1) for n in (0, 1))
     gap = right - left
     part = np.clip((wanted - left) / np.where(gap > 0, gap, 1.0), 0, 1)[..., None]
 

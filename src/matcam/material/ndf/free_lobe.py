@@ -115,9 +115,9 @@ def spline_smoothness() -> np.ndarray:
     return rows
 
 
-def slope_of_knot(place: np.ndarray) -> np.ndarray:
+def slope_of_knot(position: np.ndarray) -> np.ndarray:
     """Compute the slope at a knot, counted from 0; fractional knots are allowed."""
-    return _FINEST * np.sinh(place / (KNOTS - 1) * _END)
+    return _FINEST * np.sinh(position / (KNOTS - 1) * _END)
 
 
 @spline_at.defjvp

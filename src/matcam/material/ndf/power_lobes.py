@@ -138,10 +138,10 @@ class SGD(SlopeNDF, MixtureNDF):
         log_excess = _LOWEST + step * xp.arange(_MIXTURE_NODES - 1)
         excess = xp.exp(log_excess)
         # the nodes below the first would be a geometric series, down to u = 1
-        rest = xp.exp(self.power * (_LOWEST - step)) / -xp.expm1(-self.power * step)
-        rest_excess = xp.exp(_LOWEST - step) * xp.expm1(-self.power * step) / xp.expm1(-(1 + self.power) * step)
-        u = 1 + xp.append(rest_excess, excess)
-        weights = xp.append(rest, xp.exp(self.power * log_excess)) * xp.exp(-self.alpha * (u - 1))
+        remainder = xp.exp(self.power * (_LOWEST - step)) / -xp.expm1(-self.power * step)
+        remainder_excess = xp.exp(_LOWEST - step) * xp.expm1(-self.power * step) / xp.expm1(-(1 + self.power) * step)
+        u = 1 + xp.append(remainder_excess, excess)
+        weights = xp.append(remainder, xp.exp(self.power * log_excess)) * xp.exp(-self.alpha * (u - 1))
         return weights / xp.sum(weights), xp.sqrt(self.alpha / (2 * u))
 
     def smith_lambda(self, cos: jax.Array) -> jax.Array:

@@ -13,12 +13,12 @@ from matcam.core.errors import ArgumentError
 from matcam.forward.integral.blur import blur_of
 from matcam.inverse.fit.fit_parameters import LobeKind
 from matcam.reconstruction.cylinder.profile_model import ProfileModel
-from matcam.reconstruction.cylinder.profile_rule import CylinderPlace, chosen_columns
+from matcam.reconstruction.cylinder.profile_rule import CylinderPosition, chosen_columns
 from matcam.reconstruction.cylinder.strips import Strip, strip_profiles
 from matcam.reconstruction.joint.joint_problem import JointLayout, JointProblem
 from matcam.reconstruction.observed_pixels import ObservedPixels
 from matcam.reconstruction.picture_model import lamp_frame
-from matcam.reconstruction.picture_rule import lamp_places
+from matcam.reconstruction.picture_rule import lamp_positions
 from matcam.reconstruction.sphere_fit import SphereFit, fit_sphere
 from matcam.reconstruction.sphere_scene import SphereScene, joint_problem
 from matcam.rigs import Rig
@@ -79,14 +79,14 @@ def _cylinder_problem(
     width = float(np.exp(p[0]))
     alphas = (width, float(np.exp(p[1])) if kind.stretched else width)
     _, radius, camera, lamp = p[layout.scene]
-    lit = lamp_places(scene.lamp_radius if disc else 0.0, min(alphas))
+    lit = lamp_positions(scene.lamp_radius if disc else 0.0, min(alphas))
     nodes, row_weights = np.polynomial.legendre.leggauss(_ROW_RULE)
     rows = np.array([np.add(*strip.read) / 2 + (strip.read[1] - strip.read[0] + 1) / 2 * nodes for strip in strips])
     model = ProfileModel(
         kind=kind,
         channels=layout.channels,
         blur=blur_of(Rig(scene.camera, Sphere(scene.radius))),
-        places=lit.turns,
+        positions=lit.turns,
         weights=lit.weights,
         turns=np.array([strip.turn for strip in strips]),
         rows=rows,
@@ -96,7 +96,7 @@ def _cylinder_problem(
     pixels = []
     for k, picture in enumerate(pictures):
         axis, row = p[layout.own(k)][:2]
-        place = CylinderPlace(axis, row, radius, camera, lamp, frames[k].base)
+        position = CylinderPosition(axis, row, radius, camera, lamp, frames[k].base)
         last = None if keep is None else keep[k]
-        pixels.append(chosen_columns(profiles[picture.name], strips, place, alphas, plateau=lit.plateau, keep=last))
+        pixels.append(chosen_columns(profiles[picture.name], strips, position, alphas, plateau=lit.plateau, keep=last))
     return joint_problem(layout, kind, scene, model, pixels, frames, slope, diffuse=diffuse, spline=spline)

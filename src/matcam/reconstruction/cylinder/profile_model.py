@@ -29,7 +29,7 @@ class ProfileModel(eqx.Module):
         kind: family, masking and splines of the lobe.
         channels: number of colours; all have the same record at unit strength.
         blur: kernel of the camera, with a lens that is a sum of Gaussians.
-        places: positions on the source disc as turns of the lamp, rad, (points, 2).
+        positions: positions on the source disc as turns of the lamp, rad, (points, 2).
         weights: weights of these positions, (points,); their sum is 1.
         turns: angle of each strip's material, rad, (strips,).
         rows: rows of each strip at which the model is evaluated, px, (strips, rule).
@@ -39,7 +39,7 @@ class ProfileModel(eqx.Module):
     kind: LobeKind = eqx.field(static=True)
     channels: int = eqx.field(static=True)
     blur: Blur
-    places: np.ndarray
+    positions: np.ndarray
     weights: np.ndarray
     turns: np.ndarray
     rows: np.ndarray
@@ -126,21 +126,21 @@ class ProfileModel(eqx.Module):
         tangent = jnp.cos(turn) * normal[2], jnp.sin(turn), -jnp.cos(turn) * normal[0]
         shape = p[self.kind.size + len(SCENE) : -len(OWN)]  # of the diffuse part
 
-        def under(place: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
-            at, weight = place
+        def under(position: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+            at, weight = position
             x, y, z = turned_lamp(frame, a + at[0], b + at[1])
             light, view, closeness = light_and_view(point, (x, y, z), camera, lamp)
             lobe, lambert = radiance(slopes, self.kind.masking, shape, shading(normal, tangent, light, view), closeness)
             return weight * lobe, weight * lambert
 
         if len(self.weights) == 1:
-            return under((self.places[0], self.weights[0]))
+            return under((self.positions[0], self.weights[0]))
 
-        def add(total: Any, place: Any) -> tuple[Any, None]:
-            return jax.tree.map(jnp.add, total, under(place)), None
+        def add(total: Any, position: Any) -> tuple[Any, None]:
+            return jax.tree.map(jnp.add, total, under(position)), None
 
         start = (jnp.zeros_like(out * row), jnp.zeros_like(out * row))
-        return jax.lax.scan(add, start, (jnp.asarray(self.places), jnp.asarray(self.weights)))[0]
+        return jax.lax.scan(add, start, (jnp.asarray(self.positions), jnp.asarray(self.weights)))[0]
 
     def _surface(self, p: jax.Array, out: jax.Array, depth: jax.Array, row: jax.Array) -> tuple[Any, ...]:
         """Compute normal, point, both nearnesses and the turn of the lamp where a line of sight meets the cylinder."""

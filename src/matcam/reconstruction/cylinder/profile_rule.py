@@ -38,7 +38,7 @@ class ProfileWindow(NamedTuple):
     column: np.ndarray
 
 
-class CylinderPlace(NamedTuple):
+class CylinderPosition(NamedTuple):
     """Position of a cylinder in an image, and its lamp.
 
     Attributes:
@@ -88,7 +88,7 @@ class CylinderPlace(NamedTuple):
 def chosen_columns(
     profiles: StripProfiles,
     strips: Sequence[Strip],
-    place: CylinderPlace,
+    position: CylinderPosition,
     alphas: tuple[float, float],
     *,
     plateau: float = 0.0,
@@ -99,7 +99,7 @@ def chosen_columns(
     Args:
         profiles: profiles of all strips and colours.
         strips: strips in the order of the profiles.
-        place: position of the cylinder.
+        position: position of the cylinder.
         alphas: roughness along the material's x axis and across it.
         plateau: half the lamp's angular radius, rad. Default: 0.
         keep: earlier choice, whose columns are kept if the highlight has not moved. Default: None.
@@ -108,7 +108,7 @@ def chosen_columns(
         Columns of the windows by colour, strip and position, then the other columns; `row` is the index of the strip.
     """
     windows = [
-        _window(strip, place, alphas, plateau, None if keep is None else keep.window.column[s])
+        _window(strip, position, alphas, plateau, None if keep is None else keep.window.column[s])
         for s, strip in enumerate(strips)
     ]
     window = ProfileWindow(*map(np.stack, zip(*windows, strict=True)))
@@ -118,7 +118,7 @@ def chosen_columns(
     inside = (at >= 0) & (at < width)
     near = np.where(inside, at, 0).astype(int)
     strip_index = np.arange(rows)[:, None]
-    outside = np.abs(window.column - place.axis) > place.radius + _OUTSIDE
+    outside = np.abs(window.column - position.axis) > position.radius + _OUTSIDE
 
     def of_window(array: np.ndarray) -> np.ndarray:
         return array[:, strip_index, near].reshape(-1)
@@ -130,11 +130,11 @@ def chosen_columns(
     step = int(np.ceil(candidates.size / _MOST))
     candidates = candidates[::step]
     channel, strip_of, column = np.unravel_index(candidates, profiles.values.shape)
-    p = (profiles.column[column] - place.axis) / place.radius
+    p = (profiles.column[column] - position.axis) / position.radius
     depth = np.sqrt(np.maximum(1 - p**2, 0.0))
     apart = np.abs(profiles.column[column] - window.column[strip_of, WINDOW // 2]) > WINDOW // 2
-    far = apart & (np.abs(p) < 1 - _LIMB / place.radius)
-    far &= p * place.towards[0] + depth * place.towards[2] > _LIT
+    far = apart & (np.abs(p) < 1 - _LIMB / position.radius)
+    far &= p * position.towards[0] + depth * position.towards[2] > _LIT
     far &= profiles.used.ravel()[candidates]
 
     def both(array: np.ndarray, empty: float) -> np.ndarray:
@@ -148,7 +148,7 @@ def chosen_columns(
         column=profiles.column[column],
         row=strip_of.astype(float),
         seen=np.stack([profiles.column[column], strip_of.astype(float)]),
-        places=np.concatenate(
+        positions=np.concatenate(
             [
                 np.tile([window.column.ravel(), strips_of_window.ravel()], count),
                 np.stack([profiles.column[column], strip_of.astype(float)]),
@@ -164,19 +164,19 @@ def chosen_columns(
 
 
 def _window(
-    strip: Strip, place: CylinderPlace, alphas: tuple[float, float], plateau: float, keep: np.ndarray | None
+    strip: Strip, position: CylinderPosition, alphas: tuple[float, float], plateau: float, keep: np.ndarray | None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Compute nodes, weights and columns about the highlight of a strip."""
-    peak = place.brightest(strip, alphas)
-    column = np.round(place.axis + place.radius * peak)
+    peak = position.brightest(strip, alphas)
+    column = np.round(position.axis + position.radius * peak)
     if keep is not None and abs(keep[WINDOW // 2] - column) <= 1:
         column = keep[WINDOW // 2]
     columns = column + np.arange(WINDOW) - WINDOW // 2
     # the nodes cover the columns and their kernels
     low, high = (
-        np.arcsin(np.clip((end - place.axis) / place.radius, -1, 1))
+        np.arcsin(np.clip((end - position.axis) / position.radius, -1, 1))
         for end in (columns[0] - 1 - _MARGIN, columns[-1] + 1 + _MARGIN)
     )
     across = np.hypot(np.cos(strip.turn) / alphas[0], np.sin(strip.turn) / alphas[1])
-    u, weight = graded_nodes(low, high, np.arcsin(peak), 1 / across / 3, plateau, place.radius, _NODES)
+    u, weight = graded_nodes(low, high, np.arcsin(peak), 1 / across / 3, plateau, position.radius, _NODES)
     return u, weight * np.cos(u), columns

@@ -97,9 +97,9 @@ def fit_roughness(stack: FlatStack, shares: LobeShares, gain_std: np.ndarray) ->
         return np.exp(p[1:])[:, None] * np.column_stack([shares.white, shares.lobe(p[0])[0]])
 
     def residual(p: np.ndarray) -> np.ndarray:
-        ways = weights(p)
-        left = _left_behind(data, transfer, ways)
-        level = _left_behind((stack.mean / mean_std)[:, None], (1 / mean_std)[:, None], ways)
+        loadings = weights(p)
+        left = _left_behind(data, transfer, loadings)
+        level = _left_behind((stack.mean / mean_std)[:, None], (1 / mean_std)[:, None], loadings)
         return np.concatenate([left.real.ravel(), left.imag.ravel(), level.real.ravel(), p[1:] / prior])
 
     count = len(stack.mean)
@@ -137,19 +137,19 @@ class MeanMaps(NamedTuple):
 def mean_maps(stack: FlatStack, fitted: FlatRoughness) -> MeanMaps:
     """Compute the mean of both maps with its errors."""
     std = np.hypot(stack.mean_std, _EXACT * np.abs(stack.mean))
-    ways = fitted.weights / std[:, None]
-    inverse = np.linalg.pinv(ways.T @ ways)
-    reading = inverse @ ways.T / std
+    loadings = fitted.weights / std[:, None]
+    inverse = np.linalg.pinv(loadings.T @ loadings)
+    reading = inverse @ loadings.T / std
     means = reading @ stack.mean
     # effect of a change of the shares on the fitted means
     by_shared = -np.einsum("ik,kjp,j->ip", reading, fitted.weights_slope, means)
     return MeanMaps(means, inverse, by_shared)
 
 
-def _left_behind(data: np.ndarray, transfer: np.ndarray, ways: np.ndarray) -> np.ndarray:
+def _left_behind(data: np.ndarray, transfer: np.ndarray, loadings: np.ndarray) -> np.ndarray:
     """Compute the residual of whitened data after the best two maps at each frequency, (pictures, frequencies)."""
-    scale = np.abs(ways).max(axis=0)
-    unit = ways / scale
+    scale = np.abs(loadings).max(axis=0)
+    unit = loadings / scale
     share = transfer**2
     a, b, c = (share.T @ (unit[:, i] * unit[:, j]) for i, j in ((0, 0), (1, 1), (0, 1)))
     first, second = ((transfer * data).T @ unit[:, i] for i in (0, 1))

@@ -151,8 +151,8 @@ def _interpolation(count: int, cosine: float) -> np.ndarray:
     """Build the interpolation matrix from pixels of a row to texels."""
     if cosine == 1:
         return np.eye(count)
-    place = np.arange(count) - (count - 1) / 2
-    offset = place[:, None] * cosine - place
+    position = np.arange(count) - (count - 1) / 2
+    offset = position[:, None] * cosine - position
     window = np.where(np.abs(offset) < _REACH, np.cos(np.pi / 2 * np.clip(offset / _REACH, -1, 1)) ** 2, 0.0)
     weights = np.sinc(offset) * window
     return weights / weights.sum(axis=1, keepdims=True)

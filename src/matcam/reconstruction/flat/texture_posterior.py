@@ -81,8 +81,8 @@ def texture_posterior(stack: FlatStack, weights: np.ndarray, lens_std: float = 0
         lens_std: relative standard deviation of the lens width. Default: 0, exact.
     """
     scale = np.abs(weights).max(axis=0)
-    ways = weights / scale
-    information, projected = _normal(stack, ways, stack.noise)
+    loadings = weights / scale
+    information, projected = _normal(stack, loadings, stack.noise)
     free = _inverse(information, np.zeros(2))
     estimate = np.einsum("ijyx,jyx->iyx", free, projected)
     radius = stack.radius
@@ -90,13 +90,13 @@ def texture_posterior(stack: FlatStack, weights: np.ndarray, lens_std: float = 0
     prior = np.stack([law.at(radius) for law in laws])
     prior[:, 0, 0] = prior[:, 0, 1]
     # frequencies beyond the band of the sensor alias; they are unknown and are treated as noise
-    noise = stack.noise + _folded(stack, ways, laws)
-    information, projected = _normal(stack, ways, noise)
+    noise = stack.noise + _folded(stack, loadings, laws)
+    information, projected = _normal(stack, loadings, noise)
     covariance = _inverse(information, 1 / np.maximum(prior, _NOTHING * prior.max()))
     estimate = np.einsum("ijyx,jyx->iyx", covariance, projected)
     variance = np.stack([covariance[i, i].real for i in range(2)])
     # change of the estimate if the lens were wider
-    doubt = np.einsum("kyx,ki,kj->ijyx", stack.transfer**2 * stack.lens_slope / noise, ways, ways)
+    doubt = np.einsum("kyx,ki,kj->ijyx", stack.transfer**2 * stack.lens_slope / noise, loadings, loadings)
     moved = lens_std * np.einsum("ijyx,jlyx,lyx->iyx", covariance, doubt, estimate)
     back = scale[:, None, None]
     laws = tuple(PowerLaw(law.level / s**2, law.slope) for law, s in zip(laws, scale, strict=True))
@@ -104,10 +104,10 @@ def texture_posterior(stack: FlatStack, weights: np.ndarray, lens_std: float = 0
     return TexturePosterior(estimate / back, variance / back**2, by_lens, prior / back**2, laws)  # type: ignore[arg-type]
 
 
-def _normal(stack: FlatStack, ways: np.ndarray, noise: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _normal(stack: FlatStack, loadings: np.ndarray, noise: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     share = stack.transfer / noise
-    information = np.einsum("kyx,ki,kj->ijyx", stack.transfer * share, ways, ways)
-    return information, np.einsum("kyx,ki,kyx->iyx", share, ways, stack.spectrum)
+    information = np.einsum("kyx,ki,kj->ijyx", stack.transfer * share, loadings, loadings)
+    return information, np.einsum("kyx,ki,kyx->iyx", share, loadings, stack.spectrum)
 
 
 def _inverse(information: np.ndarray, prior: np.ndarray) -> np.ndarray:
@@ -142,7 +142,7 @@ def _power_law(estimate: np.ndarray, variance: np.ndarray, radius: np.ndarray) -
     return PowerLaw(float(np.exp(level)), slope)
 
 
-def _folded(stack: FlatStack, ways: np.ndarray, laws: tuple[PowerLaw, ...]) -> np.ndarray:
+def _folded(stack: FlatStack, loadings: np.ndarray, laws: tuple[PowerLaw, ...]) -> np.ndarray:
     """Compute the aliased power from beyond the Nyquist limit of the sensor at each frequency of each image."""
     along, across = stack.frequency
     folded = np.zeros(stack.noise.shape)
@@ -153,7 +153,7 @@ def _folded(stack: FlatStack, ways: np.ndarray, laws: tuple[PowerLaw, ...]) -> n
                     continue
                 a, b = along + i * np.cos(tilt), across + j
                 radius = np.hypot(a, b)
-                power = sum(way**2 * law.at(radius) for way, law in zip(ways[k], laws, strict=True))
+                power = sum(way**2 * law.at(radius) for way, law in zip(loadings[k], laws, strict=True))
                 folded[k] += stack.sensor_transfer(k, a, b) ** 2 * power
     return folded
 

@@ -81,11 +81,11 @@ class JointSolution(NamedTuple):
         inner = np.ix_(judged, judged)
         scale = np.sqrt(np.maximum(np.diag(covariance)[judged], 1e-300))
         old, found = covariance[inner] / np.outer(scale, scale), np.zeros_like(covariance)
-        size, ways = np.linalg.eigh(change[inner] * np.outer(scale, scale))
+        size, eigenvectors = np.linalg.eigh(change[inner] * np.outer(scale, scale))
         some = np.abs(size) > _NO_CHANGE * np.abs(size).max(initial=0.0)
-        ways, sign = ways[:, some] * np.sqrt(np.abs(size[some])), np.sign(size[some])
-        moved = old @ ways
-        middle, turn = np.linalg.eigh(np.diag(sign) + ways.T @ moved)
+        eigenvectors, sign = eigenvectors[:, some] * np.sqrt(np.abs(size[some])), np.sign(size[some])
+        moved = old @ eigenvectors
+        middle, turn = np.linalg.eigh(np.diag(sign) + eigenvectors.T @ moved)
         if np.all(sign < 0):  # rounding must not remove more information than exists
             middle = np.minimum(middle, -_ALL_LOST)
         moved = moved @ turn

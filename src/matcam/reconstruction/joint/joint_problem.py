@@ -162,7 +162,7 @@ class JointProblem:
         beside = at
         if self.changes:
             window = self.changes[k].window(window, p[self.layout.field])
-            column, row = self.changes[k].places(p[self.layout.field])
+            column, row = self.changes[k].positions(p[self.layout.field])
             # blur matters only near the highlight, so the blur at the highlight is used
             beside = at.copy()
             beside[self.layout.lobe] += np.log(window.widened)
@@ -220,7 +220,7 @@ class JointProblem:
             )
             # a shift of a pixel is an opposite shift of the sphere
             far, centre = slice(near.stop, None), layout.own(k).start + np.arange(2)
-            away = self.changes[k].places_slopes(change).T
+            away = self.changes[k].positions_slopes(change).T
             jacobian[far, of_k1] = -(jacobian[far][:, centre] * away).sum(axis=1)
         jacobian[:, layout.gain(k)] = value
         everything = np.arange(value.size)

@@ -31,16 +31,16 @@ class UnexplainedLight(NamedTuple):
 
     Attributes:
         share: noise as a share of the model that, with photon and read noise, explains the residuals of bright pixels.
-        alike: number of pixels with fully correlated unexplained residuals. Default: 1, uncorrelated.
+        correlated: number of pixels with fully correlated unexplained residuals. Default: 1, uncorrelated.
     """
 
     share: float
-    alike: float = 1.0
+    correlated: float = 1.0
 
     @property
     def noise(self) -> float:
         """Independent noise per pixel, as a share of the model, with the same weight as these correlated residuals."""
-        return float(self.share * np.sqrt(self.alike))
+        return float(self.share * np.sqrt(self.correlated))
 
 
 def unexplained_share(problem: JointProblem, p: np.ndarray) -> float:
@@ -63,7 +63,7 @@ def unexplained_by(problem: JointProblem, p: np.ndarray) -> UnexplainedLight:
     if share == 0:
         return UnexplainedLight(share)
     some = np.unique(np.linspace(0, len(bright) - 1, min(_LOOKED_AT, len(bright))).round().astype(int))
-    return UnexplainedLight(share, _alike([bright[k] for k in some], share))
+    return UnexplainedLight(share, _correlated_pixels([bright[k] for k in some], share))
 
 
 def unexplained_in(problem: JointProblem, p: np.ndarray, k: int) -> float:
@@ -81,7 +81,7 @@ class _Bright(NamedTuple):
     value: np.ndarray
     residual: np.ndarray
     std: np.ndarray
-    places: np.ndarray
+    positions: np.ndarray
 
     @classmethod
     def of(cls, problem: JointProblem, p: np.ndarray, k: int) -> _Bright:
@@ -90,7 +90,7 @@ class _Bright(NamedTuple):
         value, residual = fit.value[lit], (pixels.values - fit.value)[lit]
         std = _expected_noise(value, pixels.std[lit])
         bright = value > _BRIGHT * std
-        return cls(value[bright], residual[bright], std[bright], pixels.places[:, lit[bright]])
+        return cls(value[bright], residual[bright], std[bright], pixels.positions[:, lit[bright]])
 
 
 def _expected_noise(value: np.ndarray, std: np.ndarray) -> np.ndarray:
@@ -127,7 +127,7 @@ def _share(pictures: list[_Bright]) -> float:
     return float(high)
 
 
-def _alike(pictures: list[_Bright], share: float) -> float:
+def _correlated_pixels(pictures: list[_Bright], share: float) -> float:
     """Compute the number of correlated pixels: the sum of correlations up to their first zero (Bartlett 1935)."""
     together = np.zeros(1)
     total, count, unexplained = 0.0, 0, 0.0
@@ -136,7 +136,7 @@ def _alike(pictures: list[_Bright], share: float) -> float:
             continue
         variance = one.std**2 + (share * one.value) ** 2
         z = np.clip(one.residual / np.sqrt(variance), -_CUT, _CUT)
-        apart = np.rint(pdist(one.places.T)).astype(int)
+        apart = np.rint(pdist(one.positions.T)).astype(int)
         first, second = np.triu_indices(z.size, 1)
         at = np.bincount(apart, z[first] * z[second])
         if at.size > together.size:

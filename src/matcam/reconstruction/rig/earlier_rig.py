@@ -47,21 +47,21 @@ class KnownRig(NamedTuple):
         return np.sqrt(variance.mean(axis=1))
 
     def prior(
-        self, size: int, places: Sequence[int], own: Sequence[int], frames: Sequence[LampFrame]
+        self, size: int, positions: Sequence[int], own: Sequence[int], frames: Sequence[LampFrame]
     ) -> tuple[np.ndarray, np.ndarray]:
         """Build rows and values of the prior: linear combinations of the parameters and their means, with unit
         variance.
 
         Args:
             size: number of all parameters.
-            places: indices of the five values among the parameters.
+            positions: indices of the five values among the parameters.
             own: index of the first of the two turns of the lamp of each image.
             frames: frames of the images' lamps.
         """
         chosen, rows, values = [], [], []
         for index in np.flatnonzero(self.knows).tolist():
             row = np.zeros(size)
-            row[places[index]] = 1.0
+            row[positions[index]] = 1.0
             chosen.append(index)
             rows.append(row)
             values.append(self.values[index])
@@ -161,11 +161,11 @@ def rig_covariance(
     size = len(SCENE_NAMES) + 2 * len(lamps)
     pick = np.zeros((size, len(covariance)))
     first = scene.start
-    places = [first + SCENE.index(name) for name in ("lens", "camera", "lamp")] + [field.start, field.start + 1]
-    pick[np.arange(len(places)), places] = 1.0
+    positions = [first + SCENE.index(name) for name in ("lens", "camera", "lamp")] + [field.start, field.start + 1]
+    pick[np.arange(len(positions)), positions] = 1.0
     for k, direction in enumerate(lamps):
         to, frame = lamp_frame(direction / np.linalg.norm(direction)), frames[k]
         for axis, tangent in enumerate((to.first, to.second)):
-            pick[len(places) + 2 * k + axis, own[k] : own[k] + 2] = frame.first @ tangent, frame.second @ tangent
+            pick[len(positions) + 2 * k + axis, own[k] : own[k] + 2] = frame.first @ tangent, frame.second @ tangent
     whole = pick @ covariance @ pick.T
     return np.asarray((whole + whole.T) / 2)

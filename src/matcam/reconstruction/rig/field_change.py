@@ -37,13 +37,13 @@ class FieldChange(NamedTuple):
         """Compute the nodes of a window after the changes."""
         return through_lens(window, changed_field(self.field, change), self.highlight)
 
-    def places(self, change: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def positions(self, change: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Compute the undistorted columns and rows of the scattered pixels, px."""
-        return changed_field(self.field, change).true_place(*self.seen)
+        return changed_field(self.field, change).true_position(*self.seen)
 
-    def places_slopes(self, change: np.ndarray) -> np.ndarray:
-        """Compute the derivatives of `places` with respect to k1, (2, pixels)."""
-        ahead, here = (np.array(self.places(np.array([change[0] + by, change[1]]))) for by in (STEP, 0.0))
+    def positions_slopes(self, change: np.ndarray) -> np.ndarray:
+        """Compute the derivatives of `positions` with respect to k1, (2, pixels)."""
+        ahead, here = (np.array(self.positions(np.array([change[0] + by, change[1]]))) for by in (STEP, 0.0))
         return (ahead - here) / STEP
 
     def widening(self, change: np.ndarray) -> float:

@@ -30,7 +30,7 @@ class _Strict(BaseModel):
 
 
 _Vector = Annotated[list[FiniteFloat], Field(min_length=3, max_length=3)]
-_Place = Annotated[list[FiniteFloat], Field(min_length=2, max_length=2)]
+_Position = Annotated[list[FiniteFloat], Field(min_length=2, max_length=2)]
 _Pair = Annotated[list[FiniteFloat | None], Field(min_length=2, max_length=2)]
 
 
@@ -38,7 +38,7 @@ class _Lamp(_Strict):
     name: str
     direction: _Vector
     std_deg: FiniteFloat
-    centre_px: _Place
+    centre_px: _Position
     gain: FiniteFloat
 
 
@@ -50,8 +50,8 @@ class _Covariance(_Strict):
 class _Geometry(_Strict):
     frame_px: Annotated[list[int], Field(min_length=2, max_length=2)] | None
     sample_radius_mm: FiniteFloat | None
-    centre_px: Annotated[list[_Place], Field(min_length=2, max_length=2)]
-    radius_px: _Place
+    centre_px: Annotated[list[_Position], Field(min_length=2, max_length=2)]
+    radius_px: _Position
     lamps: list[_Lamp]
     camera_radii: _Pair
     lamp_radii: _Pair

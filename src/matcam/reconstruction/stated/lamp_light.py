@@ -54,7 +54,7 @@ def gains_of(
     """
     count, drift = len(names), max(float(capture.settings["lamp"]["gain_std"]), 1e-5)
     stated = PatchLight(np.ones(count), drift**2 * np.eye(count), None, np.zeros(count, bool))
-    reference, region = capture.settings["reference"], capture.reference_place
+    reference, region = capture.settings["reference"], capture.reference_position
     if reference is not None and reference["kind"] == "diffuse" and region is not None:
         found = patch_light(
             _patch(capture, region),

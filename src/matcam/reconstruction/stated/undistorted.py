@@ -25,7 +25,7 @@ def undistorted_sphere(
     moved: list[Highlight | None] = []
     for one in highlights:
         if one is not None:
-            column, row = map(float, field.true_place(one.column, one.row))
+            column, row = map(float, field.true_position(one.column, one.row))
             normal = true.normals(row, column)
             # on the limb itself rounding may move it off the sphere
             one = replace(one, row=row, column=column, normal=normal if np.isfinite(normal).all() else one.normal)

@@ -28,22 +28,24 @@ _STEEPEST = 3.0
 """Largest fourth derivative of a Gaussian over its peak, in its standard deviation."""
 
 
-class PlaceShares(NamedTuple):
+class PositionShares(NamedTuple):
     """Weights of positions on the sensor.
 
     Attributes:
         side: radius of the disc about the optical axis in which the weights are valid, px.
-        places: the chosen positions, (shares, 2), px.
+        positions: the chosen positions, (shares, 2), px.
         coefficients: coefficients of Chebyshev's T_a(x / side) T_b(y / side) with a + b <= degree, (degree + 1, degree
             + 1, shares).
     """
 
     side: float
-    places: np.ndarray
+    positions: np.ndarray
     coefficients: np.ndarray
 
     @classmethod
-    def of(cls, degree: int, side: float, values: Callable[[np.ndarray], np.ndarray], left_out: float) -> PlaceShares:
+    def of(
+        cls, degree: int, side: float, values: Callable[[np.ndarray], np.ndarray], left_out: float
+    ) -> PositionShares:
         """Choose positions and weights.
 
         Args:
@@ -65,9 +67,9 @@ class PlaceShares(NamedTuple):
         coefficients[low] = np.linalg.lstsq(every[chosen].T, polynomials.T, rcond=None)[0].T
         return cls(side, side * unit[chosen], coefficients.reshape(degree + 1, degree + 1, -1))
 
-    def at(self, places: np.ndarray) -> np.ndarray:
+    def at(self, positions: np.ndarray) -> np.ndarray:
         """Evaluate the weights at positions (n, 2) on the sensor, px: (n, shares)."""
-        return _evaluated(self.coefficients, places / self.side)
+        return _evaluated(self.coefficients, positions / self.side)
 
     def left_over(self, sigma: float, values: np.ndarray) -> float:
         """Bound the contribution of derivatives beyond `ORDER` to a record, as a share of its peak.
@@ -76,9 +78,9 @@ class PlaceShares(NamedTuple):
             sigma: standard deviation of the Gaussian of the record, px.
             values: values of the kernels at the chosen positions, (shares, numbers).
         """
-        places = _in_disc(self.coefficients.shape[0])
+        positions = _in_disc(self.coefficients.shape[0])
         more = [
-            np.abs(_evaluated(self._derived(a, ORDER + 1 - a), places) @ values).max()
+            np.abs(_evaluated(self._derived(a, ORDER + 1 - a), positions) @ values).max()
             / (factorial(a) * factorial(ORDER + 1 - a))
             for a in range(ORDER + 2)
         ]
@@ -98,7 +100,7 @@ class PlaceShares(NamedTuple):
         """
         degree = self.coefficients.shape[0] - 1
         along, across = (np.polynomial.chebyshev.chebvander(a / self.side, degree) for a in (x, y))
-        shares: list[jax.Array] = [jnp.zeros(())] * len(self.places)
+        shares: list[jax.Array] = [jnp.zeros(())] * len(self.positions)
         for a in range(ORDER + 1):
             for b in range(ORDER + 1 - a):
                 one = record(a, b) * (sigma ** (2 * a + 2 * b) / (factorial(a) * factorial(b)))
@@ -107,7 +109,7 @@ class PlaceShares(NamedTuple):
                     shares[k] = shares[k] + jnp.asarray(across @ weight[..., k].T @ along.T)[..., None] * one
         return shares
 
-    def _spread(self, sigma: float) -> PlaceShares:
+    def _spread(self, sigma: float) -> PositionShares:
         """Blur the weights by a Gaussian: exp(sigma^2 Laplace / 2) w, to sigma^4."""
         one = self._replace(coefficients=self._derived(2, 0) + self._derived(0, 2))
         two = one._derived(2, 0) + one._derived(0, 2)

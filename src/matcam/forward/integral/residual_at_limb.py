@@ -19,7 +19,7 @@ from scipy.ndimage import map_coordinates, spline_filter
 
 from matcam.core.jax import jax, jnp
 from matcam.core.workspace import default_workspace
-from matcam.forward.integral.kernel_rest import MARGIN, KernelRest
+from matcam.forward.integral.kernel_residual import MARGIN, KernelResidual
 from matcam.forward.integral.scene import Scene
 from matcam.numerics.approximation import four_about, lagrange_basis
 
@@ -87,20 +87,20 @@ def _window(limb: Any, reach: Any, off: Any) -> tuple[Any, Any]:
     return jnp.sqrt(jnp.maximum(1 - nearest**2, 0.0)), reach / (limb - reach)
 
 
-def limb_rule(rest: KernelRest, limb: float) -> LimbRule | None:
+def limb_rule(residual: KernelResidual, limb: float) -> LimbRule | None:
     """Build the rule for a sphere with a limb of this radius, px; None if the support is too large for the sphere."""
-    if 4 * float(rest.reach) > limb:
+    if 4 * float(residual.reach) > limb:
         return None
-    key = np.asarray(rest.grid).tobytes(), float(rest.reach), limb
-    return default_workspace().remember("rest at the limb", key, lambda: _made(rest, limb))
+    key = np.asarray(residual.grid).tobytes(), float(residual.reach), limb
+    return default_workspace().remember("kernel residual at the limb", key, lambda: _made(residual, limb))
 
 
-def _made(rest: KernelRest, limb: float) -> LimbRule:
-    reach, period, grid = float(rest.reach), float(rest.period), spline_filter(np.asarray(rest.grid))
+def _made(residual: KernelResidual, limb: float) -> LimbRule:
+    reach, period, grid = float(residual.reach), float(residual.period), spline_filter(np.asarray(residual.grid))
     depths = int(np.ceil(2 * reach / period * _DEPTHS))
     off = limb - reach + 2 * reach * np.arange(-_BEYOND, depths + _BEYOND + 1) / depths
-    around = 2 * np.pi / (4 if rest.even else 1)
-    count = _AZIMUTHS * (1 if rest.even else 4)
+    around = 2 * np.pi / (4 if residual.even else 1)
+    count = _AZIMUTHS * (1 if residual.even else 4)
     azimuth = around * np.arange(count) / count
     (across, c_share), (along, turn_share) = _FINE_ACROSS, _FINE_ALONG
     basis = np.stack(lagrange_basis(_ACROSS, across)), np.stack(lagrange_basis(_ALONG, along))
@@ -120,4 +120,4 @@ def _made(rest: KernelRest, limb: float) -> LimbRule:
         kernel *= limb**2 * (widest / 2 * c_share)[:, None] * (turn * turn_share)
         weights[row] = np.einsum("aij,mi,nj->amn", kernel, *basis).reshape(count, -1)
     weights = np.concatenate([weights[:, -_BEYOND:], weights, weights[:, :_BEYOND]], axis=1)
-    return LimbRule(jnp.asarray(weights), jnp.asarray(reach), rest.even)
+    return LimbRule(jnp.asarray(weights), jnp.asarray(reach), residual.even)

@@ -4,35 +4,35 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from matcam.forward.frequencies.place_shares import PlaceShares
+from matcam.forward.frequencies.position_shares import PositionShares
 
 SIDE, SIGMA = 40.0, 0.6
 WAVES = np.linspace(0.1, 0.6, 12)
 
 
-def kernels(places):
+def kernels(positions):
     """Transfer functions, at some frequencies, of a kernel that moves and changes as aberrations do."""
-    x, y = (places / SIDE).T[:, :, None]
+    x, y = (positions / SIDE).T[:, :, None]
     return np.exp(1j * (2.0 * WAVES * x + 5 * WAVES**2 * x * y) - WAVES**2 * (1 + y**2))
 
 
 @pytest.fixture(scope="module")
 def shares():
-    return PlaceShares.of(13, SIDE, kernels, 1e-5)
+    return PositionShares.of(13, SIDE, kernels, 1e-5)
 
 
 def test_few_kernels_serve_for_all(shares):
-    assert 4 < len(shares.places) < 40
+    assert 4 < len(shares.positions) < 40
     turn = np.linspace(0, 6, 50)
-    places = SIDE * np.sqrt(turn / 6)[:, None] * np.stack([np.cos(turn), np.sin(turn)], -1)
-    np.testing.assert_allclose(shares.at(places) @ kernels(shares.places), kernels(places), rtol=0, atol=2e-5)
+    positions = SIDE * np.sqrt(turn / 6)[:, None] * np.stack([np.cos(turn), np.sin(turn)], -1)
+    np.testing.assert_allclose(shares.at(positions) @ kernels(shares.positions), kernels(positions), rtol=0, atol=2e-5)
 
 
-@pytest.mark.parametrize("place", [(0.0, 0.0), (11.3, -20.7), (-26.0, 30.0)])
-def test_a_share_of_a_point_is_its_weight_times_the_point(shares, place):
+@pytest.mark.parametrize("position", [(0.0, 0.0), (11.3, -20.7), (-26.0, 30.0)])
+def test_a_share_of_a_point_is_its_weight_times_the_point(shares, position):
     """What the Gaussian has spread still belongs to the place that it comes from."""
-    x, y = (one + np.arange(-24, 25) / 8 for one in place)
-    u, v = np.meshgrid(x - place[0], y - place[1])
+    x, y = (one + np.arange(-24, 25) / 8 for one in position)
+    u, v = np.meshgrid(x - position[0], y - position[1])
     point = np.exp(-(u**2 + v**2) / (2 * SIGMA**2))
     hermite = [lambda t: 1 + 0 * t, lambda t: -t, lambda t: t**2 - 1, lambda t: 3 * t - t**3]
 
@@ -41,11 +41,11 @@ def test_a_share_of_a_point_is_its_weight_times_the_point(shares, place):
         return jnp.asarray(scale * point * hermite[along](u / SIGMA) * hermite[across](v / SIGMA))[..., None]
 
     divided = np.stack([np.asarray(one)[..., 0] for one in shares.divided(record, x, y, SIGMA)], axis=-1)
-    wanted = point[..., None] * shares.at(np.array([place]))[0]
-    naive = point[..., None] * shares.at(np.stack([u.ravel() + place[0], v.ravel() + place[1]], -1)).reshape(
+    wanted = point[..., None] * shares.at(np.array([position]))[0]
+    naive = point[..., None] * shares.at(np.stack([u.ravel() + position[0], v.ravel() + position[1]], -1)).reshape(
         *u.shape, -1
     )
-    through = kernels(shares.places)
+    through = kernels(shares.positions)
     off, uncorrected = (np.abs((one - wanted) @ through).max() for one in (divided, naive))
     assert off < max(1e-5, shares.left_over(SIGMA, through))
     assert off < 0.01 * uncorrected

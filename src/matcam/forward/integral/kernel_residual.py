@@ -42,7 +42,7 @@ _LEFT_OUT = 1e-5
 """Largest value of the neglected products, as a share of the peak of the kernel."""
 _FEWEST = 4
 """Numbers of products are multiples of this value, because each requires a program."""
-REST_RULE = _REACH, _REACH_OF_ABERRATIONS, _TAPERED, _KNOTS, _LEFT_OUT
+RESIDUAL_RULE = _REACH, _REACH_OF_ABERRATIONS, _TAPERED, _KNOTS, _LEFT_OUT
 """Parameters of the residual of a lens. A stored rule is valid only for the same values."""
 _SMOOTH = np.polynomial.legendre.leggauss(9)
 """Number of Gauss-Legendre nodes along each axis for light that is smooth on the scale of the residual."""
@@ -50,7 +50,7 @@ _HERMITE = (-np.sqrt(3), 1 / 6), (0.0, 2 / 3), (np.sqrt(3), 1 / 6)
 """Offsets, in standard deviations, and shares that represent the blur of the residual by additional Gaussians."""
 
 
-class KernelRest(eqx.Module):
+class KernelResidual(eqx.Module):
     """Kernel of compact support, as a sum of products in x and y.
 
     Attributes:
@@ -86,10 +86,10 @@ class KernelRest(eqx.Module):
         flat = self.grid.ravel()
         firsts, bases = [], []
         for offset in (x, y):
-            place = jnp.clip(offset / self.reach * (half - MARGIN) + half, 1, side - 3)
-            first = jnp.floor(place)
+            position = jnp.clip(offset / self.reach * (half - MARGIN) + half, 1, side - 3)
+            first = jnp.floor(position)
             firsts.append(first.astype(jnp.int32) - 1)
-            bases.append(lagrange_basis(np.arange(-1.0, 3.0), place - first))
+            bases.append(lagrange_basis(np.arange(-1.0, 3.0), position - first))
         start = firsts[0] * side + firsts[1]
         rows = (
             bases[0][i] * sum((bases[1][j] * flat[start + (i * side + j)] for j in range(4)), jnp.zeros(()))
@@ -106,18 +106,20 @@ class KernelRest(eqx.Module):
         if variance is None:
             return self._at(polynomials, offset)
         std = jnp.sqrt(variance)
-        return sum((share * self._at(polynomials, offset + place * std) for place, share in _HERMITE), jnp.zeros(()))
+        return sum(
+            (share * self._at(polynomials, offset + position * std) for position, share in _HERMITE), jnp.zeros(())
+        )
 
     def _at(self, polynomials: jax.Array, offset: jax.Array) -> jax.Array:
         count = polynomials.shape[0]
-        place = (offset / self.reach + 1) * (count / 2)
-        interval = jnp.clip(jnp.floor(place), 0, count - 1)
-        between = place - interval
+        position = (offset / self.reach + 1) * (count / 2)
+        interval = jnp.clip(jnp.floor(position), 0, count - 1)
+        between = position - interval
         own = polynomials[interval.astype(jnp.int32)]
         value = own[..., -1]
         for n in range(own.shape[-1] - 2, -1, -1):
             value = value * between + own[..., n]
-        return jnp.where((place >= 0) & (place <= count), value, 0.0)
+        return jnp.where((position >= 0) & (position <= count), value, 0.0)
 
     def reach_through(self, variance: Any) -> Any:
         """Compute the half side of the support, px, after a blur of this variance, px^2."""
@@ -129,7 +131,7 @@ class KernelRest(eqx.Module):
         return x, y, self.smooth.ravel()
 
 
-def kernel_rest(optics: Optics, pixel: PixelResponse, gaussians: GaussianSum, jitter: Any) -> KernelRest | None:
+def kernel_residual(optics: Optics, pixel: PixelResponse, gaussians: GaussianSum, jitter: Any) -> KernelResidual | None:
     """Compute the residual of a lens through a pixel; None if there is none, or parameters are traced.
 
     Args:
@@ -143,10 +145,10 @@ def kernel_rest(optics: Optics, pixel: PixelResponse, gaussians: GaussianSum, ji
     if not all(map(is_concrete, leaves)) or float(known[2].total_error) == 0:
         return None
     key = tree, tuple(np.asarray(leaf).tobytes() for leaf in leaves)
-    return default_workspace().remember("kernel rest", key, lambda: _made(*known))
+    return default_workspace().remember("kernel residual", key, lambda: _made(*known))
 
 
-def _made(optics: Optics, pixel: PixelResponse, gaussians: GaussianSum, jitter: jax.Array) -> KernelRest:
+def _made(optics: Optics, pixel: PixelResponse, gaussians: GaussianSum, jitter: jax.Array) -> KernelResidual:
     period = 1 / (optics.band() * optics.resolved_share())
     count = int(np.ceil(_APART / optics.resolved_share()))
     frequency = np.arange(-count, count + 1) / (_APART * period)
@@ -166,15 +168,17 @@ def _made(optics: Optics, pixel: PixelResponse, gaussians: GaussianSum, jitter: 
     profiles = np.stack([np.asarray(pixel.of_gaussian(knots, std)) for std in stds])
     weights = np.asarray(gaussians.weights)
     step = knots[1] - knots[0]
-    rest = (exact - profiles.T @ (weights[:, None] * profiles)) * _taper(np.hypot(*np.meshgrid(knots, knots)) / reach)
-    u, size, v = np.linalg.svd(rest)
-    products = _enough(u, size, v, _LEFT_OUT * exact.max(), rest)
+    residual = (exact - profiles.T @ (weights[:, None] * profiles)) * _taper(
+        np.hypot(*np.meshgrid(knots, knots)) / reach
+    )
+    u, size, v = np.linalg.svd(residual)
+    products = _enough(u, size, v, _LEFT_OUT * exact.max(), residual)
     root = np.sqrt(size[:products])
     lines = np.stack([(u[:, :products] * root).T, v[:products] * root[:, None]], axis=1)
     shown = lines[:, 0].T @ lines[:, 1]
     by_gaussians = np.exp(-2 * (np.pi * frequency[:, None] * stds) ** 2) * np.asarray(pixel.mtf(frequency))[:, None]
     left = transfer - (by_gaussians * weights) @ by_gaussians.T - step**2 * (waves.conj().T @ shown @ waves.conj())
-    return KernelRest(
+    return KernelResidual(
         jnp.asarray(_polynomials(lines)),
         jnp.asarray(np.pad(shown, MARGIN)),
         jnp.asarray(_smooth_weights(shown, knots / reach, step)),
@@ -191,10 +195,10 @@ def _taper(share: np.ndarray) -> np.ndarray:
     return 1 - t**4 * (35 - 84 * t + 70 * t**2 - 20 * t**3)
 
 
-def _enough(u: np.ndarray, size: np.ndarray, v: np.ndarray, most: float, rest: np.ndarray) -> int:
+def _enough(u: np.ndarray, size: np.ndarray, v: np.ndarray, most: float, residual: np.ndarray) -> int:
     """Compute the number of products beyond which the remainder is below `most` everywhere."""
     for count in range(_FEWEST, size.size, _FEWEST):
-        if np.abs((u[:, :count] * size[:count]) @ v[:count] - rest).max() < most:
+        if np.abs((u[:, :count] * size[:count]) @ v[:count] - residual).max() < most:
             return count
     return size.size
 
@@ -208,7 +212,7 @@ def _polynomials(values: np.ndarray) -> np.ndarray:
     return np.einsum("...ik,nk->...in", padded[..., about], through)
 
 
-def _smooth_weights(rest: np.ndarray, knots: np.ndarray, step: float) -> np.ndarray:
+def _smooth_weights(residual: np.ndarray, knots: np.ndarray, step: float) -> np.ndarray:
     """Compute weights at Legendre nodes that integrate polynomials as the residual does; knots: in support radii."""
     basis = np.stack(lagrange_basis(_SMOOTH[0], knots))
-    return step**2 * basis @ rest @ basis.T
+    return step**2 * basis @ residual @ basis.T
