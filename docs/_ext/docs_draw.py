@@ -20,11 +20,11 @@ REMARK_TEXT = 1
 class Text(NamedTuple):
     """Docstring or message with its file and line."""
 
-    place: str
+    position: str
     text: str
 
     def __str__(self):
-        return f"{self.place}\n    " + "\n    ".join(self.text.splitlines())
+        return f"{self.position}\n    " + "\n    ".join(self.text.splitlines())
 
 
 def docstrings():
@@ -41,7 +41,7 @@ def messages():
     """Yield the messages of errors and the texts of remarks in the sources, without mere placeholders."""
     for message in collected():
         if message.text.replace(PLACE, "").strip():
-            yield Text(message.place, message.text)
+            yield Text(message.position, message.text)
     for path in sorted(SOURCES.rglob("*.py")):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "Remark" and len(node.args) > REMARK_TEXT:

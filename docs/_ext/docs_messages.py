@@ -25,10 +25,10 @@ class Message(NamedTuple):
 
     error: str
     text: str
-    place: str
+    position: str
 
     def __str__(self):
-        return f"{self.place}: {self.text}"
+        return f"{self.position}: {self.text}"
 
 
 def template(node):
@@ -111,7 +111,7 @@ def write(path):
         by_module = {}
         for message in own:
             if message.error == kind:
-                by_module.setdefault(message.place.partition(":")[0], []).append(message.text)
+                by_module.setdefault(message.position.partition(":")[0], []).append(message.text)
         lines += ["| module | message |", "|---|---|"]
         for module, texts in by_module.items():
             for text in dict.fromkeys(texts):

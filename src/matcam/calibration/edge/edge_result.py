@@ -404,7 +404,7 @@ def stack_result(
         found = getattr(fits, name)
         numbers |= {name: found.value, f"{name}_std": found.std}
     known: dict[str, Any] = {name: with_nan(value, bad) for name, value in numbers.items()}
-    for name, pair in (("place", (frame.x + x, frame.y + y)), ("light", frame.in_picture(levels[2], levels[3]))):
+    for name, pair in (("position", (frame.x + x, frame.y + y)), ("light", frame.in_picture(levels[2], levels[3]))):
         known[name] = tuple(with_nan(part, bad) for part in pair)
     return EdgeStack(
         **known,

@@ -25,7 +25,7 @@ class MTFSamples:
 
     Attributes:
         kind: target: "edge", "grating", "star" or "dots".
-        place: (x, y) of the middle of the target in the image, px; pixel centres are whole numbers, row 0 is at the top.
+        position: (x, y) of the middle of the target in the image, px; pixel centres are whole numbers, row 0 is at the top.
         frequency: (n,) positive frequencies, cycles/px of the full pixel grid, also for a plane of a mosaic.
         direction: (n,) angle from the rows of the image to the frequency vector, rad; x right, y down; defined modulo pi.
         mtf: (n,) MTF, no unit.
@@ -79,7 +79,7 @@ class MTFSamples:
 
     @classmethod
     def of_region(
-        cls, kind: str, region: LinearImage, place: Sequence[float] | np.ndarray, frequency: np.ndarray, direction: np.ndarray,
+        cls, kind: str, region: LinearImage, middle: Sequence[float] | np.ndarray, frequency: np.ndarray, direction: np.ndarray,
         mtf: np.ndarray, covariance: np.ndarray,
     ) -> MTFSamples:  # fmt: skip
         """Create the samples of a target in a region of an image.
@@ -87,7 +87,7 @@ class MTFSamples:
         Args:
             kind: target: "edge", "grating", "star" or "dots".
             region: pixels of the target, which provide corner, channel, f-number and source.
-            place: (x, y) of the middle of the target in the region, px.
+            middle: (x, y) of the middle of the target in the region, px.
             frequency: (n,) frequencies, cycles/px.
             direction: (n,) directions, rad.
             mtf: (n,) MTF, no unit.
@@ -96,7 +96,7 @@ class MTFSamples:
         Returns:
             The samples, with their position in the whole image.
         """
-        position = (float(place[0] + region.corner[0]), float(place[1] + region.corner[1]))
+        position = (float(middle[0] + region.corner[0]), float(middle[1] + region.corner[1]))
         return cls(
             kind, position, frequency, direction, mtf, covariance, region.channel, region.f_number, region.source
         )

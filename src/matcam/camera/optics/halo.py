@@ -104,7 +104,10 @@ class HaloOptics(Optics):
         return max(self.core.band(), self.halo.band())
 
     def resolved_share(self) -> float:
-        """Return the share of the band with an MTF above 1e-4: that of the core, unless the band of the halo is larger."""
+        """Return the share of the band with an MTF above 1e-4, no unit.
+
+        It is that of the core, unless the band of the halo is larger.
+        """
         return self.core.resolved_share() if self.halo.band() <= self.core.band() else 1.0
 
     def rule_on(self, borders: np.ndarray) -> Rule:

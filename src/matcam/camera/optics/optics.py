@@ -263,7 +263,10 @@ class Optics(Module):
         """Return the frequency above which the MTF is 0 to rounding, cycles/px."""
 
     def resolved_share(self) -> float:
-        """Return the share of the band with an MTF above 1e-4, no unit. It sets the scale of the PSF."""
+        """Return the share of the band with an MTF above 1e-4, no unit.
+
+        It sets the scale of the PSF.
+        """
         return 1.0
 
     @abstractmethod
