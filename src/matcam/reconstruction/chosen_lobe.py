@@ -177,12 +177,12 @@ def chosen_fit(
             or tried.get(name, 0.0) > best.solution.unexplained
         ):
             return best
-        if best.stuck:
-            return best
         if not splines or splines[0] is not best:  # otherwise it is the same fit again
             splines[:] = [best, fitted(best.kind.family, scene, start=best, spline=_SPLINE)]
         other = splines[1]
         tried[name] = other.solution.unexplained
+        if best.stuck and not _explained(other):
+            return best  # clipping, a tone curve or a mirrored room, which no lobe explains
         return other if tried[name] < share * best.solution.unexplained and _likelier(other, best) else best
 
     if few is None:
