@@ -77,7 +77,7 @@ def test_stand_and_dust_are_left_out():
     assert (~found.used).sum() >= 3
 
 
-def test_a_line_in_position_of_the_root_shrinks_the_sphere():
+def test_a_line_in_place_of_the_root_shrinks_the_sphere():
     """The light of a lit sphere starts with a root: read as a straight line, it is blur, and the limb moves inwards."""
     rng = np.random.default_rng(4)
     ball = oracle.Ball(75.0, 78.0, 71.4)

@@ -496,7 +496,7 @@ def test_the_command(database, tmp_path, monkeypatch, here):
     assert none.exit_code == 2
     assert "failed: " in none.stdout
     other = command(monkeypatch, database / "a.binary", "-o", out, "--glare", 0.01)
-    assert "its glare is 0.001" in str(other.exception)
+    assert "whose glare is 0.001 instead of 0.01" in str(other.exception)
     assert "-o FOLDER" in str(command(monkeypatch, database).exception)
     assert "-o FOLDER" in str(command(monkeypatch, database, "-o", "x.binary").exception)
     assert "name an output folder" in str(command(monkeypatch, database / "a.binary", "--workers", 2).exception)

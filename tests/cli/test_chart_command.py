@@ -59,7 +59,7 @@ def test_one_description_serves_pages_of_all_formats(chart, tmp_path):
         (("--size", 1, 1), "--size must lie in"),
         (("-o", "chart.png", "--dpi", 9000), "million pixels"),
         (("-o", "chart.png", "--dpi", "nan"), "--dpi must lie in"),
-        (("--pixels", 300), "more --pixels"),
+        (("--pixels", 300), "--pixels above 300"),
     ],
 )
 def test_refusals_leave_nothing_behind(chart, tmp_path, arguments, words):

@@ -271,7 +271,7 @@ def write_half(path, data):
     path.write_text("half")
     interrupt()
 
-{place}
+{position}
 main(sys.argv[1:])
 """
 INTERRUPTIONS = {

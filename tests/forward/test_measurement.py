@@ -10,7 +10,7 @@ from matcam.forward.integral.blur import imaging_of
 from matcam.forward.sampler.plan import RecordPositions, record_plan
 from matcam.forward.sampler.record import record
 from tests.golden import rows
-from tests.oracle.sphere_record import Setup, Surface, place, recorded_cell
+from tests.oracle.sphere_record import Setup, Surface, position, recorded_cell
 
 GRID = merl_grid("centre")
 RADIUS = 256.0
@@ -29,8 +29,8 @@ def recorded_cells(alphas, cells):
     cosine, x, y = [], [], []
     for turn in (0, np.pi):
         cosine.append(np.asarray(cosines(*angles[:2], angles[2] + turn)[0]))
-        for out, position in zip((x, y), place(*angles[:2], angles[2] + turn, RADIUS), strict=True):
-            out.append(position)
+        for out, one in zip((x, y), position(*angles[:2], angles[2] + turn, RADIUS), strict=True):
+            out.append(one)
     x, y, slices = np.concatenate(x), np.concatenate(y), np.tile(j, 2)
     rig, lamps = rigs.merl(), 2 * GRID.theta_d
     imaging = imaging_of(rig)
@@ -68,7 +68,7 @@ def test_the_oracle_against_golden_values():
         directions = recorded_cell(*angles, Surface(row["alpha"]), Setup())
         expected = np.array([row["recorded_one_way"], row["recorded_other_way"]])
         # as the file's note says: 2e-6 where the kernel crosses the limb
-        limb = [RADIUS - np.hypot(*place(*angles[:2], angles[2] + turn, RADIUS)) < WIDTH for turn in (0, np.pi)]
+        limb = [RADIUS - np.hypot(*position(*angles[:2], angles[2] + turn, RADIUS)) < WIDTH for turn in (0, np.pi)]
         np.testing.assert_array_less(np.abs(directions / expected - 1), np.where(limb, 2e-6, 1e-10))
 
 
@@ -102,7 +102,7 @@ def positions():
     i, j, k = (a.ravel() for a in np.meshgrid(np.arange(90), np.arange(90), np.arange(180), indexing="ij"))
     angles = angles_of(i, j, k)
     cos_i, cos_o = (np.asarray(c) for c in cosines(*angles))
-    _, y = place(*angles, RADIUS)
+    _, y = position(*angles, RADIUS)
     above = (cos_i > 0) & (cos_o > 0)
     edge = RADIUS * (1 - np.sqrt(1 - np.minimum(cos_i, cos_o) ** 2))
     return np.stack([i, j, k], -1)[above], edge[above], np.abs(y)[above]

@@ -56,7 +56,7 @@ def problem():
     profiles = {one.name: strip_profiles(one, STRIPS) for one in pictures}
     slope = np.zeros((len(LAMPS), 1))
     made = _cylinder_problem(
-        pictures, scene, scene, layout, kind, p, slope, diffuse=True, bend=0.0, strips=STRIPS, profiles=profiles
+        pictures, scene, scene, layout, kind, p, slope, diffuse=True, spline=0.0, strips=STRIPS, profiles=profiles
     )
     return made, p
 

@@ -104,7 +104,7 @@ class HaloOptics(Optics):
         return max(self.core.band(), self.halo.band())
 
     def resolved_share(self) -> float:
-        """Return the share of the band with an MTF above 1e-4, no unit.
+        """Return the share of the band that the lens resolves, no unit.
 
         It is that of the core, unless the band of the halo is larger.
         """

@@ -121,7 +121,7 @@ class MeasuredOptics(Optics):
         return self.frequency[-1]
 
     def resolved_share(self) -> float:
-        """Return the share of the band with an MTF above 1e-4, no unit."""
+        """Return the share of the band that the lens resolves, no unit."""
         return self.resolved / self.frequency[-1]
 
     def rule_on(self, borders: np.ndarray) -> Rule:

@@ -263,9 +263,9 @@ class Optics(Module):
         """Return the frequency above which the MTF is 0 to rounding, cycles/px."""
 
     def resolved_share(self) -> float:
-        """Return the share of the band with an MTF above 1e-4, no unit.
+        """Return the share of the band that the lens resolves, no unit.
 
-        It sets the scale of the PSF.
+        There, the MTF is above 1e-4. The share sets the scale of the PSF.
         """
         return 1.0
 

@@ -42,7 +42,7 @@ def brute(rest, roughness, lamp, x, y):
     [(0.5, 100.0), *(pytest.param(*drawn, marks=pytest.mark.slow) for drawn in ((0.2, 130.0), (0.5, 20.0)))],
 )
 def test_few_nodes_hold_the_rings(imaging, roughness, lamp):
-    lamp, rest = np.radians(lamp), imaging.blur.rest
+    lamp, rest = np.radians(lamp), imaging.blur.residual
     x, y = (np.array([(LIMB - depth) * part(azimuth) for depth, azimuth in PLACES]) for part in (np.cos, np.sin))
     scene = Scene(Microfacet(GGX(roughness), 1.0), imaging.sample, jnp.asarray(lamp))
     rule = limb_rule(rest, LIMB)
@@ -80,7 +80,7 @@ def test_a_rule_follows_the_parameters(imaging):
 
 
 def test_a_small_sphere_has_none(imaging):
-    assert limb_rule(imaging.blur.rest, 20.0) is None
+    assert limb_rule(imaging.blur.residual, 20.0) is None
     small = imaging_of(Rig(Camera(LENS, BoxPixel()), Sphere(20.0)))
     positions = RecordPositions(np.array([17.0]), np.zeros(1), np.array([1.0]))
     assert record_plan(small, positions, 0.1).parts[-1].limb_rule is None
