@@ -66,7 +66,7 @@ bench: $(VENV)/.installed-test
 	for script in benchmarks/bench_*.py; do PYTHONPATH=. $(VENV)/bin/python $$script || exit 1; done
 	$(VENV)/bin/python benchmarks/results.py
 
-# Methods against each other on 24 tables and 6 sets of photographs of known truth (docs/validation/recovery.md). Continues where it was stopped
+# Methods against each other on tables and photographs of known truth (docs/validation/recovery.md). Continues where it was stopped
 benchmark: $(VENV)/.installed-benchmark
 	OPENBLAS_NUM_THREADS=1 PYTHONPATH=. $(RUN) benchmarks.recovery run --workers 2
 

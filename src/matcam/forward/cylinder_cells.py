@@ -28,7 +28,7 @@ from matcam.sample.curved import Cylinder, Sphere
 _TURN = 1e-9
 """Sine of half an azimuth below which the azimuth is treated as a multiple of a full turn."""
 
-_PLACES = 1 << 17
+_AT_ONCE = 1 << 17
 """Number of positions that are recorded at once. The plan of a near rig takes up to 1 GiB."""
 
 
@@ -84,8 +84,8 @@ def cylinder_table(material: Material, rig: Rig, workspace: Workspace) -> tuple[
 def record_cells(material: Material, rig: Rig, positions: RecordPositions) -> jax.Array:
     """Record positions on the line of a cylinder at height 0, 1/sr, (positions, channels)."""
     parts = (
-        positions.at(np.arange(begin, min(begin + _PLACES, positions.x.size)))
-        for begin in range(0, positions.x.size, _PLACES)
+        positions.at(np.arange(begin, min(begin + _AT_ONCE, positions.x.size)))
+        for begin in range(0, positions.x.size, _AT_ONCE)
     )
     return jnp.concatenate([record_under_lamp(material, rig, imaging_of(rig), part) for part in parts])
 

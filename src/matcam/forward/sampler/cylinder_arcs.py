@@ -210,19 +210,17 @@ def _around_blocks(used: jax.Array, rows: tuple[jax.Array, ...], imaging: Imagin
 
     def block(arguments):  # type: ignore[no-untyped-def]
         x, reach, *lamp, y = arguments
-        light = _lamps(imaging, *lamp)
-        low, high = ends_of_light(cylinder, light)
-        first, last = (cylinder.across(x + side * reach, jnp.zeros_like(x)) for side in (-1, 1))
+        light, low, high, first, last = _interval(imaging, x, reach, lamp)
         inside = (jnp.abs(x) + reach < cylinder.radius) & (first > low) & (last < high)
         mirror = mirror_row(cylinder, light, low, high)
         row = jnp.clip(mirror, y - reach, y + reach)
         peak, miss = ridge_of(cylinder, light, row, low, high)
-        away = jnp.hypot(miss, jnp.sin(jnp.clip(peak, first, last) - peak))
+        nearest = jnp.clip(peak, first, last)
+        away = jnp.hypot(miss, jnp.sin(nearest - peak))
         u = cylinder.across(x, jnp.zeros_like(x))
         q, cosine = cylinder.nearness, jnp.cos(u)
         turn = (1 - q * cosine) ** 2 / (cylinder.stretch * jnp.maximum(cosine - q, 1e-9))
         turn = jnp.maximum(turn, turn_along(cylinder, light, u, row))
-        nearest = jnp.clip(peak, first, last)
         return inside, away, turn, mirror, turn_along(cylinder, light, nearest, row)
 
     return in_blocks(block, used, rows)
@@ -234,13 +232,21 @@ def _arc_blocks(used: jax.Array, rows: tuple[jax.Array, ...], imaging: Imaging) 
 
     def block(arguments):  # type: ignore[no-untyped-def]
         x, reach, *lamp, row = arguments
-        light = _lamps(imaging, *lamp)
-        low, high = ends_of_light(cylinder, light)
-        first, last = (jnp.clip(cylinder.across(x + side * reach, jnp.zeros_like(x)), low, high) for side in (-1, 1))
-        ridge, miss = ridge_of(cylinder, light, row, low, high)
-        return first, last, low, high, ridge, miss
+        light, low, high, *window = _interval(imaging, x, reach, lamp)
+        first, last = (jnp.clip(u, low, high) for u in window)
+        return first, last, low, high, *ridge_of(cylinder, light, row, low, high)
 
     return in_blocks(block, used, rows)
+
+
+def _interval(
+    imaging: Imaging, x: jax.Array, reach: jax.Array, lamp: list[jax.Array]
+) -> tuple[PlacedLamps, jax.Array, jax.Array, jax.Array, jax.Array]:
+    """Compute the lamps of pixels, and the u of both ends of the light and of both sides of the window, rad."""
+    cylinder: Cylinder = imaging.sample  # type: ignore[assignment]
+    light = _lamps(imaging, *lamp)
+    first, last = (cylinder.across(x + side * reach, jnp.zeros_like(x)) for side in (-1, 1))
+    return light, *ends_of_light(cylinder, light), first, last
 
 
 def _lamps(imaging: Imaging, angle: jax.Array, cosine: jax.Array, sine: jax.Array) -> PlacedLamps:
