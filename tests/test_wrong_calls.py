@@ -118,7 +118,7 @@ SOURCE = matcam.UncertaintySource("a", 1.0, 0.1, 1.0, "B")
             lambda: matcam.picture(matcam.Microfacet(LOBE, 0.9), RIG, 0.5, shape=(3, 5), shift=MERL),
             "shift must be two numbers, columns to the right and rows down, got shape (90, 90, 180, 3)",
         ),
-        (lambda: matcam.camera.Uncertainty.of(0.1), "std must be standard deviations by name, got 0.1"),
+        (lambda: matcam.camera.Uncertainty.of(0.1), "std must map names to standard deviations, got 0.1"),
         (lambda: RIG.camera.with_parameters([1]), "values must be a dict, got [1]"),
         (
             lambda: matcam.camera.expose_bracket(matcam.Sensor(5e-6, 1e4, 2.0), np.ones((2, 2)), [1.0], seed=1 << 63),
@@ -127,7 +127,7 @@ SOURCE = matcam.UncertaintySource("a", 1.0, 0.1, 1.0, "B")
         (lambda: matcam.camera.merge_bracket(2, np.ones((1, 2, 2)), [1.0]), "sensor must be a Sensor, got 2"),
         (
             lambda: matcam.inspect(xr.DataArray(np.ones((2, 3)), dims=("sample", "channel"))),
-            "samples must have a coordinate theta_h of numbers along sample",
+            "samples must have a numeric coordinate theta_h along the dimension sample",
         ),
         (
             lambda: matcam.edge_mtf_stack([np.ones((20, 20))], gain=np.ones((2, 3)), read_noise=0.5),

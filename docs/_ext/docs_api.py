@@ -31,11 +31,14 @@ SECTIONS = {
 
 
 class UndocumentedError(Exception):
-    """A public name that stands on no page, or a page that names what does not exist."""
+    """Public name without a page, or unknown name on a page."""
 
 
 def pages(names=None):
-    """Return the pages of `api.toml`: [(file, title, intro, {section: [names]})], every public name on one of them."""
+    """Return the pages of `api.toml`; each public name is on one page.
+
+    The result is [(file, title, intro, {section: [names]})].
+    """
     things = dict(public_things())
     names = (
         {n for n, thing in things.items() if not isinstance(thing, types.ModuleType)} if names is None else set(names)
@@ -44,7 +47,7 @@ def pages(names=None):
     plan = tomllib.loads(_HERE.read_text(encoding="utf-8"))["page"]
     explicit = [n for page in plan for listed in page["sections"].values() for n in listed if not n.endswith("*")]
     if wrong := sorted(set(explicit) - names) + sorted({n for n in explicit if explicit.count(n) > 1}):
-        raise UndocumentedError(f"reference/api.toml: no public names, or named twice: {', '.join(wrong)}")
+        raise UndocumentedError(f"reference/api.toml: unknown, or listed twice: {', '.join(wrong)}")
     left -= set(explicit)
     found = []
     for page in plan:
@@ -57,7 +60,7 @@ def pages(names=None):
                 filled[section] += taken
         found.append((page["file"], page["title"], page["intro"], {s: n for s, n in filled.items() if n}))
     if left:
-        raise UndocumentedError(f"reference/api.toml: on no page: {', '.join(sorted(left))}")
+        raise UndocumentedError(f"reference/api.toml: add public names that are on no page: {', '.join(sorted(left))}")
     return found
 
 
@@ -101,7 +104,7 @@ def summary(thing):
 
 
 def entry(name, thing):
-    """Return the lines of one name's entry."""
+    """Return the lines of the entry of a name."""
     text = inspect.getdoc(thing) or ""
     if inspect.isclass(thing):
         lines = [f":::::{{py:class}} matcam.{name}{_arguments(thing)}", *described_lines(thing, text)]
@@ -124,7 +127,7 @@ def _member(cls, name, member):
 
 
 def _arguments(thing):
-    """Write a signature: names and defaults; types stand in the list of parameters."""
+    """Format a signature with names and defaults; the list of parameters contains the types."""
     words, keyword_only = [], False
     for name, parameter in signature(thing).items():
         if parameter.kind is parameter.KEYWORD_ONLY and not keyword_only:
@@ -141,7 +144,7 @@ def _arguments(thing):
 
 
 def default_of(parameter):
-    """Write a parameter's default, in short."""
+    """Format the default of a parameter, abbreviated."""
     if parameter.default is inspect.Parameter.empty:
         return ""
     shown = repr(parameter.default)
@@ -151,7 +154,10 @@ def default_of(parameter):
 
 
 def described_lines(thing, text, texts=None):
-    """Return a docstring as Markdown: summary, parameters with types, the other sections, the example."""
+    """Convert a docstring to lines of Markdown.
+
+    The lines contain the summary, the parameters with types, the other sections, and the example.
+    """
     parts = sections(text)
     lines = ["", *prose(parts.pop("", []))]
     types_of = {} if thing is None else signature(thing)
@@ -174,7 +180,7 @@ def described_lines(thing, text, texts=None):
 
 
 def _described_in(body):
-    """Return [(name, text)] of a section of parameters, paragraphs and lists within joined."""
+    """Return [(name, text)] of a section of parameters, with the lines of each text joined."""
     found = []
     for line in body:
         start = re.match(r"^\*{0,2}(\w+)(?: \([^)]*\))?:\s*(.*)$", line)
@@ -193,14 +199,17 @@ def _listed(name, words, parameter):
 
 
 def prose(lines):
-    """Return lines of a docstring as Markdown: links to pages, and errors of a section as a list."""
+    """Convert lines of a docstring to Markdown, with links to pages.
+
+    The errors of a section become a list.
+    """
     text = "\n".join(lines).strip("\n")
     text = re.sub(r"(?m)^(\w+(?:Error)?): ", r"- `\1`: ", text) if re.match(r"\w+Error: ", text) else text
     return inline(text).split("\n")
 
 
 def inline(text):
-    """Return text with links to the pages that it cites, and without what Markdown would take for markup."""
+    """Add links to cited pages to a text, and escape Markdown characters."""
     text = re.sub(r"``([^`]+)``", r"`\1`", text)
     parts = re.split(r"(`[^`]*`|\n)", text)
     for i in range(0, len(parts), 2):

@@ -1,4 +1,4 @@
-"""The last check of the built site: every local link leads somewhere, and nothing is loaded from outside."""
+"""Check of the built site: every local link has a target, and no resource is loaded from another site."""
 
 import re
 import sys
@@ -26,7 +26,7 @@ class _Page(HTMLParser):
 
 
 def read(root):
-    """Return {path: page} of a site."""
+    """Read the pages of a site, {path: page}."""
     pages = {}
     for path in sorted(p for p in root.rglob("*.html") if "_static" not in p.parts):
         page = _Page()
@@ -36,30 +36,30 @@ def read(root):
 
 
 def faults(root):
-    """Return a line for each local link that leads nowhere, and for each thing that would be loaded from outside."""
+    """List local links without a target, and resources from other sites."""
     root = root.resolve()
     pages, found = read(root), []
     for path, page in pages.items():
         where = path.relative_to(root)
         for address in page.loads:
             if urlsplit(address).scheme in ("http", "https") or address.startswith("//"):
-                found.append(f"{where}: loads {address}")
+                found.append(f"{where}: loads {address} from another site: include the file in the site")
         for address in [*page.links, *page.loads]:
             parts = urlsplit(address)
             if parts.scheme or parts.netloc:
                 continue
             target = (path.parent / unquote(parts.path)).resolve() if parts.path else path
             if not target.exists():
-                found.append(f"{where}: {address} leads nowhere")
+                found.append(f"{where}: {address}: there is no such file")
             elif parts.fragment and target in pages and unquote(parts.fragment) not in pages[target].anchors:
-                found.append(f"{where}: {address}: no such place on that page")
+                found.append(f"{where}: {address}: the page has no such anchor")
     for style in sorted(root.rglob("*.css")):
         for address in re.findall(r"url\(\s*['\"]?(https?:|//)[^)]*\)", style.read_text(encoding="utf-8")):
-            found.append(f"{style.relative_to(root)}: loads {address}")
+            found.append(f"{style.relative_to(root)}: loads {address} from another site: include the file in the site")
     return found
 
 
 if __name__ == "__main__":
     lines = faults(Path(sys.argv[1]))
-    print("\n".join(lines) or "every local link leads somewhere, and nothing is loaded from outside")
+    print("\n".join(lines) or "every local link has a target, and no resource is loaded from another site")
     sys.exit(bool(lines))

@@ -1,4 +1,4 @@
-"""Check of the names in code type on written pages: commands, options, files, tests, Python names, fields of text files.
+"""Check of names in code type on written pages: commands, options, files, tests, Python names, fields of text files.
 
 A name that does not exist fails the build. Fenced blocks of code are read and run by tests/docs/test_code_blocks.py.
 """
@@ -43,7 +43,10 @@ OTHERS = tomllib.loads((DOCS / "_ext" / "other_names.toml").read_text(encoding="
 
 
 def written_pages():
-    """Return the pages that are written by hand: those of the site, and those of the project's folder."""
+    """List the pages that are written by hand.
+
+    They belong to the site or are in the root folder of the project.
+    """
     found = [
         page
         for page in sorted(DOCS.rglob("*.md"))
@@ -53,7 +56,7 @@ def written_pages():
 
 
 def faults(pages=None):
-    """Return one line for each citation of something that does not exist."""
+    """List citations of names that do not exist, one line each."""
     found = []
     for page in written_pages() if pages is None else pages:
         where = page.relative_to(ROOT) if page.is_relative_to(ROOT) else page.name
@@ -62,7 +65,7 @@ def faults(pages=None):
 
 
 def spans(page):
-    """Return the texts in code type of a page, without its fenced blocks."""
+    """List the texts in code type of a page, without fenced blocks."""
     text = re.sub(r"(?ms)^[ ]*(`{3,}|~{3,}).*?^[ ]*\1", "", page.read_text(encoding="utf-8"))
     return list(dict.fromkeys(" ".join(one.split()) for one in re.findall(r"(?<!`)`([^`]+)`(?!`)", text)))
 

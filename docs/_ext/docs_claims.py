@@ -1,4 +1,4 @@
-"""The claims of `docs/claims.toml`: printed on a page, and read by the tests that show them."""
+"""Claims of `docs/claims.toml`, which a page lists and tests check."""
 
 import tomllib
 from functools import cache
@@ -17,13 +17,16 @@ def claims():
 
 
 def limit(name):
-    """Return what a claim's test demands: a largest value, or (low, high)."""
+    """Return the limit of a claim: the largest value, or (low, high)."""
     found = claims()[name]["limit"]
     return tuple(found) if isinstance(found, list) else found
 
 
 def table(link):
-    """Return the table of all claims as Markdown; link(claim) writes where a claim is shown."""
+    """Build the table of all claims as lines of Markdown.
+
+    link: function that returns the reference to the test of a claim.
+    """
     lines = ["| claim | required | measured | test |", "|---|---|---|---|"]
     for one in claims().values():
         asked = f"≤ {one['limit']:g}" if not isinstance(one["limit"], list) else "{:g} to {:g}".format(*one["limit"])
@@ -42,7 +45,10 @@ def shown_on_page(one):
 
 
 def taken(docs):
-    """Return the sentence on the tables that the inverse commands take. docs: address of the folder of pages."""
+    """Return the sentence on the tables that the inverse commands accept.
+
+    docs: address of the folder of pages.
+    """
     return (
         "`fit`, `fresnel` and `correct` take tables of a sphere or a cylinder, with camera and lamp near or distant "
         f"([what is supported]({docs}/reference/supported.md)). A table of a flat sample is not blurred."

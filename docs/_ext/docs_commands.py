@@ -1,6 +1,6 @@
 """Pages of the command line: each command with its arguments, options, units, defaults and example.
 
-They hold what `--help` prints (`matcam/cli/help_page.py`).
+They contain the output of `--help` (`matcam/cli/help_page.py`).
 """
 
 import typer
@@ -11,7 +11,10 @@ from matcam.cli.app import app
 
 
 def commands():
-    """Return {words: (command, context)} of every command, those inside groups by both words."""
+    """Return {words: (command, context)} of every command.
+
+    The key of a command in a group is the two words of group and command.
+    """
     root = typer.main.get_command(app)
     found = {}
     for name, command in root.commands.items():
@@ -32,7 +35,10 @@ def file_of(words):
 
 
 def write(folder):
-    """Write one page for each command, and an index with what is common to all."""
+    """Write one page for each command, and an index.
+
+    The index contains the units, options and exit codes that are common to all commands.
+    """
     found = commands()
     root = typer.main.get_command(app)
     lines = [

@@ -1,11 +1,11 @@
-"""Pictures of the gallery that pyplot does not manage: what matcam's own functions draw."""
+"""Figures of the gallery that functions of matcam draw without pyplot."""
 
 from matplotlib.figure import Figure
 from sphinx_gallery.scrapers import figure_rst
 
 
 def scrape(block, block_vars, gallery_conf):
-    """Save the figure that a block of an example has left under the name `drawn`."""
+    """Save the figure that an example assigns to the name `drawn`."""
     figure = block_vars["example_globals"].pop("drawn", None)
     if not isinstance(figure, Figure):
         return ""

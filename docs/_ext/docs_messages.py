@@ -1,4 +1,4 @@
-"""Messages of the error family, read from the sources: the index of messages, and what the tests check.
+"""Messages of the errors of matcam, read from the sources, for the index of messages and for the tests.
 
 A placeholder stands for a value.
 """
@@ -21,7 +21,7 @@ FAMILY = {
 
 
 class Message(NamedTuple):
-    """One message: its error, its text with placeholders, and where it stands."""
+    """Name of an error, its text with placeholders, and its position."""
 
     error: str
     text: str
@@ -32,7 +32,7 @@ class Message(NamedTuple):
 
 
 def template(node):
-    """The text of an expression, with placeholders."""
+    """Return the text of an expression, with placeholders."""
     if isinstance(node, ast.Constant) and isinstance(node.value, str):
         return node.value
     if isinstance(node, ast.JoinedStr):
@@ -121,6 +121,6 @@ def write(path):
 
 
 def _as_text(text):
-    """Return a message as a cell of a table, in code: nothing in it is markup."""
+    """Format a message as a cell of a table, in code type and without markup."""
     shown = " ".join(text.replace(PLACE, "…").split()).replace("|", "\\|").replace("`", "'")
     return f"`{shown}`"

@@ -1,4 +1,4 @@
-"""Public names and their docstrings: what the reference prints, and what the tests ask of it."""
+"""Public names and their docstrings, for the reference and for the tests."""
 
 import inspect
 import re
@@ -11,7 +11,10 @@ _PARAMETER = re.compile(r"^\*{0,2}(\w+)(?: \([^)]*\))?:\s*(.*)$")
 
 
 def public_things():
-    """(dotted name, thing) of all that users may call: the public names, and what the public modules among them define."""
+    """Yield (dotted name, thing) of all public names.
+
+    These include the names that public modules define.
+    """
     for name in matcam.__all__:
         thing = getattr(matcam, name)
         yield name, thing
@@ -24,7 +27,10 @@ def public_things():
 
 
 def members(cls):
-    """(name, member) of a class's public methods and properties, those that it inherits inside the package included."""
+    """Yield (name, member) of the public methods and properties of a class.
+
+    Members that are inherited from classes of the package are included.
+    """
     for name in dir(cls):
         member = inspect.getattr_static(cls, name)
         if isinstance(member, classmethod | staticmethod):
@@ -39,7 +45,7 @@ def members(cls):
 
 
 def signature(thing):
-    """Parameters that a caller gives, by name."""
+    """Return the parameters of a call, by name."""
     if inspect.isclass(thing) and issubclass(thing, BaseException):
         return {}
     if inspect.isclass(thing):
@@ -49,7 +55,10 @@ def signature(thing):
 
 
 def sections(text):
-    """A docstring's sections by name, as lines without their common indentation; "" is what stands before the first."""
+    """Split a docstring into sections by name, as lines without common indentation.
+
+    The section "" is the part before the first heading.
+    """
     found, current = {"": []}, ""
     for line in text.splitlines():
         heading = _SECTIONS.match(line)
@@ -62,7 +71,7 @@ def sections(text):
 
 
 def described(text):
-    """{parameter: its text} of the sections Args and Attributes."""
+    """Return {parameter: text} of the sections Args and Attributes."""
     found, name = {}, None
     for section in ("Args", "Attributes"):
         for line in sections(text).get(section, []):
@@ -76,7 +85,7 @@ def described(text):
 
 
 def inherited_description(cls, name):
-    """{parameter: its text} of a method; what a base class has said of a parameter need not be said again."""
+    """Return {parameter: text} of a method, including texts of base classes."""
     found = {}
     for base in reversed(cls.__mro__):
         if name in vars(base):

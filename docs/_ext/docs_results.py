@@ -27,7 +27,7 @@ def write(folder):
 
 
 def page(document):
-    """Return a file of measured values as Markdown."""
+    """Convert a file of measured values to Markdown."""
     lines = [f"# {document['title']}", "", document["intro"], ""]
     for one in document["tables"]:
         lines += [f"## {one['title']}", "", *table(one["columns"], one["rows"]), ""]
@@ -39,7 +39,7 @@ def page(document):
 
 
 def table(columns, rows):
-    """Return a table as lines of Markdown."""
+    """Convert a table to lines of Markdown."""
     shown = [[cell.replace("|", "\\|") for cell in row] for row in (columns, *rows)]
     lines = [f"| {' | '.join(row)} |" for row in shown]
     return [lines[0], "|" + "---|" * len(columns), *lines[1:]]

@@ -16,7 +16,10 @@ import docs_results
 
 
 def generate(app):
-    """Write the generated pages and check what the written pages cite, before Sphinx looks for sources."""
+    """Write the generated pages, and check the citations of the others.
+
+    Sphinx reads the pages afterwards.
+    """
     source = Path(app.srcdir)
     try:
         docs_api.write(source / "reference" / "api")
@@ -27,7 +30,7 @@ def generate(app):
     docs_claims.write(source / "understand" / "trust.md")
     docs_results.write(source / "validation")
     if faults := docs_cites.faults():
-        raise ExtensionError("pages cite what does not exist:\n" + "\n".join(faults))
+        raise ExtensionError("pages cite names that do not exist:\n" + "\n".join(faults))
 
 
 def mathjax():
@@ -45,7 +48,7 @@ def finish(app, error):
         for schema in Path(app.srcdir).glob("*.schema.json"):
             copy_asset(str(schema), app.outdir)
         if faults := docs_check.faults(Path(app.outdir)):
-            raise ExtensionError("the site has bad links:\n" + "\n".join(faults))
+            raise ExtensionError("the site has invalid links, or loads files from other sites:\n" + "\n".join(faults))
 
 
 def setup(app):

@@ -1,7 +1,7 @@
 """matcam: effect of a camera on reflectance measurements, and its correction.
 
-Angles in rad, lengths on the sensor in px (pixel pitches), wavelengths and other lengths in m. The public names are
-listed in `__init__.pyi`; each is loaded on first use, so that importing matcam is fast.
+Angles are in rad, lengths on the sensor in px (pixel pitches), and wavelengths and other lengths in m. The public names
+are listed in `__init__.pyi`; each is loaded on first use, so that importing matcam is fast.
 """
 
 import lazy_loader

@@ -1,4 +1,4 @@
-"""Reading and writing of files, in any format by recognition, or in a specific one."""
+"""Reading and writing of files, in a specific format or in a format that is recognised."""
 
 import lazy_loader
 

@@ -1,7 +1,10 @@
-"""Equations and figures of the paper: Holzschuch & Pacanowski, "The Effects of Digital Cameras Optics and Electronics
-for Material Acquisition", Workshop on Material Appearance Modeling 2017 (hal-01576742).
+"""Equations and figures of the paper of Holzschuch & Pacanowski (2017).
 
-This module has equation (11) and the data of Figures 3, 4 and 5 (drawn by `figures.paper`; Figure 6 is `fresnel`).
+The paper is "The Effects of Digital Cameras Optics and Electronics for Material Acquisition", Workshop on Material
+Appearance Modeling 2017 (hal-01576742).
+
+This module contains equation (11) and the data of Figures 3, 4 and 5, which `figures.paper` draws. `fresnel` computes the
+data of Figure 6.
 """
 
 from __future__ import annotations
@@ -30,7 +33,7 @@ _NAMES = {
     "loss": "recorded over true peak, relative to theta = 0",
     "loss_printed": "recorded over true peak by equation (11) as printed, relative to theta = 0",
     "cosine": "cosine of theta",
-    "ratio": "width of the lobe over sigma_mtf / radius",
+    "ratio": "width of the lobe divided by sigma_mtf / radius",
 }
 """Descriptive names of the variables of the figures."""
 
@@ -38,10 +41,10 @@ _NAMES = {
 def peak_eq11(
     sigma: ArrayLike, sigma_mtf: ArrayLike, sigma_p: ArrayLike, radius: ArrayLike, theta: ArrayLike
 ) -> jax.Array:
-    """Evaluate the paper's equation (11): recorded peak over true peak.
+    """Evaluate equation (11) of the paper, recorded over true peak.
 
-    erf((sigma_p / radius) / (sqrt2 sigma_m)) with sigma_m = sqrt(sigma^2 + (sigma_mtf / (radius cos theta))^2), equation (10).
-    Arguments broadcast.
+    It is erf((sigma_p / radius) / (sqrt2 sigma_m)) with sigma_m = sqrt(sigma^2 + (sigma_mtf / (radius cos theta))^2),
+    equation (10). The arguments broadcast.
 
     Use it only to reproduce Figure 5, and `peak_response` otherwise. The equation uses a lobe of unit area and neglects
     that the angular width of a pixel is sigma_p / (radius cos theta) (docs/model.md 4).
@@ -76,13 +79,13 @@ def peak_eq11(
 
 
 def figure_3_4(ratio: float, rig: Rig | None = None) -> xr.Dataset:
-    """Compute the paper's Figure 3 (ratio 10) or 4 (ratio 1).
+    """Compute Figure 3 (ratio 10) or 4 (ratio 1) of the paper.
 
-    A Gaussian highlight of standard deviation ratio sigma_mtf / radius is given on the sensor, after the optics, and as
-    recorded by the pixels, across the plane of camera and lamp at several theta_o.
+    A Gaussian highlight of standard deviation ratio sigma_mtf / radius is computed on the sensor, after the optics, and
+    as recorded by the pixels, across the plane of camera and lamp at several theta_o.
 
     Args:
-        ratio: width of the lobe over sigma_mtf / radius, no unit.
+        ratio: width of the lobe divided by sigma_mtf / radius, no unit.
         rig: rig as in the paper: Gaussian optics and a sphere. None: `rigs.merl()`.
 
     Returns:
@@ -123,7 +126,7 @@ def figure_3_4(ratio: float, rig: Rig | None = None) -> xr.Dataset:
 
 
 def figure_5(rig: Rig | None = None) -> xr.Dataset:
-    """Compute the paper's Figure 5: the loss at the peak against theta.
+    """Compute Figure 5 of the paper, the peak loss against theta.
 
     The loss is relative to theta = 0, for lobes of several widths.
 
@@ -131,8 +134,8 @@ def figure_5(rig: Rig | None = None) -> xr.Dataset:
         rig: rig as in the paper: Gaussian optics and a sphere. None: `rigs.merl()`.
 
     Returns:
-        Dataset over (ratio, theta): `loss` by docs/model.md 4 and `loss_printed` by equation (11), no unit; and over theta:
-        `cosine`. `ratio` is the width of the lobe over sigma_mtf / radius.
+        Dataset of `loss`, computed as in docs/model.md 4, and `loss_printed`, computed by equation (11), over (ratio,
+        theta), no unit; and of `cosine` over theta. `ratio` is the width of the lobe divided by sigma_mtf / radius.
 
     Source:
         Holzschuch & Pacanowski (2017), Figure 5.

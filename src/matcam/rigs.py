@@ -26,11 +26,11 @@ if TYPE_CHECKING:
 
 CellValue = Literal["centre", "edge", "mean", "nearest", "bilinear", "unknown"]
 UNKNOWN: CellValue = "unknown"
-"""Unknown meaning of a cell: it is determined from a table that is read; in a simulated table each cell has its own pixel."""
+"""Unknown meaning of a cell. A fit determines the meaning from the table; in a simulated table each cell has its own pixel."""
 CELL_VALUES: tuple[CellValue, ...] = tuple(value for value in get_args(CellValue) if value != UNKNOWN)
 """Meaning of a cell of a table: pixel at its centre, pixel at its edge, mean of the pixels inside, nearest pixel of a
-real image, or bilinear interpolation between the pixels of a real image. At a sharp peak these differ by up to 45 %
-(docs/model.md 3).
+real image, or bilinear interpolation between the pixels of a real image. At a sharp peak these values differ by up to
+45 % (docs/model.md 3).
 """
 ON_REAL_PIXELS: tuple[CellValue, ...] = ("nearest", "bilinear")
 """Meanings that require a real grid of pixels, whose phase is specified or estimated from the table."""
@@ -52,21 +52,22 @@ class Rig(Module):
         lamp_radius: angular radius of a distant lamp, instead of `lamp`, rad, [0, pi/8]. Default: None, that of `lamp`.
         jitter: standard deviation of the registration of the images, px, [0, 10]. Default: 0. Increase it if several
             exposures are merged or the rig vibrates.
-        aperture: diameter of the entrance pupil over its distance from the sample, no unit, [0, 1]. Default: 0, no
+        aperture: diameter of the entrance pupil divided by its distance from the sample, no unit, [0, 1]. Default: 0, no
             defocus.
         focus: angle from the optical axis of the normals that are in focus, rad, [0, pi/2]. Default: 0, the point of the
             sample closest to the camera.
         crop: (height, width) of the part of the sensor that is used, px, about the optical axis. None: the area of the sample.
-        cell_value: meaning of a cell of the recorded table: "centre" or "edge", the pixel there; "mean", that of the
-            pixels inside, or the nearest if there is none; "nearest", the pixel whose centre is nearest to the cell;
-            "bilinear", the interpolation between four pixels; "unknown", estimated from a table that is fitted, and
-            "centre" without evidence or for a simulated table. Default: "centre".
-        pixel_phase: position of the real pixels for "nearest", "bilinear" and "mean": their centres are whole numbers
-            plus this (x, y) from the sphere's centre, px, each in [-0.5, 0.5]; or 90 such pairs, one for the image of
-            each slice of theta_d. Default: None: a fit estimates it from the table, and averages a "mean" without
-            evidence of pixels over all phases.
+        cell_value: meaning of a cell of the recorded table. "centre" or "edge": the pixel at the centre or the edge of
+            the cell; "mean": the mean of the pixels inside the cell, or the nearest pixel if the cell contains no pixel;
+            "nearest": the pixel whose centre is nearest to the cell; "bilinear": the interpolation between four pixels;
+            "unknown": a fit estimates the meaning from the table, and "centre" is used without evidence and for a
+            simulated table. Default: "centre".
+        pixel_phase: position of the real pixels for "nearest", "bilinear" and "mean": the coordinates of their centres,
+            relative to the centre of the sphere, are whole numbers plus this (x, y), px, each in [-0.5, 0.5]; or 90 such
+            pairs, one for the image of each slice of theta_d. Default: None, a fit estimates the phase from the table,
+            and averages over all phases if a table of "mean" contains no evidence of the pixels.
         lamp_azimuth: azimuth of the lamp about the optical axis in images and in the images of a table, from +x towards
-            +y, rad, in [-2 pi, 2 pi]; the pixels do not turn. Default: None, attrs["lamp_azimuth"] of the table, or 0.
+            +y, rad, in [-2 pi, 2 pi]; the pixels do not rotate. Default: None, attrs["lamp_azimuth"] of the table, or 0.
 
     Raises:
         ArgumentError: a part is of the wrong kind, or a parameter is out of range.
@@ -112,7 +113,7 @@ class Rig(Module):
         if not isinstance(sample, Sample):
             raise ArgumentError(f"sample must be a Sphere, Cylinder or Flat, got {type(sample).__name__}")
         if lamp is not None and lamp_radius is not None:
-            raise ArgumentError("lamp_radius means DistantLamp(radius): give lamp_radius or a lamp, not both")
+            raise ArgumentError("lamp_radius is the radius of a DistantLamp: give lamp_radius or a lamp, not both")
         if lamp is None:
             lamp = DistantLamp(0.0 if lamp_radius is None else lamp_radius)
         if not isinstance(lamp, Lamp):
@@ -141,7 +142,8 @@ class Rig(Module):
         """Return the azimuths of the lamp about the optical axis, rad.
 
         Args:
-            azimuth: in [-2 pi, 2 pi], rad, any shape. Default: None, the rig's `lamp_azimuth`, or 0, towards +x.
+            azimuth: azimuths in [-2 pi, 2 pi], rad, any shape. Default: None, `lamp_azimuth` of the rig, or 0, towards
+                +x.
 
         Raises:
             ArgumentError: an azimuth is out of its range.
@@ -184,8 +186,8 @@ class Rig(Module):
         """Return the rig as in the sidecar of an image.
 
         Returns:
-            Sections "camera", "sample" and "blur", the lamp's angular radius and its distance (None: infinite); units
-            are in the names.
+            Sections "camera", "sample" and "blur", and the angular radius and distance of the lamp (None: infinite);
+            units are in the names.
         """
         sample: dict[str, Any] = {"kind": self.sample.kind}
         if isinstance(self.sample, Curved):
@@ -222,7 +224,7 @@ class Rig(Module):
 
 def _checked_phase(phase: PixelPhase, cell_value: CellValue) -> PixelPhase:
     if cell_value in ("centre", "edge", UNKNOWN):
-        raise ArgumentError(f"pixel_phase is for cell_value 'nearest', 'bilinear' or 'mean', not '{cell_value}'")
+        raise ArgumentError(f"pixel_phase requires cell_value 'nearest', 'bilinear' or 'mean', got '{cell_value}'")
     found = np.asarray(checks.within("pixel_phase", phase, -0.5, 0.5, "px"))  # type: ignore[arg-type]
     if found.shape not in ((2,), (GRID_SHAPE[1], 2)):
         raise ArgumentError(
@@ -234,14 +236,14 @@ def _checked_phase(phase: PixelPhase, cell_value: CellValue) -> PixelPhase:
 
 
 def picture_shape(name: str, shape: tuple[int, int]) -> tuple[int, int]:
-    """Check an image's (height, width).
+    """Check the height and width of an image.
 
     Args:
         name: name of the argument, for the message.
-        shape: two whole numbers in [1, 65535], px.
+        shape: (height, width), two whole numbers in [1, 65535], px.
 
     Raises:
-        ArgumentError: it is not such a pair.
+        ArgumentError: `shape` is not such a pair.
 
     Example:
         >>> matcam.rigs.picture_shape("crop", (480, 640))
@@ -261,10 +263,10 @@ def picture_shape(name: str, shape: tuple[int, int]) -> tuple[int, int]:
 def merl() -> Rig:
     """Return the rig of the MERL database as assumed in the paper.
 
-    It has a QImaging Retiga 1300 and a sphere over half the height of the image, with a limb of radius 256 px. Pixels
-    have 100 % fill, and the blur of the optics is sigma_mtf = half a pixel. This blur is an assumption of the paper.
-    Its standard deviation is 100 %, so that a fit estimates it from the data, down to no blur. The lookup of cells in
-    pixels is unpublished, and is estimated from each table.
+    It has a QImaging Retiga 1300 and a sphere that covers half the height of the image, with a limb of radius 256 px.
+    Pixels have a fill factor of 100 %, and the blur of the optics is sigma_mtf = half a pixel. This blur is an assumption
+    of the paper. Its standard deviation is 100 %, so that a fit estimates the blur from the data, down to no blur. The
+    rule by which cells were read from pixels is unpublished, and is estimated from each table.
 
     Returns:
         The rig. Replace its parts to describe another rig.

@@ -50,7 +50,7 @@ def test_arc_is_found():
     assert np.degrees(found.opening if side > 0 else np.pi - found.opening) == pytest.approx(88.8, abs=0.15)
     assert np.degrees(found.angles) * side == pytest.approx(np.degrees(turn - turn[0]), abs=0.3)
     assert found.rms < np.radians(0.1)
-    with pytest.raises(FitError, match="off one arc"):
+    with pytest.raises(FitError, match="deviate from one arc"):
         fit_arc(lamps()[0])
 
 

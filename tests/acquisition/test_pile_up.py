@@ -93,7 +93,11 @@ def test_an_exposure_that_is_clipped_all_over_is_left_out(tmp_path):
     assert list(radiometry.exposures) == ["E0", "E1", "E2", "E3"]
     assert radiometry.clip_level == 4095
     said = next(one for one in radiometry.remarks if one.code == "frame-clipped")
-    assert said.text == "lamps L00, L01, L02, L03: every pixel of exposure E4 is clipped, at 4095 DN; left out"
+    where, what = (
+        "lamps L00, L01, L02, L03: ",
+        "every pixel of exposure E4 is clipped at 4095 DN, so the frame was omitted",
+    )
+    assert said.text == f"{where}{what}: take shorter exposures"
     assert said.code in INCOMPLETE
     true = [one["relative"] for one in drawn.truth["exposures"]][:4]
     found = [one.value for one in radiometry.exposures.values()]

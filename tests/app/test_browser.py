@@ -247,4 +247,4 @@ def test_bad_files_are_one_line_and_the_server_lives(chromium):
             page.reload()
             page.wait_for_function(READY)
         assert app.end() == 130
-        assert "".join(app.errors) == "matcam: interrupted; nothing half-written was left\n"
+        assert "".join(app.errors) == "matcam: interrupted; no incomplete file was left\n"

@@ -36,7 +36,7 @@ def test_more_pixels_than_can_be_shown_are_refused(tmp_path, monkeypatch):
     from matcam.app import calibrated
 
     monkeypatch.setattr(calibrated, "_LARGEST", 5000)
-    with pytest.raises(FileFormatError, match=r"edge.tif: 0 megapixels"):
+    with pytest.raises(FileFormatError, match=r"edge.tif: the image has 0 megapixels"):
         open_picture(edge_picture(tmp_path / "edge.tif"))
 
 

@@ -138,7 +138,7 @@ def test_resets_rubbish_and_ctrl_c_leave_no_traceback():
         reset(app, f"GET / HTTP/1.1\r\nHost: 127.0.0.1:{app.port}\r\nCookie: {cookie}\r\n\r\n".encode(), wait=0)
         assert answer(app, Cookie=cookie)[0] == 200
         assert app.end(signal.SIGINT) == 130
-        assert "".join(app.errors) == "matcam: interrupted; nothing half-written was left\n"
+        assert "".join(app.errors) == "matcam: interrupted; no incomplete file was left\n"
 
 
 def reset(app, request, wait=0.3):

@@ -102,7 +102,7 @@ def test_no_photograph_is_read_that_was_not_opened(folder, monkeypatch):
     captures, _ = opened_captures([folder / "chrome.nc"])
     assert captures == []
     monkeypatch.setattr("matcam.files.capture.open_photograph", lambda *_: pytest.fail("read without being opened"))
-    with pytest.raises(ArgumentError, match="give the capture's folder"):
+    with pytest.raises(ArgumentError, match="give the folder of the capture"):
         shots_of(fitted_pictures("chrome.nc", windows())[0], captures)
 
 

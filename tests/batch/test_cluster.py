@@ -208,7 +208,7 @@ def test_a_file_that_kills_every_worker(tmp_path):
     with dask.config.set({"distributed.scheduler.allowed-failures": 1}):
         done = correct_all([database], rigs.merl(), tmp_path / "out", cluster="local:2", corrector=simple.deadly)
     assert [path.stem for path in done.corrected] == ["a"]
-    assert "2 workers died while they ran it" in done.failures[0].reason
+    assert "2 workers died while they ran this job" in done.failures[0].reason
 
 
 def test_nothing_to_do_needs_no_cluster():

@@ -64,9 +64,9 @@ def test_a_link_in_a_run_s_folder(tables, tmp_path, name):
         ("material", {"codecs": [{"name": "numcodecs.pickle"}]}, "coded by 'numcodecs.pickle'"),
         ("material", {"data_type": "object"}, "values of type 'object'"),
         ("material", {"shape": [1 << 40]}, "1099511627776 materials"),
-        ("material", {"shape": [-1]}, "has the lengths [-1]"),
+        ("material", {"shape": [-1]}, "has invalid lengths [-1]"),
         ("material", {"zarr_format": 2, "codecs": None}, "not the Zarr of a run"),
-        ("material", {"chunk_key_encoding": {"name": "v2"}}, "do not have the names of a run"),
+        ("material", {"chunk_key_encoding": {"name": "v2"}}, "the names of its chunks are not those of a run"),
         ("brdf", {"shape": [1, 90, 90, 180, 300]}, "(1, 90, 90, 180, 300) values of 'float64'"),
         ("brdf", {"data_type": "float32"}, "values of 'float32'"),
         (

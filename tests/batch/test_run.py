@@ -160,7 +160,7 @@ def test_an_interrupted_run_leaves_nothing_behind(tmp_path, monkeypatch):
     os.killpg(process.pid, signal.SIGINT)
     said = process.communicate()[1]
     assert process.returncode == 130
-    assert said.splitlines()[-1] == "matcam: interrupted; nothing half-written was left"
+    assert said.splitlines()[-1] == "matcam: interrupted; no incomplete file was left"
     assert "Traceback" not in said
     for line in log.read_text().splitlines():
         assert not alive(int(line.split()[1]))
@@ -235,9 +235,9 @@ def test_names(tmp_path, here):
     done = correct_all(paths, rigs.merl(), tmp_path / "out", corrector=simple.brighter)
     said = sorted(failure.reason for failure in done.failures)
     assert len(said) == 5
-    assert sum("its name is also that of" in reason for reason in said) == 2
+    assert sum("has the same name as" in reason for reason in said) == 2
     assert sum("Index is the name of a file of the run" in reason for reason in said) == 1
-    assert any("other.binary: 8 bytes" in reason for reason in said)
+    assert any("other.binary: has only 8 bytes" in reason for reason in said)
     assert any("none.binary: no such file" in reason for reason in said)
 
 
@@ -249,7 +249,7 @@ def test_refused_before_any_work(tmp_path, database, here):
         (lambda: start(workers=0), "workers must be"),
         (lambda: start(glare=2), "glare must lie in"),
         (lambda: start(sampling="corner"), "sampling must be one of"),
-        (lambda: start(corrector=lambda *_: None), "top of a module"),
+        (lambda: start(corrector=lambda *_: None), "top level of a module"),
         (lambda: correct_all([tmp_path], rigs.merl(), out), r"contains no \*\.binary file"),
         (lambda: correct_all([], rigs.merl(), out), "no path"),
         (lambda: correct_all([database], Rig(rigs.merl().camera, Flat()), out), "from a Sphere"),
@@ -265,7 +265,7 @@ def test_refused_before_any_work(tmp_path, database, here):
     assert [path.name for path in (tmp_path / "mine").iterdir() if path.name[0] != "."] == ["a.html"]
     (tmp_path / "mine" / "a.html").unlink()
     (tmp_path / "mine" / "settings.json").write_text('{"volume": 11}')
-    with pytest.raises(OutputError, match="not the settings of a run"):
+    with pytest.raises(OutputError, match="does not contain the settings of a run"):
         correct_all([database], rigs.merl(), tmp_path / "mine")
     with pytest.raises(OutputError, match="cannot be written"):
         correct_all([database], rigs.merl(), database / "a.binary" / "out")
@@ -325,7 +325,7 @@ def test_a_worker_that_hangs_is_killed(database, tmp_path):
     recipe = Recipe(rigs.merl(), Options(), corrector=simple.hanging)
     jobs = [Job(database / f"{name}.binary", tmp_path / f"{name}.binary", recipe) for name in ("poison", "a")]
     ended = {outcome.source.stem: outcome.reason for outcome in ProcessExecutor(1, time_limit=8.0).outcomes(jobs)}
-    assert ended == {"poison": f"{jobs[0].source}: its worker died (no result after 8 s)", "a": None}
+    assert ended == {"poison": f"{jobs[0].source}: the worker died (no result after 8 s)", "a": None}
     assert (tmp_path / "a.json").exists()
 
 
@@ -386,7 +386,7 @@ def test_a_correction_that_is_ended_leaves_nothing(database, tmp_path):
         env={**os.environ, "PYTHONPATH": os.pathsep.join([str(REPOSITORY / "src"), str(REPOSITORY)])},
         stderr=subprocess.PIPE, text=True, check=False,
     )  # fmt: skip
-    assert done.stderr.splitlines()[-1] == "matcam: interrupted; nothing half-written was left"
+    assert done.stderr.splitlines()[-1] == "matcam: interrupted; no incomplete file was left"
     assert done.returncode == 128 + signal.SIGTERM
     assert list(tmp_path.iterdir()) == []
 
@@ -413,7 +413,7 @@ def test_the_index(tmp_path, here):
     for image in found.images:
         assert image.startswith("data:image/png;base64,")
         assert imagecodecs.png_decode(base64.b64decode(image.partition(",")[2])).shape == (64, 128, 3)
-    assert "bad.binary: 8 bytes" in page
+    assert "bad.binary: has only 8 bytes" in page
     assert not re.search(r"(src|href)='?http", page)
     sorted_by = [row[found.heads.index("roughness(slope)")] for row in found.rows]
     assert sorted_by == ["0.01", "0.01"]

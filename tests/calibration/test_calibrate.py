@@ -85,7 +85,7 @@ def test_a_mosaic_is_read_as_grey_by_nobody():
     assert [plane.cfa for plane in planes] == ["GBRG"] * 3
     assert planes[1].values[0, 0] == codes[0, 0]
     assert planes[0].values[1, 0] == codes[1, 0]
-    with pytest.raises(FitError, match="every second pixel differs by 67% of the light: a mosaic of colours"):
+    with pytest.raises(FitError, match="every second pixel differs by 67%, as in a mosaic of colours"):
         calibrate([codes])
     with pytest.raises(ArgumentError, match="cfa is for a mosaic"):
         calibrate([np.stack([codes] * 3, -1)], cfa="GBRG")
@@ -266,12 +266,14 @@ def test_what_was_assumed_of_the_tone_curve(tmp_path):
     (tmp_path / "a.png").write_bytes(png_encode(np.rint(codes).clip(0, 255).astype(np.uint8)))
     found = calibrate([tmp_path / "a.png"])
     assert found.remarks == (
-        Remark("tone-assumed", "a.png: 8 bits and no tone curve specified: sRGB assumed (--tone)"),
+        Remark("tone-assumed", "a.png: no tone curve is specified: sRGB is assumed for 8 bits (--tone)"),
     )
     assert found.channels["grey"].values[0] == pytest.approx(0.5, rel=0.01)
     assert calibrate([tmp_path / "a.png"], tone="srgb").remarks == ()
     (tmp_path / "b.png").write_bytes(png_encode((60000 * light).clip(0, 65535).astype(np.uint16)))
-    assert "16 bits and no tone curve specified: linear assumed" in calibrate([tmp_path / "b.png"]).remarks[0].text
+    assert (
+        "no tone curve is specified: linear is assumed for 16 bits" in calibrate([tmp_path / "b.png"]).remarks[0].text
+    )
 
 
 # ---------------------------------------------------------------- what is refused
@@ -303,7 +305,7 @@ def test_bad_pictures_among_good_ones():
     assert "no slanted edge was found" in found.failed["image 2"]
     with pytest.raises(FitError, match="image 1: no slanted edge was found"):
         calibrate([empty])
-    with pytest.raises(FitError, match="none of 2 images can be used; the first: image 1: no slanted edge"):
+    with pytest.raises(FitError, match="all 2 images are unusable; error of the first image: image 1: no slanted edge"):
         calibrate([empty, empty])
     with pytest.raises(FitError, match=r"none of its 16 edges can be measured; .* image is sharpened"):
         calibrate([good + 1.5 * (good - gaussian_filter(good, 1.0))])
@@ -374,7 +376,7 @@ def test_pictures_that_software_has_been_at():
         ):
             calibrate([processed])
     with pytest.raises(
-        FitError, match=r"none of its 16 edges can be measured.*blacks are crushed: .* of its dark side"
+        FitError, match=r"none of its 16 edges can be measured.*blacks are crushed: .* of the dark side"
     ):
         calibrate([np.maximum(counts - 0.3 * 3600, 0)])
     clean, filled, bent = (

@@ -65,7 +65,7 @@ def test_squares_and_gratings_of_small_pages_shrink(pixels):
 BAD = [
     ({"kinds": ["sky"]}, "kinds must be one of"),
     ({"kinds": []}, "at least one panel"),
-    ({"kinds": ["star", "star"]}, "each once"),
+    ({"kinds": ["star", "star"]}, "without repetition"),
     ({"page": (20, 300)}, "page must lie in [50, 5000] mm"),
     ({"page": "a9"}, "page must be one of"),
     ({"pixels_across": 100}, "pixels_across must lie in"),

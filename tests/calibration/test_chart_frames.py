@@ -55,7 +55,7 @@ def test_any_four_fiducials_position_the_chart(tmp_path, kept):
 
 def test_three_fiducials_do_not(tmp_path):
     chart, frame = drawn(tmp_path, 620, 0, hand=False)
-    with pytest.raises(FitError, match="3 of its 8 fiducials found; 4 are needed"):
+    with pytest.raises(FitError, match="only 3 of its 8 fiducials are visible, but 4 are needed"):
         register_chart(covered(frame, chart, (1, 3, 5)), chart)
 
 
@@ -71,7 +71,7 @@ def test_the_print_is_read_off_its_patches(tmp_path):
     assert found.of(star).contrast == pytest.approx(
         2 * (level * wave).mean() / level.mean(), rel=2 * found.contrast_std
     )
-    assert "0.3 became" in found.remark().text
+    assert "0.3 is printed as" in found.remark().text
     assert "--tone" in found.remark(assumed=True).text
 
 

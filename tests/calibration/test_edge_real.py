@@ -107,7 +107,7 @@ def test_ghosts_are_measured_and_said():
         assert abs(stack.mtf50[i] - truth) < 2.5 * stack.mtf50_std[i] < 0.05 * truth
         said = next(remark.text for remark in stack[i].remarks if remark.code == "ghost")
         assert ("bright" if offset > 0 else "dark") in said
-        found, position = (float(re.search(pattern, said)[1]) for pattern in (r"of (\S+)%", r"lies (\S+) px"))
+        found, position = (float(re.search(pattern, said)[1]) for pattern in (r"with (\S+)% of", r"lies (\S+) px"))
         assert found / 100 == pytest.approx(share, abs=0.03)
         assert position == pytest.approx(abs(offset), abs=0.5)
 
@@ -162,18 +162,21 @@ def screen(x, y):
 
 
 NO_EDGE = {
-    "a bar": (lambda x, y: np.abs(across(x, y)) < 6, "there are 2 edges in it"),
-    "a wide bar": (lambda x, y: np.abs(across(x, y)) < 12, "there are 2 edges in it"),
-    "steps": (lambda x, y: 0.5 * (across(x, y) > -7) + 0.5 * (across(x, y) > 8), "there are 2 edges in it"),
-    "distant steps": (lambda x, y: 0.5 * (across(x, y) > -20) + 0.5 * (across(x, y) > 20), "there are 2 edges in it"),
+    "a bar": (lambda x, y: np.abs(across(x, y)) < 6, "the region contains 2 edges"),
+    "a wide bar": (lambda x, y: np.abs(across(x, y)) < 12, "the region contains 2 edges"),
+    "steps": (lambda x, y: 0.5 * (across(x, y) > -7) + 0.5 * (across(x, y) > 8), "the region contains 2 edges"),
+    "distant steps": (
+        lambda x, y: 0.5 * (across(x, y) > -20) + 0.5 * (across(x, y) > 20),
+        "the region contains 2 edges",
+    ),
     "a line beside": (
         lambda x, y: 1.0 * (across(x, y) > 0) - 0.8 * (np.abs(across(x, y) - 11.5) < 1.5),
-        "there are 3 edges in it",
+        "the region contains 3 edges",
     ),
     "a corner": (lambda x, y: (across(x, y) > 0) & (along(x, y) > 0), "a corner"),
     "a corner near the end": (lambda x, y: (across(x, y) > 0) & (along(x, y) > -30), "a corner"),
-    "text": (letters, "text, or a pattern"),
-    "a screen": (screen, "a screen, or a halftone"),
+    "text": (letters, "as in text or a pattern"),
+    "a screen": (screen, "a screen or a halftone"),
 }
 
 

@@ -54,7 +54,7 @@ def test_what_a_photograph_says_of_itself():
     assert (plane.f_number, plane.source, plane.saturation) == (5.6, "a.png", 255.0)
     assert plane.values[0, 0] == pytest.approx(0.503, abs=1e-3)
     assert [(r.code, r.text) for r in plane.remarks] == [
-        ("tone-assumed", "8 bits and no tone curve specified: sRGB assumed (--tone)")
+        ("tone-assumed", "no tone curve is specified: sRGB is assumed for 8 bits (--tone)")
     ]
     assert LinearImage.of(photograph).remarks == ()
     # tone curves come after demosaicing

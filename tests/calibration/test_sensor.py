@@ -154,7 +154,7 @@ def test_what_is_written(found, tmp_path):
 
 
 def test_wrong_series_are_refused_by_name(tmp_path):
-    with pytest.raises(FileFormatError, match="contains no exposures: it needs images in dark/ and flat/"):
+    with pytest.raises(FileFormatError, match="contains no exposures: give images in dark/ and flat/"):
         characterise_sensor(tmp_path)
     frame = np.full((8, 8), 100, np.uint16)
     tifffile.imwrite(tmp_path / "flat_1.tif", frame)
@@ -167,7 +167,9 @@ def test_wrong_series_are_refused_by_name(tmp_path):
     with pytest.raises(ArgumentError, match="no lit exposure has two frames"):
         characterise_sensor(tmp_path)
     tifffile.imwrite(tmp_path / "dark_1ms_2.tif", frame[:4])
-    with pytest.raises(FileFormatError, match=r"dark_1ms_2.tif: has 8 x 4 px of uint16; the frames before have 8 x 8"):
+    with pytest.raises(
+        FileFormatError, match=r"dark_1ms_2.tif: has 8 x 4 px of uint16, but the preceding frames have 8 x 8"
+    ):
         characterise_sensor(tmp_path)
     with pytest.raises(ArgumentError, match="bits must be a whole number"):
         characterise_sensor(tmp_path, bits=40)

@@ -61,7 +61,7 @@ def test_measured_from_patches():
     np.testing.assert_allclose(tone_from_patches(colour, patches, light, channel=0), table)
     for changed, words in (
         ({"light": light[::-1]}, "must be monotone"),
-        ({"light": light[:4]}, "one light each"),
+        ({"light": light[:4]}, "a light for each"),
         ({"patches": patches[:2], "light": light[:2]}, "at least 3 patches"),
         ({"patches": [*patches[:-1], (340, 0, 30, 30)]}, "inside the image of 360 x 40"),
         ({"patches": [*patches[:-1], patches[0]]}, "same code"),
@@ -82,7 +82,7 @@ def test_measured_from_patches():
         ("0 1\n2\n", "line 2 has 1 numbers"),
         ("1 2 3 4\n", "line 1 has 4 numbers"),
         ("", "at least 2 codes"),
-        ("5\n5\n5\n", "flat"),
+        ("5\n5\n5\n", "all codes have the same linear value"),
         ("0\nnan\n", "finite"),
     ],
 )

@@ -48,7 +48,7 @@ def test_a_long_command_tells_how_long_it_took_last_time(terminal, monkeypatch):
     monkeypatch.setattr(activity, "_LONG", 0.1)
     for expected in (False, True):
         with activity.shown("correct"):
-            assert ("last time 0 s in all" in after(0.3, terminal)) == expected
+            assert ("last run: 0 s" in after(0.3, terminal)) == expected
 
 
 def test_nothing_is_shown_where_no_terminal_is(monkeypatch):

@@ -70,9 +70,14 @@ def test_profile_page_and_table(calibrate, chart, tmp_path):
     assert code == 1, err
     found = json.loads(out)
     assert found["pictures"] == [chart.name]
-    assert found["failed"] == {"bad.png": "neither TIFF, PNG, JPEG, OpenEXR nor camera raw"}
+    assert found["failed"] == {
+        "bad.png": "is neither TIFF, PNG, JPEG, OpenEXR nor camera raw: convert it to TIFF or PNG"
+    }
     assert found["channels"]["grey"]["consistent"] is True
-    assert err == "matcam: left out: bad.png: neither TIFF, PNG, JPEG, OpenEXR nor camera raw\n"
+    assert (
+        err
+        == "matcam: left out: bad.png: is neither TIFF, PNG, JPEG, OpenEXR nor camera raw: convert it to TIFF or PNG\n"
+    )
     assert "<svg" in (tmp_path / "out/c.svg").read_text()[:500]
 
 
@@ -121,7 +126,7 @@ def test_bad_input_is_one_line_and_code_2(calibrate, chart, tmp_path):
         ("chart.tif", "--tone", "wavy.dat"): "wavy.dat: tone curve must be monotone, but falls from code 1 to 2",
         ("mosaic.tif",): "a mosaic of colours that is read as grey: give --cfa if",
         ("mosaic.tif", "--cfa", "RGBG"): "Invalid value for '--cfa'",
-        ("empty",): "empty: no images in this folder",
+        ("empty",): "empty: this folder contains no images",
         ("none.tif",): "none.tif: no such file",
         ("chart.tif", "--tone", "film"): "--tone must be auto, linear, srgb, gamma:NUMBER or a file",
         ("chart.tif", "--tone", "gamma:x"): "a number must follow gamma:",

@@ -235,7 +235,7 @@ BAD = [
     ("fresnel", "Missing argument 'file'"),  # some versions of typer write it in capitals
     ("predict -1", "No such option: -1"),
     ("predict --ndf epd", "--power must be given for epd"),
-    ("predict --power 1", "--power belongs to epd and sgd, not to ggx, got 1"),
+    ("predict --power 1", "--power can be given for epd and sgd, but not for ggx, got 1"),
     ("predict 0.1 --ndf epd --power 9", "--power must lie in [0.25, 4]"),
     ("predict 0", "alpha must lie in (0, 1], got 0"),
     ("predict --radius -3", "--radius must lie in"),
@@ -245,7 +245,7 @@ BAD = [
     ("inspect file", "not a format that matcam reads"),
     ("figures short.binary", "truncated"),
     ("frensel", "No such command 'frensel'"),
-    ("figures same.binary SAME", "two files of one name"),
+    ("figures same.binary SAME", "two files have the same name"),
 ]
 
 

@@ -78,10 +78,10 @@ def test_a_rig_file_stands_for_options(matcam, rig_file):
     ("text", "command", "words"),
     [
         ("x = [", "predict", "not TOML"),
-        ('schema = "other"', "predict", 'does not begin with schema = "matcam-rig-1"'),
-        (RIG + "[lamp]\ncolour = 3\n", "predict", "unknown entry lamp.colour; it has camera, sample.shape"),
+        ('schema = "other"', "predict", 'is not a rig file, which begins with schema = "matcam-rig-1"'),
+        (RIG + "[lamp]\ncolour = 3\n", "predict", "lamp.colour; the entries of a rig file are camera, sample.shape"),
         (RIG.replace("100", '"wide"'), "predict", "sample.radius_px must be a number, got 'wide'"),
-        (RIG.replace("camera.json", "../camera.json"), "predict", "must be the plain name of a profile beside it"),
+        (RIG.replace("camera.json", "../camera.json"), "predict", "the name of a profile in the folder of this file"),
         (RIG.replace("camera.json", "x" * 300), "predict", "cannot be read: File name too long"),
         (RIG + "[lens]\nglare = 0.01\n", "limits", "matcam limits does not support lens.glare"),
         (RIG + "[lens]\nglare = 0.01\n", "correct", "matcam correct does not support lens.glare"),
@@ -99,7 +99,7 @@ def test_wrong_rig_files_are_one_line(matcam, rig_file, text, command, words):
 def test_a_camera_that_is_a_link_is_refused(matcam, rig_file):
     rig_file.with_name("camera.json").rename(rig_file.with_name("other.json"))
     rig_file.with_name("camera.json").symlink_to("other.json")
-    assert "plain name" in matcam("predict", "--rig", rig_file, code=2).stderr
+    assert "the name of a profile in the folder" in matcam("predict", "--rig", rig_file, code=2).stderr
 
 
 def test_every_entry_of_a_rig_file_is_an_option(tmp_path):

@@ -32,7 +32,7 @@ ROI = ("--roi", 30, 20, 80, 160)
 
 def test_verdict_figure_and_columns(edge, photograph, tmp_path):
     text = edge(photograph, *ROI).stdout
-    assert "free of a model" in text
+    assert "without a model" in text
     assert "the gaussian lens explains the edge" in text
     assert [p.name for p in tmp_path.iterdir()] == ["chart.tif"]
     text = edge(photograph, *ROI, "-o", "chart-edge.png").stdout
@@ -86,7 +86,7 @@ def test_the_standard_beside_ours(edge, photograph, tmp_path):
     header, *lines = (tmp_path / "iso.csv").read_text().splitlines()
     assert header == "frequency_cy_per_px,SFR"
     assert lines[0].startswith("0,1")
-    assert "belongs to the method likelihood" in edge(photograph, "--method", "iso12233", "-o", "a.png", code=2).stderr
+    assert "needs --method likelihood" in edge(photograph, "--method", "iso12233", "-o", "a.png", code=2).stderr
 
 
 def test_many_edges_in_one_run(edge, photograph, tmp_path):
@@ -114,9 +114,9 @@ def test_many_edges_in_one_run(edge, photograph, tmp_path):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("a,b\n", "no column x"),
+        ("a,b\n", "column x is missing"),
         ("x,y,width,height\n1,2,3\n", "line 2 is not a region"),
-        ("x,y,width,height\n", "it contains no region"),
+        ("x,y,width,height\n", "contains no region"),
         ("name,x,y,width,height\na,0,0,20,20\na,0,0,20,20\n", "the name a occurs twice"),
     ],
 )
@@ -128,14 +128,14 @@ def test_a_file_that_names_no_regions(edge, photograph, tmp_path, text, words):
 
 
 BAD = [
-    (("chart.tif", *ROI, "--channel", "all", "-o", "a.png"), "-o belongs to one region of one image"),
+    (("chart.tif", *ROI, "--channel", "all", "-o", "a.png"), "-o needs one region of one image"),
     (("chart.tif", *ROI, "--rois", "rois.csv"), "--roi and --rois both give regions"),
     (("chart.tif", *ROI, "--at", 3), "--at must lie in [0, 1.25] cycles/px"),
     (("chart.tif", *ROI, "--method", "mtf"), "'mtf' is not one of"),
     (("chart.tif", *ROI, "--pitch", -1), "--pitch must lie in (0, inf) um"),
     (("none.tif",), "none.tif: no such file"),
     (("text.tif",), "neither TIFF, PNG, JPEG, OpenEXR nor camera raw"),
-    (("cut.tif",), "more than its 3000 bytes can hold: damaged"),
+    (("cut.tif",), "which exceeds the 3000 bytes of the file: damaged"),
     (("chart.tif", "--roi", 100, 0, 80, 160), "--roi must lie inside the image of 150 x 200 px"),
     (("chart.tif", "--roi", 0, 0, 10, 60), "at least 16 x 16 px"),
     (("chart.tif", "--roi", 1, 2, 3), "requires 4 arguments"),

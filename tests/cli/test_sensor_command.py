@@ -49,7 +49,7 @@ def test_sensor_writes_a_figure_a_table_a_page_maps_and_a_profile(matcam, folder
 def test_sensor_prints_values_with_standard_deviations(matcam, folder):
     text = matcam("sensor", folder).stdout
     assert "gain, DN per e-" in text
-    assert "beyond saturation or clipped; not used" in text
+    assert "beyond saturation or clipped, and therefore not used" in text
     assert "exposures-sensor.png" in text
 
 
@@ -60,7 +60,7 @@ def test_sensor_prints_values_with_standard_deviations(matcam, folder):
         (("--camera", "gaussian.json", "--profile", "new.json"), "gaussian.json has no pixel pitch: give --pitch"),
         (
             ("--camera", "f8.json", "--profile", "new.json", "--pitch", "3"),
-            "sensor has a pitch of 3e-06 m, but optics.pixel_pitch_m is 5e-06: give both the same",
+            "sensor has a pitch of 3e-06 m, but optics.pixel_pitch_m is 5e-06 m: specify the same pitch",
         ),
     ],
 )

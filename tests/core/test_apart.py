@@ -125,7 +125,7 @@ def test_whatever_a_decoder_raises_is_one_line(path, trusted, decoder, text):
 
 
 def test_a_trusted_file_that_fills_the_memory(path):
-    with reading_limits(None), pytest.raises(FileFormatError, match="needs more memory than there is"):
+    with reading_limits(None), pytest.raises(FileFormatError, match="needs more memory than is available"):
         read_apart(f"{HERE}:run_out", path)
 
 

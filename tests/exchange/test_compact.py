@@ -85,6 +85,6 @@ def test_what_no_grid_reaches_is_stated(satin, tmp_path, monkeypatch):
     sizes = matcam.exchange.conversion.GRID_SIZES[:1]
     monkeypatch.setattr("matcam.exchange.conversion.GRID_SIZES", sizes)
     report = convert(satin, tmp_path / "a.bsdf", error=1e-6)
-    assert "no grid reaches an error of 0.00%" in report["resampled"]
+    assert "no grid has an error of at most 0.00%" in report["resampled"]
     with pytest.raises(ArgumentError, match="error must lie in"):
         convert(satin, tmp_path / "b.bsdf", error=-1.0)

@@ -152,7 +152,7 @@ def test_the_command(folder, tmp_path, capsys):
     assert _run(["convert", *words]) == 2
     assert "exists: use --force" in capsys.readouterr().err
     assert _run(["convert", str(folder / "a.exr"), str(tmp_path / "c.tif")]) == 0
-    assert "every value is kept" in capsys.readouterr().out
+    assert "all values are unchanged" in capsys.readouterr().out
 
 
 def test_the_error_of_a_conversion_counts_channels_above_zero():

@@ -59,7 +59,7 @@ def test_what_renderers_do_not_have_is_refused():
         (mitsuba_material, Microfacet(GGX(0.1), Schlick(0.5)), "Schlick"),
         (mitsuba_material, Microfacet(GGX(0.1), Dielectric(1.5)), "Dielectric"),
         (mitsuba_material, Microfacet(GGX(0.1), METAL, 1.0), "leaves no share"),
-        (mitsuba_material, Microfacet(GGX(0.1), [0.9, 0.5, 0.1], 0.5), "above 1 together"),
+        (mitsuba_material, Microfacet(GGX(0.1), [0.9, 0.5, 0.1], 0.5), "must not exceed 1 together"),
         (mitsuba_material, Microfacet(GGX(0.1), Conductor([1.0] * 4, 2.0)), "3 channels"),
         (pbrt_material, Microfacet(Beckmann(0.1), METAL), "GGX facets"),
         (pbrt_material, Microfacet(GGX(0.1), METAL, 0.1), "without a diffuse part"),
@@ -67,5 +67,5 @@ def test_what_renderers_do_not_have_is_refused():
     ):
         with pytest.raises(ArgumentError, match=words):
             export(material)
-    with pytest.raises(ArgumentError, match="name must not contain"):
+    with pytest.raises(ArgumentError, match="name must not be empty or contain"):
         pbrt_material(Microfacet(GGX(0.1), METAL), 'a"b')

@@ -55,7 +55,7 @@ def test_the_command(coloured, tmp_path, capsys):
     for words, said in (
         ([coloured, "-o", done], "exists"),
         ([coloured, coloured, "-o", str(tmp_path / "b.exr")], "contains one sphere"),
-        ([coloured, coloured, coloured], "one file can be rendered"),
+        ([coloured, coloured, coloured], "give one file, or two files to show side by side"),
         ([coloured, "-o", str(tmp_path / "b.gif")], "must end in"),
         ([coloured, "-o", str(tmp_path / "b.png"), "--exposure", "0"], "--exposure must be above 0"),
         ([coloured, "-o", str(tmp_path / "b.png"), "--lamp-angle", "200"], "--lamp-angle must lie in"),

@@ -163,7 +163,7 @@ def test_options_of_plots(results):
         (lambda: results["fit"].plot(channel=3), r"channel must be a whole number in \[0, 2\]"),
         (lambda: results["camera"].plot(3), "ax must be a Axes"),
         (lambda: results["correction"].plot(theta_d=75), r"if 75 is in degrees, give np.radians\(75\)"),
-        (lambda: xr.Dataset({"a": 1.0}).matcam.summary(), "results of fresnel, correct, limits and predict"),
+        (lambda: xr.Dataset({"a": 1.0}).matcam.summary(), "a result of fresnel, correct, limits or predict"),
         (lambda: results["edge"].parametric.plot(), "has no figure of one panel"),
     ):
         with pytest.raises(ArgumentError, match=words):
@@ -222,7 +222,7 @@ def test_reconstructions(results):
         maps, {"alpha": (0.2, 0.01)}, {"diffuse": (0.3, 0.2), "specular": (0.1, 0.1)}, None, "ggx", ("a",), np.ones((1, 2)),
         1.0, (), (), (),
     )  # fmt: skip
-    assert "diffuse, across them:     0.2 cycles/px" in flat.summary()
+    assert "diffuse, across the rows:  0.2 cycles/px" in flat.summary()
     axes = flat.plot(Figure().subplots())
     assert axes.images[0].get_extent() == [-0.5, 3.5, -3.5, 0.5]
 

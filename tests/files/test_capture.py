@@ -97,18 +97,18 @@ BAD_SETTINGS = {
     "profile outside": ({**SETTINGS, "camera": {"profile": "../camera.json"}}, "leads out of"),
     "strips of a sphere": (
         {**SETTINGS, "sample": {"strip_rows_px": [[0, 9]]}},
-        "field sample: .*strip_rows_px applies only to a cylinder, but kind is sphere",
+        "field sample: .*strip_rows_px applies only if kind is cylinder, but kind is sphere",
     ),
     "turns without strips": (
         {**SETTINGS, "sample": {"kind": "cylinder", "strip_rows_px": [[0, 9]], "strip_turn_deg": [0.0, 90.0]}},
-        "field sample: .*strip_turn_deg has 2 angles for 1 strips",
+        "field sample: .*strip_turn_deg has 2 angles, but strip_rows_px has 1 strips",
     ),
     "rows backwards": (
         {**SETTINGS, "sample": {"kind": "cylinder", "strip_rows_px": [[9, 0]]}},
         "field sample: .*first row, last row",
     ),
     "not TOML": ("format = matcam capture", "not TOML"),
-    "lamp inside": ({**SETTINGS, "distances": {"lamp_mm": 24}}, "field distances.lamp_mm: must lie outside"),
+    "lamp inside": ({**SETTINGS, "distances": {"lamp_mm": 24}}, "field distances.lamp_mm: must exceed the radius"),
     "too many digits": ("format = 'matcam capture'\nversion = " + "9" * 900, "version 9999"),
     "a number that no float holds": ({**SETTINGS, "sample": {"radius_mm": 10**400}}, "must be finite"),
     "a key without end": ("a." * 30_000 + "a = 1", "line 1 has 60005 characters"),
@@ -132,7 +132,7 @@ BAD_ROWS = {
     "elsewhere": (row("other/x.tif", "L1", "20", "90", "E1", "0.01"), "must lie in one of the folders", True),
     "twice": (ROWS[0], "a.tif: is listed twice", True),
     "angle": (row("frames/x.tif", "L3", "far", "0", "E1", "0.01"), "x.tif: angle_deg must be a number", True),
-    "range": (row("frames/x.tif", "L3", "200", "0", "E1", "0.01"), "x.tif: angle_deg must lie in", True),
+    "range": (row("frames/x.tif", "L3", "200", "0", "E1", "0.01"), "x.tif: angle_deg, from the axis", True),
     "time": (row("frames/x.tif", "L3", "20", "0", "E1", "-1"), "x.tif: time_s must be", True),
     "no lamp": (row("frames/x.tif", "", "20", "0", "E1", "1"), "x.tif: a frame needs a lamp", True),
     "lamp moved": (
@@ -140,7 +140,7 @@ BAD_ROWS = {
         "x.tif: lamp L1 has another position than in an earlier line",
         True,
     ),
-    "name": (row("frames/x.tif", "L 1;", "25", "90", "E3", "1"), "x.tif: lamp must be letters", True),
+    "name": (row("frames/x.tif", "L 1;", "25", "90", "E3", "1"), "x.tif: lamp must consist of letters", True),
     "suffix": (row("frames/x.txt", "L1", "20", "90", "E3", "1"), "x.txt: its suffix is not that of an image", True),
     "other time": (row("frames/x.tif", "L3", "25", "90", "E2", "1"), "x.tif: exposure E2 has 1 s here and 0.04", True),
 }
@@ -258,8 +258,8 @@ def test_the_lamps_light_may_be_a_table(tmp_path):
     ("light", "sections", "words"),
     [
         (("1", "1", "", ""), TABLE, "gives no intensity of lamp L2"),
-        (("1", "1", "2", ""), {"lamp": {"intensity": "constant"}}, "make it 'table'"),
-        (("1", "1", "2", ""), {"lamp": {"intensity": "table"}}, "give the light once"),
+        (("1", "1", "2", ""), {"lamp": {"intensity": "constant"}}, "set lamp.intensity to 'table'"),
+        (("1", "1", "2", ""), {"lamp": {"intensity": "table"}}, "delete one of them"),
         (("", "", "", ""), {"reference": None}, "there is no .reference."),
     ],
 )
@@ -272,7 +272,7 @@ def test_a_table_of_light_and_the_settings_agree(tmp_path, light, sections, word
 def test_an_intensity_that_is_none(tmp_path, light):
     capture = read_capture(listed(tmp_path, with_light(ROWS, "2", "2", light, ""), **TABLE))
     (problem,) = capture.problems
-    assert "intensity must be one number above 0, or three" in problem.text
+    assert "intensity must be one or three positive numbers" in problem.text
 
 
 def test_a_lamp_has_one_intensity(tmp_path):

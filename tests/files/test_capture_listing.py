@@ -110,7 +110,7 @@ def test_a_table_that_names_one_photograph_of_a_bracket_is_enough(tmp_path):
     [
         ("", "got 'nothing'"),
         ("a 0 0 1\n", "must be the number of photographs"),
-        ("2\na 0 0 1\n", "announces 2 photographs, but 1 lines follow"),
+        ("2\na 0 0 1\n", "specifies 2 photographs, but 1 lines follow"),
         ("1\na 0 0 up\n", "line 2 must be a file name"),
         ("1\na 0 0\n", "line 2 must be a file name"),
         ("1\na 0 0 0\n", "line 2 must be a file name"),

@@ -76,7 +76,7 @@ def test_an_interruption_while_files_appear_says_that_they_are_written(tmp_path,
         [sys.executable, "-c", code, str(tmp_path / "a.svg"), name], capture_output=True, text=True, check=False
     )
     assert done.returncode == 128 + getattr(signal, name)
-    assert done.stderr == "matcam: interrupted after its files were written; they are complete\n"
+    assert done.stderr == "matcam: interrupted after the files were written; they are complete\n"
     assert sorted(os.listdir(tmp_path)) == ["a.json", "a.svg"]
 
 

@@ -65,7 +65,7 @@ def test_a_preview_in_camera_raw_is_no_picture(tmp_path, canon):
         data = path.read_bytes()
         directory = data[8 : 8 + 2 + 12 * int.from_bytes(data[8:10], "little") + 4]
         path.write_bytes(data[:4] + len(data).to_bytes(4, "little") + b"CR\2\0" + data[12:] + directory)
-    with pytest.raises(FileFormatError, match="a preview of 24 x 16 px, like camera raw"):
+    with pytest.raises(FileFormatError, match="a preview of 24 x 16 px, as camera raw does"):
         open_photograph(path)
 
 

@@ -59,7 +59,7 @@ def test_what_is_wrong_is_said_in_one_line(real_data, tmp_path):
         (b"", "not an RGL file"),
         (b"tensor_file\0\2\0" + good[14:], "not an RGL file"),
         (good[:14] + struct.pack("<I", 2**32 - 1) + good[18:], "4294967295 fields"),
-        (good[:19], "damaged list of fields"),
+        (good[:19], "the list of fields is damaged"),
         (good[:-1], "truncated or damaged: field valid"),
         (_with(good, "rgb", dtype=11), "truncated or damaged"),
         (_with(good, "rgb", dtype=99), "type 99"),
@@ -67,9 +67,9 @@ def test_what_is_wrong_is_said_in_one_line(real_data, tmp_path):
         (_with(good, "rgb", offset=2**63), "truncated or damaged"),
         (_with(good, "vndf", shape=(1, 8, 2**40, 2**40)), "truncated or damaged"),
         (_with(good, "vndf", shape=(1, 8, 128, 0)), "field vndf must be float32"),
-        (_with(good, "theta_i", shape=(7,)), "do not fit together"),
+        (_with(good, "theta_i", shape=(7,)), "shapes of the fields must agree"),
         (good.replace(b"sigma", b"s1gma"), "field sigma is missing"),
-        (good.replace(b"\x05\0sigma", b"\x05\0vndf2", 1).replace(b"vndf2", b"s gma"), "name of another field"),
+        (good.replace(b"\x05\0sigma", b"\x05\0vndf2", 1).replace(b"vndf2", b"s gma"), "is invalid or repeated"),
         (good[:at] + struct.pack("<f", np.nan) + good[at + 4 :], "field rgb must hold finite numbers, got nan"),
     ]
     path = tmp_path / "bad.bsdf"
@@ -95,11 +95,11 @@ def test_fields_that_make_no_brdf_are_not_written(real_data, tmp_path):
     for wrong, words in (
         (fields.drop_vars("ndf"), "field ndf is missing"),
         (fields.astype(np.float64), "must be float32"),
-        (fields.assign_coords(theta_i=fields["theta_i"][::-1]), "theta_i must ascend"),
+        (fields.assign_coords(theta_i=fields["theta_i"][::-1]), "theta_i must increase strictly"),
         (less, "vndf must not be negative"),
         (nothing, "a positive value for every direction"),
         (fields.isel(column=slice(8)), "must be square"),
-        (fields.assign(sigma=fields["sigma"].where(fields["sigma"] < 0.5, 0)), "sigma must be above 0"),
+        (fields.assign(sigma=fields["sigma"].where(fields["sigma"] < 0.5, 0)), "sigma must be positive"),
         (fields.isel(channel=[0]), "3 channels"),
         (fields["rgb"], "a Dataset"),
     ):

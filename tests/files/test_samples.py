@@ -59,10 +59,10 @@ def test_what_is_wrong_is_said_with_its_line(tmp_path):
     cases = [
         ("", "line 1"),
         ("a,b\n1,2\n", "column 'a' is neither"),
-        (HEAD, "has no line after"),
+        (HEAD, "has no values below"),
         (HEAD.replace("theta_d_rad,", ""), "line 1 must name"),
         (HEAD.replace("phi_d_rad", "theta_h_deg") + "1,1,1,1,1,1", "line 1 must name"),
-        ("theta_h_rad,theta_d_rad,phi_d_rad\n1,1,1\n", "no channel"),
+        ("theta_h_rad,theta_d_rad,phi_d_rad\n1,1,1\n", "at least one channel"),
         (HEAD.replace("R_per_sr", "theta_i_rad") + "1,1,1,1,1,1", "not both"),
         (good + "0.1,x,0.3,1,2,3\n", "line"),
         (good + "0.1,0.2,0.3,1,2,3,4\n", "line"),

@@ -97,7 +97,7 @@ def test_noise_of_real_pixels():
 
 def test_refusals():
     sphere, camera = Sphere(256), rigs.merl().camera
-    with pytest.raises(ArgumentError, match="pixel_phase is for cell_value 'nearest', 'bilinear' or 'mean'"):
+    with pytest.raises(ArgumentError, match="pixel_phase requires cell_value 'nearest', 'bilinear' or 'mean'"):
         Rig(camera, sphere, pixel_phase=(0.0, 0.1))
     with pytest.raises(ArgumentError, match=r"pixel_phase must lie in \[-0.5, 0.5\] px, got 0.7"):
         Rig(camera, sphere, cell_value="nearest", pixel_phase=(0.0, 0.7))

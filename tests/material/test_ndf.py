@@ -202,7 +202,7 @@ def test_families_by_name():
         family_ndf("ggxx", 0.1)
     with pytest.raises(ArgumentError, match="power must be given for sgd"):
         family_ndf("sgd", 0.1)
-    with pytest.raises(ArgumentError, match="power belongs to epd and sgd, not to ggx, got 2"):
+    with pytest.raises(ArgumentError, match="power can be given for epd and sgd, but not for ggx, got 2"):
         family_ndf("ggx", 0.1, 2)
 
 

@@ -42,7 +42,7 @@ def test_sampled_reflectance():
     np.testing.assert_allclose(term.at(jnp.array([0.0, 0.3, 1.2])), [[0.5, 0.6], [0.6, 0.7], [0.9, 1.0]])
     assert Sampled([0.1, 0.5], [0.5, 0.7]).at(jnp.asarray(0.3)).shape == ()
     for theta, values, words in (
-        ([0.5, 0.1], [0.5, 0.7], "must ascend"),
+        ([0.5, 0.1], [0.5, 0.7], "must increase strictly"),
         ([0.1, 0.5], [0.5], "must have shape"),
         ([0.1, 0.5], [-0.5, 0.1], "values must lie in"),
     ):

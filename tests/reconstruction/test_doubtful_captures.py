@@ -58,7 +58,7 @@ def test_a_second_lamp_beside_one_highlight_is_named_and_counted(tmp_path):
     result = reconstruct(capture.write(tmp_path), "ggx")
     (odd,) = [remark.text for remark in result.remarks if remark.code == "picture-odd"]
     chi2 = {one["name"]: one["chi2"] for one in result.to_dict()["pictures"]}
-    assert odd.startswith(f"L02: its chi squared is {chi2['L02']:.1f}")
+    assert odd.startswith(f"L02: the chi squared of this image is {chi2['L02']:.1f}")
     truth = fresnel(np.cos(result.fit.solution.theta_d), N, K)
     relative = result.fit.strengths[:, 0] / truth
     relative /= np.median(relative)

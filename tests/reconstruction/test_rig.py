@@ -86,7 +86,7 @@ def test_a_rig_is_read_back(written):
     [
         ({"covariance": {"names": [], "matrix": [[1.0]]}}, "geometry.covariance: must have 11 parameters"),
         ({"covariance": document()["geometry"]["covariance"] | {"matrix": (-covariance()).tolist()}}, "variances >= 0"),
-        ({"lamps": document()["geometry"]["lamps"][:1] * 3}, "a name occurs twice"),
+        ({"lamps": document()["geometry"]["lamps"][:1] * 3}, "two lamps have the same name"),
         ({"radius_px": "80"}, "field geometry.radius_px"),
         ({"other": 1}, "field geometry.other: extra"),
         ({"field": document()["geometry"]["field"] | {"unit_px": 0}}, "geometry.field: unit_px must lie in"),
@@ -111,7 +111,7 @@ def test_another_rig_is_refused_and_unknown_lamps_are_named(written):
     rig = read_rig(written())
     with pytest.raises(ArgumentError, match="200 x 200 px, but this capture has 300 x 200 px"):
         known_rig(rig, NAMES, (300, 200), 25.0, 0.5)
-    with pytest.raises(ArgumentError, match="has none of the lamp positions A, B: it has L0, L1, L2"):
+    with pytest.raises(ArgumentError, match="has none of the lamp positions A, B, but it has L0, L1, L2"):
         known_rig(rig, ("A", "B"), (200, 200), 25.0, 0.5)
     known, remarks = known_rig(rig, ("L2", "X"), None, None, 0.5)
     assert known.lamps.tolist() == [2, -1]

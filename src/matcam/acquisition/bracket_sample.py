@@ -1,7 +1,7 @@
 """Selected pixels of every lamp position in all its exposures, for estimates of exposure ratios, gain and clip level.
 
-Pixels are selected and grouped by the light of their NEIGHBOURS of the same colour, never by their own codes, because
-selection by a noisy value would bias estimates from it.
+Pixels are selected and grouped by the mean of their NEIGHBOURS of the same colour, never by their own codes, because
+selection by a noisy value would bias the estimates.
 """
 
 from __future__ import annotations
@@ -14,10 +14,12 @@ from scipy.ndimage import uniform_filter
 MOST = 30_000
 """Largest number of pixels per lamp position, which bounds the memory for all positions."""
 _FAR = 4
-"""Distance, px, at which the noise of sharpened or demosaiced frames is uncorrelated: a Gaussian of 1 px leaves 2 %."""
+"""Distance, px, at which the noise of sharpened or demosaiced frames is nearly uncorrelated: a Gaussian blur of 1 px leaves
+a correlation of 2 %.
+"""
 _SURROUNDINGS = 9
-"""Side, px, of the square whose mean determines whether a pixel is dark. Selection by few neighbours, including the
-other pixel of a pair, would favour noise of opposite signs.
+"""Side, px, of the square whose mean determines whether its central pixel is dark. A small square, which contains the
+other pixel of a pair, would favour pairs with noise of opposite signs.
 """
 
 
@@ -26,13 +28,13 @@ class BracketSample(NamedTuple):
 
     Attributes:
         lamp: name of the lamp position.
-        exposures: indices of its exposures among all exposures, the shortest first, (k,).
-        codes: their codes as read, float32 (k, n), DN.
+        exposures: indices of the exposures of this lamp position among all exposures, the shortest first, (k,).
+        codes: codes of the selected pixels as read, float32 (k, n), DN.
         light: `codes` less the dark level, float32 (k, n), DN.
         around: mean of the neighbours in each exposure, less the dark level, float32 (k, n), DN.
         reference: mean of the reference region in each exposure and channel, less the dark level, (k, channels), DN;
             NaN if there is no reference or it is clipped.
-        reference_pixels: number of pixels of each channel in that mean, (channels,).
+        reference_pixels: number of pixels of each channel in the reference region, (channels,).
         median: median code of each frame, (k,), DN.
         tops: `light.pile_up.TopCodes` of each frame, (k, 8).
     """
@@ -49,14 +51,14 @@ class BracketSample(NamedTuple):
 
     @property
     def reference_total(self) -> np.ndarray:
-        """Sum the reference region in each exposure, (k,), DN; NaN if there is none or it is clipped."""
+        """Sum the light of the reference region in each exposure, (k,), DN; NaN if the region is absent or clipped."""
         return np.asarray(self.reference @ self.reference_pixels.astype(float))
 
     def part(self, frames: np.ndarray) -> BracketSample:
         """Select frames of the lamp position.
 
         Args:
-            frames: their indices in the new order, or a mask, (k,).
+            frames: indices of the frames in the new order, or a mask, (k,).
         """
         return self._replace(
             exposures=self.exposures[frames],
@@ -90,7 +92,8 @@ def same_colour_neighbours(light: np.ndarray, step: int) -> np.ndarray:
 def noise_correlation(light: np.ndarray, noise: float) -> tuple[float, float]:
     """Estimate the correlation of noise between neighbouring dark pixels, and its standard deviation.
 
-    Raw pixels have none. Sharpening makes it negative, demosaicing and smoothing positive.
+    The noise of raw pixels is uncorrelated. Sharpening causes a negative correlation, demosaicing and smoothing a
+    positive one.
 
     Args:
         light: dark-subtracted frame, (height, width), DN.
@@ -115,7 +118,7 @@ def noise_correlation(light: np.ndarray, noise: float) -> tuple[float, float]:
 
 
 def _lagged(light: np.ndarray, dark: np.ndarray, axis: int, lag: int) -> tuple[float, float, int]:
-    """Compute covariance and variance of dark pixels at a distance along an axis, and the number of pairs."""
+    """Compute covariance and variance of dark pixels `lag` px apart along an axis, and the number of pairs."""
     first, second = ((slice(None),) * axis + (part,) for part in (slice(lag, None), slice(-lag)))
     both = dark[first] & dark[second]
     a, b = light[first][both].astype(np.float64), light[second][both].astype(np.float64)

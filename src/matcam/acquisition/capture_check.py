@@ -1,8 +1,8 @@
 """Check of a capture in the lab: clipping, gaps, wrong times, a drifting lamp, a moved sample, a rotated lamp table.
 
-It reads few lamp positions completely and only the shortest frame of the others, which takes seconds. Each kind of
-sample is checked by its own geometry: a sphere by its disc and highlights, a cylinder by its stripe and bright lines. A
-flat sample has neither.
+All exposures of a few lamp positions are read, but only the shortest frame of the others, so a check takes seconds. A
+sphere is checked by its disc and highlights, a cylinder by its stripe and bright lines, and a flat sample by its
+specified angles.
 """
 
 from __future__ import annotations
@@ -47,11 +47,12 @@ class CaptureCheck:
         notes: remarks that are not faults.
         radiometry: radiometric calibration from the lamp positions that were read completely; None if it is not
             measurable.
-        highlights: position of each lamp position's highlight, (column, row) px; of a cylinder's line, row is NaN.
+        highlights: (column, row) of the highlight of each lamp position, px; row is NaN for the bright line of a
+            cylinder.
         centre: column, row and radius of the sample, px, from outline, highlights and specified directions; NaN if
             unknown.
-        turn: rotation vector that takes the lamp table to the highlights, rad (3,), about x (right), y (up) and z (to
-            the camera).
+        turn: rotation vector that aligns the lamp table with the highlights, rad (3,), about x (right), y (up) and z
+            (to the camera).
         turn_std: standard deviations of `turn`, rad (3,); NaN if the rotation about that axis is not determined.
     """
 
@@ -71,7 +72,7 @@ def check_capture(capture: Capture) -> CaptureCheck:
         capture: capture from `read_capture`.
 
     Returns:
-        The faults and notes. Bad frames are faults, not errors.
+        The faults and notes. Bad frames are reported as faults and raise no exception.
     """
     found: list[Remark] = []
     names = list(capture.lamps)
@@ -79,7 +80,7 @@ def check_capture(capture: Capture) -> CaptureCheck:
     radiometry = None
     try:
         radiometry = measure_radiometry(capture, lamps=chosen)
-        # of the lamp positions that were read completely, followed by the shortest frames of all
+        # quick_highlights reports clipped peaks of all lamp positions below
         found += [remark for remark in radiometry.remarks if remark.code != "peak-clipped"]
     except MatcamError as error:
         found += [*capture.problems, Remark("no-radiometry", str(error))]
@@ -146,7 +147,9 @@ def coverage_remarks(lamps: dict[str, LampGuess]) -> list[Remark]:
     for low, high in pairwise(theta_d):
         if high - low > _GAP:
             found.append(
-                Remark("angles-missed", f"no lamp position between theta_d = {low:.0f} and {high:.0f} degrees: add one")
+                Remark(
+                    "angles-missed", f"no lamp position has theta_d between {low:.0f} and {high:.0f} degrees: add one"
+                )
             )
     return found
 
@@ -163,25 +166,28 @@ def _lamp_remarks(capture: Capture, radiometry: Radiometry | None, sample: tuple
         return []
     seen = {lamp: out for lamp, out in radiometry.lamp_output.items() if math.isfinite(out.value)}
     if len(seen) < 2:
-        return [Remark("no-reference", "the reference is dark, clipped or absent: lamp drift is not measured")]
+        text = "the reference is dark, clipped or absent, so lamp drift is not measured: expose it without clipping"
+        return [Remark("no-reference", text)]
     light = np.array([out.value for out in seen.values()]) / _near_light(capture, list(seen), sample)
     light /= light.mean()
     values = dict(zip(seen, light.tolist(), strict=True))
     stated = capture.settings["lamp"]["gain_std"]
-    # errors of the directions of the lamps scatter the light on a diffuse reference, too
+    # errors of the lamp directions also add to the scatter of a diffuse reference
     unknown = float(np.mean([(out.std / out.value) ** 2 for out in seen.values()]))
     scatter = math.sqrt(max(float(np.var(light, ddof=1)) - unknown, 0.0))
     if scatter <= 2 * stated + 0.002:
         return []
     worst = max(values, key=lambda lamp: abs(values[lamp] - 1))
-    text = (
-        f"lamp {worst}: the reference differs by {values[worst] - 1:+.1%} from the mean; all scatter by {scatter:.1%}, "
-    )
-    return [Remark("lamp-drifts", f"{text}more than lamp.gain_std = {stated:.1%}")]
+    text = f"lamp {worst}: the reference differs by {values[worst] - 1:+.1%} from the mean, and all scatter by {scatter:.1%}, "
+    return [
+        Remark(
+            "lamp-drifts", f"{text}more than lamp.gain_std = {stated:.1%}: let the lamp warm up, or raise lamp.gain_std"
+        )
+    ]
 
 
 def _near_light(capture: Capture, lamps: Sequence[str], sample: tuple[float, float, float]) -> np.ndarray:
-    """Compute the light of near lamps on a white patch relative to that of distant lamps; 1 if it is not determined."""
+    """Compute the irradiance of a white patch by near lamps relative to distant lamps; 1 if it is not determined."""
     section, position, far = capture.settings["reference"], capture.reference_position, capture.lamp_radii
     towards = np.array([capture.lamps[lamp].direction for lamp in lamps])
     column, row, radius = sample

@@ -15,8 +15,10 @@ from matcam.core.remark import Remark
 from matcam.files.capture import Capture, Region
 from matcam.numerics.frame_noise import clipped_variance, fixed_pattern_variance, pair_variance
 
-_HOT = 12.0  # standard deviations of a dark mean above which a pixel is hot
+_HOT = 12.0
+"""Number of standard deviations from the dark level above which a pixel is hot."""
 _ROBUST = 1.4826
+"""Ratio of the standard deviation of a Gaussian to its median absolute deviation."""
 
 
 @dataclass(frozen=True)
@@ -24,10 +26,10 @@ class Darkness:
     """Dark level of the frames of one exposure, which is subtracted.
 
     Attributes:
-        level: dark code of each pixel, float32 (height, width), or one number.
-        hot: pixels whose dark code is too high to trust, (height, width), or False.
-        read_noise: standard deviation of the noise of one dark frame, DN; NaN for a single frame, which does not
-            determine it.
+        level: dark code of each pixel, float32 (height, width), or one value for all pixels, DN.
+        hot: pixels whose dark code differs too much from the level, (height, width), or False.
+        read_noise: standard deviation of the noise of one dark frame, DN; NaN without dark frames. The noise of a single
+            frame includes its fixed pattern.
         frames: number of dark frames.
     """
 
@@ -40,8 +42,8 @@ class Darkness:
 def dark_of(stack: Sequence[np.ndarray]) -> Darkness:
     """Estimate level and noise from the dark frames of one exposure, each (height, width).
 
-    The mean of each pixel is shrunk towards the level of the frame by the excess of the scatter over noise (James and
-    Stein).
+    The mean of each pixel is shrunk towards the level of the frame, according to the excess of the scatter over noise
+    (James and Stein).
     """
     n = len(stack)
     mean = np.mean(np.asarray(stack, np.float32), axis=0)
@@ -72,12 +74,13 @@ def measure_darkness(
     Args:
         reader: the reader of frames.
         capture: the capture.
-        region: part of the frames that is used; None: the whole frame.
+        region: part of the frames that is used; None: the entire frame.
         exposures: names of the exposures.
-        frame_levels: median code of the darkest frame of each exposure, DN.
+        frame_levels: low code (5 % quantile) of one frame of each exposure, DN.
 
     Returns:
-        Dark signal by exposure; without dark frames, that of other exposures, or the specified level.
+        Dark signal of each exposure, and the remarks. An exposure without dark frames gets the dark signal of the nearest
+        exposure. If there are no dark frames at all, the specified level is used, or otherwise that of `frame_levels`.
     """
     found: dict[str, Darkness] = {}
     remarks = []
@@ -92,13 +95,17 @@ def measure_darkness(
                 continue
             level, noise = float(np.median(one)), float(np.std(one))
             if level > frame_levels.get(exposure, np.inf) + max(6 * noise, 2.0):
-                text = (
-                    f"{capture.folder / frame.file}: is brighter than the frames of its exposure: {level:.0f} DN over "
+                text = f"{capture.folder / frame.file}: this dark frame has {level:.0f} DN, more than dark parts of a frame "
+                text += (
+                    f"of its exposure ({frame_levels[exposure]:.0f} DN), and was omitted: cover the lens, and repeat it"
                 )
-                remarks.append(Remark("dark-too-bright", f"{text}{frame_levels[exposure]:.0f}; it was left out"))
+                remarks.append(Remark("dark-too-bright", text))
                 continue
             if stack and one.shape != stack[0].shape:
-                text = f"{capture.folder / frame.file}: differs in size from the other dark frames; it was left out"
+                text = (
+                    f"{capture.folder / frame.file}: this dark frame differs in size from the others and was omitted: "
+                )
+                text += "repeat it with their settings"
                 remarks.append(Remark("other-size", text))
                 continue
             stack.append(one)
@@ -114,15 +121,19 @@ def measure_darkness(
         for name in missing:
             nearest = min(found, key=lambda other: abs(list(exposures).index(other) - list(exposures).index(name)))
             found[name] = found[nearest]
-        text = f"no dark frame of exposure {', '.join(missing)}: that of the nearest exposure was subtracted"
+        text = (
+            f"exposure {', '.join(missing)} has no dark frame, so that of the nearest exposure was subtracted: take one"
+        )
         remarks.append(Remark("dark-missing", text))
     if not found:
         stated = capture.settings["camera"]["black_level_dn"]
         for name in exposures:
             found[name] = Darkness(frame_levels.get(name, 0.0) if stated is None else stated, False, float("nan"), 0)
-        what = "the darkest frame's median" if stated is None else "camera.black_level_dn"
+        what = "a low code of the frames" if stated is None else "camera.black_level_dn"
         remarks.append(
-            Remark("dark-missing", f"no dark frames: {what} was subtracted; dim values are uncertain by its error")
+            Remark(
+                "dark-missing", f"there are no dark frames, so {what} was subtracted: add some for accurate dim values"
+            )
         )
     return found, remarks
 
@@ -152,7 +163,7 @@ def pair_correlation(pairs: Sequence[np.ndarray], step: int = 1) -> tuple[float,
 
 
 def _trimmed_mean(values: np.ndarray) -> float:
-    """Average without hot pixels: exact for rounded codes, unlike a median."""
+    """Average the values without hot pixels; unlike a median, the result is exact for rounded codes."""
     middle = np.median(values)
     width = 6 * max(_ROBUST * float(np.median(np.abs(values - middle))), 1.0)
     return float(values[np.abs(values - middle) <= width].mean(dtype=np.float64))

@@ -18,15 +18,16 @@ from matcam.acquisition.bracket_sample import BracketSample
 _SAFE = 0.85
 """Share of the clip level below which the prediction from shorter exposures makes a pixel usable."""
 _ROBUST = 1.4826
+"""Ratio of the standard deviation of a Gaussian to its median absolute deviation."""
 
 
 class ClipLevel(NamedTuple):
     """Code at which pixels clip.
 
     Attributes:
-        level: DN as read.
+        level: code of clipped pixels as read, DN.
         std: standard deviation of the level, DN.
-        spread: standard deviation of a clipped pixel's code, DN.
+        spread: standard deviation of the codes of clipped pixels, DN.
         pixels: number of clipped pixels; 0: no clipping, and `level` is the largest code.
     """
 
@@ -37,7 +38,7 @@ class ClipLevel(NamedTuple):
 
     @property
     def threshold(self) -> float:
-        """Return the code above which a pixel is treated as clipped, DN."""
+        """Return the smallest code of a pixel that is treated as clipped, DN."""
         if not self.pixels:
             return self.level + 1.0
         return self.level - max(6 * self.spread, 0.002 * abs(self.level), 0.5)
@@ -49,10 +50,10 @@ class ExposureRatios(NamedTuple):
     Attributes:
         value: exposure relative to the shortest, (k,).
         covariance: covariance of the logarithms of `value`, (k, k); 0 for the shortest, infinite on the diagonal for
-            exposures without a link to it.
+            exposures without a link to the shortest.
         misfit: scatter relative to noise, chi2 per degree of freedom.
-        curve: code above dark over the largest one, relative departure from a straight line there, and its standard
-            deviation; (n, 3).
+        curve: code above dark relative to the largest code, relative departure from linearity at this code, and the
+            standard deviation of the departure, (n, 3).
         linked: whether overlapping pixels link all exposures.
     """
 
@@ -63,7 +64,7 @@ class ExposureRatios(NamedTuple):
     linked: bool
 
     def std(self, reference: int = 0) -> np.ndarray:
-        """Compute the relative standard deviation of each exposure over the one at index `reference`, (k,)."""
+        """Compute the relative standard deviation of the ratio of each exposure to that at index `reference`, (k,)."""
         own = np.diag(self.covariance)
         with np.errstate(invalid="ignore"):
             variance = own + own[reference] - 2 * self.covariance[reference]
@@ -75,9 +76,7 @@ class ExposureRatios(NamedTuple):
 def first_guess(
     samples: Sequence[BracketSample], count: int, top: float, noise: float, nominal: np.ndarray
 ) -> np.ndarray:
-    """Estimate relative exposures from medians of ratios of neighbouring exposures; the nominal ones without
-    overlap.
-    """
+    """Estimate relative exposures from ratios of the light in neighbouring exposures; nominal ratios without overlap."""
     guess = np.ones(count)
     for k in range(1, count):
         ratios = []
@@ -118,7 +117,7 @@ def measure_clip_level(samples: Sequence[BracketSample], guess: np.ndarray, larg
 
 
 def usable(sample: BracketSample, exposures: np.ndarray, clip: ClipLevel, noise: float) -> np.ndarray:
-    """Find the usable pixels in each exposure, (k, n), from the shorter exposures, not from the pixel itself."""
+    """Find the pixels of each exposure, (k, n), that are not clipped according to their code and to shorter exposures."""
     relative = exposures[sample.exposures]
     below = sample.codes < clip.threshold
     height = max(clip.level - float(np.median(sample.codes[0] - sample.light[0])), 1.0)
@@ -190,7 +189,7 @@ def fit_gain(
                 continue
             difference = sample.light[a][both] - share * sample.light[b][both]
             brightness = share * sample.around[b][both]
-            own = share * sample.light[b][both]  # four times the light of a: its noise is small
+            own = share * sample.light[b][both]  # b is the longer exposure, so its relative noise is small
             good = (brightness > 0) & (np.abs(own - brightness) < 0.2 * np.maximum(brightness, 20 * noise))
             rows.append(np.stack([difference[good], own[good], brightness[good], np.full(good.sum(), share)]))
     if not rows:
@@ -200,7 +199,7 @@ def fit_gain(
     difference, mean, brightness, share = difference[inside], mean[inside], brightness[inside], share[inside]
     if difference.size < 200:
         return float("nan"), float("inf")
-    # bins by the neighbours: bins by the pixel itself would truncate its noise
+    # the neighbours determine the bin, because bins of the pixel's own light would truncate its noise
     cuts = np.unique(np.quantile(brightness, np.linspace(0, 1, 25)))
     position = np.clip(np.searchsorted(cuts, brightness, side="right") - 1, 0, len(cuts) - 2)
     slope, extra, size = [], [], []
@@ -217,7 +216,7 @@ def fit_gain(
         size.append(kept.size)
     if not slope:
         return float("nan"), float("inf")
-    # weights by the expected scatter: weights by the measured one would favour bins that are low by chance
+    # the expected scatter determines the weights, because the measured scatter would favour bins that are low by chance
     value = float(np.median(slope))
     for _ in range(4):
         error = (max(value, 1e-9) + np.asarray(extra)) * np.sqrt(2 / np.asarray(size))
@@ -227,10 +226,10 @@ def fit_gain(
 
 
 def fit_gain_of_single(samples: Sequence[BracketSample], clip: ClipLevel, noise: float) -> tuple[float, float]:
-    """Bound the gain of a single exposure from differences between neighbouring pixels.
+    """Estimate an upper bound of the gain from differences between neighbouring pixels of a single exposure.
 
-    Texture and gradients increase the variance like noise, so the lower quartile of variance over mean in bins of
-    brightness is used.
+    Like noise, texture and gradients increase the variance, so the lower quartile of variance over mean in bins of
+    brightness is used. The result is the gain, DN per electron, and its standard deviation.
     """
     light = np.concatenate([sample.light[-1] for sample in samples])
     around = np.concatenate([sample.around[-1] for sample in samples])
@@ -255,7 +254,7 @@ def fit_gain_of_single(samples: Sequence[BracketSample], clip: ClipLevel, noise:
 def _groups(
     samples: Sequence[BracketSample], exposures: np.ndarray, clip: ClipLevel, noise: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Compute sums of light (DN) and pixel counts, (groups, exposures) each; both are 0 for an unused group."""
+    """Compute sums of light (DN) and pixel counts, (groups, exposures) each; both are 0 for unused exposures."""
     sums, counts = [], []
     for sample in samples:
         use = usable(sample, exposures, clip, noise)
@@ -305,7 +304,7 @@ def _solve(
 
 
 def _curve(sums: np.ndarray, counts: np.ndarray, mean: np.ndarray, variance: np.ndarray) -> np.ndarray:
-    """Compute code, relative departure from linearity, and its standard deviation, by octaves of the code."""
+    """Compute code, relative departure from linearity and its standard deviation for each half octave of the code."""
     used = counts > 0
     code, residual, var, size = mean[used], (sums - counts * mean)[used], variance[used], (counts * mean)[used]
     if not code.size:

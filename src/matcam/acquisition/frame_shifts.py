@@ -1,4 +1,4 @@
-"""Position of the sphere in every frame: sphere or camera move by tenths of a pixel between images.
+"""Position of the sphere in every frame, because sphere or camera move by tenths of a pixel between images.
 
 One lamp lights part of the limb. One radius, one centre and the shift of every frame are solved for jointly from many
 such crescents, because a mean of shifted frames would have a limb that is neither round nor of the radius of the
@@ -19,9 +19,13 @@ from matcam.core.errors import FitError
 from matcam.core.remark import Remark
 
 _TURNS = 5
+"""Largest number of Gauss-Newton steps."""
 _BRIGHT = 0.5
-_STILL = 1e-3  # px: convergence of a shift
+"""Share of the largest contrast of the limb above which a sector is used."""
+_STILL = 1e-3
+"""Largest change of a shift or of the outline at convergence, px."""
 _OUTLIER = 4.0
+"""Number of standard deviations from the fitted limb above which a sector is omitted."""
 
 
 class FrameShift(NamedTuple):
@@ -30,9 +34,9 @@ class FrameShift(NamedTuple):
     Attributes:
         row: shift along the rows axis, px, downwards.
         column: shift along the columns axis, px, to the right.
-        covariance: covariance of row and column, px^2 (2, 2). If the limb is lit on one side only, it is large in one
-            direction; without a visible limb it is the prior.
-        sectors: number of parts of the limb.
+        covariance: covariance of row and column, px^2 (2, 2). If the limb is lit on one side only, the covariance is
+            large in one direction; without a visible limb it is that of the prior.
+        sectors: number of sectors of the limb that were used.
     """
 
     row: float
@@ -53,11 +57,11 @@ def find_shifts(
 
     Args:
         pictures: images, one for each lamp.
-        outline: outline of the sphere, from one image or from all of them stacked.
+        outline: outline of the sphere, from one image or from the stack of all images.
         light: "lit" or "backlit". Default: "lit".
         shift_std: prior standard deviation of the motion between frames, px. Default: 0.5.
-        same_radius: whether the outline is an independent measurement from other images. False if it is from their
-            stack. Default: True.
+        same_radius: True if the outline is an independent measurement from other images; False if it is from the stack
+            of these images. Default: True.
 
     Returns:
         The outline at the mean position, and a shift for each image.
@@ -78,7 +82,7 @@ def find_shifts(
             edges = fit.edges(here, sigma, fit.exponents)
             with np.errstate(invalid="ignore"):
                 chosen = fit.usable(edges) & (np.abs(edges.offset) < 2.0)
-                # towards the ends of the terminator light varies along the limb within a sector
+                # near the ends of the terminator the radiance varies along the limb within a sector
                 chosen &= edges.contrast > _BRIGHT * np.max(edges.contrast, where=chosen, initial=0.0)
                 floor = 1.4826 * np.nanmedian(np.abs(edges.offset[chosen])) if chosen.any() else 0.0
                 std = np.sqrt(edges.std**2 * np.maximum(edges.misfit, 1.0) + min(outline.scatter, 0.2) ** 2)
@@ -94,7 +98,7 @@ def find_shifts(
             used.append(chosen)
         if not any(chosen.any() for chosen in used):
             raise FitError(
-                "no image shows the limb in front of its background; photograph the outline before a bright field"
+                "no image shows the limb in front of its background: photograph the outline before a bright field"
             )
         step, covariance = _solved(np.array(blocks), np.array(pulls), shifts, shift_std, position, outline, same_radius)
         position, shifts = position + step[:3], shifts + step[3:].reshape(-1, 2)
@@ -113,8 +117,9 @@ def find_shifts(
     remarks = outline.remarks
     moved = float(np.sqrt(np.mean(np.sum(shifts**2, axis=1))))
     if moved > 2 * shift_std:
-        remarks += (Remark("sphere-moved", f"the sphere moves by {moved:.2f} px rms between frames"),)
-    # lens and light near the limb are common to all frames
+        text = f"the sphere moves by {moved:.2f} px rms between frames: fasten the sphere and the camera"
+        remarks += (Remark("sphere-moved", text),)
+    # the errors due to the lens and to the light near the limb are common to all frames
     common = outline.covariance - outline.noise if not same_radius else 0.0
     return replace(
         outline,
@@ -135,7 +140,7 @@ def _solved(
     outline: Outline,
     same_radius: bool,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Compute the step of (row, column, radius, shifts...) and its covariance; shifts are about their mean."""
+    """Compute the step of (row, column, radius, shifts...) and its covariance; the shifts have mean 0 in the prior."""
     count = len(blocks)
     information, pull = np.zeros((3 + 2 * count, 3 + 2 * count)), np.zeros(3 + 2 * count)
     information[:3, :3], pull[:3] = blocks.sum(0), pulls.sum(0)

@@ -19,14 +19,14 @@ from matcam.acquisition.mirror_ball import MirrorBall, unit
 from matcam.core.errors import FitError
 from matcam.core.remark import Remark, gathered
 
-_LEVEL = 0.3  # share of the height of the highlight above which pixels belong to it
-_WORTH = 0.05  # share of its light above which another bright spot is reported
-_FAINTEST = 0.3  # share of the light of the sphere
-_BROADEST = 0.12  # share of the area of the disc
-_LOST = 0.3  # share of the disc
-_RIM = 0.995  # share of the radius
-_PIXELS = 3000
-_SHAPE = 0.05  # share by which a highlight may differ from the fitted lobe
+_LEVEL = 0.3  # share of the height of the highlight above which a pixel is part of the highlight
+_WORTH = 0.05  # share of the light of the highlight above which another bright spot is reported
+_FAINTEST = 0.3  # smallest height of a highlight, relative to the median of the sphere
+_BROADEST = 0.12  # largest area of a highlight, as a share of the disc
+_LOST = 0.3  # largest clipped share of the disc
+_RIM = 0.995  # share of the radius within which pixels are used, because those at the limb are mixed with background
+_PIXELS = 3000  # largest number of pixels in a fit, which bounds its time
+_SHAPE = 0.05  # relative error of the model, because a highlight may differ from the fitted lobe
 
 
 @dataclass(frozen=True)
@@ -39,9 +39,9 @@ class Highlight:
         column: column of the mirror point in the frame, px.
         covariance: covariance of row and column, px^2 (2, 2).
         normal: normal of the sphere at the mirror point, unit vector (3,).
-        width: width of the lobe across the plane of incidence, without the lens's blur, as a turn of the normal, rad.
+        width: width of the lobe across the plane of incidence, without the lens's blur, as a rotation of the normal, rad.
         clipped: number of clipped pixels in the highlight.
-        others: (row, column, share of this highlight's light) of other bright spots.
+        others: (row, column, light) of other bright spots, px and relative to the light of this highlight.
         remarks: warnings and limitations.
     """
 
@@ -68,7 +68,7 @@ def find_highlight(picture: MergedPicture, ball: MirrorBall, *, blur: float = 0.
         The mirror point, with a list of other bright spots.
 
     Raises:
-        FitError: no highlight, a clipped sphere, or a spot as broad as the sphere.
+        FitError: the image shows no highlight, the sphere is clipped, or the brightest spot is too broad.
     """
     shape = picture.values.shape
     rows, columns = np.indices(shape) + np.array(picture.origin)[:, None, None]
@@ -76,24 +76,29 @@ def find_highlight(picture: MergedPicture, ball: MirrorBall, *, blur: float = 0.
     main = np.bincount(picture.channel[on].ravel(), minlength=1).argmax() if on.any() else 0
     one = on & np.isfinite(picture.values) & (picture.channel == main)
     if one.sum() < 30:
-        raise FitError(f"{picture.name}: the sphere's disc contains {one.sum()} values; it must lie in the frame")
+        raise FitError(
+            f"{picture.name}: the disc of the sphere contains only {one.sum()} values: check that it lies inside the frame"
+        )
     lost = float(np.mean(picture.clipped[on]))
     if lost > _LOST:
-        raise FitError(f"{picture.name}: {lost:.0%} of the sphere is clipped; take a shorter exposure too")
+        raise FitError(f"{picture.name}: {lost:.0%} of the sphere is clipped; add a shorter exposure")
     spots, background = _spots(picture, one, on)
     if not spots:
-        raise FitError(f"{picture.name}: no highlight stands out on the sphere; the lamp may be off, or behind it")
+        raise FitError(
+            f"{picture.name}: the sphere shows no highlight; check that the lamp is on, and not behind the sphere"
+        )
     first = spots[0]
     area = first[3] / np.count_nonzero(on)
     if area > _BROADEST:
         raise FitError(
-            f"{picture.name}: the brightest spot covers {area:.0%} of the sphere: no highlight; give the lamp's direction"
+            f"{picture.name}: the brightest spot covers {area:.0%} of the sphere, more than a highlight; specify the lamp's "
+            "direction"
         )
     remarks = []
     others = tuple((s[0] + picture.origin[0], s[1] + picture.origin[1], s[2] / first[2]) for s in spots[1:])
     if others:
         at = "; ".join(f"row {r:.0f}, column {c:.0f} ({share:.0%})" for r, c, share in others[:3])
-        remarks.append(Remark("several-highlights", f"{picture.name}: further bright spots at {at}"))
+        remarks.append(Remark("several-highlights", f"{picture.name}: remove the cause of other bright spots, at {at}"))
     near = (rows - picture.origin[0] - first[0]) ** 2 + (columns - picture.origin[1] - first[1]) ** 2
     near = near < max(5.0, 3.0 * np.sqrt(first[3] / np.pi) + 2) ** 2
     for r, c, _, size in spots[1:]:
@@ -114,7 +119,8 @@ def find_highlight(picture: MergedPicture, ball: MirrorBall, *, blur: float = 0.
         position, covariance, width = np.array(start), np.eye(2) * (0.5 + spot / 2) ** 2, float(spot / ball.radius)
         remarks.append(Remark("highlight-by-centroid", str(error)))
     if clipped:
-        remarks.append(Remark("clipped", f"{picture.name}: {clipped} pixels of the highlight are clipped"))
+        text = f"{picture.name}: {clipped} pixels of the highlight are clipped: add a shorter exposure"
+        remarks.append(Remark("clipped", text))
     normal = ball.normals(*position)
     row, column = map(float, position)
     return Highlight(picture.name, row, column, covariance, normal, width, clipped, others, tuple(remarks))
@@ -123,7 +129,7 @@ def find_highlight(picture: MergedPicture, ball: MirrorBall, *, blur: float = 0.
 def _spots(
     picture: MergedPicture, one: np.ndarray, on: np.ndarray
 ) -> tuple[list[tuple[float, float, float, int]], float]:
-    """Find bright spots as (row, column, light, pixels), the brightest first, and the light around them."""
+    """Find bright spots (row, column, light, number of pixels), the brightest first, and the background."""
     light = np.where(one, picture.values, -np.inf)
     background = float(np.median(picture.values[one]))
     noise = float(np.median(picture.std[one]))
@@ -192,7 +198,7 @@ class _LobeFit:
         return np.exp(height) * shape + level * self.background
 
     def residual(self, p: np.ndarray) -> np.ndarray:
-        """Compute (light - model) over its error; a clipped pixel counts if the model is below it."""
+        """Compute (value - model) / error; the residual of a clipped pixel is 0 if the model exceeds its value."""
         residual = (self.values - self.model(p)) / self.error
         # weak prior: the exponent of the lobe is about 2
         return np.append(np.where(self.clipped, np.maximum(residual, 0.0), residual), (p[4] - np.log(2.0)) / 1.0)
@@ -217,7 +223,9 @@ class _LobeFit:
         )
         position = self.start + found.x[:2]
         if not np.isfinite(self.ball.normals(*position)).all() or np.abs(found.x[:2]).max() > 0.99 * room:
-            raise FitError(f"{self.name}: the bright spot is not a lobe on the sphere: only its centroid can be used")
+            raise FitError(
+                f"{self.name}: the bright spot is not a lobe on the sphere, so its centroid is used: check the outline"
+            )
         spread = np.linalg.pinv(found.jac.T @ found.jac)[:2, :2]
         freedom = max(len(self.values) - len(first), 1)
         return position, spread * max(1.0, 2 * found.cost / freedom), float(np.exp(found.x[3]))
@@ -234,7 +242,7 @@ def lamp_from_highlight(
         lamp_distance: distance of the lamp from the sphere's centre, radii. Default: infinite.
 
     Returns:
-        Unit vector from the sphere's centre (3,), and its covariance due to that of the highlight, rad^2 (3, 3).
+        Unit vector from the sphere's centre (3,), and its covariance, propagated from the highlight, rad^2 (3, 3).
     """
     here = ball.lamp_seen_at(highlight.normal, lamp_distance)
     step = 1e-3
@@ -255,7 +263,7 @@ def lamp_angles_apart(lamps: np.ndarray, others: np.ndarray) -> np.ndarray:
 def find_highlights(
     pictures: Sequence[MergedPicture], ball: MirrorBall, *, blur: float = 0.6
 ) -> tuple[list[Highlight | None], tuple[Remark, ...]]:
-    """Find the highlight of every image; an image without a highlight gives None and a remark.
+    """Find the highlight of every image.
 
     Args:
         pictures: images, one for each lamp.
@@ -263,7 +271,8 @@ def find_highlights(
         blur: standard deviation of lens and pixel together, px. Default: 0.6.
 
     Returns:
-        A highlight or None for each image, and all remarks; a remark on many images is given once.
+        A highlight for each image, or None and a remark if there is no highlight; and all remarks. Equal remarks on many
+        images are combined.
     """
     found: list[Highlight | None] = []
     remarks: list[tuple[str, Remark]] = []

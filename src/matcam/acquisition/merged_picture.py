@@ -1,4 +1,4 @@
-"""Light of one lamp position, merged from its exposures: the input of a reconstruction."""
+"""Radiance of the sample under one lamp position, merged from its exposures: the input of a reconstruction."""
 
 from dataclasses import dataclass
 
@@ -7,13 +7,13 @@ import numpy as np
 
 @dataclass(frozen=True)
 class MergedPicture:
-    """Linear radiance of one lamp position on the sensor's own pixels, with noise and clipping.
+    """Linear radiance under one lamp position on the sensor's own pixels, with noise and clipping.
 
     Attributes:
         name: name of the lamp position in `frames.csv`.
         values: linear radiance of each pixel, of shape (height, width), in one unit for all images of a capture:
-            electrons, or digital numbers, of the reference exposure. Dark is subtracted. NaN: no value.
-        std: standard deviation of `values` by photon and read noise, same shape and unit.
+            electrons, or digital numbers, of the reference exposure. The dark level is subtracted. NaN: no value.
+        std: standard deviation of `values` due to photon and read noise, same shape and unit.
         clipped: pixels that were clipped in every exposure, same shape: the true value is at least `values`.
         channel: index into `channels` of each pixel, same shape; mosaics are not interpolated.
         channels: names of the colours, ("R", "G", "B") or ("grey",).

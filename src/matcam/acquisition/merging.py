@@ -2,7 +2,7 @@
 
 The flux of a pixel is the weighted mean of its exposures, f = sum w d / sum w e with w = e / (K e f + r^2), where K is
 the gain and r the read noise. Clipping of a pixel in an exposure is predicted from shorter exposures, because selection
-by its own noisy code would bias it.
+by the noisy code itself would bias the flux.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ from matcam.files.capture import Capture, Region
 _SAFE = 0.93
 """Largest predicted share of the clip level of a usable pixel."""
 _DIM = 10.0
-"""Signal in the longest exposure, in read noises, below which the variance of a pixel comes from its neighbours.
+"""Signal in the longest exposure, in read noises, below which the neighbours of a pixel determine its variance.
 
-A weight by its own noise would bias the pixel.
+Weights from the noisy pixel itself would bias its flux.
 """
 _AGREE = 4.0
 """Largest difference of a pixel from the neighbours that determine its variance, in standard deviations."""
@@ -46,15 +46,15 @@ def merge(
 ) -> tuple[list[MergedPicture], Radiometry]:
     """Calibrate a capture radiometrically, and merge the exposures of every lamp position.
 
-    The frames of as many lamp positions as there are workers are in memory at a time.
+    Each worker has the frames of one lamp position in memory.
 
     Args:
         capture: the capture.
         region: first column, first row, width, height of the part that is used, px; the first two even. None: that of
             the capture, or the whole frame. Default: None.
         progress: called after each lamp position of both passes. Default: None.
-        workers: lamp positions that are read at a time. Default: 1.
-        kept: stored results from which an interrupted run resumes. Default: None, none.
+        workers: number of lamp positions that are read at a time. Default: 1.
+        kept: cache of results from which an interrupted run resumes. Default: None, no cache.
 
     Returns:
         The merged images in the order of the lamps, and the radiometry.
@@ -72,8 +72,8 @@ def merge(
         proof = tone_curve_proof(radiometry.tone_exponent)
         if proof is not None:
             raise FitError(
-                f"{capture.folder}: {proof}: give raw frames, specify camera.tone, correct or delete the times, or accept them "
-                "with camera.accept_processed = true"
+                f"{capture.folder}: {proof}: give raw frames, specify camera.tone, correct or delete the times, or accept the "
+                "frames with camera.accept_processed = true"
             )
     pictures = []
     for number, picture in enumerate(merged_pictures(capture, radiometry, workers, kept)):
@@ -91,7 +91,7 @@ def merged_pictures(
     Args:
         capture: the capture.
         radiometry: radiometric calibration from `measure_radiometry`.
-        workers: lamp positions that are merged at a time. Default: 1.
+        workers: number of lamp positions that are merged at a time. Default: 1.
         kept: cache of merged images, from which an interrupted run resumes. Default: None, no cache.
     """
     reader = MosaicReader(capture)
@@ -167,7 +167,7 @@ def merge_position(
     use = _usable(light, full, relative, heights, noise, step, bool(clip.pixels))
     flux, variance = _weighted(light, use, relative, gain, noise, step)
     none = ~np.any(use, axis=0)
-    # clipped in all exposures: the value of the shortest is a lower bound
+    # for a pixel that is clipped in all exposures, the clip level of the shortest exposure is a lower bound
     floor = min(heights[0], clip.threshold - (clip.level - heights[0])) / relative[0]
     flux = np.where(none, floor, flux)
     variance = np.where(none, (gain * floor * relative[0] + noise**2) / relative[0] ** 2, variance)
@@ -186,7 +186,7 @@ def merge_position(
 
 
 def bracket_misfit(capture: Capture, lamp: str, radiometry: Radiometry, picture: MergedPicture) -> float:
-    """Compute the differences between exposures of a lamp position relative to their noise, chi2 per degree of freedom.
+    """Compute the misfit between the exposures of a lamp position, chi2 per degree of freedom.
 
     A value well above 1 indicates that the sample, camera or lamp moved between the exposures.
     """
@@ -207,7 +207,7 @@ def bracket_misfit(capture: Capture, lamp: str, radiometry: Radiometry, picture:
         good = (mean > _BRIGHT * noise) & (mean < _SAFE * (radiometry.clip.level - np.mean(dark))) & ~picture.clipped
         good &= (code < radiometry.clip.threshold) & np.isfinite(picture.values)
         residual = (code - dark)[good] - mean[good]
-        # the mean contains this frame: its share of the information is not a residual
+        # the mean contains this frame, which reduces the variance of the residual by that of the mean
         own = (gain * mean[good] + noise**2) - (relative * (std * response)[good] * gain) ** 2
         kept = own > 0.05 * (gain * mean[good] + noise**2)
         total += float(np.sum(residual[kept] ** 2 / own[kept]))
@@ -219,8 +219,8 @@ def misfit_remark(lamp: str, misfit: float) -> Remark | None:
     """Return a remark if the exposures of a lamp position differ by more than noise; otherwise None."""
     if not misfit > 2.0:
         return None
-    text = f"lamp {lamp}: its exposures differ {math.sqrt(misfit):.1f} times more than noise: "
-    return Remark("bracket-moved", text + "sample, camera or lamp moved between them")
+    text = f"lamp {lamp}: the differences of its exposures are {math.sqrt(misfit):.1f} times their noise: "
+    return Remark("bracket-moved", text + "fasten sample, camera and lamp, and repeat the exposures")
 
 
 def _usable(
@@ -242,7 +242,7 @@ def _usable(
         weight += np.where(use[k - 1], relative[k - 1], 0).astype(np.float32)
         predicted = np.where(weight > 0, total / np.maximum(weight, 1e-30), np.inf)
         use[k] &= (relative[k] * predicted < _SAFE * heights[k]) | (
-            # dim in the shorter exposure: the light of the neighbours is a better estimate
+            # the pixel is dim in the shorter exposure, so the light of the neighbours is a better estimate
             (predicted * relative[k - 1] < 8 * noise) & (same_colour_neighbours(light[k], step) < _SAFE * heights[k])
         )
     return use
@@ -257,8 +257,8 @@ def _weighted(
         top += np.multiply(d, one, out=own)
         under += np.multiply(one, e, out=own)
     flux = top / np.maximum(under, 1e-30)
-    # weights by the noise of the pixel itself would bias it low; its neighbours give the expected variance if it agrees
-    # with them within noise
+    # weights from the pixel itself would bias it low, so its neighbours determine the expected variance if the pixel
+    # agrees with them within noise
     around = same_colour_neighbours(flux, step)
     np.maximum(under, np.float32(relative.min()), out=under)
     variance = (np.float32(gain) * np.maximum(around, 0) + np.float32(len(light) * noise**2) / under) / under

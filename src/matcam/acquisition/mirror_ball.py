@@ -1,7 +1,7 @@
 """Sphere in front of a camera as a mirror: normals of pixels, and mirror images of lamps (Alhazen's problem).
 
 Axes: x right, y up, z to the camera and parallel to its axis; the origin is the sphere's centre, lengths are in its
-radii. Rows increase downwards. Everything is exact for a near camera, a near lamp and a sphere beside the camera's
+radii. Rows increase downwards. The formulas are exact for a near camera, a near lamp and a sphere beside the camera's
 axis.
 """
 
@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-_TURNS = 60
+_TURNS = 60  # number of bisections, which reach double precision
 
 
 def unit(vectors: np.ndarray) -> np.ndarray:
@@ -60,8 +60,8 @@ class MirrorBall(NamedTuple):
         """Compute the normal at each position in the frame.
 
         Args:
-            rows: px; broadcasts with columns.
-            columns: px.
+            rows: rows of the positions, px; broadcasts with `columns`.
+            columns: columns of the positions, px.
 
         Returns:
             Unit vectors (..., 3); NaN beside the sphere.
@@ -81,7 +81,7 @@ class MirrorBall(NamedTuple):
             return foot - np.sqrt(1 - (foot**2).sum(-1, keepdims=True)) * ray
 
     def position(self, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Compute the row and column of normals (..., 3) in the frame, px; NaN for invisible ones."""
+        """Compute the row and column of normals (..., 3) in the frame, px; NaN for invisible points."""
         normals = np.asarray(normals, float)
         camera = self.towards_camera
         seen = normals @ camera > 1 / self.distance
@@ -122,7 +122,7 @@ class MirrorBall(NamedTuple):
         return unit(nearness * normals + length * light)
 
     def mirror_normals(self, lamps: np.ndarray, lamp_distance: float | np.ndarray = np.inf) -> np.ndarray:
-        """Compute the normals at which the camera sees lamps mirrored.
+        """Compute the normals at which lamps are mirrored into the camera.
 
         Args:
             lamps: directions from the sphere's centre, unit vectors (..., 3).
@@ -136,7 +136,7 @@ class MirrorBall(NamedTuple):
         size = np.linalg.norm(across, axis=-1)
         full = np.arctan2(size, lamps @ camera)
         nearness = 1 / np.asarray(lamp_distance, float)
-        # as the normal turns towards the camera, the angle of the light grows relative to that of the view: bisection
+        # bisection: as the normal turns towards the camera, the angle of incidence grows relative to the viewing angle
         low, high = np.zeros_like(full), full
         for _ in range(_TURNS):
             t = (low + high) / 2
@@ -150,20 +150,21 @@ class MirrorBall(NamedTuple):
     def mirror_position(
         self, lamps: np.ndarray, lamp_distance: float | np.ndarray = np.inf
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Compute the row and column of the mirror images of lamps, px; arguments as for `mirror_normals`."""
+        """Compute row and column of the mirror images of lamps, px. The arguments are those of `mirror_normals`."""
         return self.position(self.mirror_normals(lamps, lamp_distance))
 
 
 def pull_to_limb(theta_o: float | np.ndarray, width: float | np.ndarray) -> np.ndarray:
-    """Compute the shift of the brightest point of a rough sphere from the mirror point, as a turn of the normal, rad.
+    """Compute the shift of the brightest point of a rough sphere from the mirror point, as a rotation of the normal, rad.
 
-    Foreshortening packs more facets into a pixel near the limb: the lobe D appears as D / cos(theta_o), and its maximum
-    moves by width^2 tan(theta_o) to first order. The error of the direction of the lamp would be twice that.
+    Near the limb, foreshortening increases the number of facets in a pixel. The lobe D therefore appears as
+    D / cos(theta_o), and its maximum moves by width^2 tan(theta_o) to first order. If this shift is neglected, the error
+    of the direction of the lamp is twice the shift.
 
     Args:
         theta_o: angle between normal and view, rad.
-        width: width of the lobe at its top, rad: std of a Gaussian in theta_h; alpha / sqrt(2) for Beckmann, alpha / 2
-            for GGX.
+        width: width of the lobe at its maximum, rad: the standard deviation in theta_h for a Gaussian, alpha / sqrt(2)
+            for Beckmann, alpha / 2 for GGX.
 
     Source:
         docs/model.md 10.

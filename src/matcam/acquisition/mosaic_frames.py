@@ -1,7 +1,7 @@
 """Frames of a capture as mosaics of linear codes: one value per pixel, with its colour.
 
-Grey images and raw mosaics are used directly. From an image in full colour each pixel keeps one of its three values, as
-in a mosaic of the specified colours: if the image was demosaiced from that mosaic, these are the measured values.
+Grey images and raw mosaics are used directly. Of an image in full colour, one of the three values of each pixel is used,
+as in a mosaic of the specified colours. If the image was demosaiced from that mosaic, these are the measured values.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from matcam.files.tone_curve import decoded
 
 _TILES = {"R": 0, "G": 1, "B": 2}
 ASSUMED_CFA = "RGGB"
-"""Mosaic that is assumed for an image in full colour if the capture specifies none; it mixes no colours for any
-original mosaic.
+"""Mosaic that is assumed for an image in full colour if the capture does not specify it. With another original mosaic the
+values are interpolated, but do not mix colours.
 """
 
 
@@ -44,7 +44,7 @@ class MosaicReader:
 
     @property
     def cfa(self) -> str | None:
-        """Return the colours of the first 2 x 2 px of a whole frame, as specified or from the files of the frames."""
+        """Return the colours of the first 2 x 2 px of an entire frame, as specified or from its file; None: grey."""
         stated = self.capture.settings["camera"]["cfa"] or (self._first[1] if self._first else None)
         return stated or (ASSUMED_CFA if self._first and self._first[3] else None)
 
@@ -64,8 +64,8 @@ class MosaicReader:
     def read(self, frame: CaptureFrame, region: Region | None = None) -> np.ndarray:
         """Read the codes of a frame or a region, float32 (height, width).
 
-        FileFormatError names the frame if its kind differs from that of the first, or if it is processed and
-        accept_processed is not set.
+        A FileFormatError is raised if the kind of the frame differs from that of the first frame, or if the frame is
+        processed and accept_processed is not set.
         """
         photograph = self.capture.read(frame, region)
         self._check(frame, photograph)
@@ -98,20 +98,22 @@ class MosaicReader:
                 )
                 if new != old
             ]
-            raise FileFormatError(f"{path}: is of another kind than the first frame: {', '.join(what)}")
+            raise FileFormatError(f"{path}: differs from the first frame ({', '.join(what)}): give frames of one kind")
         processed = []
         if colour:
             processed.append(
-                "demosaiced: a blur of up to half a pixel that a profile of the raw camera does not contain"
+                "demosaiced: this blurs by up to half a pixel, which a profile of the raw camera does not contain"
             )
             if camera["cfa"] is None:
                 processed.append(
-                    f"in full colour, and capture.toml has no camera.cfa: each pixel is read in its colour of {ASSUMED_CFA}"
+                    f"in full colour, and capture.toml has no camera.cfa: the mosaic {ASSUMED_CFA} is assumed; specify it"
                 )
         if values.dtype.kind == "u" and values.dtype.itemsize == 1:
-            processed.append("of 8 bits: rounding of 0.3 codes, and probably a tone curve that changes every ratio")
+            processed.append(
+                "of 8 bits: rounding adds 0.3 codes of noise, and a tone curve probably changes every ratio"
+            )
         if camera["tone"] != "linear":
-            processed.append("through a tone curve: it limits the accuracy of exposure ratios and clip level")
+            processed.append("decoded from a tone curve: this limits the accuracy of exposure ratios and clip level")
         if processed and not camera["accept_processed"]:
             raise FileFormatError(
                 f"{path}: is {processed[0].split(':')[0]}: give raw frames, or accept it with camera.accept_processed = true"

@@ -1,8 +1,8 @@
-"""Outline of a sphere in an image: centre and radius of the limb, through the lens, with covariance.
+"""Outline of a sphere in an image: centre and radius of the limb, corrected for the blur of the lens, with covariance.
 
-An image shows the limb where a lamp lights the sphere up to it, or as a dark disc in front of a bright field. Its edges
-are measured one sector of azimuth at a time (`limb/limb_edges.py`), and the outline is the conic of a sphere at a known
-distance: a circle on the camera's axis, an ellipse beside it. Sectors with a stand, dust or a highlight are left out.
+An image shows the limb where a lamp lights the sphere up to the limb, or as the border of a dark disc in front of a
+bright field. Its edges are measured in sectors of azimuth (`limb/limb_edges.py`). The outline is the conic of a sphere at
+a known distance: a circle on the camera's axis, an ellipse beside it. Sectors with a stand, dust or a highlight are omitted.
 """
 
 from __future__ import annotations
@@ -24,18 +24,18 @@ from matcam.core.remark import Remark
 
 LimbLight = Literal["lit", "backlit"]
 EXPONENTS: dict[str, tuple[float, ...]] = {"lit": (0, 0.5, 1), "coated": (0, 0.5, 1), "backlit": (0, 1)}
-"""Powers of the distance inside the limb in the model of its light: the cosine of the viewing angle is proportional to
-the root. "coated": times the transmittance of a clear coat, as on glossy plastic; a lit sphere is fitted by both."""
+"""Exponents of the distance inside the limb in the model of its light; the cosine of the viewing angle has exponent 0.5.
+"coated" includes the transmittance of a clear coat, as on glossy plastic; a lit sphere is fitted with both models."""
 
-_SIGMAS = (0.05, 0.2, 0.5, 0.9, 1.6, 2.5)  # px, of an unmeasured lens
-_PIXELS_IN_SECTOR = 80
-_CONTRAST = 8.0  # step of light over its noise
-_LARGEST_STD = 0.3  # px, standard deviation of the edge of a sector
-_MISFIT = 6.0  # factor of the typical chi squared: dust, a stand
-_OUTLIER = 4.0  # standard deviations
-_RAGGED = 0.4  # px, rms distance of the edges from the outline: no limb
+_SIGMAS = (0.05, 0.2, 0.5, 0.9, 1.6, 2.5)  # initial values of the standard deviation of an unmeasured blur, px
+_PIXELS_IN_SECTOR = 80  # typical number of pixels in a sector
+_CONTRAST = 8.0  # smallest ratio of the step of light to its noise
+_LARGEST_STD = 0.3  # largest standard deviation of the edge of a sector, px
+_MISFIT = 6.0  # ratio to the typical chi squared above which a sector shows dust or a stand
+_OUTLIER = 4.0  # number of standard deviations from the outline above which an edge is omitted
+_RAGGED = 0.4  # largest rms distance of the edges of a limb from the outline, px
 _TEMPER = 15.0
-"""Difference in chi squared between two models of the light, 2 for exact models, for a likelihood ratio of e."""
+"""Difference in chi squared for a likelihood ratio of e between two models of the light. It is 2 for exact models."""
 _SIMPLER = 30.0
 """Decrease of chi squared with a coat below which a sphere is treated as uncoated."""
 _FIT = ("chi2", "freedom")
@@ -47,7 +47,7 @@ class Sighting(NamedTuple):
 
     Attributes:
         distance: distance of the camera from the sphere's centre, radii; infinite for an orthographic camera.
-        axis: (row, column) of the intersection of the optical axis with the frame, px; None if it meets the sphere.
+        axis: (row, column) of the intersection of the optical axis with the frame, px; None: the sphere's centre.
     """
 
     distance: float = np.inf
@@ -79,7 +79,7 @@ class Sighting(NamedTuple):
 
 @dataclass(frozen=True)
 class Outline:
-    """Sphere's outline in the frame.
+    """Outline of a sphere in the frame.
 
     Attributes:
         row: row of the image of the sphere's centre, px; rows increase downwards, pixel centres are integers.
@@ -89,10 +89,10 @@ class Outline:
         sigma: standard deviation of the lens's blur, px.
         sigma_std: standard deviation of `sigma`, px.
         sighting: geometry of the camera relative to the sphere.
-        sectors: number of measured edges.
-        used: number of edges used for the outline.
+        sectors: measured edges, one for each sector.
+        used: whether each edge is used for the outline.
         scatter: rms distance of the used edges from the outline, px.
-        noise: the part of `covariance` that is noise and scatter, px^2 (3, 3).
+        noise: part of `covariance` that is due to noise and scatter, px^2 (3, 3).
         coated: whether the light near the limb is that of a sphere under a clear coat.
         remarks: warnings and limitations.
     """
@@ -173,19 +173,19 @@ def find_outline(
 
     Args:
         picture: image of one lamp or of all lamps (`stacked`), or a frame with light from behind.
-        light: "lit" for a sphere brighter than its background, "backlit" for a dark one before a bright field.
+        light: "lit" for a sphere brighter than its background, "backlit" for a dark sphere in front of a bright field.
         sighting: geometry of the camera. Default: infinitely distant.
         lens: standard deviation of the lens's blur and its standard deviation, px. Default: estimated from the limb.
-        backlight_reach: angular extent of the bright field beyond the limb, seen from the sphere, and its standard
-            deviation, rad, which the sphere mirrors. Default: unknown, a field of 3 degrees is included in the error.
+        backlight_reach: angular extent beyond the limb of the bright field that the sphere mirrors, and its standard
+            deviation, rad. Default: unknown; the error includes the reflection of a field of 3 degrees.
         start: initial row, column and radius, px. Default: found by a search.
-        exponents: powers of the distance inside the limb in the model of its light, from 0. Default: `EXPONENTS`.
+        exponents: exponents of the distance inside the limb in the model of its light, from 0. Default: `EXPONENTS`.
 
     Returns:
         The outline, in px of the frame.
 
     Raises:
-        FitError: there is no sphere, there are two, the frame cuts it, or too little of its limb is lit.
+        FitError: the image shows no sphere or two, the frame cuts the sphere, or too little of the limb is lit.
 
     Source:
         docs/outline.md.
@@ -221,14 +221,14 @@ def _likelier(one: Outline, other: Outline) -> Outline:
 
 
 def _searched(picture: MergedPicture, light: LimbLight) -> tuple[float, float, float]:
-    """Search (row, column, radius) of the one sphere in the image."""
+    """Search for the only sphere in an image, and return its row, column and radius, px."""
     circles = find_circles(
         picture.values, picture.std, bright_inside=light == "lit", mosaic=len(np.unique(picture.channel)) > 1
     )
     if not circles:
         what = "brighter than its background" if light == "lit" else "dark before a bright field"
         raise FitError(
-            f"{picture.name}: no sphere {what} is visible; the whole sphere must be in the frame, or give a start"
+            f"{picture.name}: no sphere {what} is visible; show the entire sphere, or specify its centre and radius"
         )
     first = circles[0]
     if len(circles) > 1 and circles[1].score > 0.5 * first.score and circles[1].coverage > 0.35:
@@ -247,19 +247,19 @@ def _refuse_cut(picture: MergedPicture, circle: FoundCircle) -> None:
     if left < -0.5:
         raise FitError(
             f"{picture.name}: the frame cuts the sphere, whose limb of radius {circle.radius:.0f} px ends {-left:.0f} px "
-            f"outside; the whole sphere must be in the frame"
+            f"outside; show the entire sphere in the frame"
         )
 
 
 class OutlineFit:
-    """Fit of an outline: edges of sectors for the current curve, then the curve for the edges, until convergence.
+    """Iterative fit of an outline: edges of sectors about the current curve, then the curve through the edges.
 
     Args:
         picture: image with the limb.
         light: a key of `EXPONENTS`.
         sighting: geometry of the camera.
-        exponents: powers of the distance inside the limb.
-        start: row, column, radius, px (3,).
+        exponents: exponents of the distance inside the limb.
+        start: initial row, column and radius, px (3,).
     """
 
     def __init__(
@@ -297,13 +297,13 @@ class OutlineFit:
         return sector_edges(self.band(position, wider), blurred_powers(sigma, tuple(exponents), coated), self.count)
 
     def usable(self, edges: LimbSectors) -> np.ndarray:
-        """Check which sectors show a limb: visible, sharp enough, and unobstructed."""
+        """Select the sectors that show a visible, sharp and unobstructed limb."""
         with np.errstate(invalid="ignore"):
             sharp = (edges.contrast > _CONTRAST) & (edges.std < _LARGEST_STD)
             return sharp & (edges.misfit < _MISFIT * np.median(edges.misfit[sharp])) if sharp.any() else sharp
 
     def slopes(self, position: np.ndarray, azimuth: np.ndarray) -> np.ndarray:
-        """Compute the derivatives of the distance of an edge along its azimuth by row, column and radius (n, 3)."""
+        """Compute the derivatives of the limb's distance with respect to row, column and radius at azimuths (n, 3)."""
         matrix = np.stack([np.sin(azimuth), np.cos(azimuth), np.ones_like(azimuth)], axis=1)
         if self.sighting.axis is not None:
             at = self.sighting.radius_at(azimuth, *position)
@@ -315,7 +315,7 @@ class OutlineFit:
     def settle(
         self, position: np.ndarray, sigma: float, exponents: Sequence[float], turns: int = 6, wider: float = 0.0
     ) -> tuple[np.ndarray, LimbSectors, np.ndarray, np.ndarray, float]:
-        """Iterate to convergence; return position, edges, used edges, both covariances and rms distance."""
+        """Iterate to convergence; return position, edges, used edges, covariance and rms distance."""
         for _ in range(turns):
             edges = self.edges(position, sigma, exponents, wider)
             step, used, covariance, scatter = self.solve(position, edges, wider)
@@ -332,8 +332,8 @@ class OutlineFit:
             used = self.usable(edges) & (np.abs(edges.offset) < 2.0 + wider)
         if used.sum() < FEWEST_SECTORS:
             raise FitError(
-                f"{self.picture.name}: only {used.sum()} of {self.count} parts of the limb stand out from the background; "
-                f"light it, or photograph the outline before a bright field"
+                f"{self.picture.name}: only {used.sum()} of {self.count} sectors of the limb stand out from the background; "
+                f"light the limb, or photograph the outline before a bright field"
             )
         matrix = self.slopes(position, edges.azimuth)
         std = np.nan_to_num(edges.std * np.sqrt(np.maximum(edges.misfit, 1.0)), nan=1.0)
@@ -355,7 +355,7 @@ class OutlineFit:
         covariance = np.linalg.pinv(a.T @ a) * max(1.0, chi2 / freedom)
         if np.sqrt(np.diag(covariance)).max() > 1.0:
             raise FitError(
-                f"{self.picture.name}: the limb that is lit spans too little of the outline to determine its centre; "
+                f"{self.picture.name}: the lit part of the limb is too short to determine the centre of the sphere; "
                 f"use images of more lamps, or one with light from behind"
             )
         return step, used, covariance, float(np.sqrt(np.mean(left[used] ** 2)))
@@ -363,7 +363,7 @@ class OutlineFit:
     def outline(self, lens: tuple[float, float] | None, backlight_reach: tuple[float, float] | None) -> Outline:
         """Build the outline with all its uncertainties."""
         remarks = []
-        # a step and a line converge from any result of the search
+        # the model of a step and a line converges from any result of the search
         position, *_ = self.settle(self.position, 1.0, (0, 1), turns=4, wider=2.0)
         if lens is None:
             sigma, _ = self.lens(position)
@@ -372,7 +372,7 @@ class OutlineFit:
         sigma, sigma_std = lens
         position, edges, used, covariance, scatter = self.settle(position, sigma, self.exponents)
         noise = covariance
-        # derivative of the outline by the lens
+        # derivative of the outline with respect to the blur of the lens
         step = 0.1 * sigma + 0.02
         wider = self.settle(position, sigma + step, self.exponents, turns=1)[0]
         by_lens = (wider - position) / step * sigma_std
@@ -389,7 +389,7 @@ class OutlineFit:
                 remarks.append(
                     Remark(
                         "backlight-reach-not-given",
-                        f"the sphere mirrors the backlight of unknown extent: its radius may be wrong by {shrunk_std:.2f} px",
+                        f"the sphere mirrors the backlight: specify its extent (the radius may err by {shrunk_std:.2f} px)",
                     )
                 )
         seen = int(np.sum(edges.contrast > _CONTRAST))
@@ -401,7 +401,7 @@ class OutlineFit:
             )
         if lost > 0.1 * self.count:
             remarks.append(
-                Remark("limb-spoilt", f"{lost} of {self.count} parts of the limb do not follow it; left out")
+                Remark("limb-spoilt", f"{lost} of {self.count} sectors deviate and are omitted: remove dust or a stand")
             )
         self.refuse_outside(position)
         return Outline(
@@ -442,7 +442,7 @@ class OutlineFit:
         bounds = (float(tried[max(best - 1, 0)]), float(tried[min(best + 1, len(tried) - 1)]))
         found = minimize_scalar(misfit, bounds=bounds, method="bounded", options={"xatol": 0.02, "maxiter": 7})
         sigma, least = float(np.exp(found.x)), float(found.fun)
-        # chi squared rises by its own scale at one standard deviation
+        # at one standard deviation, chi squared exceeds its minimum by the minimum per degree of freedom
         freedom = float(self.edges(position, sigma, self.exponents).freedom.sum())
         step = 0.15
         rise = (misfit(found.x + step) + misfit(found.x - step) - 2 * least) / step**2 / 2

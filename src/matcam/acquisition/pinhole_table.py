@@ -1,8 +1,9 @@
 """Binning of images of a sphere as if the camera were a pinhole: a table without correction for the lens.
 
-Each pixel represents the normal at its centre. The ratio of its light to its irradiance is added to the cell of its half
-and difference angles, and a cell is the mean of its pixels. Measured tables were made in this way; next to a reconstruction it
-shows the effect of the camera. Images are added one at a time, so that memory does not grow with their number.
+Each pixel represents the normal at its centre. The ratio of its radiance to its irradiance is added to the cell of its
+half and difference angles, and the value of a cell is the mean of its pixels. Tables of measured materials were made in
+this way. The difference from a reconstruction shows the effect of the camera. Images are added one at a time, so memory
+does not grow with their number.
 """
 
 from __future__ import annotations
@@ -23,9 +24,9 @@ class PinholeTable:
     """Mean of the pixels of images of a sphere in the cells of the MERL grid.
 
     Args:
-        channels: colours of the images, ("R", "G", "B") or one of any name, which is used for all three.
-        isotropic: fill the mirrored azimuth of a pixel, too. Default: True.
-        steepest: angle of light or view to the normal beyond which a pixel is left out, rad. Default: 87 degrees.
+        channels: colours of the images: ("R", "G", "B"), or a single colour, which is used for all three.
+        isotropic: True to use each pixel at the mirrored azimuth, too. Default: True.
+        steepest: largest angle of light or view to the normal of a pixel that is used, rad. Default: 87 degrees.
 
     Example:
         >>> values = np.full((40, 40), 0.25)
@@ -54,18 +55,20 @@ class PinholeTable:
         lamp_distance: float = np.inf,
         irradiance: float | np.ndarray = 1.0,
     ) -> None:
-        """Add the pixels of one image. Clipped ones are counted and left out.
+        """Add the pixels of one image. Clipped pixels are counted and omitted.
 
         Args:
             picture: image of one lamp.
             ball: the sphere in this frame.
             lamp: direction from the sphere's centre (3,): x right, y up, z to the camera.
             lamp_distance: distance of the lamp from the centre, radii. Default: infinite.
-            irradiance: irradiance at the sphere's centre, across the light: value of a pixel over BRDF and cosine; one
-                number, or one for each channel. Default: 1.
+            irradiance: irradiance of a surface at the sphere's centre that faces the lamp, as the value of a pixel
+                divided by BRDF and cosine; one value, or one for each channel. Default: 1.
         """
         if picture.channels != self.channels:
-            raise ArgumentError(f"{picture.name}: its colours are {picture.channels}; the table takes {self.channels}")
+            raise ArgumentError(
+                f"{picture.name}: its colours are {picture.channels}, but the table requires {self.channels}"
+            )
         first = [max(int(np.floor(at - ball.radius * 1.1)) - start, 0) for at, start in self._corner(picture, ball)]
         last = [max(int(np.ceil(at + ball.radius * 1.1)) - start, 0) for at, start in self._corner(picture, ball)]
         window = tuple(slice(a, b + 1) for a, b in zip(first, last, strict=True))
@@ -114,7 +117,7 @@ class PinholeTable:
         return np.ravel_multi_index((i, j, k), GRID_SHAPE)
 
     def table(self) -> xr.DataArray:
-        """Return the table: the mean of the pixels of every cell, 1/sr; NaN without pixels.
+        """Compute the table, the mean of the pixels in every cell, 1/sr; NaN without pixels.
 
         Raises:
             FitError: no pixel was added.

@@ -1,8 +1,8 @@
 """Radiometric calibration of a capture: dark, gain, read noise, exposure ratios, clip level, linearity, lamp output.
 
-All are estimated from the images. Nominal values and metadata are compared with the estimates and never replace them
-(docs/model.md 10). There are two passes: this one keeps some pixels of every lamp position, and `merging.py` reads the
-frames again.
+All quantities are estimated from the images. Nominal values and metadata are compared with the estimates and never
+replace them (docs/model.md 10). There are two passes: the calibration keeps some pixels of every lamp position, and
+`merging.py` reads the frames again.
 """
 
 from __future__ import annotations
@@ -54,25 +54,25 @@ class Radiometry:
     Attributes:
         exposures: light of each exposure relative to `reference_exposure`, by name, the shortest first, with standard
             deviation.
-        reference_exposure: the exposure that defines the unit of merged values.
+        reference_exposure: name of the exposure that defines the unit of merged values.
         clip: code at which pixels clip, DN as read.
         gain: DN per electron, with standard deviation; NaN: not determined, and merged values are DN.
-        read_noise: DN, with standard deviation.
+        read_noise: read noise, DN, with standard deviation.
         lamp_output: light of each lamp position from the reference, relative to the mean, with standard deviation; NaN
-            without a reference. Merged values are not divided by it: it is the prior of an image's gain.
-        reference_light: merged value of the reference in each lamp position, by channel, with standard deviation; NaN
-            where it is clipped.
-        reference_between: standard deviation of the change of the lamp's light between an image of the reference and
-            one of the sample, relative; 0 where one frame shows both.
-        linearity: departure from a straight line: share of the largest code, relative departure, its standard
+            without a reference. Merged values are not divided by it, because it is the prior of an image's gain.
+        reference_light: merged value of the reference at each lamp position, by channel, with standard deviation; NaN
+            if the reference is clipped.
+        reference_between: relative standard deviation of the change of the lamp's light between an image of the
+            reference and one of the sample; 0 if one frame shows both.
+        linearity: departure from linearity: code relative to the largest code, relative departure, its standard
             deviation, (n, 3).
-        tone_exponent: power of the nominal exposure time with which codes grow, with standard deviation; 1 for linear
-            frames, NaN where the frames do not determine it.
-        misfit: scatter of exposures about one law relative to noise, chi2 per degree of freedom.
+        tone_exponent: exponent of codes as a power of the nominal exposure time, with standard deviation; 1 for linear
+            frames, NaN if the frames do not determine it.
+        misfit: scatter of the exposures about the fitted ratios relative to noise, chi2 per degree of freedom.
         darkness: dark level to subtract, by exposure.
-        used: usable files of each lamp position, the shortest exposure first.
+        used: usable frames of each lamp position, the shortest exposure first.
         channels: names of the colours.
-        region: part of the frames that is used; None: the whole frame.
+        region: part of the frames that is used; None: the entire frame.
         remarks: warnings and limitations, with the names of the frames.
         flat: uniformity of the pixels; None without flat frames.
     """
@@ -97,7 +97,7 @@ class Radiometry:
 
     @property
     def clip_level(self) -> float:
-        """Return the code at which pixels clip, DN as read; the largest code without clipping."""
+        """Return the code at which pixels clip, DN as read; the largest code if no pixel is clipped."""
         return self.clip.level
 
     @property
@@ -126,9 +126,9 @@ class Radiometry:
 
 
 def capture_camera(capture: Capture) -> Camera | None:
-    """Load the camera profile of a capture; None if it has none.
+    """Load the camera profile of a capture; None without a profile.
 
-    FileFormatError if the profile is wrong, or the mosaic of its sensor is not that of the capture.
+    A FileFormatError is raised if the profile is invalid, or if the mosaic of its sensor is not that of the capture.
     """
     if capture.profile is None:
         return None
@@ -159,8 +159,8 @@ def measure_radiometry(
             the capture, or the whole frame. Default: None.
         progress: called after each lamp position. Default: None.
         lamps: names of the lamp positions that are read. Default: None, all.
-        workers: lamp positions that are read at a time. Default: 1.
-        kept: stored results from which an interrupted run resumes. Default: None, none.
+        workers: number of lamp positions that are read at a time. Default: 1.
+        kept: cache of results from which an interrupted run resumes. Default: None, no cache.
 
     Returns:
         The radiometry; its remarks name unusable frames.
@@ -195,7 +195,7 @@ def measure_radiometry(
     remarks += [
         Remark(
             "missing-frame",
-            f"lamp{'s' * (len(of) > 1)} {some_of(of)}: no usable frame of exposure {', '.join(lacking)}",
+            f"lamp{'s' * (len(of) > 1)} {some_of(of)}: no usable frame of exposure {', '.join(lacking)}; add one",
         )
         for lacking, of in missing.items()
     ]
@@ -216,7 +216,7 @@ def measure_radiometry(
         )
     if all((sample.median > 0.99 * largest).all() for sample in samples):
         raise FitError(
-            f"{capture.folder}: every frame is clipped: half of its pixels or more read {largest:.0f}; expose less"
+            f"{capture.folder}: every frame is clipped: at least half of its pixels have {largest:.0f} DN; expose less"
         )
     guess = first_guess(samples, len(names), top, noise, nominal)
     clip, said = _clip_level(samples, names, guess, largest, reader.saturation, noise)
@@ -224,7 +224,7 @@ def measure_radiometry(
     samples, said = _without_clipped(samples, names, used, clip, noise)
     remarks += said
     if not samples:
-        raise FitError(f"{capture.folder}: every frame is clipped: its pixels read {clip.level:.0f}; expose less")
+        raise FitError(f"{capture.folder}: every frame is clipped: its pixels have {clip.level:.0f} DN; expose less")
     seen_in = np.unique(np.concatenate([sample.exposures for sample in samples]))  # exposures that still have a frame
     names, nominal, guess = [names[k] for k in seen_in], nominal[seen_in], guess[seen_in] / guess[seen_in[0]]
     samples = [sample._replace(exposures=np.searchsorted(seen_in, sample.exposures)) for sample in samples]
@@ -250,7 +250,7 @@ def measure_radiometry(
         remarks += said
         between = _between(capture, shown, value, gain, noise, remarks)
     elif capture.of("reference"):
-        text = "the images in reference/ are not read: specify a [reference] with apart = true, or leave them out"
+        text = "the images in reference/ are not read: specify a [reference] with apart = true, or remove them"
         remarks.append(Remark("reference-unread", text))
     output = lamp_output(capture, shown, value, gain, noise, between)
     flat, said = measure_flat(reader, capture, region, darkness, clip=clip.threshold, gain=scale, noise=noise)
@@ -285,9 +285,7 @@ def _clip_level(
     saturation: float,
     noise: float,
 ) -> tuple[ClipLevel, list[Remark]]:
-    """Determine the clip level: from shorter exposures, otherwise from a pile-up at one code, otherwise the largest
-    code of the file.
-    """
+    """Determine the clip level from shorter exposures, or from a pile-up at one code, or from the file format."""
     clip = measure_clip_level(samples, guess, largest)
     if clip.pixels:
         return clip, []
@@ -298,7 +296,7 @@ def _clip_level(
         return (clip if largest < saturation else ClipLevel(largest, 0.29, 0.0, 1)), []
     where = [f"lamp {sample.lamp}, exposure {names[k]}" for sample in samples for k in sample.exposures]
     text = f"{found.clip.pixels} pixels of {len(found.frames)} frames have the largest code, {found.clip.level:.0f} DN"
-    remarks = [Remark("clip-by-pile-up", f"{text}; their noise would spread them, so they are clipped there")]
+    remarks = [Remark("clip-by-pile-up", f"{text}, which is taken as the clip level: noise spreads unclipped pixels")]
     if found.apart:
         apart = some_of([f"{where[k]} ({tops[k].level:.0f} DN)" for k in found.apart], 3)
         text = f"the brightest pixels pile up at other codes than {found.clip.level:.0f} DN: {apart}; check for rescaled frames"
@@ -315,7 +313,8 @@ def _without_clipped(
 ) -> tuple[list[BracketSample], list[Remark]]:
     """Remove frames that are clipped everywhere from the samples and from `used`, and list them.
 
-    A frame of one bright code is such a frame at any clip level, unless all frames are (a render of a uniform sample).
+    A frame with a single bright code is treated as clipped at any clip level, unless all frames have a single code (a
+    render of a uniform sample).
     """
     least, level, height = (TopCodes._fields.index(name) for name in ("least", "level", "height"))
     every = np.concatenate([sample.tops for sample in samples])
@@ -335,8 +334,8 @@ def _without_clipped(
     return kept, [
         Remark(
             "frame-clipped",
-            f"lamp{'s' * (len(lamps) > 1)} {some_of(lamps)}: every pixel of exposure {name} is clipped, at {code:.0f} DN; "
-            "left out",
+            f"lamp{'s' * (len(lamps) > 1)} {some_of(lamps)}: every pixel of exposure {name} is clipped at {code:.0f} DN, "
+            "so the frame was omitted: take shorter exposures",
         )
         for (name, code), lamps in full.items()
     ]
@@ -361,8 +360,8 @@ def _between(
     if math.isfinite(found):
         return found
     if any(one.light.size for one in shown):
-        text = "the images in reference/ are too few to determine the change of light to those of the sample: the value of "
-        text += "lamp.gain_std was used; take two at each lamp position, or specify reference.between_std"
+        text = "the images in reference/ are too few to determine the change of light between them and those of the sample, "
+        text += "so lamp.gain_std was used: take two at each lamp position, or specify reference.between_std"
         remarks.append(Remark("reference-once", text))
     return float(capture.settings["lamp"]["gain_std"])
 
@@ -398,7 +397,7 @@ def _sorted(sample: BracketSample, back: np.ndarray) -> BracketSample:
 
 
 def _read_noise(darkness: dict[str, Darkness]) -> float:
-    """Return the read noise of one frame with rounding, DN."""
+    """Return the read noise of one frame including rounding, DN; 2 if it is unknown."""
     known = [d.read_noise for d in {id(d): d for d in darkness.values()}.values() if math.isfinite(d.read_noise)]
     return float(max(np.median(known), math.sqrt(_ROUNDING))) if known else 2.0
 
@@ -416,11 +415,13 @@ def _gain_without_brackets(
     except FileFormatError:  # errors of the profile are reported where the lens is used
         camera = None
     if camera is not None and camera.sensor is not None:
-        remarks.append(Remark("gain-stated", "the frames do not determine the gain: that of the profile was used"))
+        text = "the frames do not determine the gain, so that of the profile was used: take several exposures to measure it"
+        remarks.append(Remark("gain-stated", text))
         return Stated(float(camera.sensor.gain), 0.1 * float(camera.sensor.gain))
     bound = fit_gain_of_single(samples, clip, noise)
     if math.isfinite(bound[0]):
-        text = "no brackets and no profile: the gain is an upper bound from the differences of neighbouring pixels"
+        text = "differences of neighbouring pixels give only an upper bound of the gain: take several exposures, or give a "
+        text += "profile with a sensor"
         remarks.append(Remark("gain-bound", text))
         return Stated(*bound)
     remarks.append(

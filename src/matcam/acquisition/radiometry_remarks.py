@@ -17,7 +17,7 @@ from matcam.numerics.frame_noise import not_linear
 _WRONG_TIME = 0.02
 """Relative error of a nominal exposure time above which there is a remark."""
 _EXPOSURES_OF_A_POWER = 3
-"""Number of exposures above which a power law of the nominal times differs from one wrong time."""
+"""Smallest number of exposures that distinguish a power law of the nominal times from a single wrong time."""
 _DIAL = 0.1
 """Assumed standard deviation of ln(true over nominal exposure time): shutters have errors of 1 to 7 %, and nominal
 values are rounded (1/30 for 1/32).
@@ -35,9 +35,9 @@ and below which it was sharpened (few other causes make it negative).
 def tone_exponent(ratios: ExposureRatios, nominal: np.ndarray) -> Stated:
     """Estimate the exponent of codes over nominal exposure time, with standard deviation; 1 for linear frames.
 
-    A tone curve turns every ratio of exposures into a power of it, approximately: 0.45 for a gamma of 2.2. Wrong
-    nominal times scatter about the nominal ratios instead. NaN if the frames do not link at least three exposures with
-    times, because a single wrong time looks like a power.
+    A tone curve changes every ratio of exposures approximately to a power of the ratio, with an exponent of 0.45 for a
+    gamma of 2.2. Wrong nominal times scatter about the nominal ratios instead. The result is NaN if the frames do not
+    link at least three exposures with times, because a single wrong time has the same effect as a power.
     """
     if len(nominal) < _EXPOSURES_OF_A_POWER or not ratios.linked or not np.isfinite(nominal).all():
         return Stated(math.nan, math.inf)
@@ -71,51 +71,49 @@ def exposure_remarks(names: Sequence[str], ratios: ExposureRatios, nominal: np.n
         found.append(
             Remark(
                 "exposures-not-linked",
-                "no pixels are well exposed in two exposures: nominal times are used where necessary",
+                "no pixels are well exposed in two exposures, so nominal times are used: take exposures with smaller steps",
             )
         )
     if np.isnan(nominal).any():
         missing = ", ".join(name for name, time in zip(names, nominal, strict=True) if math.isnan(time))
-        found.append(Remark("times-missing", f"exposure {missing} has no nominal time; ratios come from the frames"))
+        found.append(Remark("times-missing", f"exposure {missing} has no nominal time; the frames determine its ratio"))
         return found
     if len(names) < 2:
         return found
     if (np.diff(nominal) < 0).any():
         found.append(
-            Remark("times-contradict", "the frames' brightness is in another order than their nominal exposure times")
+            Remark("times-contradict", "brightness and nominal time order the exposures differently: check frames.csv")
         )
     said = nominal / nominal[0]
     wrong = ratios.value / said - 1
     for name, error, std in zip(names, wrong, ratios.std(), strict=True):
         if np.isfinite(std) and abs(error) > max(_WRONG_TIME, 4 * std):
-            text = f"exposure {name}: true over nominal time is {1 + error:.3f} +- {std:.3f} of that of {names[0]}"
-            found.append(Remark("times-wrong", text + "; the frames' own ratio is used"))
+            text = f"exposure {name}: its light relative to {names[0]} is {1 + error:.3f} +- {std:.3f} times the nominal ratio"
+            found.append(Remark("times-wrong", text + ", and is used instead: check time_s in frames.csv"))
     slope = float(np.polyfit(np.log(said), np.log(ratios.value), 1)[0]) if said[-1] > 1.5 else 1.0
     proof = tone_curve_proof(tone_exponent(ratios, nominal))
     if proof is not None:
         found.append(Remark("tone-curve", proof))
     elif abs(slope - 1) > 0.2:
-        text = f"codes grow like exposure to the power {slope:.2f}: a tone curve is in the frames, or nominal times are wrong"
+        text = f"codes grow like exposure to the power {slope:.2f}: give frames without a tone curve, or correct nominal times"
         found.append(Remark("tone-curve", text))
     return found
 
 
 def clip_remarks(clip: ClipLevel, names: Sequence[str], samples: Sequence[BracketSample]) -> list[Remark]:
-    """Describe the clipping of pixels, and list it in the shortest exposure."""
+    """Report an unclear or unseen clip level, and the clipped pixels of the shortest exposures."""
     found = []
     if not clip.pixels:
         found.append(Remark("clip-not-seen", f"no clipped pixel was found; codes up to {clip.level:.0f} DN are used"))
     elif clip.spread > 0.02 * clip.level:
-        text = (
-            f"clipped pixels scatter by {clip.spread / clip.level:.1%} about {clip.level:.0f} DN: no single clip level"
-        )
+        text = f"clipped pixels scatter by {clip.spread / clip.level:.1%} about {clip.level:.0f} DN: check for rescaled frames"
         found.append(Remark("clip-unclear", text))
     peaks = []
     for sample in samples:
         peak = (sample.codes[0] >= clip.threshold).sum() if sample.codes.size else 0
         if peak:
             text = f"lamp {sample.lamp}: {peak} pixels are clipped in the shortest exposure, {names[int(sample.exposures[0])]}"
-            peaks.append((sample.lamp, Remark("peak-clipped", text)))
+            peaks.append((sample.lamp, Remark("peak-clipped", f"{text}: add a shorter one")))
     return found + gathered(peaks)
 
 
@@ -155,5 +153,5 @@ def linearity_remarks(ratios: ExposureRatios) -> list[Remark]:
     if not bad.any():
         return []
     worst = curve[bad][np.abs(curve[bad][:, 1]).argmax()]
-    text = f"codes depart by {worst[1]:+.1%} from a straight line at {worst[0]:.0%} of the largest: "
-    return [Remark("not-linear", text + "a tone curve, or a frame that moved")]
+    text = f"codes deviate by {worst[1]:+.1%} from linearity at {worst[0]:.0%} of the largest code: "
+    return [Remark("not-linear", text + "check for a tone curve, or a sample that moved")]

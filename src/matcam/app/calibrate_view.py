@@ -40,7 +40,7 @@ _TONES = {"auto": "auto: 8 bits are sRGB, others linear", "linear": "linear", "s
 
 
 class CalibrateView:
-    """View for measurements of photographs of edges and charts.
+    """View for calibrating a camera from photographs of edges and charts.
 
     Args:
         document: the page's document.
@@ -58,7 +58,7 @@ class CalibrateView:
         self._chart: Path | None = None
         self._samples: dict[Path, list[Any]] = {}
         self._upload = Upload(
-            "open: drop an image, or a chart's .json, here", self._dropped, complain, name="upload-picture"
+            "to open a file, drop an image or the .json of a chart here", self._dropped, complain, name="upload-picture"
         )
         self._picture = Select(
             title="image", options=[], value="", width=WIDTH - 16, margin=(2, 8, 2, 8), name="picture"
@@ -88,7 +88,7 @@ class CalibrateView:
         self._all.on_click(self._calibrate)
         self._picture.on_change("value", lambda attr, old, new: self._draw())
         self._targets_of = Div(
-            text="chart: none; edges are measured", name="chart", width=WIDTH - 16, margin=(2, 8, 2, 8)
+            text="no chart is open; edges are measured", name="chart", width=WIDTH - 16, margin=(2, 8, 2, 8)
         )
         self._status = Div(
             text="Nothing is open: drop photographs of slanted edges or a chart.",
@@ -114,7 +114,7 @@ class CalibrateView:
     def _knobs(self) -> Any:
         return column(
             self._upload.layout, self._picture, self._tone, row(self._model, self._half),
-            Div(text="one region: draw it, or", margin=(4, 8, 0, 8)), row(*self._region), self._edge,
+            Div(text="one region: draw a rectangle, or enter", margin=(4, 8, 0, 8)), row(*self._region), self._edge,
             Div(text="all images:", margin=(4, 8, 0, 8)), self._targets_of, self._all, self._saved, width=WIDTH,
         )  # fmt: skip
 
@@ -193,7 +193,7 @@ class CalibrateView:
             "frequency", "low", "high", fill_color=BLUE, fill_alpha=0.25, source=self._mtf, legend_label="± 1 std"
         )
         lines = self._curve.line(
-            "frequency", "mtf", color=BLUE, line_width=2, source=self._mtf, legend_label="free of a model"
+            "frequency", "mtf", color=BLUE, line_width=2, source=self._mtf, legend_label="without a model"
         )
         self._curve.line(
             "frequency",
@@ -294,7 +294,7 @@ class CalibrateView:
         if region:
             self._box.data = {"x": [x + width / 2], "y": [y + height / 2], "width": [width], "height": [height]}
         tone, half = self._tone.value, float(self._half.value or 0.5)
-        self._begin("measuring the edge ... (slow once after an installation)")
+        self._begin("measuring the edge ... (slow the first time after an installation)")
         self._work.ask(
             lambda: measured_edge(picture, region, tone, half), lambda result: self._show_edge(picture, result)
         )
@@ -304,7 +304,7 @@ class CalibrateView:
         self._curves(result.frequency, result.mtf, result.mtf_std, result.parametric.mtf)
         fit = result.parametric
         self._result.text = (
-            f"<b>MTF50 {result.mtf50:.4f} ± {result.mtf50_std:.4f} cycles/px</b>, free of a model<br>"
+            f"<b>MTF50 {result.mtf50:.4f} ± {result.mtf50_std:.4f} cycles/px</b>, without a model<br>"
             f"{escape(fit.model)} lens {fit.mtf50:.4f} ± {fit.mtf50_std:.4f} cycles/px: "
             f"{'explains the edge' if fit.consistent else 'does NOT explain the edge'}"
         )
@@ -349,7 +349,7 @@ class CalibrateView:
             )
             lines.append(
                 f"{name}: {numbers} ({_counted(one.measurements)}), "
-                f"{'explains them' if one.consistent else 'does NOT explain them'}"
+                f"{'the model explains the data' if one.consistent else 'the model does NOT explain the data'}"
             )
         lines += [f"left out: {name}: {why}" for name, why in found.failed.items()]
         self._result.text = "<br>".join(escape(line) for line in lines)

@@ -14,7 +14,7 @@ from matcam.core.errors import FileFormatError, FitError, MatcamError
 from matcam.core.readers.names import is_file
 
 _LARGEST = 120_000_000
-"""Largest number of pixels of a displayed image."""
+"""Largest number of pixels of a displayed image, which limits the memory of the app."""
 _ON_SCREEN = 1200
 """Largest number of pixels along a side of the image that is sent to the page; larger images are subsampled."""
 
@@ -46,7 +46,7 @@ def open_picture(path: Path) -> OpenedPicture:
     """Read a photograph.
 
     Raises:
-        FileFormatError: it is missing, damaged, of no known format, or too large.
+        FileFormatError: the file is missing, damaged, too large, or of an unknown format.
     """
     from matcam.files.photographs import open_photograph
 
@@ -56,21 +56,23 @@ def open_picture(path: Path) -> OpenedPicture:
     if height * width > _LARGEST:
         megapixels = height * width / 1e6
         raise FileFormatError(
-            f"{path.name}: {megapixels:.0f} megapixels are too many to show: crop it to at most {_LARGEST // 10**6}"
+            f"{path.name}: the image has {megapixels:.0f} megapixels, but at most {_LARGEST // 10**6} can be shown: crop it"
         )
     shown, step = drawn_values(values, linear=photograph.linear)
     kind = f"mosaic {photograph.cfa}" if photograph.cfa else "colour" if values.ndim == 3 else "grey"
-    codes = "linear by its format" if photograph.linear else f"codes of {values.dtype.itemsize * 8} bits"
-    thinned = f"; every {step}th pixel is drawn" if step > 1 else ""
+    codes = "linear values" if photograph.linear else f"codes of {values.dtype.itemsize * 8} bits"
+    thinned = f"; one of {step} pixels along each side is drawn" if step > 1 else ""
     return OpenedPicture(path, photograph, shown, f"{path.name}: {width} x {height} px, {kind}, {codes}{thinned}")
 
 
 def drawn_values(values: np.ndarray, *, linear: bool) -> tuple[np.ndarray, int]:
-    """Convert an image for the page: grey, 0 to 1, subsampled and encoded for a screen; return it with the step, px.
+    """Convert an image for display, and return the subsampling step, px.
+
+    The displayed image is grey, from 0 to 1, subsampled, and encoded for a screen.
 
     Args:
         values: (height, width) or (height, width, channel).
-        linear: whether they are proportional to light.
+        linear: True if the values are proportional to the light.
     """
     step = max(1, -(-max(values.shape[:2]) // _ON_SCREEN))
     few = np.nan_to_num(np.asarray(values[::step, ::step], dtype=np.float32))
@@ -83,15 +85,19 @@ def drawn_values(values: np.ndarray, *, linear: bool) -> tuple[np.ndarray, int]:
 def measured_edge(
     picture: OpenedPicture, region: tuple[int, int, int, int] | None, tone: str, half_width: float
 ) -> Any:
-    """Measure the MTF across the edge in a region (x, y, width, height), px, as `matcam edge` does."""
+    """Measure the MTF across an edge as `matcam edge` does.
+
+    region: x, y, width and height of the region with the edge, px; None: the whole image.
+    """
     from matcam.calibration.edge.edge import edge_mtf
 
     return edge_mtf(picture.photograph, region, tone=tone, half_width=half_width)
 
 
 def calibrated(paths: Sequence[Path], model: str, tone: str, half_width: float, chart: Path | None = None) -> Any:
-    """Calibrate the camera of these images as `matcam calibrate` does; `chart` is the description of the chart in
-    them.
+    """Calibrate the camera of these images as `matcam calibrate` does.
+
+    chart: description of the chart in the images. Default: None, edges are found automatically.
     """
     from matcam.calibration.camera.calibration import calibrate
 
@@ -109,10 +115,10 @@ def is_chart(path: Path) -> bool:
 
 
 def about_chart(path: Path) -> str:
-    """List the targets of a chart in a few words.
+    """List the numbers and kinds of the targets of a chart.
 
     Raises:
-        FileFormatError: it is not the description of a chart.
+        FileFormatError: the file is not the description of a chart.
     """
     from matcam.calibration.chart.chart_file import read_chart
 
@@ -121,7 +127,11 @@ def about_chart(path: Path) -> str:
 
 
 def targets_in(picture: OpenedPicture, chart: Path, tone: str, half_width: float, channel: str) -> list[Any]:
-    """Measure the MTF samples of gratings, stars and dots of a chart in an image; none if the chart is not in it."""
+    """Measure the gratings, stars and dots of a chart in an image.
+
+    Returns:
+        MTF samples; an empty list if the chart is not found in the image.
+    """
     from matcam.calibration.chart.chart_file import read_chart
     from matcam.calibration.photograph.linear_image import planes_of
     from matcam.calibration.targets.targets import measure_targets
@@ -134,7 +144,10 @@ def targets_in(picture: OpenedPicture, chart: Path, tone: str, half_width: float
 
 
 def target_columns(samples: Sequence[Any]) -> dict[str, list[Any]]:
-    """Return positions and kinds of targets, each with the sample whose MTF is nearest to one half, with its error."""
+    """Tabulate position, kind and one MTF sample of each target.
+
+    The sample is the one whose MTF is nearest to one half.
+    """
     nearest = [int(np.argmin(np.abs(one.mtf - 0.5))) for one in samples]
     return {
         "x": [one.position[0] for one in samples],
@@ -147,11 +160,11 @@ def target_columns(samples: Sequence[Any]) -> dict[str, list[Any]]:
 
 
 def edges_in(found: Any, picture: OpenedPicture) -> dict[str, Any]:
-    """Return the edges of a calibration in an image, for its main channel, as columns.
+    """Tabulate the edges in one image for the main channel.
 
     Returns:
-        `x`, `y` of an edge's middle, `x0`, `y0`, `x1`, `y1` of a short line along it, px, `mtf50` and `mtf50_std`,
-        cycles/px.
+        `x`, `y`: middle of each edge, px. `x0`, `y0`, `x1`, `y1`: ends of a short line along the edge, px. `mtf50`,
+        `mtf50_std`: cycles/px.
     """
     data = found.edges_dataset()
     here = (data["channel"].values == found.channel) & (data["picture"].values == _source(found, picture.path))
@@ -164,7 +177,7 @@ def edges_in(found: Any, picture: OpenedPicture) -> dict[str, Any]:
     }  # fmt: skip
 
 
-_HALF_LINE = 20.0  # px
+_HALF_LINE = 20.0  # half the length of the line that marks an edge, px
 
 
 def _source(found: Any, path: Path) -> str:
@@ -173,7 +186,7 @@ def _source(found: Any, path: Path) -> str:
 
 
 def profiles(found: Any) -> dict[str, bytes]:
-    """Return the files that `matcam calibrate` would write for the cameras, by name."""
+    """Encode the camera profiles that `matcam calibrate` would write, by file name."""
     cameras = {"camera.json": found.camera}
     if len(found.channels) > 1:
         cameras |= {f"camera-{name}.json": camera for name, camera in found.cameras.items()}
@@ -184,8 +197,10 @@ def profiles(found: Any) -> dict[str, bytes]:
 
 
 def opened_or_why(path: Path) -> OpenedPicture | tuple[Path, str] | MatcamError:
-    """Open an image, or the description of a chart with its targets in words, or return the reason why it cannot be
-    shown.
+    """Open an image or the description of a chart.
+
+    Returns:
+        Image; or path and targets of the chart; or the error, if the file cannot be opened.
     """
     try:
         return (path, about_chart(path)) if path.suffix.lower() == ".json" else open_picture(path)

@@ -1,4 +1,4 @@
-"""Controls: a slider with a number field beside it, for one number."""
+"""Controls: a slider with a number field for one parameter, and the choice of a metal."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from bokeh.models.widgets import Checkbox, Div, NumericInput, Select, Slider
 WIDTH = 300
 """Width of a column of controls, px of the screen."""
 _STEPS = 200
-_BOX = 72  # px of the screen, of a box with its label
+_BOX = 72  # width of a box with its label, px of the screen
 
 
 @dataclass(frozen=True)
 class Setting:
-    """Number that a user can set.
+    """Parameter that a user can set.
 
     Attributes:
-        name: name of the number in the program.
+        name: name of the parameter in the program.
         title: label with unit.
-        low: least value.
+        low: smallest value.
         high: largest value.
-        value: value at the start.
+        value: initial value.
         log: True if the slider is logarithmic.
         infinite: True if the value may be infinite, which is set by a box beside the title.
     """
@@ -39,20 +39,23 @@ class Setting:
     infinite: bool = False
 
     def to_slider(self, value: float) -> float:
-        """Convert a value to the position of the slider; infinity is the right end."""
+        """Convert a value to the position of the slider.
+
+        An infinite value is at the right end.
+        """
         value = min(value, self.high)
         return math.log10(value) if self.log else value
 
     def from_slider(self, position: float) -> float:
-        """Convert the position of the slider to a value, with the digits of the number field."""
+        """Convert the position of the slider to a value of 3 digits."""
         return float(f"{min(max(10**position if self.log else position, self.low), self.high):.3g}")
 
 
 class NumberControl:
-    """Slider and number field for one number.
+    """Slider and number field for one parameter.
 
     Args:
-        setting: the number.
+        setting: the parameter.
         changed: called after a change by the user.
         released: called after the user has released the slider, or left the number field.
     """
@@ -104,13 +107,13 @@ class NumberControl:
 
     @property
     def value(self) -> float:
-        """Return the number; infinite if the box is ticked."""
+        """Return the value, which is infinite if the box is ticked."""
         if self.infinite.active:
             return math.inf
         return min(self.setting.value, self.setting.high) if self.field.value is None else float(self.field.value)
 
     def set(self, value: float) -> None:
-        """Show a number without calling the listeners."""
+        """Show a value without calling the listeners."""
         self._own = True
         self.infinite.active = math.isinf(value)
         self.field.value = None if math.isinf(value) else value
@@ -156,7 +159,7 @@ class ConductorControl:
 
     Args:
         title: label of the choice.
-        changed: called when the user has changed it.
+        changed: called after the user has changed the choice.
         indices: function that returns n and k of a metal, no unit.
     """
 
@@ -176,7 +179,7 @@ class ConductorControl:
 
     @property
     def n_and_k(self) -> tuple[float, float] | None:
-        """Return custom n and k; None: those of the metal."""
+        """Return custom n and k, or None for those of the metal."""
         if self.name.value != CUSTOM:
             return None
         n, k = (float(field.value or 0.0) for field in self.numbers)

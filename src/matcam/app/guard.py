@@ -1,7 +1,7 @@
 """Access control of the app: every request is checked first, including that of a websocket.
 
 - The Host must be an address of this server, so that another page cannot reach it under its own name (DNS rebinding).
-- An Origin, if the browser gives one, must be the same address; a websocket requires one.
+- An Origin, if the browser gives one, must be the same address; a websocket must have an Origin.
 - The token must be given: first in the address, which redirects to an address without it and sets a cookie, then as that
   cookie.
 """
@@ -36,7 +36,7 @@ class Guard(HTTPServerConnectionDelegate):
     """Filter that passes requests of the user of this machine, and rejects all others.
 
     Args:
-        application: the application behind it.
+        application: application that receives the accepted requests.
         host: address of the server.
         port: port of the server.
     """
@@ -64,13 +64,19 @@ class Guard(HTTPServerConnectionDelegate):
         self.application.on_close(server_conn)
 
     def answer(self, line: RequestStartLine, headers: HTTPHeaders) -> tuple[int, HTTPHeaders, str] | None:
-        """Return the rejection of a request, or the redirection to the address without the token; None: it may pass."""
+        """Check a request, and return the answer unless the request is accepted.
+
+        Returns:
+            Rejection, or redirection to the address without the token; None: the request is accepted.
+        """
         host = headers.get("Host", "").lower()
         if headers.get_list("Host")[1:] or not self._is_own(host):
-            return _refusal("this host name is not the app's: open the address that `matcam app` printed")
+            return _refusal("this host name is not that of the app: open the address that `matcam app` printed")
         origins = headers.get_list("Origin")
         if any(origin.lower() != f"http://{host}" for origin in origins):
-            return _refusal("this request comes from a page that is not the app's")
+            return _refusal(
+                "this request comes from a page of another server: open the address that `matcam app` printed"
+            )
         if headers.get("Upgrade", "").lower() == "websocket" and len(origins) != 1:
             return _refusal("a websocket must have an Origin")
         target = urlsplit(line.path)
@@ -138,7 +144,7 @@ class _Request(HTTPMessageDelegate):
             secured: Any = _Secured(self.guard, self.connection)
             self.inner = self.guard.application.start_request(self.server_conn, secured)
             return self.inner.headers_received(start_line, headers)
-        self._refuse(*self.refused)  # before its body is read, because the connection closes with the answer
+        self._refuse(*self.refused)  # before the body is read, because the connection closes with the answer
         return None
 
     def data_received(self, chunk: bytes) -> Any:

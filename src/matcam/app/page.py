@@ -1,4 +1,4 @@
-"""Page: three views, one at a time, and one line for errors."""
+"""Page of the app: three views, of which one is visible, and a line for errors."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class Page:
         document.on_event("document_ready", lambda event: self._begin())
 
     def complain(self, line: str) -> None:
-        """Show a one-line error; an empty line removes it."""
+        """Show an error on one line; an empty text removes the error."""
         self._message.text = escape(" ".join(line.split()))
 
     def close(self) -> None:

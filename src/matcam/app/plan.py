@@ -1,4 +1,4 @@
-"""View that plans a rig: loss against angle and images while the sliders move, and exact values when they stop."""
+"""View for planning a rig: previews of the loss and of images while a slider moves, and exact values after it stops."""
 
 from __future__ import annotations
 
@@ -28,16 +28,16 @@ from matcam.app.plots import (
 from matcam.app.transfers import Downloads
 from matcam.app.worker import DRAINED, Newest
 
-_REST = 0.5  # s without a change before the exact values are computed
+_REST = 0.5  # time without a change before the exact values are computed, s
 _PICTURE_ERROR = 0.01  # error of the exact image, as a share of its peak
-_SIDE = 156  # px of the screen, of an image's frame
-_VALUES = 128  # along a side of the sphere's preview
+_SIDE = 156  # side of the frame of an image, px of the screen
+_VALUES = 128  # number of values along a side of the preview of the sphere
 _SHOWN = ("log exposure", "difference", "row profile")
 _PICTURES = {
-    "sphere true": "sphere as it is",
-    "sphere recorded": "sphere as recorded",
-    "close true": "highlight as it is",
-    "close recorded": "highlight as recorded",
+    "sphere true": "sphere: true",
+    "sphere recorded": "sphere: recorded",
+    "close true": "highlight: true",
+    "close recorded": "highlight: recorded",
 }
 _DIFFERENCES = {
     "sphere difference": "sphere: recorded - true",
@@ -94,7 +94,7 @@ class PlanView:
         return Planned(**numbers, metal=self._metal.name.value, family=self._family.value, n_and_k=self._metal.n_and_k)
 
     def refresh(self) -> None:
-        """Show the fast values for the current state of the controls."""
+        """Show the previews for the current values of the controls."""
         planned = self.planned
         if self._warm:
             self._fast.ask(lambda: _fast(planned), self._show, **DRAINED)
@@ -139,7 +139,7 @@ class PlanView:
         hover(self._curves, [lines], [("roughness", "@roughness"), ("θ", "$x°"), ("relative", "$y")])
         degrees = np.linspace(0, 90, 91)
         self._cos = self._curves.line(
-            degrees, np.cos(np.radians(degrees)), color=GREY, line_dash="dashed", legend_label="cos θ: the most"
+            degrees, np.cos(np.radians(degrees)), color=GREY, line_dash="dashed", legend_label="cos θ: largest loss"
         )
         self._curves.add_layout(Span(location=0.95, dimension="width", line_color=GREY, line_width=1))
         self._curves.legend.location = "bottom_left"
@@ -170,7 +170,7 @@ class PlanView:
             "Row through the highlight", "x from the highlight [px]", "radiance [1/sr]", height=260, y_axis_type="log"
         )
         self._rows = ColumnDataSource({"x": [], "true": [], "recorded": []}, name="profile")
-        for name, colour, words in (("true", COLOURS[0], "as it is"), ("recorded", COLOURS[1], "as recorded")):
+        for name, colour, words in (("true", COLOURS[0], "true"), ("recorded", COLOURS[1], "recorded")):
             self._profile.line("x", name, color=colour, line_width=2, legend_label=words, source=self._rows)
         self._profile.legend.label_text_font_size = "10px"
         pictures = row(*(one.plot for one in pair.values()), spacing=2)
@@ -183,7 +183,7 @@ class PlanView:
             row(self._curves, about, sizing_mode="stretch_width", spacing=8),
             row(
                 self._shown,
-                Div(text="green light; logarithmic colours, the same for both of a pair", styles={"font-size": "11px"}),
+                Div(text="green light; logarithmic colours, with one scale for a pair", styles={"font-size": "11px"}),
             ),
             *self._panels,
             self._copy,
@@ -210,7 +210,7 @@ class PlanView:
         planned = self.planned
         parts: dict[str, Any] = {}
         for count, (name, part) in enumerate(_PARTS.items()):
-            words = f"preparing: {count + 1} of {len(_PARTS)}, {name} (slow once after an installation)"
+            words = f"compiling: {count + 1} of {len(_PARTS)}, {name} (slow the first time after an installation)"
             self._fast.show(partial(self._say, words))
             parts |= part(planned)
             so_far = dict(parts)
@@ -242,7 +242,7 @@ class PlanView:
             "theta": [theta] * count,
             "relative": [np.round(one, 5).tolist() for one in data.relative_response],
             "roughness": [f"{r:g}" for r, _, _ in rows],
-            "words": [f"{r:g}: {kept:.1%} kept at 0°, 5 % gone at {_angle(angle)}" for r, kept, angle in rows],
+            "words": [f"{r:g}: {kept:.1%} kept at 0°, 5 % lost at {_angle(angle)}" for r, kept, angle in rows],
             "chosen": [f"{planned.roughness:g}"] * count,
             "colour": [COLOURS[0] if one else next(others) for one in chosen],
             "width": [3.5 if one else 1.5 for one in chosen],
@@ -253,10 +253,10 @@ class PlanView:
                 f"<tr><td>{r:g}</td><td>{kept:.1%}</td><td>{_angle(angle)}</td></tr>" for r, kept, angle in rows
             )
             self._numbers.text = (
-                "<table><tr><th>roughness</th><th>kept at 0°</th><th>5 % gone at</th></tr>"
-                f"{lines}</table>as <code>matcam predict</code>"
+                "<table><tr><th>roughness</th><th>kept at 0°</th><th>5 % lost at</th></tr>"
+                f"{lines}</table>computed as by <code>matcam predict</code>"
             )
-        else:  # constant words for every move, because a changed text triggers a new layout
+        else:  # constant while a slider moves, because a changed text triggers a new layout
             self._numbers.text = "preview: the numbers are shown beside the curves"
             self._limits.text = ""
 
@@ -288,7 +288,7 @@ class PlanView:
                 "sphere recorded", exact.values[::-1, :, 0], exact["x"].values, exact["y"].values[::-1]
             )
         self._recorded.title.text = (
-            "sphere as recorded, within 1 %" if exact is not None else _PICTURES["sphere recorded"]
+            "sphere: recorded, within 1 %" if exact is not None else _PICTURES["sphere recorded"]
         )
         source = self._changes if differ else self._drawn
         source.data = {**source.data, **columns}
@@ -297,7 +297,7 @@ class PlanView:
                 one.arrived()
 
     def _at_rest(self, planned: Planned) -> None:
-        """Compute the exact values; stop between two of them after a change."""
+        """Compute the exact values, and stop after one of them if a control has changed."""
         from matcam.forward.prediction import predicted
 
         rig = planned.rig()
@@ -336,7 +336,7 @@ class PlanView:
             for name, text in (("camera.json", planned.camera_profile()), ("rig.toml", planned.rig_file()))
         )
         return (
-            f"<b>The same</b>, to copy; files: {links}<br><code>{escape(planned.command())}</code>"
+            f"<b>The same rig</b> as a command and as Python; files: {links}<br><code>{escape(planned.command())}</code>"
             f"<pre style='margin:4px 0'>{escape(planned.python())}</pre>"
         )
 
@@ -368,7 +368,7 @@ _PARTS = {"curves": _curves, "the highlight": _close, "the sphere": _sphere}
 
 
 def _fast(planned: Planned) -> dict[str, Any]:
-    """Return all fast values."""
+    """Compute all previews."""
     found: dict[str, Any] = {}
     for part in _PARTS.values():
         found |= part(planned)
@@ -376,7 +376,7 @@ def _fast(planned: Planned) -> dict[str, Any]:
 
 
 def _limits(planned: Planned) -> str:
-    """Compute the bounds of recoverable parameters, or explain why there are none."""
+    """Format the bounds of the roughness as HTML, or the reason why they cannot be computed."""
     from matcam.core.errors import MatcamError
     from matcam.core.workspace import Workspace
     from matcam.inverse.recoverability import limits
@@ -388,4 +388,4 @@ def _limits(planned: Planned) -> str:
     one = found.isel(roughness=0)
     rows = (("camera exact", one["width_std"]), ("lens free", one["width_std_free"]))
     lines = "".join(f"<tr><td>{name}</td><td>{float(value):.2%}</td></tr>" for name, value in rows)
-    return f"<b>Bounds</b> of ln roughness (<code>matcam limits</code>), 1 % noise:<table>{lines}</table>"
+    return f"<b>Bounds</b> of the std of ln roughness (<code>matcam limits</code>), 1 % noise:<table>{lines}</table>"

@@ -18,8 +18,8 @@ SETTINGS = (
     Setting("sigma", "lens blur, std [px]", 0.05, 5, 0.5, log=True),
     Setting("half_width", "pixel half width [px]", 0.05, 0.5, 0.5),
     Setting("radius", "sphere radius [px]", 20, 2000, 256, log=True),
-    Setting("distance", "camera at [radii]", 2, 999, math.inf, log=True, infinite=True),
-    Setting("lamp_distance", "lamp at [radii]", 2, 999, math.inf, log=True, infinite=True),
+    Setting("distance", "camera distance [radii]", 2, 999, math.inf, log=True, infinite=True),
+    Setting("lamp_distance", "lamp distance [radii]", 2, 999, math.inf, log=True, infinite=True),
     Setting("lamp_radius", "lamp radius [degrees]", 0, 5, 0),
     Setting("roughness", "roughness [slope]", 0.0005, 0.3, 0.01, log=True),
     Setting("glare", "glare, share of light", 0, 0.05, 0),
@@ -27,7 +27,7 @@ SETTINGS = (
 )
 
 OTHERS = (0.001, 0.005, 0.02, 0.1)
-"""Roughnesses that are drawn beside the selected one."""
+"""Roughnesses whose curves are drawn for comparison with the selected roughness."""
 
 PRESETS = {
     "MERL": {"sigma": 0.5, "half_width": 0.5, "radius": 256},
@@ -50,7 +50,7 @@ PRESETS = {
         "glare": 0.002,
     },
 }
-"""Predefined rigs; omitted entries are infinite or 0."""
+"""Predefined rigs. Omitted distances are infinite, and other omitted entries are 0."""
 
 GLARE_RADIUS = 30.0
 """Standard deviation of the halo, px: the default of `matcam predict --glare-radius`."""
@@ -58,21 +58,21 @@ GLARE_RADIUS = 30.0
 
 @dataclass(frozen=True)
 class Planned:
-    """A rig and a material as numbers; lengths in px, distances in radii, angles in degrees.
+    """Rig and material; lengths in px, distances in radii, angles in degrees.
 
     Attributes:
         sigma: standard deviation of the lens's blur, px.
         half_width: half width of a pixel, px.
         radius: radius of the sphere, px.
-        distance: distance of the camera, radii; infinite is allowed.
-        lamp_distance: distance of the lamp, radii; infinite is allowed.
-        lamp_radius: angular, degrees.
+        distance: distance of the camera, radii; it may be infinite.
+        lamp_distance: distance of the lamp, radii; it may be infinite.
+        lamp_radius: angular radius of the source disc, degrees.
         roughness: roughness of the chosen lobe.
         glare: share of the light in the halo.
         theta_d: difference angle of the images, degrees.
         metal: name of a metal.
         family: family of the lobe.
-        n_and_k: n and k of green light, no unit; None: the metal's.
+        n_and_k: n and k for green light, no unit; None: those of the metal.
     """
 
     sigma: float
@@ -95,7 +95,10 @@ class Planned:
 
     @property
     def loses_at_most_cos(self) -> bool:
-        """Check whether cos theta bounds the loss: a point lamp in a distant rig."""
+        """Check whether cos theta bounds the loss.
+
+        This holds for a point lamp in a distant rig.
+        """
         return self.lamp_radius == 0 and math.isinf(self.distance) and math.isinf(self.lamp_distance)
 
     def rig(self) -> Rig:
@@ -132,13 +135,19 @@ class Planned:
         return Microfacet(FAMILIES[self.family](self.roughness), Conductor(np.array([n]), np.array([k])))
 
     def camera_profile(self) -> str:
-        """Return the camera profile, JSON, without the glare, which is a separate option."""
+        """Format the camera profile as JSON, without the glare.
+
+        The glare is a separate option.
+        """
         from dataclasses import replace
 
         return json.dumps(replace(self, glare=0.0).rig().camera.profile(), indent=2)
 
     def rig_file(self) -> str:
-        """Return the rig for `--rig` (TOML); the profile, camera.json, is beside it."""
+        """Format the rig as TOML for `--rig`.
+
+        The rig file refers to the profile camera.json beside it.
+        """
         lines = ['schema = "matcam-rig-1"', 'camera = "camera.json"', "", "[sample]", 'shape = "sphere"']
         lines.append(f"radius_px = {self.radius:.12g}")
         lens = {"distance": self.distance} if math.isfinite(self.distance) else {}
@@ -172,7 +181,7 @@ class Planned:
         return " ".join(words)
 
     def python(self) -> str:
-        """Return the same rig and its prediction as Python."""
+        """Format the same rig and its prediction as Python code."""
         lens = f"matcam.GaussianOptics({self.sigma:g})"
         if self.glare:
             lens = f"matcam.HaloOptics({lens}, {self.glare:g}, {GLARE_RADIUS:g})"
@@ -191,7 +200,7 @@ class Planned:
 
 
 def green_indices(name: str) -> tuple[float, float]:
-    """Return tabulated n and k of a metal for green light, no unit."""
+    """Return n and k of a metal for green light, no unit."""
     from matcam.core.grid import CHANNEL_WAVELENGTHS
     from matcam.material.optical_constants import metal
 

@@ -44,9 +44,9 @@ def curve_figure(title: str, x: str, y: str, *, height: int, **more: Any) -> Any
 
 
 def picture_figure(title: str, size: int, x: str, y: str, **more: Any) -> Any:
-    """Create a plot for images, `size` px of the screen wide and high; the names of the axes include units.
+    """Create a plot for images; the names of the axes include units.
 
-    Its background is light until `on_black` is called for an image.
+    size: width and height, px of the screen. The background is light until `on_black` is called for an image.
     """
     plot = figure(title=title, frame_width=size, frame_height=size, x_axis_label=x, y_axis_label=y, **more)
     plain(plot)
@@ -56,7 +56,7 @@ def picture_figure(title: str, size: int, x: str, y: str, **more: Any) -> Any:
 
 
 WAITING = "#F2F2F2"
-"""Background of a plot without an image."""
+"""Background colour of a plot without an image."""
 
 
 def on_black(plot: Any, picture: Any, *, shown: bool = True) -> None:
@@ -107,9 +107,13 @@ class PictureColours:
             )
 
     def scale(self, largest: float) -> None:
-        """Set the largest radiance of the scale, 1/sr, to the next half decade.
+        """Set the largest radiance of the scale, rounded up to half decades.
 
-        A colour thus keeps its radiance while a slider moves, and a browser need not map all pixels three times.
+        Due to the rounding, a colour keeps its radiance while a slider moves, and the browser maps the pixels of an
+        image once instead of three times.
+
+        Args:
+            largest: largest radiance of the images, 1/sr.
         """
         high = 10 ** (math.ceil(2 * math.log10(max(largest, 1e-300)) - 1e-9) / 2)
         self.mapper.update(low=-high if self._difference else high * self._least, high=high)
@@ -137,11 +141,11 @@ class PictureFigure:
     Args:
         title: title.
         size: width of the image on the screen, px.
-        source: the data; the image is their column `name`.
+        source: data source, whose column `name` is the image.
         name: name of the image.
         colours: colour scale.
         bar: True for a colour bar, which widens the plot.
-        beside: the image to its left, whose axes it shares. Default: None.
+        beside: figure whose axes this figure shares. Default: None, the figure has axes of its own.
     """
 
     def __init__(
@@ -188,7 +192,10 @@ class PictureFigure:
 
 
 def picture_columns(name: str, values: np.ndarray, x: np.ndarray, y: np.ndarray) -> dict[str, list[Any]]:
-    """Return the columns of an image in a source: values (y, x), each a square about its position, px."""
+    """Compute the columns of an image for a data source.
+
+    values: (y, x). x, y: positions of the values, px; each value is drawn as a square.
+    """
     side = float(x[1] - x[0])
     return {
         name: [np.ascontiguousarray(values, dtype=np.float32)],

@@ -1,6 +1,4 @@
-"""Server: one page on this machine, behind an access control. It reads only files from its user, and makes no
-requests.
-"""
+"""Server of the app: one page, behind an access control. It reads only files of its user, and sends no requests."""
 
 from __future__ import annotations
 
@@ -31,7 +29,7 @@ from matcam.app.worker import THREAD
 from matcam.core.errors import ArgumentError
 
 LARGEST_MESSAGE = 64 << 20
-"""Largest message from a browser, bytes; larger files come in pieces."""
+"""Largest message from a browser, bytes. It exceeds the text of the largest file that can be dropped on the page."""
 
 
 _IDLE = 60.0
@@ -39,12 +37,12 @@ _IDLE = 60.0
 
 
 class AppServer:
-    """Server of the page of the app, until it is stopped.
+    """Server of the page of the app.
 
     Args:
         files: files and folders that the user opened.
-        host: address to listen on. Default: "127.0.0.1", this machine alone.
-        port: port to listen on. Default: 0, a free one.
+        host: address to listen on. Default: "127.0.0.1", only this machine.
+        port: port to listen on. Default: 0, any free port.
 
     Raises:
         ArgumentError: the server cannot listen on the address.
@@ -65,7 +63,7 @@ class AppServer:
         self.pages: set[Page] = set()
         tornado = _Site(
             Application(FunctionHandler(self._page(tuple(files)))),
-            extra_websocket_origins=["*"],  # the access control has checked it
+            extra_websocket_origins=["*"],  # the access control has checked the origin
             extra_patterns=[self.downloads.pattern()],
             websocket_max_message_size_bytes=LARGEST_MESSAGE,
             websocket_compression_level=None,
@@ -82,12 +80,12 @@ class AppServer:
 
     @property
     def address(self) -> str:
-        """Return the address to open, token included."""
+        """Return the address to open, including the token."""
         return self.guard.address
 
     @property
     def busy(self) -> bool:
-        """Check whether a computation still runs, although its result is not required."""
+        """Check whether a computation is still running."""
         return any(thread.name == THREAD for thread in threading.enumerate())
 
     def run(self) -> None:

@@ -1,6 +1,6 @@
 """Uploads and downloads of the page: dropped files are in a folder of the session, saved files are bytes in memory.
 
-Addresses of saved files cannot be guessed. Dropped files are removed with the session.
+Addresses of saved files cannot be guessed. Dropped files are removed at the end of the session.
 """
 
 from __future__ import annotations
@@ -23,17 +23,17 @@ from tornado.web import RequestHandler
 from matcam.app.controls import WIDTH
 
 _KEPT = 64
-"""Number of files that are offered at once, over all pages."""
+"""Largest number of files that all pages offer at a time, which limits the memory of the app."""
 
 
 class Downloads:
-    """Files that pages offer."""
+    """Registry of the files that pages offer to save."""
 
     def __init__(self) -> None:
         self._files: dict[str, tuple[str, bytes]] = {}
 
     def offer(self, name: str, content: bytes, words: str = "") -> str:
-        """Return a link, as HTML, that saves `content` as `name`."""
+        """Register a file, and return an HTML link that saves it."""
         key = secrets.token_urlsafe(16)
         self._files[key] = (name, content)
         while len(self._files) > _KEPT:
@@ -41,15 +41,15 @@ class Downloads:
         return f'<a href="/save/{key}" download="{escape(name, quote=True)}">{escape(words or name)}</a>'
 
     def get(self, key: str) -> tuple[str, bytes] | None:
-        """Return name and content of a file; None if it is not offered."""
+        """Return name and content of a file, or None if unknown."""
         return self._files.get(key)
 
     def close(self) -> None:
-        """Forget all files."""
+        """Remove all files."""
         self._files.clear()
 
     def pattern(self) -> Any:
-        """Return the pattern of the links of the server."""
+        """Return the route of the links, for the server."""
         return r"/save/([\w-]+)", _Saved, {"downloads": self}
 
 
@@ -70,11 +70,11 @@ class _Saved(RequestHandler):
 
 
 LARGEST = 40 << 20
-"""Largest file that can be dropped, bytes; a larger one is opened by its name on the command line."""
+"""Largest file that can be dropped, bytes. Larger files are given on the command line, and are not copied."""
 
 
 class Upload:
-    """Field to drop a file on, or to choose one with the keyboard.
+    """Field for dropping a file or choosing it with the keyboard.
 
     Args:
         title: label.
@@ -97,7 +97,7 @@ class Upload:
             shutil.rmtree(self._folder, ignore_errors=True)
 
     def _arrived(self, attribute: str, old: Any, value: Any) -> None:
-        # the same message changes the name, after the content
+        # the message of the content also sets the name, but later
         document = self.layout.document
         if value and document is not None:
             document.add_next_tick_callback(self._take)
@@ -108,12 +108,12 @@ class Upload:
         if not value:
             return
         if len(value) > LARGEST * 4 // 3 + 8:
-            self._complain(f"{name}: larger than {LARGEST >> 20} MB: open it with `matcam app FILE`")
+            self._complain(f"{name}: the file is larger than {LARGEST >> 20} MB: open it with `matcam app FILE`")
             return
         try:
             content = base64.b64decode(value, validate=True)
         except (binascii.Error, ValueError):
-            self._complain(f"{name}: did not arrive completely: drop it again")
+            self._complain(f"{name}: the file did not arrive completely: drop it again")
             return
         if self._folder is None:
             self._folder = Path(tempfile.mkdtemp(prefix="matcam-app-"))
@@ -127,7 +127,7 @@ class Upload:
 
 
 def safe_name(name: str) -> str:
-    """Return the name of a file without folder, and without characters or names that a system treats specially."""
+    """Remove the folder and special characters from the name of a file."""
     last = re.split(r"[\\/]", name)[-1]
     plain = re.sub(r"[^\w.() -]", "_", last).strip(" .")[-120:]
     return plain or "file"

@@ -1,4 +1,5 @@
-"""Background work of the page: the newest request is next, and older ones that have not started are dropped.
+"""Background work of the page: the newest request is computed next, and older requests that have not started are
+dropped.
 
 A thread computes while the server reads the messages of the browser, so that the last value of a slider is available. A
 result is shown before the next request starts, so that neither requests nor results queue up. Moves that have arrived
@@ -18,7 +19,7 @@ from bokeh.document import Document
 
 from matcam.core.errors import MatcamError
 
-_SHOWN_WITHIN = 5.0  # s; a page that is gone shows no results
+_SHOWN_WITHIN = 5.0  # time limit for showing a result, s, because a closed page shows no results
 
 DRAINED = {"after": 0.004, "within": 0.05}
 """Times, s, within which waiting moves of a slider replace each other (see `Newest.ask`)."""
@@ -28,7 +29,7 @@ THREAD = "matcam-app"
 
 
 class Newest:
-    """Queue of one: the newest requested job, one at a time.
+    """Queue with one position, for the newest requested job.
 
     Args:
         document: the page's document; results are shown under its lock.
@@ -74,7 +75,7 @@ class Newest:
         return self._ended or self._job is not None
 
     def close(self) -> None:
-        """Accept no more work; running work is not shown."""
+        """Stop accepting work, and discard the result of the running job."""
         with self._wake:
             self._ended, self._job = True, None
             self._wake.notify()
@@ -91,14 +92,14 @@ class Newest:
                 self._complain(str(error))
             except Exception:
                 traceback.print_exc()
-                self._complain("this is a fault of matcam, not of your input; the terminal shows where")
+                self._complain("this is a fault of matcam, not of your input; the terminal shows the traceback")
             finally:
                 shown.set()
 
         if not self._ended:
             try:
                 self._document.add_next_tick_callback(tick)
-            except AttributeError:  # the document was destroyed at this instant, with its parts
+            except AttributeError:  # the document has been destroyed in the meantime
                 self._ended = True
                 return
             shown.wait(_SHOWN_WITHIN)
@@ -121,12 +122,14 @@ class Newest:
             message = str(error)
             self.show(lambda: self._complain(message))
         except MemoryError:
-            self.show(lambda: self._complain("not enough memory"))
+            self.show(lambda: self._complain("not enough memory: open smaller files, or close other programs"))
         except Exception:
             if not self._ended:
                 traceback.print_exc()
                 self.show(
-                    lambda: self._complain("this is a fault of matcam, not of your input; the terminal shows where")
+                    lambda: self._complain(
+                        "this is a fault of matcam, not of your input; the terminal shows the traceback"
+                    )
                 )
         else:
             self.show(lambda: show(result))

@@ -31,7 +31,7 @@ _TEMPORARY = re.compile(r"\.(.+)-[a-z0-9_]{8}\.(?:binary|nc|json|html|png)(?:\.o
 
 
 class RunFolder:
-    """Folder that one run at a time fills.
+    """Folder of a run, locked against other runs while it is filled.
 
     Args:
         path: the folder.
@@ -56,7 +56,7 @@ class RunFolder:
             lock.acquire(timeout=0)
         except filelock.Timeout:
             raise OutputError(
-                f"output folder {self.path} is in use by another run: wait for it, or choose another"
+                f"output folder {self.path} is in use by another run: wait for its end, or choose another folder"
             ) from None
         except NotImplementedError:
             pass  # the error of filelock for a file system without locks
@@ -78,11 +78,11 @@ class RunFolder:
                 folders[:] = [name for name in folders if name == _ZARR]
 
     def outputs(self, paths: Iterable[str | Path]) -> tuple[dict[Path, Path], list[Outcome]]:
-        """Find the tables that `paths` name, and the file that each becomes in this folder.
+        """Find the tables in `paths`, and the output file of each table in this folder.
 
         A folder represents its *.binary files, in order of their names; duplicates are omitted. Returns {input: output},
-        and the rejected inputs: those that share a name, or have the name of a file of the run. ArgumentError without
-        any table; OutputError if this folder contains an input.
+        and the rejected inputs: those that share a name, or have the name of a file of the run. ArgumentError if
+        there is no table; OutputError if this folder contains an input.
         """
         given = [Path(path) for path in paths]
         found: dict[Path, Path] = {}
@@ -115,10 +115,12 @@ class RunFolder:
                     raise OutputError(f"output {output} is the input itself: choose another folder")
                 if len(files) > 1:
                     others = ", ".join(str(other) for other in files if other is not file)
-                    refused.append(Outcome(file, 0.0, f"{file}: its name is also that of {others}: rename one"))
+                    refused.append(
+                        Outcome(file, 0.0, f"{file}: has the same name as {others}: rename one of these files")
+                    )
                 elif stem in _RESERVED:
                     refused.append(
-                        Outcome(file, 0.0, f"{file}: {file.stem} is the name of a file of the run: rename it")
+                        Outcome(file, 0.0, f"{file}: {file.stem} is the name of a file of the run: rename this input")
                     )
                 else:
                     outputs[file] = output
@@ -136,7 +138,7 @@ class RunFolder:
             return False
         there = read_json(self._settings, "the settings of a run")
         if not isinstance(there, dict) or there.get("format") != SETTINGS_FORMAT:
-            raise OutputError(f"output {self._settings} is not the settings of a run: choose another folder")
+            raise OutputError(f"output {self._settings} does not contain the settings of a run: choose another folder")
         different = _first_difference(there, settings)
         if different is not None and not force:
             name, old, new = different
@@ -151,7 +153,7 @@ class RunFolder:
         write_json(self._settings, settings, force=True)
 
     def sweep(self, jobs: Iterable[Job]) -> None:
-        """Remove temporary files of a killed process beside those of the run."""
+        """Remove temporary files that a killed process left beside the files of the run."""
         stems = {*_RESERVED, *(job.name for job in jobs)}
         for path in self.path.iterdir():
             found = _TEMPORARY.fullmatch(path.name)
@@ -162,7 +164,7 @@ class RunFolder:
         """Return the waiting jobs, each with its row of the Zarr of the run.
 
         Finished materials without a row, because the Zarr was requested later or lost, are copied from their NetCDF
-        files. The errors are those of `open_rows` and `StoreRow.write`.
+        files. The exceptions are those of `open_rows` and `StoreRow.write`.
         """
         if not jobs:
             return list(waiting)
@@ -175,7 +177,7 @@ class RunFolder:
         return [replace(job, row=rows[job.name]) for job in waiting]
 
     def write_failures(self, failures: Sequence[Outcome]) -> None:
-        """Write the failures with their reasons, or remove an old list without failures."""
+        """Write the failures with their reasons, or remove an old list if there are no failures."""
         if not failures:
             self._failed.unlink(missing_ok=True)
             return

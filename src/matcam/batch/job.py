@@ -31,12 +31,12 @@ class Job:
 
     Attributes:
         source: MERL file to read.
-        output: MERL file to write; .nc, .json and, if the recipe requires it, .html go beside it.
+        output: MERL file to write. Files .nc, .json and, if the recipe requires a page, .html are written beside it.
         recipe: settings of the correction.
         force: whether to replace existing files.
-        key: key of the run's settings; None outside a run. A run also gets a thumbnail (.png) for its index.
+        key: key of the run's settings; None outside a run. In a run, a thumbnail (.png) is written for the index, too.
         row: row of the run's Zarr to fill, if the run has one.
-        budget: uncertainty budget to write (.json, .csv). Default: None, not written.
+        budget: file for the uncertainty budgets (.json, .csv). Default: None, not written.
     """
 
     source: Path
@@ -49,12 +49,12 @@ class Job:
 
     @property
     def name(self) -> str:
-        """Return the name of the material: that of its output, without suffix."""
+        """Return the name of the material: the name of its output file without suffix."""
         return self.output.stem
 
     @property
     def record(self) -> Path:
-        """Return the file that is written last: if it exists, the others are complete."""
+        """Return the file that is written last. If it exists, the other files are complete."""
         return self.output.with_suffix(".json")
 
     @property
@@ -70,7 +70,7 @@ class Job:
         ]
 
     def finished_record(self) -> dict[str, Any] | None:
-        """Return the record on disk if it has these settings, and its files exist with the listed sizes."""
+        """Return the record on disk if it has these settings, and its files exist with the listed sizes; otherwise None."""
         try:
             document = read_json(self.record, "a material's record")
             run = document["run"]
@@ -84,7 +84,7 @@ class Job:
     def is_finished(self) -> bool:
         """Check whether the files are complete, with these settings and from the current input.
 
-        The input is read only if its time of change differs, because hashing a hundred thousand tables would take an
+        The input is read only if its modification time differs, because hashing a hundred thousand tables would take an
         hour.
         """
         try:
@@ -104,7 +104,7 @@ class Outcome(NamedTuple):
         source: the job's input.
         seconds: duration, s.
         reason: reason of a failure, in one line; None: success. Default: None.
-        trace: traceback of a fault of matcam; None: there is none. Default: None.
+        trace: traceback, if the failure is a fault of matcam. Default: None, no such fault.
 
     Example:
         >>> import pathlib
@@ -135,7 +135,7 @@ def attempt(job: Job, workspace: Workspace | None = None) -> Outcome:
         text = " ".join(str(error).split())
         return failure(text if str(job.source) in text else f"{job.source}: {text}")
     except MemoryError:
-        return failure(f"{job.source}: not enough memory")
+        return failure(f"{job.source}: not enough memory: use fewer workers")
     except Exception as error:
         text = " ".join(f"{type(error).__name__}: {error}".split())
         return failure(f"{job.source}: a fault of matcam, not of your input: {text}", traceback.format_exc())
@@ -149,7 +149,7 @@ def write_corrected(job: Job, workspace: Workspace | None = None) -> dict[str, A
 
     Raises:
         ArgumentError, OutputError: a file could not be written; raised before any work.
-        FileFormatError: the input is not a table, or changed while it was read.
+        FileFormatError: the input is not a table, or the file changed while it was read.
         MatcamError: an error of the corrector.
     """
     version = metadata.version("matcam")
@@ -164,10 +164,10 @@ def write_corrected(job: Job, workspace: Workspace | None = None) -> dict[str, A
     before = fingerprint(job.source)
     table = read_table(job.source, sampling=job.recipe.sampling)
     if fingerprint(job.source) != before:
-        raise FileFormatError(f"{job.source}: changed while it was read: correct it again when it is complete")
+        raise FileFormatError(f"{job.source}: changed while it was read; correct it again when the file is complete")
     if table.attrs.get(CORRECTED):
         raise ArgumentError(
-            f"{job.source}: a {table.attrs.get('long_name', 'BRDF')} already: give the table as it was recorded"
+            f"{job.source}: is already a {table.attrs.get('long_name', 'BRDF')}: give the table as it was recorded"
         )
     if job.recipe.page:
         import_behind("matcam.figures.pages")
@@ -199,7 +199,7 @@ def write_corrected(job: Job, workspace: Workspace | None = None) -> dict[str, A
 
 
 class Fingerprint(NamedTuple):
-    """State of a file when it was read: size (bytes), time of change (ns) and SHA-256."""
+    """State of a file when it was read: size (bytes), modification time (ns) and SHA-256."""
 
     bytes: int
     mtime_ns: int

@@ -1,7 +1,6 @@
-"""Recipe of a run: the rig and the options, the work on one table, and the key of records.
+"""Recipe of a run: its rig and options, the correction of one table, and the key that identifies its records.
 
-A run may have one camera for all its materials: its blur is then fitted jointly to a few of them, because one rig
-recorded all.
+A run may fit the blur of its camera jointly to a few of its materials, because one rig recorded all materials.
 """
 
 from __future__ import annotations
@@ -40,7 +39,7 @@ class Options(NamedTuple):
 
     Attributes:
         ndf: family of the lobe, or "auto" for the more probable of "ggx" and "epd". Default: "auto".
-        masking: masking function, or None for none. Default: "smith".
+        masking: masking function; None: no masking. Default: "smith".
         glare: share of light in an unspecified halo of the lens (no unit). Default: 1e-3.
         force_correction: whether to correct tables whose data contradict the rig. Default: False, they are not changed.
         workspace: cache of results that depend on the rig alone; None: that of the process. It does not affect results.
@@ -63,9 +62,9 @@ class CorrectedTable(NamedTuple):
 
     Attributes:
         table: Dataset (brdf, brdf_std, correction_std, noise_std, supported, response).
-        document: record of the table, as numbers and texts.
+        document: record of the table, in types of JSON.
         write_page: function (path, name, force) that writes the page.
-        budgets: uncertainty budgets of the peaks. Default: none.
+        budgets: uncertainty budgets of the peaks. Default: ().
     """
 
     table: xr.Dataset
@@ -79,7 +78,7 @@ Corrector = Callable[[xr.DataArray, Rig, Options], CorrectedTable]
 
 
 def correct_table(table: xr.DataArray, rig: Rig, options: Options) -> CorrectedTable:
-    """Correct a table for its camera. The errors are those of `correct`."""
+    """Correct a table for its camera. The exceptions are those of `correct`."""
     done = Correction.of(
         table,
         rig,
@@ -107,8 +106,8 @@ class Recipe:
         rig: the rig that recorded the tables.
         options: options of the correction.
         sampling: sampling position of a value in its cell.
-        page: whether each table gets a page.
-        compress: whether its NetCDF is compressed.
+        page: whether a page is written for each table.
+        compress: whether the NetCDF files are compressed.
         corrector: function that corrects one table.
         version: version of matcam of the recipe; workers of other versions reject it.
     """
@@ -122,9 +121,11 @@ class Recipe:
     version: str = field(default_factory=lambda: metadata.version("matcam"))
 
     def settings(self, *, fit_camera: bool) -> dict[str, Any]:
-        """Return all settings that affect the files of a run, as numbers and texts."""
+        """Return all settings that affect the files of a run, in types of JSON."""
         if not hasattr(self.corrector, "__qualname__"):
-            raise ArgumentError(f"corrector must be a function at the top of a module, got {self.corrector!r:.60}")
+            raise ArgumentError(
+                f"corrector must be a function at the top level of a module, got {self.corrector!r:.60}"
+            )
         return plain(
             {
                 "format": SETTINGS_FORMAT,
@@ -162,7 +163,7 @@ def rig_description(rig: Rig) -> dict[str, Any]:
 
 
 def settings_key(settings: dict[str, Any]) -> str:
-    """Compute a name from the content of the settings."""
+    """Compute a key from the content of the settings."""
     return hashlib.sha256(json.dumps(plain(settings), sort_keys=True).encode()).hexdigest()[:32]
 
 
@@ -178,7 +179,7 @@ _KNOWN = 0.25
 def fit_shared_camera(recipe: Recipe, inputs: Sequence[Path]) -> Camera:
     """Fit the blur of the camera of the recipe to these tables, with its variance.
 
-    FitError if no table can be read, or they do not determine the blur to a quarter.
+    FitError if all tables are unreadable, or the tables do not determine the blur to 25 %.
     """
     chosen = _narrowest(inputs, recipe.sampling)
     tables = [table for _, table in chosen]
@@ -224,6 +225,6 @@ def _narrowest(inputs: Sequence[Path], sampling: Sampling) -> list[tuple[Path, x
         width = float(np.nanmedian(across)) if np.isfinite(across).any() else np.inf
         widths.append((width, inputs[position]))
     if not widths:
-        raise FitError("no table can be read: a camera cannot be fitted")
+        raise FitError("no table can be read, but fit_camera=True needs at least one: give readable tables")
     narrowest = sorted(widths, key=lambda entry: entry[0])[:_FITTED]
     return [(file, read_table(file, sampling=sampling)) for _, file in narrowest]

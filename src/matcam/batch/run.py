@@ -1,4 +1,4 @@
-"""Run: parallel correction of many tables of one rig to one folder, which can be resumed."""
+"""Run: parallel, resumable correction of many tables of one rig into one folder."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class Progress(NamedTuple):
         corrected: number of materials that the run has corrected.
         failed: number of materials that failed.
         total: number of all materials of the run.
-        last: outcome of the last material; None: none is finished.
+        last: outcome of the last material; None: at the start of the run.
 
     Example:
         >>> progress = matcam.batch.Progress(kept=3, corrected=2, failed=1, total=10, last=None)
@@ -86,7 +86,7 @@ class Run:
     failures: tuple[Outcome, ...]
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the run as texts and lists.
+        """Return the run in types of JSON.
 
         Returns:
             The fields by name; "failed" lists each failure's file and reason.
@@ -123,21 +123,24 @@ def correct_all(
 ) -> Run:
     """Correct many MERL tables of one rig into one folder.
 
-    Each NAME.binary becomes NAME.binary, .nc, .html, .png and, last, NAME.json in the folder. For the whole run,
-    settings.json has the settings, failed.json lists failures with reasons, and index.html shows all materials.
+    The results of an input NAME.binary are NAME.binary, .nc, .html, .png and, written last, .json in the folder. For the
+    whole run, settings.json contains the settings, failed.json lists failures with reasons, and index.html shows all
+    materials.
 
-    A material is not corrected again if its files are complete, and have these settings and the current input. A run
+    A material is not corrected again if its files are complete, and result from these settings and the current input. A run
     that was killed therefore resumes when it is started again. A material that fails, or kills its worker, does not
-    affect others. Workers keep compiled functions and rules of the rig in the cache folder of the user.
+    affect others. Workers store compiled functions, and results that depend on the rig alone, in the cache folder of the
+    user.
 
-    Workers are new processes that import the calling script: call this under `if __name__ == "__main__":` there.
+    Workers are new processes that import the calling script: call this function under
+    `if __name__ == "__main__":` in the script.
 
     Args:
-        paths: MERL files, and folders, which mean their *.binary.
+        paths: MERL files, and folders, which represent their *.binary files.
         rig: the rig that recorded the tables: distant camera and lamp, and a sphere.
         output: folder to fill.
         ndf: family of the lobe; "auto" uses the more probable of "ggx" and "epd" for each material. Default: "auto".
-        masking: masking function, as for `correct`; None for none. Default: "smith".
+        masking: masking function, as for `correct`; None: no masking. Default: "smith".
         glare: share of light in an unspecified halo of the lens, in [0, 0.5] (no unit). It limits the supported entries
             beside a highlight; increase it for a lens that scatters more. Default: 1e-3.
         force_correction: whether to correct tables whose data contradict the rig. Default: False, they are not changed.
@@ -145,17 +148,18 @@ def correct_all(
             Default: "centre".
         workers: number of worker processes of one core each, in [1, 1024]. Default: None, one for each core that this
             process may use.
-        cluster: run on Dask instead: "local:2" for workers on this machine, or the address of a scheduler. Its workers
-            must have one thread, access to the same folders, and the same versions. Default: None.
-        pages: whether each material gets a page. Default: True.
+        cluster: Dask cluster to use instead: "local:2" for workers on this machine, or the address of a scheduler.
+            Workers must have one thread, access to the same folders, and the same versions. Default: None.
+        pages: whether to write a page for each material. Default: True.
         compress: whether to compress each NetCDF, without loss. Default: True.
-        zarr: whether to write all materials to one Zarr, too, run.zarr. Default: False.
+        zarr: whether to also write all materials to one Zarr, run.zarr. Default: False.
         fit_camera: whether to fit the rig's blur jointly to the few materials with the narrowest lobes. All are then
             corrected with that blur and its covariance, which camera.json contains. Default: False.
         time_limit: time limit for one material, s, after which its worker process is killed and the material has
-            failed. Clusters have none. Default: 3600.
+            failed. It does not apply to clusters. Default: 3600.
         force: whether to replace existing files and correct everything again. Default: False.
-        watch: function that is called with a `Progress` at the start and after each material. Default: does nothing.
+        watch: function that is called with a `Progress` at the start and after each material.
+            Default: a function that does nothing.
         corrector: function (table, rig, options) that corrects one table; it must be at the top level of a module,
             because workers import it. Default: matcam's own.
         workspace: cache of results that depend on the rig alone, in this process; workers use that of the user.
@@ -165,7 +169,7 @@ def correct_all(
         Corrected, kept and failed materials.
 
     Raises:
-        ArgumentError: if an argument is out of its range, or `paths` name no table.
+        ArgumentError: if an argument is out of its range, or `paths` contain no table.
         OutputError: if the folder belongs to a run with other settings (which are named), is in use by another run, or
             contains an input or files that no run wrote.
         FitError: if a camera was to be fitted and the tables do not determine it.
@@ -215,7 +219,7 @@ def correct_all(
         fitted: Camera | None = None
         if fit_camera and (force or not ours or not is_there(folder.camera)):
             fitted = fit_shared_camera(recipe, list(outputs))
-        # from here on the folder belongs to this run; before, a run that cannot start has changed nothing
+        # from here on the folder belongs to this run; a run that cannot start does not change the folder
         if not ours:
             folder.claim(settings)
         folder.sweep(jobs)
@@ -286,5 +290,5 @@ def _check_picklable(recipe: Recipe) -> None:
         pickle.dumps(recipe)
     except Exception:
         raise ArgumentError(
-            f"corrector must be a function at the top of a module, got {recipe.corrector!r:.80}"
+            f"corrector must be a function at the top level of a module, got {recipe.corrector!r:.80}"
         ) from None

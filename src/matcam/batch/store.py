@@ -1,8 +1,8 @@
-"""Run as one Zarr: arrays over all its materials, which `xarray.open_zarr` reads lazily. Requires the extra
+"""Zarr of a run: arrays over all its materials, which `xarray.open_zarr` reads lazily. Requires the extra
 `matcam[scale]`.
 
-It is a folder, version 3, dims (material, theta_h, theta_d, phi_d, channel); one chunk per material, so that workers
-write their rows in parallel. `corrected` marks complete rows; it is the last chunk of a row.
+The Zarr is a folder in format version 3, with the dimensions (material, theta_h, theta_d, phi_d, channel). Each material has
+its own chunk, so that workers write their rows in parallel. `corrected` marks complete rows, and is written last.
 
 The folder is not trusted: its arrays must have the shapes and types of a run, and chunks are decoded only in a separate
 process (core/readers/apart.py). A worker writes whole chunks without decoding.
@@ -72,7 +72,7 @@ class StoreRow(NamedTuple):
 def open_rows(store: Path, names: Sequence[str], sampling: Sampling) -> dict[str, StoreRow]:
     """Return the row of each material in a store, which is created or extended as needed.
 
-    ArgumentError if zarr is not installed; OutputError if the store is not one of runs or cannot be written.
+    ArgumentError if zarr is not installed; OutputError if the store is not the Zarr of a run, or cannot be written.
     """
     zarr = _zarr()
     try:
@@ -101,7 +101,7 @@ def whole_rows(store: Path) -> np.ndarray:
 
 
 def row_names(store: Path) -> list[str]:
-    """Read the materials of the Zarr of a run, by row, without tables."""
+    """Read the names of the materials in the Zarr of a run, in the order of its rows."""
     _check_readable(store)
     return _stored(store, [_ROW])[_ROW].tolist()
 
@@ -115,7 +115,7 @@ def read_row(store: Path, row: int) -> xr.Dataset:
     _check_readable(store)
     done = whole_rows(store)
     if not 0 <= row < done.size or not done[row]:
-        raise FileFormatError(f"{store}: row {row} is incomplete: the run has not finished it")
+        raise FileFormatError(f"{store}: row {row} is incomplete: start the run again to finish it")
     names = [*_VALUES]
     read = read_apart(_DECODER, store, libraries=_LIBRARIES, size=_bytes_of(store, names, row), arrays=names, row=row)
     try:
@@ -142,7 +142,7 @@ def _stored(store: Path, names: Sequence[str]) -> dict[str, np.ndarray]:
 
 
 def _bytes_of(store: Path, names: Sequence[str], row: int | None = None) -> int:
-    """Sum the sizes of the chunks of arrays, or of one row; FileFormatError for a link among them."""
+    """Compute the total size of the chunks of arrays, or of one row, bytes. FileFormatError if a chunk is a link."""
     total = 0
     for name in names:
         chunks = store / name / "c"
@@ -156,36 +156,38 @@ def _bytes_of(store: Path, names: Sequence[str], row: int | None = None) -> int:
 
 
 def _check_readable(store: Path) -> None:
-    """Check that a store has the arrays of a run. FileFormatError."""
+    """Check that a store has the arrays of a run. FileFormatError if it does not."""
     _check_arrays(store)
     if not is_file(store / _ROW / DESCRIPTION):
         raise FileFormatError(f"{store}: is not the Zarr of a run: it has no array {_ROW}")
 
 
 def _check_arrays(store: Path) -> None:
-    """Check the arrays of a store before decoding. FileFormatError for a store that is not from a run."""
+    """Check the arrays of a store before decoding. FileFormatError if the store is not from a run."""
     for described in sorted([*store.glob(DESCRIPTION), *store.glob(f"*/{DESCRIPTION}")]):
         name = described.parent.name
         try:
             document = read_json(described, "a description of a run's Zarr")
             if described.parent == store:
-                continue  # the group's own, whose attributes are read apart
+                continue  # description of the group, whose attributes are read in a separate process
             check_codecs(store, name, document)
             shape, chunks, kind = tuple(document["shape"]), chunk_shape(document), document["data_type"]
             check_lengths(store, name, shape)
             if document["chunk_key_encoding"] != _CHUNK_KEYS:
-                raise FileFormatError(f"{described}: its chunks do not have the names of a run")
+                raise FileFormatError(f"{described}: the names of its chunks are not those of a run")
             expected: tuple[tuple[int, ...], tuple[int, ...], str]
             if name in _VALUES:
                 expected = _TABLES[name], (1, *_TABLES[name]), np.dtype(_VALUES[name][0]).name
             elif name in (_ROW, _DONE):
                 expected = (), (_NAMES_A_CHUNK if name == _ROW else 1,), "string" if name == _ROW else "bool"
             else:
-                continue  # it is never opened
+                continue  # this array is never opened
             if shape[0] > _MOST_ROWS:
                 raise FileFormatError(f"{described}: lists {shape[0]} materials, more than the {_MOST_ROWS} of a run")
             if (shape[1:], chunks, kind) != expected:
-                raise FileFormatError(f"{described}: {shape} values of {kind!r:.20} in chunks of {chunks}")
+                raise FileFormatError(
+                    f"{described}: {shape} values of {kind!r:.20} in chunks of {chunks} are not of a run"
+                )
         except (FileFormatError, KeyError, TypeError, IndexError) as error:
             raise FileFormatError(f"{store}: is not the Zarr of a run: {error}") from None
 

@@ -1,8 +1,8 @@
 """Exposure bracketing: several images of one scene, merged to its radiance, with uncertainty.
 
-The weight of an image is the inverse variance by the model of the sensor at the merged radiance (docs/model.md 8),
-never that of its own noisy pixels. Near saturation the weight fades to 0, because a sharp limit would select pixels by
-their noise, and bias the result.
+The weight of an image is the inverse of its variance, which the model of the sensor predicts from the merged radiance
+(docs/model.md 8), not from the noisy pixels of the image. Near saturation the weight decreases smoothly to 0, because a
+sharp limit would select pixels by their noise and bias the result.
 """
 
 from __future__ import annotations
@@ -17,17 +17,17 @@ from matcam.core import checks
 from matcam.core.errors import ArgumentError
 from matcam.core.jax import AnyArray, jax, jnp
 
-_FADE = (0.85, 0.95)  # shares of saturation: from full weight to none
-_ROUNDS = 3
+_FADE = (0.85, 0.95)  # shares of saturation between which the weight of an image decreases from 1 to 0
+_ROUNDS = 3  # number of updates of the weights, which depend on the radiance only through its shot noise
 
 
 class RadianceEstimate(NamedTuple):
     """Radiance estimated from a bracket of exposures.
 
     Attributes:
-        radiance: estimate, in the unit of the exposures' reference, shape (H, W) or (H, W, channels); NaN where every
-            image is saturated, or the data are missing.
-        std: standard deviation of `radiance`, fixed patterns included, same unit and shape.
+        radiance: estimate, in the unit of radiance to which the exposures refer, shape (H, W) or (H, W, channels); NaN
+            where every image is saturated, or the data are missing.
+        std: standard deviation of `radiance`, including fixed patterns, same unit and shape.
         saturated: True where every image is saturated, same shape.
 
     Example:
@@ -44,12 +44,12 @@ class RadianceEstimate(NamedTuple):
 def expose_bracket(
     sensor: Sensor, radiance: ArrayLike, exposures: Sequence[float], seed: Seed, times: Sequence[float] | None = None
 ) -> jax.Array:
-    """Photograph one scene at several exposures.
+    """Simulate images of one scene at several exposures.
 
     The noise of the images is independent; the fixed patterns are those of the sensor.
 
     Args:
-        sensor: the sensor that takes them.
+        sensor: the sensor that takes the images.
         radiance: radiance of the pixels, any unit, shape (H, W) or (H, W, channels), as in `Sensor.expected_electrons`.
         exposures: exposures of the images, electrons per unit of radiance, positive, (pictures,).
         seed: seed of the noise: a whole number, or a key of jax.random.
@@ -84,20 +84,20 @@ def merge_bracket(
     saturation it is unbiased, except for the weak dependence of the weights on the data.
 
     Args:
-        sensor: the sensor that took them; its noise gives the weights.
+        sensor: the sensor that took the images; its noise determines the weights.
         pictures: images, DN, shape (pictures, H, W) or (pictures, H, W, channels).
         exposures: exposures of the images, electrons per unit of radiance, positive, (pictures,).
         times: times of the images, s, for the dark current, (pictures,). None: 0, no dark current.
 
     Returns:
-        `.radiance` in the unit of the exposures' reference, its `.std`, and a mask `.saturated` of pixels that are
-        saturated in all.
+        `.radiance` in the unit of radiance to which the exposures refer, its `.std`, and a mask `.saturated` of pixels
+        that are saturated in all images.
 
     Raises:
         ArgumentError: an argument is out of range or has the wrong shape.
 
     Source:
-        EMVA Standard 1288, release 4 (the variances); docs/model.md 8 (where to evaluate them).
+        EMVA Standard 1288, release 4 (the variances); docs/model.md 8 (the radiance at which they are evaluated).
 
     Example:
         >>> sensor = matcam.Sensor(5e-6, full_well=10_000, read_noise=3.0)
@@ -159,6 +159,8 @@ def _exposures_and_times(
         (0.0,) * len(strengths) if times is None else tuple(jnp.atleast_1d(checks.number("times", times)).tolist())
     )
     if len(durations) != len(strengths):
-        raise ArgumentError(f"times must be as many as exposures ({len(strengths)}), got {len(durations)}")
+        raise ArgumentError(
+            f"times must have one value for each of the {len(strengths)} exposures, got {len(durations)}"
+        )
     checks.within("times", jnp.asarray(durations), 0, float("inf"), "s", open_high=True)
     return strengths, durations

@@ -1,4 +1,4 @@
-"""Camera: lens and pixel together, as the effective kernel of its images (docs/model.md 2)."""
+"""Camera: lens and pixel, combined to the effective kernel of its images (docs/model.md 2)."""
 
 from __future__ import annotations
 
@@ -29,12 +29,13 @@ if TYPE_CHECKING:
 class Camera(Module, Summarised):
     """Lens and pixel, combined to the effective kernel of a camera's images.
 
-    Three kernels are easily confused. `Optics.psf` is the light of the lens on the sensor. `PixelResponse.response` is
-    the sensitivity of one pixel over its area. `Camera.psf` is the *effective* kernel: the first, integrated over the
-    second, as pixels record it. A `Camera` is neither optics nor pixel, so that no blur can be applied twice.
+    Three kernels are easily confused. `Optics.psf` is the irradiance on the sensor, through the lens, of a point
+    source. `PixelResponse.response` is the sensitivity of one pixel over its area. `Camera.psf` is the *effective*
+    kernel that pixels record: the irradiance, weighted with the sensitivity and integrated over a pixel. A `Camera` is
+    neither an `Optics` nor a `PixelResponse`, so that no blur can be applied twice.
 
-    Directions are angles to the pixel grid's rows, rad, from +x (right) towards +y (up): a square pixel is not
-    isotropic.
+    Directions are angles from the rows of the pixel grid, rad, from +x (right) towards +y (up). They also matter for an
+    isotropic lens, because a square pixel is not isotropic.
 
     Args:
         optics: the lens, such as `GaussianOptics(0.5)`.
@@ -84,7 +85,7 @@ class Camera(Module, Summarised):
         pixel = BoxPixel() if pixel is None else pixel
         given: object = optics
         if not isinstance(given, Optics):
-            hint = ": a Camera already contains its pixel" if isinstance(given, Camera) else ""
+            hint = ": a Camera already contains its pixel; give camera.optics" if isinstance(given, Camera) else ""
             raise ArgumentError(f"optics must be Optics, got {type(given).__name__}{hint}")
         if not isinstance(pixel, PixelResponse):
             raise ArgumentError(f"pixel must be a PixelResponse, got {type(pixel).__name__}")
@@ -104,12 +105,12 @@ class Camera(Module, Summarised):
     # ------------------------------------------------------------------ the effective kernel
 
     def psf(self, x: ArrayLike, y: ArrayLike) -> jax.Array:
-        """Return the effective point spread function, 1/px^2: optics and pixel.
+        """Return the effective point spread function of optics and pixel, 1/px^2.
 
-        It is the value of a pixel per unit of light in a point, and integrates to 1.
+        It is the value of a pixel for a point source of unit flux, and integrates to 1.
 
         Args:
-            x: distance of the point from the pixel's centre along the rows, px; broadcasts with y.
+            x: distance of the point from the centre of the pixel along the rows, px; broadcasts with y.
             y: distance across the rows, upwards, px.
 
         Raises:
@@ -119,13 +120,13 @@ class Camera(Module, Summarised):
         return self._sum(lambda part: effective.point(part, self.pixel, x, y))
 
     def lsf(self, x: ArrayLike, angle: ArrayLike = 0.0) -> jax.Array:
-        """Return the effective line spread function, 1/px: optics and pixel.
+        """Return the effective line spread function of optics and pixel, 1/px.
 
-        It is the value of a pixel per unit of light along a line.
+        It is the value of a pixel for a line source of unit flux per px.
 
         Args:
-            x: distance of the line from the pixel's centre, px; broadcasts with angle.
-            angle: direction of the line's normal to the rows, rad. Default: 0, a line along the columns.
+            x: distance of the line from the centre of the pixel, px; broadcasts with angle.
+            angle: angle between the rows and the normal of the line, rad. Default: 0, a line along the columns.
 
         Raises:
             ArgumentError: an argument is not finite, or a measured MTF does not end at 0.
@@ -134,13 +135,14 @@ class Camera(Module, Summarised):
         return self._sum(lambda part: effective.line(part, self.pixel, x, angle))
 
     def esf(self, x: ArrayLike, angle: ArrayLike = 0.0) -> jax.Array:
-        """Return the effective edge spread function, no unit: optics and pixel.
+        """Return the effective edge spread function of optics and pixel, no unit.
 
-        It is the value of a pixel at an edge between 0 and 1.
+        It is the value of a pixel at an edge between a dark side of value 0 and a bright side of value 1.
 
         Args:
-            x: distance of the pixel's centre from the edge, px, positive on its bright side; broadcasts with angle.
-            angle: direction of the edge's normal to the rows, rad. Default: 0, an edge along the columns.
+            x: distance of the centre of the pixel from the edge, px, positive on its bright side; broadcasts with
+                angle.
+            angle: angle between the rows and the normal of the edge, rad. Default: 0, an edge along the columns.
 
         Raises:
             ArgumentError: an argument is not finite, or a measured MTF does not end at 0.
@@ -149,14 +151,14 @@ class Camera(Module, Summarised):
         return self._sum(lambda part: effective.edge(part, self.pixel, x, angle))
 
     def mtf(self, f: ArrayLike, angle: ArrayLike = 0.0) -> jax.Array:
-        """Return the total transfer function: optics times pixel, signed.
+        """Return the signed transfer function of optics and pixel.
 
-        The pixel's factor is negative beyond 1 / (2 half_width). For a lens that is not isotropic it is the modulus;
-        `transfer` has the phase.
+        The factor of the pixel is negative beyond 1 / (2 half_width). If the lens is not isotropic, the result is the
+        modulus; `transfer` includes the phase.
 
         Args:
             f: frequency, cycles/px; broadcasts with angle.
-            angle: direction of the wave to the rows, rad. Default: 0, along the rows.
+            angle: angle between the rows and the direction of the wave, rad. Default: 0, along the rows.
 
         Raises:
             ArgumentError: an argument is not finite, or f lies beyond a measured MTF.
@@ -166,7 +168,7 @@ class Camera(Module, Summarised):
         return along if self.optics.isotropic else xp.abs(along)
 
     def transfer(self, fx: jax.Array, fy: jax.Array) -> jax.Array:
-        """Return the total transfer function in the plane: optics times pixel, signed.
+        """Return the signed transfer function of optics and pixel in the plane.
 
         It is complex if the lens is not isotropic.
 
@@ -261,9 +263,9 @@ class Camera(Module, Summarised):
             path: file to read (JSON), of any published version.
 
         Raises:
-            FileFormatError: this is not a profile; the message names the file and the field.
+            FileFormatError: the file is not a profile; the message names the file and the field.
         """
-        from matcam.camera import profile  # and pydantic, which few cameras require
+        from matcam.camera import profile  # imports pydantic, which few cameras require
 
         return cls._from_parts(profile.read_profile(path), path)
 
@@ -286,7 +288,7 @@ class Camera(Module, Summarised):
             where: location of the profile, for messages. Default: "camera profile".
 
         Raises:
-            FileFormatError: this is not a profile; the message names its location and the field.
+            FileFormatError: the document is not a profile; the message names its location and the field.
         """
         from matcam.camera import profile
 
@@ -305,7 +307,9 @@ class Camera(Module, Summarised):
             if not name.endswith("pixel_pitch_m") or not is_concrete(value) or not is_concrete(pitch):
                 continue
             if abs(float(value) / float(pitch) - 1) > 1e-6:
-                raise ArgumentError(f"sensor has a pitch of {pitch:g} m, but {name} is {value:g}: give both the same")
+                raise ArgumentError(
+                    f"sensor has a pitch of {pitch:g} m, but {name} is {value:g} m: specify the same pitch"
+                )
 
     def _summary(self) -> Summary:
         std = self.uncertainty.std() if self.uncertainty else {}

@@ -5,10 +5,10 @@ are for lenses of one component; `Camera` sums over components.
 
 Closed form: the projection of a square along a direction at an angle to the grid is the convolution of two boxes, half
 widths p |cos| and p |sin|. A Gaussian through two boxes is a second difference of H, the integral of the normal
-distribution function; an edge, of the integral of H. Both are split into a polynomial for x > 0 and a vanishing
-remainder, so that no large terms cancel. If the short box is much narrower than the Gaussian, the second difference
-would lose digits, and its mean is computed by quadrature. At x = 0, where the two parts have kinks that cancel, both
-use the left-hand derivative.
+distribution function; the value at an edge is a second difference of the integral of H. Both functions are split into a
+polynomial for x > 0 and a vanishing remainder, so that no large terms cancel. If the short box is much narrower than
+the Gaussian, the second difference would lose digits; the mean over the short box is then computed by quadrature. The
+two parts have kinks at x = 0 that cancel, and both use the left-hand derivative there.
 """
 
 from __future__ import annotations
@@ -30,36 +30,46 @@ from matcam.numerics.normal import normal_density
 if TYPE_CHECKING:
     from matcam.core.jax import jax
 
-_FAR = 40.0  # standard deviations, beyond which a normal distribution is 0
-_SLIVER = 0.05  # short half width / std
+_FAR = 40.0  # distance beyond which the normal density underflows to 0, standard deviations
+_SLIVER = 0.05  # short half width / std below which quadrature replaces the second difference
 _FREQUENCIES = np.linspace(0, 2, 4001)
 """Frequencies at which MTF50 is searched, cycles/px. Their step is below the standard deviation of any calibration."""
-_THINNEST = 1e-3  # px, short half width in `edge_and_slopes`: an additional blur of 2e-7 px^2, without loss of digits
+_THINNEST = 1e-3  # smallest short half width of `edge_and_slopes`, px: it adds a blur of 2e-7 px^2 and loses no digits
 
 
 def point(optics: Optics, pixel: PixelResponse, x: jax.Array, y: jax.Array) -> jax.Array:
-    """Evaluate a pixel for a point of light (x, y) px from its centre, 1/px^2."""
+    """Compute the value of a pixel, 1/px^2, for a point source.
+
+    x, y: position of the point relative to the centre of the pixel, px.
+    """
     if isinstance(optics, GaussianOptics):
         return pixel.of_gaussian(x, optics.sigma) * pixel.of_gaussian(y, optics.sigma)
     reach, band = fourier.reach_of(xp.hypot(x, y)), optics.band()
     rule = optics.frequency_rule(fourier.panels_for(reach + 1, band))
     turns = fourier.turns_for(reach + 1, band)
-    if not optics.isotropic:  # offset of the pixel from the point
+    if not optics.isotropic:  # the kernel depends on the offset of the pixel from the point, (-x, -y)
         along = partial(transfer_along, optics, pixel)
         return fourier.directed_plane_kernel(rule, along, -x, -y, turns)
     return fourier.plane_kernel(rule, partial(transfer_along, optics, pixel), x, y, turns)
 
 
 def line(optics: Optics, pixel: PixelResponse, x: jax.Array, angle: jax.Array) -> jax.Array:
-    """Evaluate a pixel for a line x px away with its normal at `angle`, 1/px."""
+    """Compute the value of a pixel, 1/px, for a line source.
+
+    x: distance of the line from the centre of the pixel, px. angle: direction of the normal of the line, rad.
+    """
     if isinstance(optics, GaussianOptics) and isinstance(pixel, BoxPixel):
         return square_line(x, angle, pixel.half_width, optics.sigma)
-    x = x if optics.isotropic else -x  # from the line to the pixel
+    x = x if optics.isotropic else -x  # the kernel depends on the offset of the pixel from the line
     return fourier.line_kernel(rule_for(optics, x), partial(transfer_along, optics, pixel), x, angle)
 
 
 def edge(optics: Optics, pixel: PixelResponse, x: jax.Array, angle: jax.Array) -> jax.Array:
-    """Evaluate a pixel x px inside the bright side of a 0-1 edge with its normal at `angle`."""
+    """Compute the value of a pixel at a unit step edge.
+
+    x: distance of the centre of the pixel from the edge, px, positive on its bright side. angle: direction of the
+    normal of the edge, rad.
+    """
     if isinstance(optics, GaussianOptics) and isinstance(pixel, BoxPixel):
         return square_edge(x, angle, pixel.half_width, optics.sigma)
     return fourier.step_response(rule_for(optics, x), partial(transfer_along, optics, pixel), x, angle)
@@ -77,15 +87,18 @@ def transfer_along(optics: Optics, pixel: PixelResponse, f: jax.Array, angle: ja
 
 
 def rule_for(optics: Optics, x: jax.Array) -> fourier.Rule:
-    """Choose frequencies that resolve the kernel out to all x px."""
+    """Choose frequencies that resolve the kernel at distances x, px."""
     # the transform of the pixel oscillates like 1 px of additional distance
     return optics.frequency_rule(fourier.panels_for(fourier.reach_of(x) + 1, optics.band()))
 
 
 def square_line(x: jax.Array, angle: jax.Array, half_width: jax.Array, std: jax.Array) -> jax.Array:
-    """Evaluate a square pixel for a line with a Gaussian profile, x px away, normal at `angle`; 1/px."""
+    """Compute the value of a square pixel for a Gaussian line, 1/px.
+
+    x and angle are those of `line`; half_width and std are in px.
+    """
     long, sliver, short = _boxes(angle, half_width, std)
-    safe = xp.where(sliver, std, short)  # the unused branch must not divide by 0, nor its gradient
+    safe = xp.where(sliver, std, short)  # neither the unused branch nor its gradient may divide by 0
     polynomial = _polynomial_difference(lambda u: xp.where(u > 0, u, 0), x, long, safe, far=0.0)
     remainder = _second_difference(lambda u: _first_remainder(u, std), x, long, safe)
     closed = (polynomial + remainder) / (4 * long * safe)
@@ -94,7 +107,10 @@ def square_line(x: jax.Array, angle: jax.Array, half_width: jax.Array, std: jax.
 
 
 def square_edge(x: jax.Array, angle: jax.Array, half_width: jax.Array, std: jax.Array) -> jax.Array:
-    """Evaluate a square pixel x px inside the bright side of a 0-1 edge with a Gaussian blur."""
+    """Compute the value of a square pixel at a blurred edge.
+
+    The edge is a unit step with Gaussian blur. x and angle are those of `edge`; half_width and std are in px.
+    """
     long, sliver, short = _boxes(angle, half_width, std)
     safe = xp.where(sliver, std, short)
     polynomial = _polynomial_difference(
@@ -107,7 +123,7 @@ def square_edge(x: jax.Array, angle: jax.Array, half_width: jax.Array, std: jax.
         wide = long[..., None]
         upper, lower = u + wide, u - wide
         ramp = xp.where(upper > 0, upper, 0) - xp.where(lower > 0, lower, 0)
-        # to the right of the whole box the difference is exactly its width
+        # to the right of the box the difference is exactly the width of the box
         ramp = xp.where(lower > 0, 2 * wide, ramp)
         return (ramp + _first_remainder(upper, std) - _first_remainder(lower, std)) / (2 * wide)
 
@@ -117,11 +133,11 @@ def square_edge(x: jax.Array, angle: jax.Array, half_width: jax.Array, std: jax.
 def edge_and_slopes(
     x: jax.Array, angle: jax.Array, half_width: jax.Array, std: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Evaluate `square_edge` and its derivatives with respect to x and std, at the cost of one.
+    """Evaluate `square_edge` and its derivatives with respect to x and std.
 
-    Fits evaluate all three repeatedly. This is the plain second difference, accurate to 1e-9 of the step up to 100 px:
-    H solves the heat equation, so all three follow from one normal distribution function and one density per corner of
-    the square.
+    Fits evaluate all three repeatedly. They cost as much as one, because H solves the heat equation: one normal
+    distribution function and one density per corner of the square determine all three. The second difference is
+    evaluated without the split into two parts; it is accurate to 1e-9 of the step up to 100 px.
     """
     long, _, short = _boxes(angle, half_width, std)
     short = xp.where(short > _THINNEST, short, _THINNEST)
@@ -137,7 +153,7 @@ def edge_and_slopes(
 
 
 def _boxes(angle: jax.Array, half_width: jax.Array, std: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Return the long box, a mask of very short boxes, and the short box: half widths, px."""
+    """Compute the half width of the long box, px, a mask of very short boxes, and the half width of the short box, px."""
     a, b = half_width * xp.abs(xp.cos(angle)), half_width * xp.abs(xp.sin(angle))
     long, short = xp.maximum(a, b), xp.minimum(a, b)
     return long, short < _SLIVER * std, short
@@ -159,7 +175,7 @@ def _polynomial_difference(
 ) -> jax.Array:
     """Compute the second difference of a function that is 0 for x < 0.
 
-    Beyond the boxes it is 0 or far * 4 long short, exactly.
+    Outside the boxes the result is exactly 0 on the left, and exactly far * 4 long short on the right.
     """
     reach = long + short
     inside = xp.abs(x) < reach
@@ -181,15 +197,15 @@ def _second_remainder(x: jax.Array, std: jax.Array) -> jax.Array:
 
 
 def mtf50(optics: Optics, pixel: PixelResponse) -> dict[str, float]:
-    """Compute the frequency along a row at which the MTF of lens and pixel is one half.
+    """Compute the frequency along a row at which the MTF is 0.5.
 
     Args:
         optics: the lens.
         pixel: response of a pixel.
 
     Returns:
-        Frequency, cycles/px, by the name of each representative lens where the lens varies over colour or field, and by
-        "" otherwise; NaN beyond 2 cycles/px.
+        Frequency, cycles/px, by the name of each representative lens if the lens varies over colour or field, and by ""
+        otherwise; NaN beyond 2 cycles/px.
     """
     lenses = optics.named_lenses if isinstance(optics, VaryingOptics) else {"": optics}
     return {name: _half(lens, pixel) for name, lens in lenses.items()}

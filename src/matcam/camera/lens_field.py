@@ -11,17 +11,17 @@ from numpy.typing import ArrayLike
 from matcam.core import checks
 from matcam.core.errors import ArgumentError
 
-_TURNS = 20
+_TURNS = 20  # largest number of Newton steps of `true_position`
 _AROUND = 72  # number of positions on a circle
 _LARGEST = 0.5  # largest coefficient of a plausible distortion
 
 
 class Coefficient(NamedTuple):
-    """Coefficient of a lens over the field.
+    """Coefficient of the variation of a lens over the field.
 
     Attributes:
-        value: no unit. Default: 0.
-        std: standard deviation, no unit. Default: 0, exact.
+        value: coefficient, no unit. Default: 0.
+        std: standard deviation of the coefficient, no unit. Default: 0, exact.
 
     Example:
         >>> matcam.camera.Coefficient(-0.01, 0.001).std
@@ -39,15 +39,15 @@ _NONE = Coefficient()
 class LensField:
     """Distortion and blur of a lens over the field.
 
-    A position at rho units from the centre is imaged at rho (1 + k1 rho^2 + k2 rho^4). The width of the lens grows as 1
-    + growth (rho^2 - rho0^2), where rho0 is the position of the lens of the profile.
+    A position at rho units from the centre is imaged at rho (1 + k1 rho^2 + k2 rho^4). The width of the blur grows as 1
+    + growth (rho^2 - rho0^2), where rho0 = holds_at / unit.
 
     Attributes:
-        centre: column and row of the distortion's centre, px.
-        unit: unit of rho, px: half the diagonal of the image, if measured by `calibrate`.
+        centre: column and row of the centre of distortion, px.
+        unit: unit of rho, px. `calibrate` uses half the diagonal of the image.
         k1: radial distortion of third order, no unit. Default: 0, exact.
         k2: radial distortion of fifth order, no unit. Default: 0, exact.
-        growth: relative growth of the lens's width with rho^2, no unit. Default: 0, exact.
+        growth: relative growth of the width of the blur with rho^2, no unit. Default: 0, exact.
         holds_at: distance from the centre at which the lens of the profile applies, px. Default: 0.
 
     Example:
@@ -78,7 +78,7 @@ class LensField:
             object.__setattr__(self, name, Coefficient(value, std))
         rho2 = np.linspace(0, 1.5, 30)
         if np.any(1 + 3 * self.k1.value * rho2 + 5 * self.k2.value * rho2**2 <= 0.1):
-            raise ArgumentError("k1 and k2 fold the image over itself within 1.2 units: give smaller ones")
+            raise ArgumentError("k1 and k2 fold the image over itself within 1.2 units: give smaller coefficients")
 
     def wider(self, factor: float) -> LensField:
         """Return the field with a larger uncertainty of the distortion.
@@ -103,8 +103,9 @@ class LensField:
         """Map distorted positions to undistorted ones, px.
 
         Args:
-            column: px; broadcasts with row. Positions further than 1.5 units from the centre are clipped.
-            row: px.
+            column: distorted column, px; broadcasts with row. Positions more than 1.5 units from the centre are
+                clipped.
+            row: distorted row, px.
         """
         x, y, seen2 = self._from_centre(column, row)
         seen = np.minimum(np.sqrt(seen2), 1.5)
@@ -119,7 +120,7 @@ class LensField:
         return self.centre[0] + x * scale, self.centre[1] + y * scale
 
     def stretch(self, column: float, row: float) -> np.ndarray:
-        """Return the derivatives of distorted by undistorted positions, (2, 2).
+        """Compute the derivatives of distorted with respect to undistorted positions, (2, 2).
 
         Args:
             column: undistorted column, px.
@@ -131,7 +132,7 @@ class LensField:
         return np.asarray(scale * np.eye(2) + growing * np.outer([x, y], [x, y]))
 
     def blur_scale(self, column: float, row: float) -> float:
-        """Return the relative width of the lens at a position, no unit.
+        """Compute the relative width of the blur at a position, no unit.
 
         Args:
             column: undistorted column, px.
@@ -140,7 +141,7 @@ class LensField:
         return float(np.clip(1 + self.growth.value * self.beyond(column, row), 0.2, 5.0))
 
     def beyond(self, column: float, row: float) -> float:
-        """Return rho^2 of a position less that of the profile's lens.
+        """Compute rho^2 - rho0^2 of a position, no unit.
 
         Args:
             column: undistorted column, px.
@@ -149,22 +150,22 @@ class LensField:
         return float(self._from_centre(column, row)[2] - (self.holds_at / self.unit) ** 2)
 
     def seen_circle(self, column: float, row: float, radius: float) -> tuple[float, float, float]:
-        """Return the distorted image of a circle, px.
+        """Compute the distorted image of a circle: centre and radius, px.
 
         Args:
-            column: column of its centre, px.
-            row: row of its centre, px.
-            radius: px.
+            column: undistorted column of the centre, px.
+            row: undistorted row of the centre, px.
+            radius: undistorted radius, px.
         """
         return _circle_through(*self.seen_at(*_on_circle(column, row, radius)))
 
     def true_circle(self, column: float, row: float, radius: float) -> tuple[float, float, float]:
-        """Return the undistorted circle of a distorted one, px.
+        """Compute a circle from its distorted image: centre and radius, px.
 
         Args:
-            column: column of its centre, px.
-            row: row of its centre, px.
-            radius: px.
+            column: distorted column of the centre, px.
+            row: distorted row of the centre, px.
+            radius: distorted radius, px.
         """
         return _circle_through(*self.true_position(*_on_circle(column, row, radius)))
 

@@ -27,14 +27,14 @@ _NAME = re.compile(r"((?:\w+\.)+)(\w+?)(?:\[(\d+)\])?")
 
 
 class Uncertainty(Module):
-    """Covariance of the parameters of a camera; others are exact.
+    """Covariance of parameters of a camera; the other parameters are exact.
 
     Args:
         names: names of the parameters, as in `Camera.parameters()`, such as "optics.sigma_px"; (n,).
         covariance: covariance in the units of the names, shape (n, n), symmetric, positive semidefinite.
 
     Raises:
-        ArgumentError: the shape does not fit, a name occurs twice, or this is not a covariance.
+        ArgumentError: the shape does not fit, a name occurs twice, or the matrix is not a covariance.
 
     Example:
         >>> known = matcam.camera.Uncertainty.of({"optics.sigma_px": 0.02})
@@ -52,7 +52,7 @@ class Uncertainty(Module):
         if self.covariance.shape != (n, n):
             raise ArgumentError(f"covariance of {n} parameters must have shape ({n}, {n}), got {self.covariance.shape}")
         if len(set(self.names)) != n:
-            raise ArgumentError(f"covariance names a parameter twice: {', '.join(self.names)}")
+            raise ArgumentError(f"names must differ from each other, got {', '.join(self.names)}")
         if not is_concrete(covariance):
             return
         matrix = np.asarray(covariance, dtype=float)  # as given, because inside jax.jit its copy is a tracer
@@ -62,7 +62,9 @@ class Uncertainty(Module):
             raise ArgumentError("covariance must be symmetric with variances >= 0 on its diagonal")
         correlation = matrix / np.where(scale > 0, scale, 1) / np.where(scale > 0, scale, 1)[:, None]
         if n and np.linalg.eigvalsh(correlation)[0] < -1e-9:
-            raise ArgumentError("covariance is not positive semidefinite: some combination has a negative variance")
+            raise ArgumentError(
+                "covariance is not positive semidefinite: a combination of parameters has a negative variance"
+            )
 
     @classmethod
     def of(cls, std: Mapping[str, float]) -> Uncertainty:
@@ -75,7 +77,7 @@ class Uncertainty(Module):
             ArgumentError: `std` is not a mapping, or a standard deviation is negative or not finite.
         """
         if not isinstance(std, Mapping):
-            raise ArgumentError(f"std must be standard deviations by name, got {' '.join(repr(std).split())[:60]}")
+            raise ArgumentError(f"std must map names to standard deviations, got {' '.join(repr(std).split())[:60]}")
         for name, value in std.items():
             checks.within(f"standard deviation of {name}", value, 0, np.inf, open_high=True)
         return cls(std.keys(), np.diag([float(s) ** 2 for s in std.values()]))
@@ -87,13 +89,13 @@ class Uncertainty(Module):
             parameters: names of the parameters of the camera.
 
         Raises:
-            ArgumentError: a name is not among them.
+            ArgumentError: a name is not among `parameters`.
         """
         known = set(parameters)
         for name in self.names:
             if name not in known:
                 raise ArgumentError(
-                    f"uncertainty names {name!r}, which this camera lacks; it has {', '.join(sorted(known))}"
+                    f"uncertainty contains {name!r}, but the camera has only {', '.join(sorted(known))}"
                 )
 
     def std(self) -> dict[str, float]:
@@ -112,13 +114,13 @@ class Uncertainty(Module):
 
 @dataclass(frozen=True)
 class Provenance:
-    """Origin of a camera profile; all texts are free.
+    """Origin of a camera profile; all fields are free text.
 
     Attributes:
         source: measurement or assumption behind the profile. Default: "".
         created: ISO 8601 date. Default: "", the date of writing.
-        software: program and version. Default: "", this one.
-        notes: anything else. Default: "".
+        software: program and version. Default: "", matcam and its version.
+        notes: further remarks. Default: "".
 
     Example:
         >>> matcam.camera.Provenance(source="slanted edges, f/8").source
@@ -132,13 +134,16 @@ class Provenance:
 
 
 def parameters_of(part: str, module: Any) -> dict[str, jax.Array]:
-    """Return the scalars of the lens or pixel that is `part` of the camera ("optics", "optics.core")."""
+    """Return the parameters of a lens or pixel by name.
+
+    part: path of the lens or pixel in the camera, such as "optics" or "optics.core".
+    """
     named = {}
     for field, value in fields_of(module).items():
         if isinstance(value, Module):
             named.update(parameters_of(f"{part}.{field}", value))
         elif isinstance(value, tuple):
-            continue  # the frequencies of the samples of a curve are exact
+            continue  # the frequencies of a sampled curve are exact
         elif xp.ndim(value):
             named.update({f"{part}.{field}[{i}]": value[i] for i in range(value.size)})
         else:
@@ -147,7 +152,10 @@ def parameters_of(part: str, module: Any) -> dict[str, jax.Array]:
 
 
 def replace_parameters(part: str, module: Any, values: Mapping[str, Any]) -> Any:
-    """Replace the parameters of this part in `module` by `values`. Works under JAX transformations."""
+    """Replace parameters of a lens or pixel, also under JAX transformations.
+
+    part: path of the lens or pixel in the camera. values: new values by name; names of other parts are ignored.
+    """
     for name, value in values.items():
         found = _NAME.fullmatch(name)
         if found is None or found[1].split(".")[0] != part:
@@ -162,12 +170,15 @@ def replace_parameters(part: str, module: Any, values: Mapping[str, Any]) -> Any
 
 
 def fields_of(module: Any) -> dict[str, Any]:
-    """Return the fields of a lens or a pixel by names with units: scalars, curves, and an inner lens."""
+    """Return the fields of a lens or a pixel by name.
+
+    The fields are scalars, curves, and an inner lens; the names include the units.
+    """
     return {field: operator.attrgetter(path)(module) for field, path in module.profile_fields.items()}
 
 
 def _path(module: Any, inner: list[str], field: str) -> str:
-    """Return the path of a parameter of a lens among its attributes, through inner lenses."""
+    """Derive the path of the attribute of a parameter, through the inner lenses `inner`."""
     steps = []
     for name in (*inner, field):
         steps.append(module.profile_fields[name])

@@ -1,7 +1,8 @@
 """Pixel: sensitivity over its area (docs/model.md 2).
 
-A response is separable, r(x) r(y), with factors of unit area: the value of a flat field is its radiance. Separable does
-not mean isotropic: for `Camera` the square remains a square at any angle.
+A response is separable, r(x) r(y), with factors of unit area, so that the value of a pixel in a uniform field is the
+radiance. Separable does not mean isotropic: the response of a square pixel depends on direction, which `Camera` takes
+into account.
 """
 
 from __future__ import annotations
@@ -23,11 +24,12 @@ if TYPE_CHECKING:
     from matcam.core.jax import AnyArray, jax
 
 PIXELS_SHARE = 0.3
-"""Share of the half width of the pixel that counts as blur of a disc, because the border of the disc is a step in a
-sharp image.
+"""Standard deviation of the blur that a pixel adds to the image of a disc, divided by the half width of the pixel.
+
+It is below the 0.58 of a box, because the border of the disc is a step in a sharp image.
 """
 _NARROW = 0.02  # half width / std below which a series is more accurate than differences of erf
-_FADED = 1e4  # squared standard deviations, beyond which a Gaussian is 0
+_FADED = 1e4  # squared distance beyond which a Gaussian underflows to 0, squared standard deviations
 _GAUSS4 = np.polynomial.legendre.leggauss(4)
 _GAUSS48 = np.polynomial.legendre.leggauss(48)
 
@@ -48,12 +50,12 @@ class PixelResponse(Module):
 
     @abstractmethod
     def response(self, x: ArrayLike) -> jax.Array:
-        """Return the pixel's response in one dimension, 1/px; the lens is not in it.
+        """Return the one-dimensional response of the pixel, 1/px, without the lens.
 
         The two-dimensional response is response(x) response(y), 1/px^2. Each factor integrates to 1.
 
         Args:
-            x: distance from the pixel's centre, px, any shape.
+            x: distance from the centre of the pixel, px, any shape.
 
         Raises:
             ArgumentError: x is not finite.
@@ -75,18 +77,19 @@ class PixelResponse(Module):
         """Return the value of a pixel for a Gaussian line profile, 1/px.
 
         Args:
-            x: distance of the line from the pixel's centre, px.
+            x: distance of the line from the centre of the pixel, px.
             std: standard deviation of the profile, px, positive; broadcasts with x.
         """
 
     @abstractmethod
     def until_gaussian(self, x: ArrayLike, std: ArrayLike) -> jax.Array:
-        """Return the integral of `of_gaussian` from minus infinity up to x, between 0 and 1.
+        """Return the integral of `of_gaussian` up to x, no unit.
 
-        Its differences are values of the pixel for a Gaussian that is uniformly smeared along a line.
+        The integral begins at minus infinity and lies between 0 and 1. Its differences are values of the pixel for a
+        Gaussian that is uniformly smeared along a line.
 
         Args:
-            x: distance from the pixel's centre, px.
+            x: distance from the centre of the pixel, px.
             std: standard deviation of the profile, px, positive; broadcasts with x.
         """
 
@@ -96,7 +99,7 @@ class BoxPixel(PixelResponse):
 
     Args:
         half_width: half the side of the light-sensitive square, px, (0, 0.5], because pixels do not overlap.
-            Default: 0.5, a linear fill of 100 %. Use less for known gaps between pixels.
+            Default: 0.5, a linear fill factor of 100 %. Use less for known gaps between pixels.
 
     Raises:
         ArgumentError: the half width is out of range, or not a single number.
@@ -122,23 +125,23 @@ class BoxPixel(PixelResponse):
         return xp.where(xp.abs(checks.number("x", x)) <= self.half_width, 0.5 / self.half_width, 0.0)
 
     def mtf(self, f: ArrayLike) -> jax.Array:
-        """Return the box's transfer function, signed; the lens is not in it.
+        """Return the signed transfer function of the box, without the lens.
 
-        sin(2 pi half_width f) / (2 pi half_width f), negative beyond 1 / (2 half_width).
+        It is sin(2 pi half_width f) / (2 pi half_width f), which is negative beyond 1 / (2 half_width).
         """
         return xp.sinc(2 * self.half_width * checks.number("f", f))
 
     def of_gaussian(self, x: ArrayLike, std: ArrayLike) -> jax.Array:
         """Return the value of a pixel for a Gaussian line profile, 1/px.
 
-        [erf((x + p) / (sqrt2 std)) - erf((x - p) / (sqrt2 std))] / (4 p), p = half_width (docs/model.md 2).
+        It is [erf((x + p) / (sqrt2 std)) - erf((x - p) / (sqrt2 std))] / (4 p), p = half_width (docs/model.md 2).
         """
         return gaussian_over_interval(xp.asarray(x), self.half_width, xp.asarray(std))
 
     def until_gaussian(self, x: ArrayLike, std: ArrayLike) -> jax.Array:
         """Return the integral of `of_gaussian` up to x, no unit.
 
-        [f(x + p) - f(x - p)] std / (2 p), where f is z ndtr(z) + pdf(z) at z = x / std and p = half_width.
+        It is [f(x + p) - f(x - p)] std / (2 p), where f is z ndtr(z) + pdf(z) at z = x / std and p = half_width.
         """
         ends = ((xp.asarray(x) + side * self.half_width) / std for side in (1, -1))
         above, below = (z * _normal_until(z) + xp.exp(-(z**2) / 2) / np.sqrt(2 * np.pi) for z in ends)
@@ -146,17 +149,20 @@ class BoxPixel(PixelResponse):
 
 
 _SIGMAS = (1e-12, 1e6)
-"""Range of the standard deviation of a windowed Gaussian, px: from a point to a box."""
+"""Range of the standard deviation of a windowed Gaussian, px. The response is a point at the lower limit and a box at
+the upper limit.
+"""
 
 
 class WindowedGaussianPixel(PixelResponse):
     """Pixel with a Gaussian sensitivity, truncated at its border.
 
-    The response falls off from the centre, as under a microlens, and has unit area.
+    The response decreases from the centre, as under a microlens, and has unit area.
 
     Args:
-        sigma: standard deviation of the uncut Gaussian, px, positive.
-        half_width: distance from the centre at which it is cut, px, (0, 0.5]. Default: 0.5, the whole pixel.
+        sigma: standard deviation of the Gaussian before truncation, px, positive.
+        half_width: distance from the centre at which the Gaussian is truncated, px, (0, 0.5]. Default: 0.5, the whole
+            pixel.
 
     Raises:
         ArgumentError: a parameter is out of range, or not a single number.
@@ -181,13 +187,13 @@ class WindowedGaussianPixel(PixelResponse):
         self.half_width = _checked_half_width(half_width)
 
     def response(self, x: ArrayLike) -> jax.Array:
-        """Return the cut Gaussian, of unit area, 1/px; 0 outside."""
+        """Return the truncated Gaussian of unit area, 1/px; 0 outside the window."""
         x = checks.number("x", x)
         inside = normal_density(x, self.sigma) / self._share_inside
         return xp.where(xp.abs(x) <= self.half_width, inside, 0.0)
 
     def mtf(self, f: ArrayLike) -> jax.Array:
-        """Return the Fourier transform of the response, by 48 Gauss-Legendre nodes.
+        """Compute the Fourier transform of the response with 48 Gauss-Legendre nodes.
 
         It is exact to rounding up to |f| half_width = 12 cycles, and to 1e-9 up to 14.
         """
@@ -195,13 +201,16 @@ class WindowedGaussianPixel(PixelResponse):
         t = self.half_width * nodes
         weight = self.half_width * weights * self.response(t)
         f = checks.number("f", f)
-        # a response too narrow for the nodes is not truncated: beyond eight sigma there is 1e-15 of it
+        # a response too narrow for the nodes requires no truncation: its share beyond eight sigma is 1e-15
         uncut = xp.exp(-2 * xp.square(xp.pi * self.sigma * f))
         return xp.where(self.half_width > 8 * self.sigma, uncut, xp.cos(2 * xp.pi * f[..., None] * t) @ weight)
 
     def of_gaussian(self, x: ArrayLike, std: ArrayLike) -> jax.Array:
-        """Integrate the product of two Gaussians, completed to one, over the window."""
-        x, std = xp.abs(xp.asarray(x)), xp.asarray(std)  # symmetric; on this side the difference keeps its digits
+        """Integrate the product of two Gaussians over the window, 1/px.
+
+        The product is a Gaussian, too.
+        """
+        x, std = xp.abs(xp.asarray(x)), xp.asarray(std)  # symmetric; for x > 0 the difference loses no digits
         total = xp.hypot(std, self.sigma)
         centre = x * (self.sigma / total) ** 2
         width = self.sigma * std / total
@@ -212,7 +221,7 @@ class WindowedGaussianPixel(PixelResponse):
     def until_gaussian(self, x: ArrayLike, std: ArrayLike) -> jax.Array:
         """Return the integral of `of_gaussian` up to x, no unit.
 
-        It takes 48 Gauss-Legendre nodes over the window.
+        The integral over the window uses 48 Gauss-Legendre nodes.
         """
         nodes, weights = (xp.asarray(a) for a in _GAUSS48)
         at = self.half_width * nodes
@@ -224,18 +233,18 @@ class WindowedGaussianPixel(PixelResponse):
 
     @property
     def _share_inside(self) -> jax.Array:
-        """Share of the uncut Gaussian inside the window."""
+        """Share of the Gaussian inside the window."""
         return special.erf(self.half_width / (xp.sqrt(2) * self.sigma))
 
 
 def _normal_until(z: jax.Array) -> jax.Array:
-    """Integrate the standard normal distribution up to z: a sixth of the time of `ndtr`."""
+    """Integrate the standard normal distribution up to z, in a sixth of the time of `ndtr`."""
     return special.erfc(-z / np.sqrt(2)) / 2
 
 
 def gaussian_over_interval(x: jax.Array, half_width: ArrayLike, std: jax.Array) -> jax.Array:
     """Average a unit-area Gaussian over [x - half_width, x + half_width], to 14 digits for any std."""
-    x = xp.where(x < 0, -x, x)  # symmetric; in the right tail the difference keeps its digits
+    x = xp.where(x < 0, -x, x)  # symmetric; in the right tail the difference loses no digits
     ratio = half_width / std
     wide = ratio > _NARROW
     if xp.ndim(ratio):
@@ -258,16 +267,17 @@ def _by_difference(x: jax.Array, half_width: ArrayLike, std: jax.Array) -> jax.A
 
 
 def _by_series(x: jax.Array, ratio: AnyArray, std: jax.Array) -> jax.Array:
-    # Taylor's series of the mean about x, in Hermite polynomials: the next term is ratio^8 / 9! He8
+    # Taylor series of the mean about x, in Hermite polynomials; the next term is ratio^8 / 9! He8
     z2, r2 = xp.minimum(xp.square(xp.divide(x, std)), _FADED), ratio**2
     series = 1 + r2 * ((z2 - 1) / 6 + r2 * (((z2 - 6) * z2 + 3) / 120 + r2 * (((z2 - 15) * z2 + 45) * z2 - 15) / 5040))
     return xp.exp(-z2 / 2) / (xp.sqrt(2 * xp.pi) * std) * series
 
 
 def mean_over_interval(function: Callable[[jax.Array], jax.Array], x: jax.Array, half_width: jax.Array) -> jax.Array:
-    """Average a function over [x - half_width, x + half_width] by 4 Gauss-Legendre nodes.
+    """Average a function over an interval with 4 Gauss-Legendre nodes.
 
-    The nodes are a trailing axis of the argument of the function, which must be nearly linear over the interval.
+    The interval is [x - half_width, x + half_width]. The nodes are a trailing axis of the argument of the function. The
+    function must be nearly linear over the interval.
     """
     nodes, weights = (xp.asarray(a) for a in _GAUSS4)
     return function(x[..., None] + half_width[..., None] * nodes) @ (weights / 2)

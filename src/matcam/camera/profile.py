@@ -74,7 +74,7 @@ def as_document(
     uncertainty: Uncertainty | None,
     provenance: Provenance,
 ) -> dict[str, Any]:
-    """Return the parts of a camera as the JSON of the profile."""
+    """Convert the parts of a camera to the JSON of a profile."""
     return {
         "format": FORMAT,
         "version": VERSION,
@@ -96,14 +96,17 @@ def as_document(
 
 
 def read_profile(path: str | Path) -> dict[str, Any]:
-    """Read the arguments of the `Camera` from the profile at `path`. FileFormatError names the file and the field."""
+    """Read the arguments of a `Camera` from the profile at `path`.
+
+    The message of a FileFormatError names the file and the field.
+    """
     return from_document(read_json(path, _WHAT), path)
 
 
 def from_document(document: Any, where: str | Path) -> dict[str, Any]:
     """Build the arguments of a `Camera` from the JSON of a profile.
 
-    FileFormatError names the location `where` of the profile, and the field.
+    The message of a FileFormatError names the location `where` of the profile, and the field.
     """
     version = checked_version(document, where, _WHAT, FORMAT, VERSIONS)
     try:
@@ -114,7 +117,7 @@ def from_document(document: Any, where: str | Path) -> dict[str, Any]:
         return {
             "optics": _from_json(profile.optics),
             "pixel": _from_json(profile.pixel),
-            "sensor": getattr(profile, "sensor", None)  # version 1 has none
+            "sensor": getattr(profile, "sensor", None)  # version 1 has no sensor
             and Sensor(
                 **{
                     attribute: getattr(profile.sensor, field)
@@ -144,7 +147,10 @@ def field_document(field: LensField) -> dict[str, Any]:
 
 
 def field_from(part: Any) -> LensField:
-    """Build the field from a checked part of a document. ArgumentError if a value is out of range."""
+    """Build the field of a lens from its validated document.
+
+    An ArgumentError is raised if a value is out of range.
+    """
     k1, k2, growth = (Coefficient(*pair) for pair in (part.k1, part.k2, part.growth))
     return LensField((part.centre_px[0], part.centre_px[1]), part.unit_px, k1, k2, growth, part.holds_at_px)
 

@@ -57,7 +57,7 @@ def _part_schema(name: str) -> type[Part]:
 
 
 def _one_of(names: Iterable[str]) -> Any:
-    """Return the type of a part with any of these models, including an inner lens."""
+    """Build the type of a part that has any of these models; its inner lens may have any of them, too."""
     schemas: Any = tuple(_part_schema(name) for name in names)
     union = Annotated[Union[schemas], Field(discriminator="model")]  # noqa: UP007
     for schema in schemas:
@@ -106,7 +106,7 @@ class _LensField(_Strict):
 
 
 FIELD_SCHEMA: Any = _LensField
-"""Schema of the field of a lens, for other documents with one."""
+"""Schema of the field of a lens, for other documents that contain a field."""
 
 
 class _Uncertainty(_Strict):

@@ -1,4 +1,4 @@
-"""The sensor behind the lens: from radiance in the pixels to the values in a raw file (EMVA Standard 1288, release 4).
+"""Sensor: from the radiance of pixels to the values in a raw file (EMVA Standard 1288, release 4).
 
     radiance --exposure--> expected electrons --fixed-pattern gain--> + dark electrons --Poisson--> --full well-->
     + read noise + offset pattern --gain, black level--> --rounding, range--> DN
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from matcam.core.jax import jax
 
 _CHANNELS = "RGB"
-_DEEPEST = 32  # bits
+_DEEPEST = 32  # largest depth of a converter, bits
 _OFFSETS = 2
 """Index of the pattern of offsets; the patterns of sensitivity and dark current are the first two."""
 _SEEDS = 1 << 63
@@ -43,16 +43,16 @@ else:
 class PixelNoise(NamedTuple):
     """Noise of a measured reflectance.
 
-    A pixel's variance is (relative value)^2 + (floor peak)^2, where peak is the brightest value of its image. Noise
-    belongs to pixels: table cells from one pixel share it.
+    The variance of a pixel is (relative value)^2 + (floor peak)^2, where peak is the largest value of its image. Table
+    cells that are read from one pixel share its noise.
 
     Attributes:
-        relative: standard deviation over the value, no unit, [0, 1). Default: 0.01.
-        floor: standard deviation over the image's brightest value, no unit, [0, 1). Default: 1e-4. Increase it if
-            dark parts are noisier.
-        picture_gain: relative standard deviation of an image's exposure, common to all its pixels, no unit, [0, 1).
-            Default: 0. Increase it if lamp or shutter scatter. (A sensor's system gain, DN per electron, is
-            `Sensor.gain`.)
+        relative: standard deviation divided by the value of the pixel, no unit, [0, 1). Default: 0.01.
+        floor: standard deviation divided by the largest value of the image, no unit, [0, 1). Default: 1e-4. Increase it
+            if dark parts are noisier.
+        picture_gain: relative standard deviation of the exposure of an image, common to all its pixels, no unit,
+            [0, 1). Default: 0. Increase it if the lamp or the shutter fluctuates. (The system gain of a sensor, DN per
+            electron, is `Sensor.gain`.)
 
     Example:
         >>> matcam.camera.PixelNoise(relative=0.02).check()
@@ -64,7 +64,7 @@ class PixelNoise(NamedTuple):
     picture_gain: float = 0.0
 
     def check(self) -> PixelNoise:
-        """Return the noise itself after a check of its parameters.
+        """Check the parameters and return the noise.
 
         Raises:
             ArgumentError: a parameter is outside [0, 1) or not finite, or relative and floor are both 0.
@@ -83,23 +83,24 @@ class Sensor(Module):
     negative. The pattern of offsets is Gaussian.
 
     Args:
-        pitch: distance of the pixels, m.
+        pitch: distance between the centres of neighbouring pixels, m.
         full_well: full-well capacity of a pixel, e-.
         read_noise: standard deviation of the read noise, e-.
         gain: system gain (EMVA 1288), DN per e-. Default: 1.
         bits: depth of the converter, 1 to 32. None: values are neither rounded nor limited.
-        cfa: colours of the upper left 2 x 2 pixels, "RGGB", "BGGR", "GRBG" or "GBRG". None: a sensor without colours.
-        prnu: photo-response non-uniformity, the relative standard deviation of the pixels' sensitivity, no unit.
+        cfa: colours of the upper left 2 x 2 pixels, "RGGB", "BGGR", "GRBG" or "GBRG". None: a monochrome sensor.
+        prnu: photo-response non-uniformity, the relative standard deviation of the sensitivity of the pixels, no unit.
             Default: 0.
-        dark_current: mean, e-/s. Default: 0.
-        dark_nonuniformity: relative standard deviation of the pixels' dark currents, no unit. Default: 0.
-        black_level: value of an empty pixel, DN. None: rounded up to six standard deviations of read noise.
+        dark_current: mean dark current of a pixel, e-/s. Default: 0.
+        dark_nonuniformity: relative standard deviation of the dark currents of the pixels, no unit. Default: 0.
+        black_level: value of a pixel without electrons, DN. None: six standard deviations of read noise, rounded up.
         dsnu: dark signal non-uniformity that is independent of time, the standard deviation of the offsets of the
             pixels, e-. Default: 0.
-        pattern_seed: seed of the individual sensor; images of one shape share its patterns. Default: 0.
+        pattern_seed: seed of the fixed patterns of the sensor; images of the same shape share the patterns. Default: 0.
 
     Raises:
-        ArgumentError: a parameter is out of range or of the wrong kind, or the black level is beyond the converter.
+        ArgumentError: a parameter is out of range or of the wrong kind, or the black level exceeds the range of the
+            converter.
 
     Source:
         EMVA Standard 1288, release 4; docs/model.md 8.
@@ -163,7 +164,7 @@ class Sensor(Module):
 
     @property
     def saturation(self) -> jax.Array:
-        """Electrons at which a pixel saturates: its well's, or the converter's."""
+        """Number of electrons at which a pixel or its converter saturates."""
         if self.bits is None:
             return self.full_well
         return xp.minimum(self.full_well, (2**self.bits - 1 - self.black_level) / self.gain)
@@ -171,7 +172,7 @@ class Sensor(Module):
     def channel_map(self, height: int, width: int) -> np.ndarray:
         """Return the channel of each pixel of a mosaic.
 
-        0, 1 and 2 are R, G and B.
+        The channels 0, 1 and 2 are R, G and B.
 
         Args:
             height: height of the image, px.
@@ -184,7 +185,7 @@ class Sensor(Module):
             ArgumentError: the sensor has no cfa.
         """
         if self.cfa is None:
-            raise ArgumentError("this sensor has no mosaic: its cfa is None")
+            raise ArgumentError("this sensor has no mosaic, because its cfa is None: specify its cfa")
         tile = np.array([_CHANNELS.index(c) for c in self.cfa]).reshape(2, 2)
         return np.tile(tile, ((height + 1) // 2, (width + 1) // 2))[:height, :width]
 
@@ -194,9 +195,9 @@ class Sensor(Module):
         They include the fixed patterns and the dark current of the sensor.
 
         Args:
-            radiance: radiance of the pixels, any unit, shape (H, W) or (H, W, channels). With a cfa it must be (H, W,
-                3), R, G, B; each pixel records one of them. Channels without a cfa are exposures of one sensor behind
-                filters, so they share its patterns. NaN is kept.
+            radiance: radiance of the pixels, any unit, shape (H, W) or (H, W, channels). With a cfa the shape must be
+                (H, W, 3), R, G, B; each pixel records one of the three. Channels without a cfa are exposures of one
+                sensor behind filters, so they share its patterns. NaN is kept.
             exposure: electrons per unit of radiance, positive.
             time: duration, s, for the dark current. Default: 0.
 
@@ -259,7 +260,7 @@ class Sensor(Module):
         the pixel (docs/model.md 8).
 
         Args:
-            electrons: expected number, including dark electrons, e-, any shape.
+            electrons: expected number of electrons, including dark electrons, any shape.
         """
         rounding = 0.0 if self.bits is None else 1 / (12 * self.gain**2)
         return xp.maximum(checks.numbers("electrons", electrons), 0) + self.read_noise**2 + rounding
@@ -311,7 +312,7 @@ def _checked_exposure(exposure: ArrayLike, time: ArrayLike) -> tuple[jax.Array, 
 
 
 def random_key(seed: Seed) -> jax.Array:
-    """Return the key of a seed."""
+    """Convert a seed to a key of jax.random."""
     from matcam.core.jax import jax
 
     if isinstance(seed, jax.Array) and jax.numpy.issubdtype(seed.dtype, jax.dtypes.prng_key):

@@ -1,6 +1,7 @@
-"""The command line: `matcam`. One file per command; each parses, calls the library, shows progress, writes.
+"""Command line `matcam`. Each command has a file, which parses options, calls the library and writes the results.
 
-Exit codes: 0; 1 some inputs failed; 2 bad input; 70 internal error (with traceback); 130 interrupted (143 by SIGTERM).
+Exit codes: 0 success; 1 some inputs failed; 2 bad input; 70 internal error, with a traceback; 130 interrupted (143 by
+SIGTERM).
 """
 
 from __future__ import annotations
@@ -20,8 +21,8 @@ from matcam.core.threads import use_one_blas_thread, use_one_heap
 BAD_INPUT = 2
 FAULT = 70
 INTERRUPTED = 130
-_INTERRUPTION = "interrupted; nothing half-written was left"
-_TOO_LATE = "interrupted after its files were written; they are complete"
+_INTERRUPTION = "interrupted; no incomplete file was left"
+_TOO_LATE = "interrupted after the files were written; they are complete"
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -32,7 +33,7 @@ def main(arguments: list[str] | None = None) -> None:
     use_one_heap()
     sys.stdout, sys.stderr = (stream or _nowhere() for stream in (sys.stdout, sys.stderr))
     for stream in (sys.stdout, sys.stderr):
-        if hasattr(stream, "reconfigure"):  # a locale without a degree sign gets its escape
+        if hasattr(stream, "reconfigure"):  # a locale without a degree sign prints an escape sequence
             stream.reconfigure(errors="backslashreplace")
     _end_on_signals()
     warnings.formatwarning = _warning_as_line
@@ -46,11 +47,11 @@ def main(arguments: list[str] | None = None) -> None:
 
 
 _ended_by: list[int] = []
-"""Signal by which the system requested the end of this process."""
+"""Signals that requested the end of this process, in the order of arrival; empty if there was none."""
 
 
 def _end_on_signals() -> None:
-    """Handle termination signals like Ctrl-C: unfinished work is removed."""
+    """Handle termination signals like Ctrl-C, which removes incomplete files."""
 
     def end(number: int, frame: Any) -> None:
         _ended_by.append(number)
@@ -92,7 +93,7 @@ def _nowhere() -> TextIO:
 
 def _output_failed(error: OSError, code: int) -> int:
     """Return the exit code if standard output could not be written; a closed pipe is not a failure."""
-    sys.stdout = _nowhere()  # Python would report it again at exit
+    sys.stdout = _nowhere()  # Python would report the error again at exit
     if isinstance(error, BrokenPipeError):
         return code
     return _complain(f"standard output cannot be written: {error.strerror}", BAD_INPUT)
@@ -125,11 +126,11 @@ def _run(arguments: list[str] | None) -> int:
     except BrokenPipeError as error:
         return _output_failed(error, 0)
     except MemoryError:
-        return _complain("not enough memory", BAD_INPUT)
-    except SystemExit:  # Rich raises this if the reader of the help has gone
+        return _complain("not enough memory: give smaller inputs, or close other programs", BAD_INPUT)
+    except SystemExit:  # Rich raises this if the pipe that reads the help is closed
         return 0
     except Exception as error:
-        if isinstance(error, OSError) and error.filename is None:  # typer prints its help itself
+        if isinstance(error, OSError) and error.filename is None:  # typer wrote the help to standard output
             return _output_failed(error, 0)
         traceback.print_exc()
         return _complain("this is a fault of matcam, not of your input; please report it with the lines above", FAULT)

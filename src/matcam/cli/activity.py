@@ -1,6 +1,6 @@
-"""Status line on the terminal: current step of a command, its time, and the time of the last run.
+"""Status line on the terminal: current step of a command, elapsed time, and duration of the last run.
 
-It appears within a second, during imports, compilation and fits. Printed output replaces it temporarily.
+The line appears within a second, during imports, compilation and fits. Printed output replaces it temporarily.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from typing import Any
 from matcam.core.io import replacing, user_cache_folder
 from matcam.core.readers.names import printable
 
-_FIRST, _EACH = 0.8, 0.25  # s: delay and interval of the line
+_FIRST, _EACH = 0.8, 0.25  # delay before the line appears, and interval between its updates, s
 _LONG = 10.0
-"""Seconds after which the line shows the time of the last run."""
+"""Elapsed time, s, from which the line shows the duration of the last run, which is of no interest for a short command."""
 _SIGNS = "|/-\\"
 _DURATIONS = "durations.json"
 _CLEAR = "\r\033[2K"
@@ -72,9 +72,9 @@ class Activity:
         took = time.monotonic() - self.started
         text = f"{self.doing[-1]} {took:.0f} s"
         if took >= _LONG and self._last is not None:
-            text += f" (last time {self._last:.0f} s in all)"
+            text += f" (last run: {self._last:.0f} s)"
         if self._new and "jax" in sys.modules:
-            text += "; first run on this machine: programs are prepared once"
+            text += "; first run on this machine: programs are compiled and stored"
         return text
 
     def _draw_on(self) -> None:
@@ -94,7 +94,7 @@ class Activity:
             self._drawn = False
 
     def _write(self, text: str) -> None:
-        with contextlib.suppress(OSError, ValueError):  # the terminal has gone
+        with contextlib.suppress(OSError, ValueError):  # the terminal was closed
             sys.stderr.write(text)
             sys.stderr.flush()
 
@@ -104,7 +104,7 @@ _shown: list[Activity] = []
 
 @contextlib.contextmanager
 def shown(name: str) -> Iterator[None]:
-    """Show the line of a command while it runs, if standard error is a terminal."""
+    """Show the line of a command, if standard error is a terminal."""
     if _shown or not sys.stderr.isatty():
         yield
         return
@@ -155,7 +155,7 @@ def _durations() -> dict[str, float]:
 
 
 def _remember(name: str, took: float) -> None:
-    with contextlib.suppress(Exception):  # failure to write it is not an error
+    with contextlib.suppress(Exception):  # failure to write the file is not an error
         _path().parent.mkdir(parents=True, exist_ok=True)
         with replacing(_path(), force=True) as temporary:
             temporary.write_text(json.dumps(_durations() | {name: round(took, 1)}), encoding="utf-8")

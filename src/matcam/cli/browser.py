@@ -1,4 +1,4 @@
-"""`matcam app`: plan, inspect and compare in the browser."""
+"""`matcam app`: plan rigs, calibrate cameras and compare tables in the browser."""
 
 from __future__ import annotations
 
@@ -17,18 +17,22 @@ _INTERRUPTED = 130
 def command(
     files: Annotated[
         list[Path] | None,
-        typer.Argument(help="Tables, images, or the folder or Zarr of a run to open. Default: none, to plan a rig."),
+        typer.Argument(
+            help="Tables or images to open, or the folder or Zarr of a run. Default: no file, to plan a rig."
+        ),
     ] = None,
     host: Annotated[
         str,
         typer.Option(
             "--host",
             metavar="ADDRESS",
-            help="Address to listen on. Any other than the default admits other machines that know the token, without "
-            "encryption.",
+            help="Address to listen on. With another address than the default, other machines that know the token can "
+            "connect, without encryption.",
         ),
     ] = "127.0.0.1",
-    port: Annotated[int, typer.Option("--port", metavar="PORT", help="Port to listen on. Default: 0, a free one.")] = 0,
+    port: Annotated[
+        int, typer.Option("--port", metavar="PORT", help="Port to listen on. Default: 0, any free port.")
+    ] = 0,
     browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open the page in the browser.")] = True,
 ) -> None:
     """Open a page on this machine to plan a rig, calibrate a camera and look at tables. Ctrl-C ends it.
@@ -49,8 +53,8 @@ def command(
     server = AppServer(files or (), host, port)
     if host not in ("127.0.0.1", "localhost", "::1"):
         show.remark(
-            f"--host {host}: every machine that can reach this one and knows the address below can use the app as "
-            "you, and the traffic is not encrypted"
+            f"--host {host}: every machine that can reach this one and knows the address below can use the app with "
+            "your permissions, and the traffic is not encrypted"
         )
     show.say(server.address)
     if browser:
@@ -68,7 +72,7 @@ def _leave() -> None:
     import os
     import sys
 
-    show.remark("interrupted; nothing half-written was left")
+    show.remark("interrupted; no incomplete file was left")
     for stream in (sys.stdout, sys.stderr):
         stream.flush()
     os._exit(_INTERRUPTED)

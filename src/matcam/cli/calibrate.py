@@ -18,7 +18,7 @@ def command(
     pictures: Annotated[
         list[Path],
         typer.Argument(
-            help="Photographs of slanted edges to read, or folders of them: TIFF, PNG, JPEG, OpenEXR, camera raw."
+            help="Photographs of slanted edges to read, or folders of photographs: TIFF, PNG, JPEG, OpenEXR, camera raw."
         ),
     ],
     output: Annotated[
@@ -29,7 +29,11 @@ def command(
         float, typer.Option("--half-width", metavar="PX", help="Half the width of a pixel's sensitive area, px.")
     ] = 0.5,
     fit_pixel: Annotated[
-        bool, typer.Option("--fit-pixel", help="Fit the half width, too; an error if it cannot be determined to 10 %.")
+        bool,
+        typer.Option(
+            "--fit-pixel",
+            help="Also fit the half width; the command fails if the images do not determine it to 10 %.",
+        ),
     ] = False,
     wavelength: Annotated[
         float | None,
@@ -38,19 +42,25 @@ def command(
     pitch: Annotated[
         float | None,
         typer.Option(
-            "--pitch", metavar="UM", help="Pixel pitch, um: for diffraction and defocus, and to print lp/mm, too."
+            "--pitch",
+            metavar="UM",
+            help="Pixel pitch, um: for diffraction and defocus, and to print frequencies in lp/mm.",
         ),
     ] = None,
     f_number: Annotated[
         list[float] | None,
-        typer.Option("--f-number", metavar="F", help="F-number: one, or one for each image. Default: from the files."),
+        typer.Option(
+            "--f-number",
+            metavar="F",
+            help="F-number: one for all images, or one for each image. Default: from the files.",
+        ),
     ] = None,
     tone: Annotated[
         str,
         typer.Option(
             "--tone",
             metavar="CURVE",
-            help="Tone curve: auto (8 bits are sRGB), linear, srgb, gamma:2.2, or a file of linear values by code.",
+            help="Tone curve: auto (8 bits are sRGB), linear, srgb, gamma:2.2, or a file with the linear value of each code.",
         ),
     ] = "auto",
     tone_patches: Annotated[
@@ -58,7 +68,7 @@ def command(
         typer.Option(
             "--tone-patches",
             metavar="FILE",
-            help="File with lines x y width height light: patches of the first image for its tone curve.",
+            help="File with lines x y width height light: patches of the first image that determine its tone curve.",
         ),
     ] = None,
     channel: Annotated[
@@ -79,20 +89,24 @@ def command(
         ),
     ] = None,
     accept_sharpened: Annotated[
-        bool, typer.Option("--accept-sharpened", help="Measure sharpened and processed images, too.")
+        bool, typer.Option("--accept-sharpened", help="Also measure sharpened and processed images.")
     ] = False,
     sensor: Annotated[
         Path | None,
         typer.Option(
             "--sensor",
             metavar="PROFILE",
-            help="Camera profile with the sensor for the new one, see `matcam sensor`.",
+            help="Camera profile whose sensor is copied to the new profile (see `matcam sensor`).",
         ),
     ] = None,
     budget: Budget = None,
     figure: Annotated[
         Path | None,
-        typer.Option("--figure", metavar="FILE", help="Page to write (.png, .pdf, .svg). Default: beside the profile."),
+        typer.Option(
+            "--figure",
+            metavar="FILE",
+            help="Figure to write (.png, .pdf, .svg). Default: a .png file beside the profile.",
+        ),
     ] = None,
     force: Force = False,
     json: AsJson = False,
@@ -145,7 +159,7 @@ def command(
 
 
 def _write_budget(found: Any, path: Path, force: bool) -> Path:
-    """Write the budget of every parameter of every channel's camera."""
+    """Write the uncertainty budget of each parameter of the camera of each channel."""
     from matcam.numerics.budget import parameter_budgets, write_budgets
 
     budgets = []
@@ -165,9 +179,7 @@ def _sensor(path: Path | None) -> Any:
 
     sensor = Camera.load(path).sensor
     if sensor is None:
-        raise ArgumentError(
-            f"{path} has no sensor: give --sensor a profile with one, as `matcam sensor --profile` writes it"
-        )
+        raise ArgumentError(f"{path} has no sensor: give --sensor a profile that `matcam sensor --profile` has written")
     return sensor
 
 
@@ -182,7 +194,7 @@ def _mtf50(camera: Any) -> float:
 
 
 def _files(given: list[Path]) -> list[Path]:
-    """List the images, those of a folder by name."""
+    """List the images. Those of a folder are sorted by name."""
     from matcam.core.errors import FileFormatError
     from matcam.core.readers.names import check_within
     from matcam.files.photographs import PICTURES
@@ -194,7 +206,9 @@ def _files(given: list[Path]) -> list[Path]:
             continue
         inside = sorted(p for p in path.iterdir() if p.suffix.lower() in PICTURES and is_file(p))
         if not inside:
-            raise FileFormatError(f"{path}: no images in this folder ({', '.join(PICTURES[:6])}, camera raw)")
+            raise FileFormatError(
+                f"{path}: this folder contains no images ({', '.join(PICTURES[:6])}, camera raw): give another folder"
+            )
         for file in inside:
             check_within(file, path)
         files += inside

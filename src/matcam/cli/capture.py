@@ -38,7 +38,7 @@ def init(
         typer.Option(
             "--from",
             metavar="FOLDER",
-            help="Folder of photographs: they are copied and listed in frames.csv, with exposure times from their metadata.",
+            help="Folder of photographs: they are copied and listed in frames.csv, with exposure times from the metadata.",
         ),
     ] = None,
     lamps: Annotated[
@@ -46,7 +46,7 @@ def init(
         typer.Option(
             "--lamps",
             metavar="FILE",
-            help="Light position file (.lp) of the photographs of --from. Default: the one in that folder, if any.",
+            help="Light position file (.lp) of the photographs of --from. Default: the .lp file in that folder, if any.",
         ),
     ] = None,
     force: Force = False,
@@ -82,9 +82,9 @@ def check(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of the capture.")],
     json: AsJson = False,
 ) -> int:
-    """Check a capture in the lab: clipped or missing frames, missing angles, wrong times, motion.
+    """Check a capture for clipped or missing frames, missing angles, wrong exposure times and motion.
 
-    Exit code 1 if there are faults. Example: `matcam capture check chromium`
+    The exit code is 1 if there are faults. Example: `matcam capture check chromium`
     """
     from matcam.acquisition.capture_check import check_capture
     from matcam.files.capture import read_capture
@@ -113,7 +113,7 @@ def check(
     if math.isfinite(found.centre[2]):
         column, row, radius = found.centre
         where = f"column {column:.1f}" + (f", row {row:.1f}" if math.isfinite(row) else "")
-        show.say(f"outline by highlights and outline frames: {where}, radius {radius:.1f} px")
+        show.say(f"outline from highlights and outline frames: {where}, radius {radius:.1f} px")
     for remark in found.notes:
         show.say(f"note: {remark}")
     for remark in found.findings:
@@ -128,9 +128,9 @@ def _print_radiometry(found: Any) -> None:
     show.table(
         ["exposure", "relative", "std"],
         [[name, f"{value.value:.5g}", f"{value.std / value.value:.2%}"] for name, value in found.exposures.items()],
-        "Exposures, by the frames",
+        "Exposures, measured from the frames",
     )
-    clip = f"{found.clip.level:.0f} DN" if found.clip.pixels else "not seen"
+    clip = f"{found.clip.level:.0f} DN" if found.clip.pixels else "not reached"
     noise, gain = found.read_noise.value, found.gain.value
     show.say(f"clip level {clip}; gain {gain:.4g} DN per electron; read noise {noise:.3g} DN")
 
@@ -142,7 +142,7 @@ def plan(
         typer.Option(
             "--accuracy",
             metavar="SHARE",
-            help="Required standard deviation of F at the last angle, relative (no unit).",
+            help="Required relative standard deviation of F at the last angle (no unit).",
         ),
     ] = 0.01,
     last: Annotated[
@@ -151,7 +151,9 @@ def plan(
     metal: Annotated[
         str | None,
         typer.Option(
-            "--metal", metavar="SYMBOL", help="Metal with the expected F. Default: n = 1.5, whose F is steep."
+            "--metal",
+            metavar="SYMBOL",
+            help="Metal whose F is expected. Default: a dielectric with n = 1.5, whose F is steep.",
         ),
     ] = None,
     camera: CameraProfile = None,
@@ -161,7 +163,7 @@ def plan(
     sample_mm: SampleMm = None,
     json: AsJson = False,
 ) -> None:
-    """Compute the lamp angles, exposures, radius and tolerances for a required accuracy.
+    """Compute the lamp angles, exposures, image radius and tolerances for a required accuracy.
 
     Example: `matcam capture plan 0.02 --accuracy 0.01 --camera camera.json --radius 300`
     """
@@ -191,17 +193,17 @@ def plan(
         [
             ["radius of the limb", wide],
             ["lamp positions", f"{len(needs.theta_d)}"],
-            ["exposures, each 4 times the one before", f"{needs.exposures}"],
-            ["lamps' directions known to", f"{found['lamp_std_deg']:.2g}°"],
-            ["sphere's outline known to", f"{needs.outline_std:.2g} px"],
-            ["light of an image known to", f"{needs.gain_std:.2%}"],
+            ["exposures, each 4 times the previous one", f"{needs.exposures}"],
+            ["tolerance of the lamp directions", f"{found['lamp_std_deg']:.2g}°"],
+            ["tolerance of the outline of the sphere", f"{needs.outline_std:.2g} px"],
+            ["tolerance of the gain of an image", f"{needs.gain_std:.2%}"],
         ],
-        f"F at {last:g}° to {accuracy:.2g}, roughness {roughness:g}",
+        f"Requirements for F at {last:g}° with a relative error of {accuracy:.2g}, roughness {roughness:g}",
     )
     angles = ", ".join(f"{angle:.0f}" for angle in found["lamp_angle_deg"])
     show.say(f"angles between lamp and camera, degrees: {angles}")
     tried = ", ".join(f"{size:.0f} px {bound:.2%}" for size, bound in needs.fresnel_std)
-    show.say(f"bound of F at {last:g}° by pixels and lens: {tried}")
+    show.say(f"smallest relative standard deviation of F at {last:g}°, by radius: {tried}")
 
 
 app.command("init", cls=Command)(with_common("capture init", init))

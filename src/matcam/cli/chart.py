@@ -22,12 +22,16 @@ def command(
     output: Annotated[
         Path,
         typer.Option(
-            "--output", "-o", metavar="FILE", help="Page to write (.pdf, .svg, .png); its description goes beside it."
+            "--output",
+            "-o",
+            metavar="FILE",
+            help="Page to write (.pdf, .svg, .png); its description is written beside it.",
         ),
     ] = Path("chart.pdf"),
     page: Annotated[Literal["a4", "a3", "letter"], typer.Option("--page", help="Paper format, landscape.")] = "a4",
     size: Annotated[
-        tuple[float, float] | None, typer.Option("--size", metavar="WIDTH HEIGHT", help="Size of another page, mm.")
+        tuple[float, float] | None,
+        typer.Option("--size", metavar="WIDTH HEIGHT", help="Size of a page of another format, mm."),
     ] = None,
     pixels: Annotated[
         float, typer.Option("--pixels", metavar="PX", help="Number of camera pixels across the width of the page.")
@@ -66,9 +70,9 @@ def command(
         return
     elements = ", ".join(_counted(kind, count) for kind, count in counts.items())
     show.say(f"{elements} on {chart.page[0]:g} x {chart.page[1]:g} mm")
-    show.say(f"page: {output}, print in true size; description: {description}, to be given to `calibrate`")
+    show.say(f"page: {output}, to be printed at true size; description: {description}, for `matcam calibrate --chart`")
     show.say(
-        f"with photographs of it: {shlex.join(['matcam', 'calibrate', 'PHOTOGRAPHS', '--chart', str(description)])}"
+        f"after photographing the page: {shlex.join(['matcam', 'calibrate', 'PHOTOGRAPHS', '--chart', str(description)])}"
     )
 
 

@@ -1,4 +1,4 @@
-"""Common parts of all commands: `--quiet`, `--rig`, the name of their JSON, and the suggested next command."""
+"""Common parts of all commands: `--quiet`, `--rig`, the schema of the JSON output, and the suggested next command."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def _defaults_of_rig(context: Any, path: Path | None) -> Path | None:
     return path
 
 
-Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print only errors, and --json.")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print only errors and the output of --json.")]
 RigFile = Annotated[
     Path | None,
     typer.Option(
@@ -34,7 +34,7 @@ RigFile = Annotated[
         metavar="FILE",
         is_eager=True,
         callback=_defaults_of_rig,
-        help="Rig to read (TOML): camera, sample, distances, lamp. Options override it.",
+        help="Rig file to read (TOML): camera, sample, distances, lamp. Options override its values.",
     ),
 ]
 
@@ -43,7 +43,7 @@ def with_common(name: str, command: Callable[..., Any]) -> Callable[..., Any]:
     """Add the common options to a command, as typer requires.
 
     Args:
-        name: the command's words, such as "data merl".
+        name: words of the command, such as "data merl".
         command: function of the command.
     """
     kinds = get_type_hints(command, include_extras=True)

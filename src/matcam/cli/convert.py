@@ -25,7 +25,9 @@ def command(
     square: Annotated[
         int,
         typer.Option(
-            "--square", metavar="N", help="Resolution of a .bsdf to write, in values along each side; 192 give 36 MB."
+            "--square",
+            metavar="N",
+            help="Resolution of a .bsdf to write: number of values along each side; 192 give 36 MB.",
         ),
     ] = 192,
     error: Annotated[
@@ -33,7 +35,7 @@ def command(
         typer.Option(
             "--error",
             metavar="SHARE",
-            help="Write the smallest .bsdf (0.2 to 70 MB) whose median differences are at most this, such as 0.01.",
+            help="Largest median difference, such as 0.01 (no unit): write the smallest .bsdf (0.2 to 70 MB) that meets it.",
         ),
     ] = None,
     metadata: Annotated[
@@ -41,7 +43,7 @@ def command(
         typer.Option(
             "--metadata",
             metavar="JSON",
-            help="JSON file to write with metadata of the measurement: the rig, the solid angle of its receiver.",
+            help="JSON file to write with metadata of the measurement: the rig and the solid angle of its receiver.",
         ),
     ] = None,
     camera: CameraProfile = None,
@@ -84,13 +86,13 @@ def command(
 def _print(report: dict[str, Any]) -> None:
     show.say(f"{report['input']}: {report['holds']} ({report['format']}) -> {report['output']}")
     if not report["resampled"]:
-        show.say("every value is kept")
+        show.say("all values are unchanged")
     else:
         show.say(f"resampled {report['resampled']}")
         error = report["error"]
         show.say(
-            f"it differs by {_percent(error['peak'])} at the peak (median up to 45°), and at random pairs of directions up to "
-            f"80° by {_percent(error['median'])} (median), {_percent(error['p99'])} (99 % of pairs) and "
+            f"the output differs by {_percent(error['peak'])} at the peak (median up to 45°), and at random pairs of "
+            f"directions up to 80° by {_percent(error['median'])} (median), {_percent(error['p99'])} (99 % of pairs) and "
             f"{_percent(error['largest'])} (largest); relative to the value or to a millionth of the peak, whichever is larger"
         )
         if report["missing_share"]:

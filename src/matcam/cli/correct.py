@@ -1,4 +1,4 @@
-"""`matcam correct`: tables as a perfect camera would have measured them, one or a whole database."""
+"""`matcam correct`: correction of one table, or of a database, for the camera."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def command(
     paths: Annotated[
         list[Path],
         typer.Argument(
-            metavar="PATH...", help="Tables to read (.binary, .nc, .csv), and folders, which mean their *.binary."
+            metavar="PATH...", help="Tables to read (.binary, .nc, .csv), or folders, whose *.binary files are read."
         ),
     ],
     ndf: FamilyOrAuto = "auto",
@@ -49,7 +49,7 @@ def command(
         typer.Option(
             "--glare",
             metavar="SHARE",
-            help="Share of light in an unspecified halo of the lens (no unit).",
+            help="Share of the light in a possible halo of the lens that the profile does not contain (no unit).",
         ),
     ] = 1e-3,
     masking: Masking = "smith",
@@ -70,7 +70,8 @@ def command(
             "--output",
             "-o",
             metavar="FILE",
-            help="MERL file to write (.nc, .json, .html go beside it), or a run's folder. Default: FILE-corrected.binary.",
+            help="MERL file to write, with .nc, .json and .html beside it; or the folder of a run. Default: "
+            "FILE-corrected.binary.",
         ),
     ] = None,
     workers: Annotated[
@@ -93,21 +94,24 @@ def command(
     ] = None,
     pages: Annotated[bool, typer.Option("--pages/--no-pages", help="Write a page for each material.")] = True,
     compress: Annotated[
-        bool, typer.Option("--compress/--no-compress", help="Compress each NetCDF, without loss.")
+        bool, typer.Option("--compress/--no-compress", help="Compress each NetCDF file without loss.")
     ] = True,
     zarr: Annotated[
-        bool, typer.Option("--zarr", help="Write all materials of a run to one Zarr, too, FOLDER/run.zarr.")
+        bool, typer.Option("--zarr", help="Also write all materials of a run to one Zarr store, FOLDER/run.zarr.")
     ] = False,
     fit_camera: Annotated[
         bool,
         typer.Option(
-            "--fit-camera", help="Fit the camera's blur jointly to a few materials of a run, and use it for all."
+            "--fit-camera",
+            help="Fit the camera's blur jointly to a few materials of a run, and use the result for all.",
         ),
     ] = False,
     time_limit: Annotated[
         float,
         typer.Option(
-            "--time-limit", metavar="SECONDS", help="Time for one material of a run, s; longer ones have failed."
+            "--time-limit",
+            metavar="SECONDS",
+            help="Time limit for one material of a run, s. A material that exceeds it is reported as failed.",
         ),
     ] = 3600.0,
     layers: Annotated[
@@ -126,9 +130,9 @@ def command(
 ) -> int:
     """Correct a table for its camera, with uncertainty; write MERL, NetCDF, JSON and a page.
 
-    Several files, or a folder, are a run: `-o` names the folder that it fills. A run that was killed resumes when it is
-    started again. Failures are listed at the end and do not affect other tables (exit code 1; 2 if no table was
-    corrected).
+    Several files, or a folder, form a run, which writes its results to the folder of `-o`. A run that was killed
+    resumes when it is started again. Failures are listed at the end and do not affect other tables (exit code 1; 2 if no
+    table was corrected).
 
     Example: `matcam correct chrome.binary -o chrome-corrected.binary`, `matcam correct brdfs/ -o corrected/`
     """
@@ -148,7 +152,7 @@ def command(
     if layers and (not alone or layers.suffix.lower() != ".exr"):
         raise ArgumentError(f"--layers is for one table, and its name must end in .exr, got {layers}")
     if not alone and (output is None or output.suffix.lower() == ".binary"):
-        raise ArgumentError("several tables need an output folder: -o FOLDER")
+        raise ArgumentError("several tables need an output folder: give -o FOLDER")
     for wanted, what, module in ((zarr, "a run's Zarr", "zarr"), (cluster, "a cluster", "distributed")):
         if wanted:
             checks.extra(what, "scale", module)
@@ -216,7 +220,7 @@ def command(
 
 
 def _write_layers(recorded: Path, target: Path, path: Path, sampling: Any, force: bool) -> None:
-    """Write the slice across the plane of light and view, before and after, as layers of one image."""
+    """Write the slice across the plane of light and view, recorded and corrected, as layers of one image."""
     import numpy as np
 
     from matcam.core.io import where_written

@@ -24,7 +24,7 @@ def merl(
         list[str] | None, typer.Argument(metavar="NAME...", help="Materials to fetch, such as chrome.")
     ] = None,
     output: Annotated[
-        Path, typer.Option("--output", "-o", metavar="FOLDER", help="Folder to write to. Default: this one.")
+        Path, typer.Option("--output", "-o", metavar="FOLDER", help="Folder to write to. Default: the current folder.")
     ] = Path(),
     source: Annotated[
         str | None,

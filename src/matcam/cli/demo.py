@@ -49,21 +49,21 @@ def _show_all(output: Path, table: Path, loss: Path, term: Path, force: bool) ->
     from matcam.forward.measurement import CHROMIUM_WIDTH, simulated_chromium
 
     show.say(
-        f"1. A chromium sphere with a Gaussian lobe of {CHROMIUM_WIDTH} rad (EPD: {2**0.5 * CHROMIUM_WIDTH:.3g}), "
+        f"1. Chromium sphere with a Gaussian lobe of width {CHROMIUM_WIDTH} rad (EPD: {2**0.5 * CHROMIUM_WIDTH:.3g}), "
         "photographed by the MERL rig, with 1 % pixel noise:"
     )
     show.say(f"   {table}")
     with show.working("simulating the images of the sphere"):
         write_merl(table, simulated_chromium().clip(min=0), force=force)
-    show.say("2. What to expect of this rig:")
+    show.say("2. Predicted loss of this rig:")
     predict.command([0.001, 0.002, 0.005, 0.01, 0.05], ndf="gaussian", output=loss, force=force)
-    show.say("3. Its Fresnel term, as recorded and corrected for the camera:")
+    show.say("3. Fresnel term of the sphere, as recorded and as corrected for the camera:")
     with tempfile.TemporaryDirectory() as folder:  # the table gets its name only at the end
         named = Path(folder, table.name)
         named.symlink_to(where_written(table).absolute())
         fresnel.command(named, metal="Cr", output=term, force=force)
     show.say("4. The paper's figures:")
-    extracted = read_netcdf(where_written(term.with_suffix(".nc")))  # fitted once
+    extracted = read_netcdf(where_written(term.with_suffix(".nc")))  # result of the fit above
     stems = {"figure-3": None, "figure-4": None, "figure-5": None, f"figure-6-{table.stem}": extracted}
     figures.draw_all(stems, output, "svg", force=force, quiet=False)
     show.say(f"Done. Open {term} first.")

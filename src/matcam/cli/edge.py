@@ -11,7 +11,7 @@ from matcam.cli import show
 from matcam.cli.options import AsJson, Budget, EdgeLens, Force, Mosaic
 
 _DOUBTS = {"asymmetric", "compressed", "crushed", "demosaiced", "denoised", "filtered", "sharpened", "tone-curve"}
-"""Remarks on images whose MTF is not that of the lens, for either estimate."""
+"""Codes of the remarks on images whose MTF is not that of the lens, in either estimate."""
 _HIGHEST = 1.25
 """Largest frequency at which an MTF is tabulated, cycles/px."""
 
@@ -61,7 +61,9 @@ def command(
     pitch: Annotated[
         float | None,
         typer.Option(
-            "--pitch", metavar="UM", help="Pixel pitch, um: for diffraction and defocus, and to print lp/mm, too."
+            "--pitch",
+            metavar="UM",
+            help="Pixel pitch, um: for diffraction and defocus, and to print frequencies in lp/mm.",
         ),
     ] = None,
     half_width: Annotated[
@@ -70,7 +72,7 @@ def command(
     cfa: Mosaic = None,
     channel: Annotated[
         Literal["R", "G", "B", "Y", "all"] | None,
-        typer.Option("--channel", help="Colour to measure; Y is luminance; all: one after the other. Default: Y."),
+        typer.Option("--channel", help="Colour to measure. Y: luminance; all: each colour in turn. Default: Y."),
     ] = None,
     tone: Annotated[
         Literal["linear", "srgb", "auto"],
@@ -80,7 +82,7 @@ def command(
         ),
     ] = "auto",
     accept_sharpened: Annotated[
-        bool, typer.Option("--accept-sharpened", help="Measure a sharpened image, too.")
+        bool, typer.Option("--accept-sharpened", help="Also measure a sharpened image.")
     ] = False,
     sfr: Annotated[
         Path | None,
@@ -103,13 +105,13 @@ def command(
             "--output",
             "-o",
             metavar="FILE",
-            help="Figure to write (.png, .pdf, .svg); a .csv goes beside it.",
+            help="Figure to write (.png, .pdf, .svg); a .csv is written beside it.",
         ),
     ] = None,
     force: Force = False,
     json: AsJson = False,
 ) -> int:
-    """Measure the MTF of lens and pixel across slanted edges (ISO 12233), without a model, and as a lens.
+    """Measure the MTF of lens and pixel across slanted edges (ISO 12233), without and with a model of the lens.
 
     Example: `matcam edge chart.tif --roi 120 80 80 160`
     """
@@ -121,8 +123,8 @@ def command(
     several = len(pictures) > 1 or rois is not None or channel == "all" or table is not None
     for option, given in (("-o", output), ("--sfr", sfr), ("--budget", budget)):
         if given and (several or (method == "iso12233" and option != "--sfr")):
-            one = "one region of one image" if several else "the method likelihood"
-            raise ArgumentError(f"{option} belongs to {one}: leave it out")
+            one = "one region of one image" if several else "--method likelihood"
+            raise ArgumentError(f"{option} needs {one}: omit this option")
     if roi is not None and rois is not None:
         raise ArgumentError("--roi and --rois both give regions: give one of them")
     if output:
@@ -180,7 +182,7 @@ def command(
         _print_readings(_readings(result, frequencies), pitch, "e-SFR, ISO 12233:2023")
     else:
         _print(result, pitch)
-        _print_readings(_readings(result, frequencies), pitch, "free of a model")
+        _print_readings(_readings(result, frequencies), pitch, "without a model")
     if sfr:
         _write_sfr(result, sfr, pitch, force)
     if budget:
@@ -219,7 +221,9 @@ def _series(
     failed = [row for row in rows if row.problem]
     if len(failed) == len(rows):
         first = failed[0]
-        raise FitError(f"none of {len(rows)} edges can be measured; the first: {first.file}: {first.problem}")
+        raise FitError(
+            f"none of the {len(rows)} edges can be measured; the first problem is: {first.file}: {first.problem}"
+        )
     if table:
         write_columns(table, series_columns(rows), force=force)
     if json:
@@ -240,7 +244,7 @@ def _series(
 
 
 def _readings(result: Any, frequencies: tuple[float, ...]) -> dict[str, Any]:
-    """Compute the usual values of an edge: by matcam with errors, by ISO 12233 without."""
+    """Compute MTF50 and other readings of an edge. Those of ISO 12233 have no standard deviations."""
     if hasattr(result, "fits"):
         from matcam.calibration.readings.edge_numbers import readings
 
@@ -268,7 +272,7 @@ def _print_readings(found: dict[str, Any], pitch: float | None, name: str) -> No
 
 
 def _lp_per_mm(frequency: Any, pitch: float) -> Any:
-    """Convert cycles/px to line pairs per mm, by the pitch in um."""
+    """Convert a frequency from cycles/px to line pairs per mm. pitch: pixel pitch, um."""
     return frequency * 1000 / pitch
 
 
@@ -288,12 +292,12 @@ def _write_sfr(result: Any, path: Path, pitch: float | None, force: bool) -> Non
 
 
 def _write_budget(result: Any, path: Path, force: bool) -> None:
-    """Write the budgets of both MTF50 and of the parameters of the lens."""
+    """Write the uncertainty budgets of both values of MTF50 and of the parameters of the lens."""
     from matcam.numerics.budget import fit_budget, parameter_budgets, write_budgets
 
     fit = result.parametric
     budgets = [
-        fit_budget("MTF50 free of a model, cycles/px", result.mtf50, result.mtf50_std),
+        fit_budget("MTF50 without a model, cycles/px", result.mtf50, result.mtf50_std),
         fit_budget(f"MTF50 of the {fit.model} lens, cycles/px", fit.mtf50, fit.mtf50_std),
         *parameter_budgets(fit.names, fit.values, fit.covariance),
     ]
@@ -318,21 +322,21 @@ def _print(result: Any, pitch: float | None) -> None:
         shown = [name, f"{value:.4f} ± {std:.4f}"]
         return [*shown, f"{_lp_per_mm(value, pitch):.2f} ± {_lp_per_mm(std, pitch):.2f}"] if pitch else shown
 
-    rows = [row("free of a model", result.mtf50, result.mtf50_std)]
+    rows = [row("without a model", result.mtf50, result.mtf50_std)]
     if result.glare_found:
-        rows.append(row("without its glare", result.core_mtf50, result.core_mtf50_std))
+        rows.append(row("without glare", result.core_mtf50, result.core_mtf50_std))
     rows.append(row(f"{fit.model} lens", fit.mtf50, fit.mtf50_std))
     show.table(["MTF50, lens and pixel", "cycles/px", *(["lp/mm"] if pitch else [])], rows)
     std = np.sqrt(np.diag(fit.covariance))
     for name, value, error in zip(fit.names, fit.values, std, strict=True):
         show.say(f"{name}: {value:.4g} ± {error:.2g}")
-    # the free curve includes the effect of software, too
-    believe = "" if {remark.code for remark in result.remarks} & _DOUBTS else ": use the free curve"
+    # the model-free curve also includes the effect of software
+    believe = "" if {remark.code for remark in result.remarks} & _DOUBTS else ": use the model-free curve"
     verdict = "explains the edge" if fit.consistent else f"does NOT explain the edge{believe}"
     show.say(f"the {fit.model} lens {verdict} (probability of such residuals {fit.misfit_probability:.2g})")
     show.say(
         f"edge: normal at {np.degrees(result.angle):.3f}° ± {np.degrees(result.angle_std):.3f}°, bow {result.bow:+.2f} px; "
-        f"light changes by {1e4 * result.light[0]:+.1f}, {1e4 * result.light[1]:+.1f} % per 100 px in x, y"
+        f"the light changes by {1e4 * result.light[0]:+.1f}, {1e4 * result.light[1]:+.1f} % per 100 px in x, y"
     )
     if result.glare_found:
         show.say(

@@ -35,7 +35,7 @@ def command(
     sources = measured or []
     stems = ["figure-3", "figure-4", "figure-5", *(f"figure-6-{path.stem}" for path in sources or [_SIMULATED])]
     if len(set(stems)) < len(stems):
-        raise ArgumentError("two files of one name would become one figure: draw them into two folders")
+        raise ArgumentError("two files have the same name, and so would their figures: draw them into two folders")
     for path in outputs(output, stems, vector):
         check_output(path, force=force, inputs=sources)
     from matcam.core.jax import use_compilation_cache
@@ -48,19 +48,22 @@ def command(
 
 
 def draw_all(sources: Mapping[str, Any], output: Path, vector: str, *, force: bool, quiet: bool) -> None:
-    """Draw and write figures. sources: file of the table of each stem, or its result of `fresnel`; None: simulated."""
+    """Draw and write figures.
+
+    sources: for each stem, the file of a table or a result of `fresnel`; None: a simulated table.
+    """
     drawn = {}
     for stem, source in sources.items():
         with show.working(f"drawing {stem}"):
             drawn[stem] = _draw(stem, source)
-    # all or none: a bad file among several is found before the first image is written
+    # a bad file among several is found before the first figure is written
     for stem, (data, figure) in drawn.items():
         _write(data, figure, output / stem, vector, force)
         show.say(f"{output / stem}.png, .{vector}, .csv", quiet=quiet)
 
 
 def outputs(folder: Path, stems: Sequence[str], vector: str) -> list[Path]:
-    """Return every file that the command writes."""
+    """List the files that the command writes."""
     return [folder / f"{stem}.{suffix}" for stem in stems for suffix in ("png", vector, "csv")]
 
 

@@ -34,7 +34,9 @@ from matcam.cli.options import (
 def command(
     files: Annotated[
         list[Path],
-        typer.Argument(help="Tables to read (.binary, .nc, .csv); several of one rig are fitted with one camera."),
+        typer.Argument(
+            help="Tables to read (.binary, .nc, .csv); several tables of one rig are fitted with one camera."
+        ),
     ],
     ndf: Family = "ggx",
     fresnel: FresnelModel = "conductor",
@@ -88,7 +90,9 @@ def command(
     if blind and lens != "auto":
         raise ArgumentError("--no-camera and --lens contradict each other: give one of them")
     if rival and (blind or len(files) > 1):
-        raise ArgumentError("--rival compares the camera of one table with free shadowing: give one file, and a camera")
+        raise ArgumentError(
+            "--rival compares the camera of one table with free shadowing: give one file, and omit --no-camera"
+        )
     inputs = [*files, *([camera] if camera else [])]
     if output:
         check_output(output, force=force, inputs=inputs)
@@ -164,8 +168,8 @@ def print_fit(summary: dict[str, Any], name: str) -> None:
     show.say(f"half width at half maximum: {summary['hwhm_rad']:.6g} ± {summary['hwhm_std_rad']:.2g} rad")
     noise = summary["noise"]
     show.say(
-        f"noise of a pixel: {noise['relative']:.2%} of its value, {noise['floor']:.2%} of the image's peak; of an image's "
-        f"gain: {noise['picture_gain']:.2%}"
+        f"noise of a pixel: {noise['relative']:.2%} of its value and {noise['floor']:.2%} of the image's peak; noise of the "
+        f"gain of an image: {noise['picture_gain']:.2%}"
     )
     show.say(
         f"ratio of the residual of a cell to its expected standard deviation: {math.sqrt(summary['misfit']):.2f} rms, "

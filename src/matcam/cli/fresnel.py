@@ -40,7 +40,7 @@ def command(
         typer.Option(
             "--metal",
             metavar="SYMBOL",
-            help="Metal (Cr, Fe, ...) for comparison. Default: the nearest of all, including dielectrics.",
+            help="Metal (Cr, Fe, ...) for comparison. Default: the closest of all materials, including dielectrics.",
         ),
     ] = None,
     ndf: FamilyOrAuto = "auto",
@@ -59,7 +59,9 @@ def command(
     normalise: Annotated[
         tuple[float, float],
         typer.Option(
-            "--normalise", metavar="LOW HIGH", help="Range of theta_d over which F is divided by its mean, degrees."
+            "--normalise",
+            metavar="LOW HIGH",
+            help="Range of theta_d, degrees; F is divided by its mean over this range.",
         ),
     ] = (10.0, 45.0),
     channel: Annotated[Literal["R", "G", "B"], typer.Option("--channel", help="Channel to draw and print.")] = "G",
@@ -72,7 +74,7 @@ def command(
             "--output",
             "-o",
             metavar="FILE",
-            help="Figure to write (.png, .pdf, .svg); .csv and .nc go beside it. Default: FILE-fresnel.png here.",
+            help="Figure to write (.png, .pdf, .svg); .csv and .nc are written beside it. Default: FILE-fresnel.png.",
         ),
     ] = None,
     budget: Budget = None,
@@ -110,7 +112,7 @@ def command(
         from matcam.material.optical_constants import metals
 
         if metal is not None:
-            metals(metal)  # an unknown name is an error before any work
+            metals(metal)  # raises an error for an unknown name before the fit
         near: dict[str, Any] = {
             "sample": sample,
             "distance": distance,
@@ -143,7 +145,7 @@ def command(
 
 
 def _write_budget(result: Any, path: Path, force: bool) -> None:
-    """Write the budget of F at every printed angle, in each channel with an F there."""
+    """Write the uncertainty budget of F at each printed angle, for the channels in which F is determined there."""
     import numpy as np
 
     from matcam.inverse.fresnel_term import fresnel_budget
@@ -210,7 +212,7 @@ def _print(result: Any, tables: Any, files: list[Path], channel: str) -> None:
     from matcam.core.remark import from_attribute
 
     one = result.sel(channel=channel)
-    # the slices that exist: a table has one at 74.5 and one at 75.5 degrees, and --slice-step leaves some out
+    # nearest existing slices: a table has slices at 74.5 and 75.5 degrees, and --slice-step omits some
     at = one.sel(theta_d=np.unique(one["theta_d"].sel(theta_d=np.radians(_ANGLES), method="nearest")))
     relative = at["response"].values / float(result["response"][0])
     rows = [
@@ -226,7 +228,7 @@ def _print(result: Any, tables: Any, files: list[Path], channel: str) -> None:
         )
     ]
     show.table(
-        ["theta_d", "lost beyond 0°", "F raw", "F peak / kept", "F corrected"],
+        ["theta_d", "loss relative to 0°", "F raw", "F peak / kept", "F corrected"],
         rows,
         f"{result.attrs['source']}, channel {channel}",
     )
@@ -245,7 +247,7 @@ def _print(result: Any, tables: Any, files: list[Path], channel: str) -> None:
     show.say(f"camera uncertainty: {attrs['camera_uncertainty']}")
     for remark in from_attribute(attrs["remarks"]):
         show.say(f"note: {remark}")
-    show.say(f"supported (std under 5 %) up to theta_d = {np.degrees(float(one['supported_angle'])):.1f}°")
+    show.say(f"supported (std below 5 %) up to theta_d = {np.degrees(float(one['supported_angle'])):.1f}°")
     rms = tables.sel(channel=channel)
     order = np.argsort(rms["rms_corrected"].values, kind="stable")[:4]
     for i in order:

@@ -1,6 +1,6 @@
-"""Help of the commands, as plain text: groups of commands, units as the names of values, an example, the exit codes.
+"""Help of the commands, as plain text: groups of commands, options with units, an example, the exit codes.
 
-The same lines make the reference of the command line in the documentation. The help does not load the library.
+The reference of the command line in the documentation uses the same lines. The help does not load the library.
 """
 
 from __future__ import annotations
@@ -23,15 +23,15 @@ GROUPS = {
 
 EXIT_CODES = {
     0: "done",
-    1: "some inputs failed, the others are finished",
+    1: "some inputs failed, and the others are finished",
     2: "bad input: nothing was written",
-    70: "a fault of matcam, with its traceback",
-    130: "interrupted (143: by SIGTERM); nothing half-written is left",
+    70: "a fault of matcam, with a traceback",
+    130: "interrupted (143 by SIGTERM), without incomplete files",
 }
 
 
 class HelpLine(NamedTuple):
-    """Argument or option of a command, in words."""
+    """Names, value, help text and default of an argument or option."""
 
     names: str
     value: str
@@ -40,7 +40,7 @@ class HelpLine(NamedTuple):
 
 
 def entry(param: Any, context: Any) -> HelpLine:
-    """Return the help of a parameter; flags have no value."""
+    """Return the help line of a parameter. A flag has no value."""
     if param.param_type_name == "argument":
         name = param.metavar or param.name.upper() + ("..." if param.nargs == -1 else "")
         return HelpLine(name, "", param.help or "", "" if param.required else "optional")
@@ -89,7 +89,7 @@ def usage(command: Any, context: Any) -> str:
 
 
 def groups(commands: Any) -> Iterator[tuple[str, list[str]]]:
-    """Yield the groups of existing commands, ungrouped ones last."""
+    """Yield the groups of existing commands, and last the ungrouped commands."""
     left = [name for name in commands if not getattr(commands[name], "hidden", False)]
     for title, members in GROUPS.items():
         found = [name for name in members if name in left]

@@ -18,14 +18,14 @@ def command(
     sampling: Sampling = "centre",
     radius: Annotated[
         float,
-        typer.Option("--radius", metavar="PX", help="Radius of the limb that a table was recorded from, px."),
+        typer.Option("--radius", metavar="PX", help="Radius of the limb in the images behind a table, px."),
     ] = 256.0,
     json: AsJson = False,
 ) -> None:
     """Show the contents of a file: a BRDF, another result, an image or a camera profile.
 
-    A BRDF is shown with its grid, missing share, reciprocity, albedo, lobe width by angle, trace of a camera, and
-    lookup of cells in pixels.
+    For a BRDF, print the grid, the share of missing values, the reciprocity, the albedo, the lobe width by angle, the
+    trace of a camera, and the lookup of cells in pixels.
 
     Example: `matcam inspect chrome.binary`
     """
@@ -65,7 +65,7 @@ def _print_brdf(report: dict[str, Any]) -> None:
         _print_table(report)
     channels = [name for name in report["albedo"][0] if name != "theta_o_deg"][:12]
     rows = [[f"{row['theta_o_deg']}°", *(f"{row[c]:.4f}" for c in channels)] for row in report["albedo"]]
-    show.table(["theta_o", *channels], rows, "Albedo: share of the light that is reflected in all")
+    show.table(["theta_o", *channels], rows, "Albedo: share of the light that is reflected in all directions")
     if "camera" in report:
         _print_trace(report["camera"])
         _print_cells(report["cells"])
@@ -79,13 +79,14 @@ def _print_trace(trace: dict[str, Any]) -> None:
         show.say("camera: too few angles show a lobe")
     elif trace["visible"]:
         show.say(
-            f"camera: visible. In the plane of light and view lobes widen {trace['widening']:.2f} times more than across it, "
-            f"as by a kernel of {trace['kernel_rad']:.2g} rad / cos theta_d; without it their width is "
+            f"camera: visible. In the plane of light and view, lobes widen {trace['widening']:.2f} times as much as across it. "
+            f"This agrees with a kernel of {trace['kernel_rad']:.2g} rad / cos theta_d and a lobe width of "
             f"{trace['lobe_rad']:.2g} rad"
         )
     else:
         show.say(
-            f"camera: not visible; in the plane of light and view lobes widen {trace['widening']:.2f} times as across it"
+            f"camera: not visible; in the plane of light and view, lobes widen {trace['widening']:.2f} times as much as "
+            "across it"
         )
 
 
@@ -98,14 +99,14 @@ def _print_cells(cells: dict[str, Any]) -> None:
     share = f"{cells['repeated_share']:.0%} of neighbours near the highlight have equal values"
     how = READ_FROM[cells["rule"]]
     if cells["phase_px"] is None:
-        where = f"no grid of pixels on a sphere of {cells['radius_px']:g} px fits: try another --radius"
+        where = f"no grid of pixels fits a sphere with a radius of {cells['radius_px']:g} px: try another --radius"
     else:
         phases, std = cells["phase_px"], f"± {cells['phase_std_px']:.1g} px"
-        where = "the pixels' centres "
+        where = "the positions of the pixel centres "
         if isinstance(phases[0], list):
             where += f"differ between the images, {std} each"
         else:
-            where += f"lie at ({phases[0]:+.3f}, {phases[1]:+.3f}) {std} from the sphere's"
+            where += f"are ({phases[0]:+.3f}, {phases[1]:+.3f}) {std} from the centre of the sphere"
     show.say(f"cells: {how} ({share}, {cells['distinct_values']:.0f} values a slice); {where}")
 
 
@@ -134,7 +135,7 @@ def _print_table(report: dict[str, Any]) -> None:
     )
     show.say(f"valid below the horizon: {report['valid_below_horizon_share']:.2%}")
     show.say(f"values: {low:.4g} to {high:.4g} 1/sr")
-    show.say(f"reciprocity: phi_d and 180° - phi_d differ by {report['reciprocity_rms']:.2%} rms")
+    show.say(f"reciprocity: values at phi_d and 180° - phi_d differ by {report['reciprocity_rms']:.2%} rms")
     text = lambda value: "-" if value is None else f"{value:.3f}°"  # noqa: E731
     rows = [
         [f"{row['theta_d_deg']}°", text(row["in_plane_hwhm_deg"]), text(row["across_hwhm_deg"])]

@@ -24,7 +24,7 @@ from matcam.cli.options import (
 def command(
     roughness: Annotated[
         list[float] | None,
-        typer.Argument(help="Roughnesses (alpha, a slope) to judge. Default: ten from 0.0003 to 0.2."),
+        typer.Argument(help="Roughnesses (alpha, a slope) to evaluate. Default: ten from 0.0003 to 0.2."),
     ] = None,
     relative: Annotated[
         float, typer.Option("--noise", metavar="SHARE", help="Noise of a pixel, as a share of its value (no unit).")
@@ -43,7 +43,7 @@ def command(
     azimuth: LampAzimuth = None,
     json: AsJson = False,
 ) -> None:
-    """Compute bounds of the roughness and angle that a rig can recover (Cramer-Rao), and the effect of changes.
+    """Compute bounds of the roughness and angle that a rig can recover (Cramer-Rao), and the effect of changes of the rig.
 
     Example: `matcam limits 0.0005 0.001 0.005 --radius 256`
     """
@@ -62,7 +62,7 @@ def command(
     }
     near["azimuth"] = azimuth
     rig = rig_of(camera, radius, lamp, **near)
-    with show.working("bounds"):
+    with show.working("computing the bounds"):
         found = limits(
             rig, roughness=roughness or ROUGHNESSES, noise=PixelNoise(relative, floor, 0.01), workspace=Workspace.user()
         )
@@ -93,9 +93,9 @@ def _print(found: Any) -> None:
             ]
         )
     show.table(
-        ["roughness", "std, camera exact", "as specified", "lens free", "F known to 5 % up to"],
+        ["roughness", "camera exact", "camera as specified", "lens free", "F known to 5 % up to"],
         rows,
-        "Bounds of ln roughness",
+        "Smallest standard deviations of ln roughness",
     )
     rows = []
     for r in found["roughness"].values:
@@ -112,4 +112,6 @@ def _print(found: Any) -> None:
                      for c in found["change"].values)]
         for r in found["roughness"].values
     ]  # fmt: skip
-    show.table(["roughness", *map(str, found["change"].values)], rows, "After a change: camera exact / lens free")
+    show.table(
+        ["roughness", *map(str, found["change"].values)], rows, "The same after a change: camera exact / lens free"
+    )

@@ -41,14 +41,14 @@ _RENAMED = {
     "pixels_across": "pixels",
     "shape": "size",
 }
-"""Arguments of the library whose option has another name."""
+"""Arguments of the library, and the parameters of commands that have another name for them."""
 
 _PHRASES = {
-    "(Camera(..., uncertainty=...))": "(--camera: a profile that gives one)",
-    "Camera(optics, pixel, sensor=Sensor(...))": "a profile with one (--camera)",
+    "(Camera(..., uncertainty=...))": "(--camera: a profile with an uncertainty)",
+    "Camera(optics, pixel, sensor=Sensor(...))": "a profile with a sensor (--camera)",
     "page must lie in": "--size must lie in",
 }
-"""Python expressions in messages, in words."""
+"""Replacements for Python expressions in messages."""
 
 _SCALES = {
     "--lamp": (180 / math.pi, "degrees"),
@@ -57,7 +57,7 @@ _SCALES = {
     "--pitch": (1e6, "um"),
     "--wavelength": (1e9, "nm"),
 }
-"""Options with other units: factors to the unit of the library (rad, m)."""
+"""Options whose unit is not that of the library (rad, m): factor from the unit of the library, and unit."""
 
 _VERBS = "must|can|belongs|needs|asks|as|may"
 
@@ -67,12 +67,12 @@ CameraProfile = Annotated[
 ]
 SampleShape = Annotated[
     Literal["sphere", "cylinder", "flat"],
-    typer.Option("--sample", help="Shape of the sample. The camera does not blur the reflectance of a flat one."),
+    typer.Option("--sample", help="Shape of the sample. The camera does not blur the reflectance of a flat sample."),
 ]
 Radius = Annotated[
     float | None,
     typer.Option(
-        "--radius", metavar="PX", help="Radius of the sample's limb in the image, px. Default: 256, the MERL rig's."
+        "--radius", metavar="PX", help="Radius of the sample's limb in the image, px. Default: 256, as in the MERL rig."
     ),
 ]
 LampRadius = Annotated[
@@ -101,7 +101,9 @@ LampAzimuth = Annotated[
 ]
 SampleMm = Annotated[
     float | None,
-    typer.Option("--sample-mm", metavar="MM", help="Radius of the sample, mm: --lamp-distance is in mm then."),
+    typer.Option(
+        "--sample-mm", metavar="MM", help="Radius of the sample, mm. With this option --lamp-distance is in mm."
+    ),
 ]
 if TYPE_CHECKING:
     Family = str
@@ -116,7 +118,7 @@ else:  # Literal types of the names in the registries, as typer requires
     def _one_of(names: Iterable[str | None]) -> Any:
         return Literal[tuple(name or "none" for name in names)]
 
-    _AUTO = "Family of the lobe; auto: the one that explains the data best."
+    _AUTO = "Family of the lobe; auto: the family that fits the data best."
     _FRESNEL = (
         "Fresnel term: n and k (conductor), f0 (schlick), eta (dielectric), or one value for each theta_d (free)."
     )
@@ -135,24 +137,28 @@ else:  # Literal types of the names in the registries, as typer requires
 
 Device = Annotated[
     Literal["cpu", "gpu"] | None,
-    typer.Option("--device", help="Where to compute. Default: the faster one; a remark mentions a GPU."),
+    typer.Option("--device", help="Device for the computation. Default: cpu, with a remark if there is a GPU."),
 ]
 Budget = Annotated[
     Path | None,
     typer.Option(
-        "--budget", metavar="FILE", help="Uncertainty budget to write (.json, .csv): sources, combined, expanded (GUM)."
+        "--budget",
+        metavar="FILE",
+        help="Uncertainty budget to write (.json, .csv): sources, combined and expanded uncertainty (GUM).",
     ),
 ]
 Sampling = Annotated[
     Literal["centre", "edge"],
-    typer.Option("--sampling", help="Sampling position of a value in its cell, which a MERL file does not contain."),
+    typer.Option(
+        "--sampling", help="Position in its cell at which a value is sampled. A MERL file does not specify it."
+    ),
 ]
 RealPixels = Annotated[
     Literal["nearest", "bilinear", "mean"] | None,
     typer.Option(
         "--cell",
-        help="Lookup of cells in real pixels; mean: mean of the pixels inside. Default: estimated from the table; otherwise "
-        "one pixel for each cell.",
+        help="Lookup of cells in real pixels; mean: mean of the pixels inside a cell. Default: estimated from the table; "
+        "without evidence, one pixel for each cell.",
     ),
 ]
 PixelPhase = Annotated[
@@ -160,7 +166,7 @@ PixelPhase = Annotated[
     typer.Option(
         "--phase",
         metavar="X Y",
-        help="Position of the pixels of --cell: their centres are whole numbers plus this from the sphere's centre, px. "
+        help="Offset of the pixel centres of --cell from the sphere's centre, modulo 1 px. "
         "Default: estimated from the table.",
     ),
 ]
@@ -168,7 +174,7 @@ ForceCorrection = Annotated[
     bool,
     typer.Option(
         "--force-correction",
-        help="Correct a table whose data contradict the rig, which is otherwise not changed.",
+        help="Correct a table even if its data contradict the rig. Without this option such a table is not changed.",
     ),
 ]
 Force = Annotated[bool, typer.Option("--force", help="Replace existing output.")]
@@ -205,7 +211,9 @@ def choose_device(device: str | None) -> None:
     chosen: Any = device or "cpu"
     use_device(chosen)
     if device is None and has_gpu():
-        show.remark("computing on the processor, where this takes less time (--device gpu: on the GPU)")
+        show.remark(
+            "computing on the processor, which is faster than the GPU for one table; to use the GPU, give --device gpu"
+        )
 
 
 def rig_of(
@@ -221,7 +229,10 @@ def rig_of(
     azimuth: float | None = None,
     **more: Any,
 ) -> Rig:
-    """Build the MERL rig with the replacements of the user. azimuth: azimuth of the lamp, degrees."""
+    """Build the MERL rig, with the parts that the options replace.
+
+    azimuth: azimuth of the lamp, degrees.
+    """
     from matcam import rigs
     from matcam.camera.camera import Camera
     from matcam.camera.optics.halo import HaloOptics
@@ -245,8 +256,9 @@ def rig_of(
 
 
 def _lamp_of(angular_radius: float, distance: float | None, sample_mm: float | None) -> Lamp:
-    """Build the lamp: near if its distance is given, in radii of the sample or, with the radius of the sample, in
-    mm.
+    """Build a distant lamp, or a near one if its distance is given.
+
+    distance: radii of the sample, or mm if sample_mm is given. sample_mm: radius of the sample.
     """
     from matcam.core import checks
     from matcam.lamp.lamps import DistantLamp, NearLamp
@@ -257,7 +269,7 @@ def _lamp_of(angular_radius: float, distance: float | None, sample_mm: float | N
         return DistantLamp(angular_radius)
     if sample_mm is not None:
         distance /= float(checks.positive("--sample-mm", sample_mm, "mm"))
-    DistantLamp(angular_radius)  # its range is the same
+    DistantLamp(angular_radius)  # raises an error if the angular radius is out of range
     return NearLamp(distance, math.tan(angular_radius) * distance if distance > 1 else 0.0)
 
 
@@ -273,7 +285,7 @@ _outputs_of_command: list[Outputs] = []
 
 
 def files_are_written() -> bool:
-    """Check whether the files of a command have appeared under their names."""
+    """Check whether the output files of a command are published."""
     return any(outputs.are_published for outputs in _outputs_of_command)
 
 
@@ -289,7 +301,7 @@ class Command(TyperCommand):
         formatter.write(help_page.page(self, ctx))
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Read the arguments; several numbers of one option may be separated by commas."""
+        """Parse the arguments. Commas may separate the values of an option."""
         several = {name for p in self.params if p.param_type_name == "option" and p.nargs > 1 for name in p.opts}
         split: list[str] = []
         for word in args:
@@ -303,7 +315,7 @@ class Command(TyperCommand):
         return super().parse_args(ctx, split)
 
     def invoke(self, ctx: Any) -> Any:
-        """Run the command, whose files appear together at its end; translate the message of an error."""
+        """Run the command, publish its output files together, and translate errors."""
         check_address_space()
         values = [value if isinstance(value, list) else [value] for value in ctx.params.values()]
         modules = formats.decoded_by(path for paths in values for path in paths if isinstance(path, Path))
@@ -313,7 +325,7 @@ class Command(TyperCommand):
             start_reader(modules)
         result: Any = None
         try:
-            with all_or_nothing() as outputs:  # it treats an exception as a failure, and discards the files
+            with all_or_nothing() as outputs:  # an exception discards the files
                 _outputs_of_command.append(outputs)
                 try:
                     result = super().invoke(ctx)
@@ -350,7 +362,7 @@ def _translated(message: str, option_of: Mapping[str, str]) -> str:
         return option_of.get(found[0], found[0])
 
     message = re.sub(r"\b([a-z_]+)=('?)(\w+)\2", assignment, message)
-    # a plain word is an argument only as the subject; one with an underscore always is
+    # a word without an underscore is an argument only if it is the subject
     subject = re.match(rf"(?:[a-z_]+ and )?[a-z_.]+(?= (?:'\S*' )?(?:{_VERBS})\b)", message)
     if subject:
         message = re.sub(r"[a-z_.]+", name, subject[0]) + message[subject.end() :]

@@ -31,7 +31,7 @@ _PARAMETERS = {
     "half_width_px": "pixel half width {:g} px",
     "blur_diameter_px": "blur diameter {:g} px",
 }
-"""Parameters of a camera in words, for a title."""
+"""Formats of the parameters of a camera in a title."""
 _ANGLES = (0, 30, 45, 60, 75, 80, 85)
 
 
@@ -74,13 +74,13 @@ def command(
         typer.Option(
             "--map",
             metavar="FILE",
-            help="Figure of the whole plane of roughness and angle to write; a .csv goes beside it.",
+            help="Figure over roughness and angle to write; a .csv is written beside it.",
         ),
     ] = None,
     output: Annotated[
         Path | None,
         typer.Option(
-            "--output", "-o", metavar="FILE", help="Figure to write (.png, .pdf, .svg); a .csv goes beside it."
+            "--output", "-o", metavar="FILE", help="Figure to write (.png, .pdf, .svg); a .csv is written beside it."
         ),
     ] = None,
     force: Force = False,
@@ -111,7 +111,7 @@ def command(
         lobes = [family_ndf(ndf, value, power) for value in values]
         data = predicted(rig, lobes, dims, exact)
     false = _false_light(rig, lobes) if glare else []
-    title = f"{ndf}{f' {power:g}' if power else ''} lobe on a {sample}: peak kept at 0°, and loss relative to that"
+    title = f"{ndf}{f' {power:g}' if power else ''} lobe on a {sample}: share of the peak kept at 0°, and loss relative to 0°"
     if json:
         show.as_json(
             {
@@ -146,7 +146,7 @@ def _print(data: Any, title: str) -> None:
             data.roughness, data.response[:, 0], data.relative_response[:, at], _degrees(data.loss_angle), strict=True
         )
     ]
-    show.table(["roughness", "kept at 0°", *(f"{a}°" for a in _ANGLES[1:]), "5 % at"], rows, title)
+    show.table(["roughness", "kept at 0°", *(f"{a}°" for a in _ANGLES[1:]), "5 % loss at"], rows, title)
 
 
 def _print_false_light(data: Any, false: list[Any], glare: float, radius: float) -> None:
@@ -157,8 +157,8 @@ def _print_false_light(data: Any, false: list[Any], glare: float, radius: float)
             [f"{value:g}", f"{float(f['false_diffuse'][0]):.2g}", *(f"{_haze(f, a):.2g}" for a in (2, 5, 10))]
             for value, f in zip(data.roughness, false, strict=True)
         ],
-        f"{glare:g} of the light in a halo of {radius:g} px: false albedo, and added / true BRDF "
-        "off the half vector, for a perfect mirror's Fresnel term",
+        f"{glare:g} of the light in a halo of {radius:g} px: false albedo, and ratio of added to "
+        "true BRDF off the half vector, for the Fresnel term of a perfect mirror",
     )
 
 
@@ -172,13 +172,13 @@ def _false_light(rig: Any, lobes: list[Any]) -> list[Any]:
 
 
 def _haze(false: Any, degrees: float = 2.0) -> float:
-    """Compute added over true BRDF at an angle off the half vector."""
+    """Compute the ratio of added to true BRDF at an angle from the half vector."""
     at = false.isel(channel=0).sel(theta_h=math.radians(degrees), method="nearest")
     return float(at["added"] / at["true"])
 
 
 def _map(rig: Any, ndf: str, power: float | None, how: tuple[int, bool], path: Path, force: bool) -> None:
-    """Write the figure and the columns of the whole plane of roughness and angle."""
+    """Write the figure and the columns of the prediction over roughness and angle."""
     import numpy as np
 
     from matcam.core.io import write_columns
@@ -187,7 +187,7 @@ def _map(rig: Any, ndf: str, power: float | None, how: tuple[int, bool], path: P
     from matcam.figures.style import save
     from matcam.forward.prediction import predicted
 
-    with show.working("drawing the plane"):
+    with show.working("drawing the map"):
         data = predicted(rig, [family_ndf(ndf, value, power) for value in np.geomspace(3e-4, 0.3, 49)], *how)
         write_columns(path.with_suffix(".csv"), data.columns(), force=force)
         save(

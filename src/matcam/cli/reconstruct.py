@@ -19,7 +19,7 @@ def command(
     ndf: FamilyOrAuto = "auto",
     masking: Masking = "smith",
     diffuse: Annotated[
-        bool, typer.Option("--diffuse/--no-diffuse", help="Whether the material may have a Lambertian part.")
+        bool, typer.Option("--diffuse/--no-diffuse", help="Allow a Lambertian part of the material.")
     ] = True,
     rig_from: Annotated[
         Path | None,
@@ -35,7 +35,7 @@ def command(
             "--output",
             "-o",
             metavar="FILE",
-            help="MERL file to write; -pinhole.binary, .nc, .json and .html go beside it. Default: DIR-reconstructed.binary.",
+            help="MERL file to write, with -pinhole.binary, .nc, .json and .html beside it. Default: DIR-reconstructed.binary.",
         ),
     ] = None,
     workers: Annotated[
@@ -43,7 +43,7 @@ def command(
         typer.Option(
             "--workers",
             metavar="N",
-            help="Lamp positions whose frames are read at a time. Default: one for each core, 4 at most.",
+            help="Number of lamp positions whose frames are read at a time. Default: one for each core, at most 4.",
             min=1,
         ),
     ] = None,
@@ -56,8 +56,8 @@ def command(
     Unusable frames are left out and listed; the results are written, and the exit code is 1. An interrupted run resumes
     after the frames that it has read.
 
-    There is no pinhole table for a cylinder; an anisotropic material is only in the .nc, which has the azimuth of the
-    half vector. Maps of a flat sample are in the .nc.
+    A cylinder has no pinhole table. An anisotropic material is only in the .nc file, because only this format has the
+    azimuth of the half vector. The maps of a flat sample are also in the .nc file.
 
     Example: `matcam reconstruct shots/ -o chrome.binary`
     """
@@ -159,7 +159,7 @@ def _write(result: Any, document: dict[str, Any], files: dict[str, Path], captur
 
 
 def _print(result: Any, document: dict[str, Any]) -> None:
-    """Print parameters, error budget, verdict, omissions with reasons, and the files."""
+    """Print the parameters, the error budget, the verdict, the remarks and the files."""
     from matcam.reconstruction.stated.captured_scene import INCOMPLETE
 
     show.table(

@@ -14,7 +14,7 @@ from matcam.cli.options import AsJson, Force, Sampling
 
 def command(
     files: Annotated[
-        list[Path], typer.Argument(metavar="FILE [FILE]", help="Table to read, or two: before and after.")
+        list[Path], typer.Argument(metavar="FILE [FILE]", help="Table to read, or two tables to compare.")
     ],
     output: Annotated[
         Path | None,
@@ -65,9 +65,9 @@ def command(
     from matcam.files.float_pictures import write_exr
 
     if len(files) > 2:
-        raise ArgumentError(f"one file can be rendered, or two side by side, got {len(files)}")
+        raise ArgumentError(f"give one file, or two files to show side by side, got {len(files)}")
     if not (exposure > 0 and math.isfinite(exposure)):
-        raise ArgumentError(f"--exposure must be above 0, got {exposure:g}")
+        raise ArgumentError(f"--exposure must be above 0 and finite, got {exposure:g}")
     target = Path(f"{files[0].name.split('.')[0]}-render.png") if output is None else output
     inputs = [*files, *([environment] if environment else [])]
     linear = target.suffix.lower() == ".exr"

@@ -22,7 +22,7 @@
     cell = "nearest"            # lookup of cells in real pixels
     phase_px = [0.1, -0.3]      # position of these pixels
 
-All but `schema` may be omitted. An option of the command line overrides the file. Entries that a command does not
+All entries except `schema` may be omitted. An option of the command line overrides the file. Entries that a command does not
 support are errors.
 """
 
@@ -53,7 +53,7 @@ _KEYS = {
 """Entries of the file, and the parameters of commands that they set."""
 
 _MEANINGLESS = {("sample", "shape"): "sphere"}
-"""Values that every command assumes, with or without an option for them."""
+"""Values that a command without an option for them assumes."""
 
 
 def read_rig_file(path: Path, known: set[str], command: str) -> dict[str, Any]:
@@ -70,22 +70,23 @@ def read_rig_file(path: Path, known: set[str], command: str) -> dict[str, Any]:
         where = ".".join(keys)
         if keys not in _KEYS:
             raise FileFormatError(
-                f"{path}: unknown entry {printable(where):.60}; it has {', '.join('.'.join(k) for k in _KEYS)}"
+                f"{path}: unknown entry {printable(where):.60}; the entries of a rig file are "
+                f"{', '.join('.'.join(k) for k in _KEYS)}"
             )
         if keys in _MEANINGLESS and value == _MEANINGLESS[keys] and _KEYS[keys] not in known:
             continue
         if _KEYS[keys] not in known:
-            raise ArgumentError(f"{path}: matcam {command} does not support {where}: leave it out of the file")
+            raise ArgumentError(f"{path}: matcam {command} does not support {where}: remove it from the file")
         values[_KEYS[keys]] = _value(path, keys, value)
     return values
 
 
 def _entries(path: Path) -> dict[tuple[str, ...], Any]:
-    from matcam.core.readers.texts import read_toml  # it loads NumPy, which a page of help does not require
+    from matcam.core.readers.texts import read_toml  # loads NumPy, which the help does not require
 
     document = read_toml(path, "a rig")
     if document.pop("schema", None) != SCHEMA:
-        raise FileFormatError(f'{path}: does not begin with schema = "{SCHEMA}"')
+        raise FileFormatError(f'{path}: is not a rig file, which begins with schema = "{SCHEMA}"')
     found: dict[tuple[str, ...], Any] = {}
     for key, value in document.items():
         if isinstance(value, dict):
@@ -96,7 +97,7 @@ def _entries(path: Path) -> dict[tuple[str, ...], Any]:
 
 
 def _value(path: Path, keys: tuple[str, ...], value: Any) -> Any:
-    """Convert an entry as its option requires: numbers, the name of a shape, or the profile beside the file."""
+    """Convert an entry to the type of its option: number, pair of numbers, name, or path of the profile."""
     where = ".".join(keys)
     if keys == ("table", "phase_px"):
         if not isinstance(value, list) or len(value) != 2 or not all(_is_number(one) for one in value):
@@ -108,7 +109,9 @@ def _value(path: Path, keys: tuple[str, ...], value: Any) -> Any:
         if keys != ("camera",):
             return value
         if Path(value).name != value or is_link(path.parent / value):
-            raise FileFormatError(f"{path}: camera must be the plain name of a profile beside it, got {value!r:.60}")
+            raise FileFormatError(
+                f"{path}: camera must be the name of a profile in the folder of this file, got {value!r:.60}"
+            )
         return path.parent / value
     if not _is_number(value):
         raise FileFormatError(f"{path}: {where} must be a number, got {value!r:.60}")

@@ -16,8 +16,8 @@ def command(
         Path,
         typer.Argument(
             metavar="FOLDER",
-            help="Frames of a uniform field and of darkness, two or more of each exposure: in flat/ and dark/, or with "
-            "names that begin so; or a descriptor file of the EMVA 1288 reference data sets.",
+            help="Folder of flat-field and dark frames, two or more of each exposure, in flat/ and dark/ or with names that "
+            "begin with flat and dark; or a descriptor file of the EMVA 1288 reference data sets.",
         ),
     ],
     cfa: Mosaic = None,
@@ -33,7 +33,9 @@ def command(
     ] = None,
     profile: Annotated[
         Path | None,
-        typer.Option("--profile", metavar="FILE", help="Camera profile to write: that of --camera with this sensor."),
+        typer.Option(
+            "--profile", metavar="FILE", help="Camera profile to write: the profile of --camera with this sensor."
+        ),
     ] = None,
     pitch: Annotated[
         float | None,
@@ -54,13 +56,13 @@ def command(
     maps: Annotated[
         bool,
         typer.Option(
-            "--maps", help="Write the responses and dark signals of the pixels, too: two TIFF files of floats."
+            "--maps", help="Also write maps of the response and the dark signal of the pixels, as two TIFF files."
         ),
     ] = False,
     force: Force = False,
     json: AsJson = False,
 ) -> None:
-    """Measure gain, noise, dark current, linearity, saturation and fixed patterns of a sensor by EMVA 1288.
+    """Measure gain, noise, dark current, linearity, saturation and fixed patterns of a sensor according to EMVA 1288.
 
     Example: `matcam sensor exposures --camera camera.json --profile camera-with-sensor.json --pitch 3.45`
     """

@@ -21,14 +21,15 @@ from matcam.core.io import plain
 from matcam.core.readers.names import UNPRINTABLE, printable
 
 _SECONDS = 30.0
+"""Smallest time between two lines of progress, s, which keeps the log of a long run short."""
 _LEAST_WIDTH = 20
-"""Smallest number of characters of a line: Rich prints nothing into a width of 0."""
+"""Smallest width of a table, characters. At a width of 0, Rich prints nothing."""
 
 OPTIONS = {"force=True": "--force", "fit_camera=True": "--fit-camera"}
 """Arguments in messages of the library, and the corresponding options."""
 
 _broken: list[OSError] = []
-"""Error of standard output when it could not be written."""
+"""First error of writing to standard output; empty if there was none."""
 
 _manner: list[tuple[bool, str]] = [(False, "")]
 """Output settings of the running commands, the innermost last: quiet or not, and the name of the schema of their
@@ -38,7 +39,12 @@ JSON.
 
 @contextlib.contextmanager
 def speaking(*, quiet: bool, schema: str) -> Iterator[None]:
-    """Print only JSON, if quiet; name the schema of JSON documents."""
+    """Apply the output settings of a command while it runs.
+
+    Args:
+        quiet: True to print only JSON.
+        schema: name of the schema of JSON documents.
+    """
     _manner.append((quiet or _manner[-1][0], schema))
     try:
         yield
@@ -47,10 +53,13 @@ def speaking(*, quiet: bool, schema: str) -> Iterator[None]:
 
 
 def as_json(result: dict[str, Any]) -> None:
-    """Print a result as one JSON document, its schema's name first; NaN and infinity become null."""
+    """Print a result as one JSON document.
+
+    The first entry is the name of the schema. NaN and infinity become null.
+    """
     named = {"schema": _manner[-1][1], **result} if _manner[-1][1] else result
     text = _laid_out(plain(named))
-    # JSON has only line breaks as control characters; others are escaped in JSON, too
+    # the document contains no control characters except line breaks; other unprintable characters are escaped
     _print("\n".join(re.sub(UNPRINTABLE, lambda found: f"\\u{ord(found[0]):04x}", line) for line in text.split("\n")))
 
 
@@ -69,7 +78,7 @@ def _laid_out(value: Any, indent: str = "") -> str:
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[str]], title: str = "") -> None:
-    """Print a table, its first column aligned left, the others right."""
+    """Print a table, with the first column left-aligned and the others right-aligned."""
     if _manner[-1][0]:
         return
     from rich import box
@@ -101,7 +110,7 @@ def say(text: str, *, quiet: bool = False) -> None:
 
 
 def remark(text: str) -> None:
-    """Print a line to standard error: omissions, or failures that do not end the work."""
+    """Print a remark, such as the failure of one input, to standard error."""
     activity.clear()
     with contextlib.suppress(OSError):
         print(f"matcam: {printable(text)}", file=sys.stderr)
@@ -147,9 +156,9 @@ def counting(what: str) -> Iterator[Any]:
 
 @contextlib.contextmanager
 def tallying(what: str) -> Iterator[Any]:
-    """Show a progress bar over jobs and the time left; yield update(done, total).
+    """Show the progress of jobs and the remaining time; yield update(done, total).
 
-    It is written to standard error. If standard error is not a terminal, at most two lines a minute are written.
+    The bar is written to standard error. If standard error is not a terminal, at most two lines a minute are written.
     """
     from rich.console import Console
     from rich.progress import (
@@ -212,7 +221,7 @@ def stepping() -> Iterator[Any]:
 
 
 class _Log:
-    """Progress as lines, at most one in half a minute."""
+    """Progress as lines of text, at most two a minute."""
 
     def __init__(self, what: str):
         self.what, self.started, self.last, self.first = what, time.monotonic(), -math.inf, 0

@@ -39,7 +39,7 @@ def command(
             "--output",
             "-o",
             metavar="FILE",
-            help="Table (.binary, .nc) or image (.exr, .tif; a .json goes beside it) to write.",
+            help="Table (.binary, .nc) or image (.exr, .tif; a .json is written beside it) to write.",
         ),
     ] = None,
     table: Annotated[
@@ -62,7 +62,9 @@ def command(
     ] = "Cr",
     source: Annotated[
         str | None,
-        typer.Option("--source", metavar="SOURCE", help="Published table of n and k. Default: the first of the metal."),
+        typer.Option(
+            "--source", metavar="SOURCE", help="Published table of n and k. Default: the first table of the metal."
+        ),
     ] = None,
     diffuse: Annotated[
         float, typer.Option("--diffuse", metavar="ALBEDO", help="Albedo of a Lambertian part, 0 to 1 (no unit).")
@@ -82,15 +84,14 @@ def command(
     sample: SampleShape = "sphere",
     cell: Annotated[
         Literal["centre", "edge", "mean", "nearest", "bilinear"],
-        typer.Option("--cell", help="Meaning of a cell of a table."),
+        typer.Option("--cell", help="Definition of the value of a cell of a table."),
     ] = "centre",
     phase: Annotated[
         tuple[float, float] | None,
         typer.Option(
             "--phase",
             metavar="X Y",
-            help="Position of the real pixels of --cell nearest, bilinear or mean: their centres are whole numbers plus this "
-            "from the sphere's centre, px.",
+            help="Offset of the pixel centres of --cell nearest, bilinear or mean from the sphere's centre, modulo 1 px.",
         ),
     ] = None,
     size: Annotated[
@@ -104,7 +105,7 @@ def command(
         typer.Option(
             "--crop",
             metavar="HEIGHT WIDTH",
-            help="Height and width of the part of the sensor that is used, px, about its centre.",
+            help="Height and width of the used part of the sensor, which is centred, px.",
         ),
     ] = None,
     exposure: Annotated[
@@ -120,7 +121,7 @@ def command(
         typer.Option(
             "--capture",
             metavar="DIR",
-            help="Folder to write a whole capture to, instead of --output: frames, darks, outline, reference, truth.",
+            help="Folder to write a whole capture to, instead of --output: frames, dark frames, outline, reference, truth.",
         ),
     ] = None,
     positions: Annotated[
@@ -128,7 +129,8 @@ def command(
         typer.Option(
             "--lamp-positions",
             metavar="N",
-            help="Lamp positions of --capture, theta_d from 5 to 82 degrees; tilts of a flat sample, 0 to 40 degrees.",
+            help="Number of lamp positions of --capture, theta_d from 5 to 82 degrees; or of tilts of a flat sample, from 0 to "
+            "40 degrees.",
         ),
     ] = 18,
     preview: Annotated[
@@ -149,7 +151,7 @@ def command(
     force: Force = False,
     json: AsJson = False,
 ) -> None:
-    """Simulate the record of a known material by a rig: the whole table, one image, or a capture of many.
+    """Simulate the record of a known material by a rig: a table, one image, or a capture of many images.
 
     Example: `matcam simulate --ndf ggx --roughness 0.005 --metal Cr --lamp-angle 60 -o chromium.exr`
     """
@@ -183,7 +185,7 @@ def command(
         from matcam.core.io import check_picture
 
         if suffix in _TABLES:
-            raise ArgumentError("--preview shows an image, and the output is a table: leave it out")
+            raise ArgumentError("--preview shows an image, but the output is a table: omit --preview")
         check_picture(preview, force=force, inputs=inputs)
     from matcam.core.jax import use_compilation_cache
 

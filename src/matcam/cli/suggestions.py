@@ -15,10 +15,10 @@ from matcam.files.formats import MEASUREMENTS, identify, suffixes_for
 
 
 def after(name: str, values: dict[str, Any]) -> str | None:
-    """Return the next useful command, or None if no command would run.
+    """Return the suggested next command, or None if there is none.
 
     Args:
-        name: the command's words, such as "data merl".
+        name: words of the command, such as "data merl".
         values: parameters of the command.
     """
     maker = _NEXT.get(name)
@@ -81,7 +81,7 @@ def _after_inspect(values: dict[str, Any]) -> list[Any] | None:
 
     try:
         table = read_contents(file).table
-    except FileFormatError:  # a CSV file may hold anything
+    except FileFormatError:  # a CSV file may contain other data
         return None
     if table is None:
         return None
@@ -100,14 +100,14 @@ def _after_correct(values: dict[str, Any]) -> list[Any] | None:
     paths, output = values["paths"], values["output"]
     if len(paths) != 1 or is_folder(paths[0]) or (output and output.suffix.lower() != ".binary"):
         return None
-    if find_spec("mitsuba") is None:  # an extra
+    if find_spec("mitsuba") is None:  # Mitsuba is an optional dependency
         return None
     target = output or Path(f"{paths[0].stem}-corrected.binary")
     return ["matcam", "render", paths[0], target, "-o", _Output(target.with_suffix(".png"))]
 
 
 def _after_reconstruct(values: dict[str, Any]) -> list[Any] | None:
-    """Inspect the table; for maps or an anisotropic material, which a MERL file does not support, the NetCDF file."""
+    """Inspect the MERL file, or the NetCDF file of maps or of an anisotropic material."""
     target = values["output"] or Path(f"{values['capture'].resolve().name}-reconstructed.binary")
     return ["matcam", "inspect", target if is_there(where_written(target)) else target.with_suffix(".nc")]
 

@@ -1,6 +1,7 @@
 """Checks of arguments: conversion to float64, and range checks of concrete values.
 
-Traced values (inside jit, grad, vmap) have no numbers and pass; the outermost caller has checked them.
+Traced values (inside jit, grad, vmap) are not checked, because their numbers are unknown; the outermost caller has
+checked them.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ _trusted: ContextVar[bool] = ContextVar("trusted", default=False)
 
 @contextmanager
 def trusted() -> Iterator[None]:
-    """Skip all checks, as for traced values, because a fit may temporarily leave a range."""
+    """Skip all checks, because a fit may temporarily leave a range."""
     token = _trusted.set(True)
     try:
         yield
@@ -40,7 +41,10 @@ T = TypeVar("T")
 
 
 def number(name: str, value: ArrayLike | npt.ArrayLike) -> jax.Array:
-    """Convert `value` to a float64 array; ArgumentError if it is not numeric or not finite."""
+    """Convert `value` to a float64 array of finite numbers.
+
+    ArgumentError if the value is not numeric or not finite.
+    """
     if _trusted.get() or not is_concrete(value):
         return xp.asarray(value, dtype=xp.float64)
     array = _as_float64(name, value)
@@ -50,7 +54,10 @@ def number(name: str, value: ArrayLike | npt.ArrayLike) -> jax.Array:
 
 
 def numbers(name: str, value: ArrayLike | npt.ArrayLike) -> jax.Array:
-    """Convert `value` to a float64 array with NaN for missing values; ArgumentError if it is not numeric."""
+    """Convert `value` to a float64 array, which may contain NaN.
+
+    ArgumentError if the value is not numeric.
+    """
     return _kept(_as_float64(name, value), value) if is_concrete(value) else xp.asarray(value, dtype=xp.float64)
 
 
@@ -66,7 +73,7 @@ def within(
 ) -> jax.Array:
     """Convert `value` to a float64 array inside [low, high].
 
-    An end may be open, or infinite, which allows infinity itself.
+    Each end of the interval may be open. A closed infinite end allows infinity itself.
     """
     if _trusted.get() or not is_concrete(value):
         return xp.asarray(value, dtype=xp.float64)
@@ -82,11 +89,14 @@ def within(
 
 
 def degrees_hint(value: float, high: float) -> str:
-    """Return a hint for a message about an angle beyond its range that seems to be in degrees; "" otherwise.
+    """Suggest a conversion for an angle that seems to be in degrees.
 
     Args:
-        value: the largest angle that was given.
+        value: largest given angle.
         high: end of the range, rad.
+
+    Returns:
+        End of a message about the range; "" if the angle is not in degrees.
     """
     beyond = value > max(2 * np.pi if high > 1 else high, high)  # a value below a whole turn may well be in rad
     return f"; if {value:g} is in degrees, give np.radians({value:g})" if beyond and np.radians(value) <= high else ""
@@ -112,7 +122,7 @@ def outside_jit(value: ArrayLike, what: str) -> float:
         what: name of the numbers, plural, for the message.
 
     Raises:
-        ArgumentError: it is traced, because the call is inside jax.jit or vmap.
+        ArgumentError: the number is traced, because the call is inside jax.jit or vmap.
     """
     value = constant(value)
     if not is_concrete(value):
@@ -133,7 +143,7 @@ def choice(name: str, value: Any, allowed: tuple[Any, ...]) -> Any:
 
 
 def _is_one(value: Any, one: Any) -> bool:
-    """Compare a value of any type with a choice; arrays of several values are never equal, nor is True equal to 1."""
+    """Compare a value of any type with a choice. Arrays of several values are never equal, and True is not equal to 1."""
     same = value == one
     return (
         isinstance(same, bool | np.bool_) and bool(same) and isinstance(value, bool | np.bool_) == isinstance(one, bool)
@@ -143,7 +153,10 @@ def _is_one(value: Any, one: Any) -> bool:
 def whole_number(
     name: str, value: Any, low: int, high: int | None = None, *, unit: str = "", optional: bool = False
 ) -> int | None:
-    """Return `value` if it is an int in [low, high], or None if optional; ArgumentError otherwise."""
+    """Check that `value` is an int in [low, high].
+
+    None is allowed if `optional` is set. ArgumentError otherwise.
+    """
     if (optional and value is None) or (type(value) is int and low <= value and (high is None or value <= high)):
         return value
     interval = f">= {low}" if high is None else f"in [{low}, {high}]"
@@ -153,8 +166,9 @@ def whole_number(
 
 
 def flag(name: str, value: Any) -> bool:
-    """Return `value` if it is True or False, also of NumPy; ArgumentError otherwise, because a text or an array would
-    be true.
+    """Check that `value` is True or False, also of NumPy.
+
+    ArgumentError otherwise, because Python would treat a text or an array as true.
     """
     if not isinstance(value, bool | np.bool_):
         raise ArgumentError(f"{name} must be True or False, got {_shown(value)}")
@@ -162,28 +176,40 @@ def flag(name: str, value: Any) -> bool:
 
 
 def instance(name: str, value: Any, kind: type[T]) -> T:
-    """Return `value` if it is of a class; ArgumentError names the class otherwise."""
+    """Check that `value` is an instance of a class.
+
+    ArgumentError otherwise, which names the class.
+    """
     if not isinstance(value, kind):
         raise ArgumentError(f"{name} must be a {kind.__name__}, got {_shown(value)}")
     return value
 
 
 def instances(name: str, values: Any, kind: type[T]) -> list[T]:
-    """Return values as a list if each is of a class; ArgumentError names the class otherwise."""
+    """List values, each of which must be an instance of a class.
+
+    ArgumentError otherwise, which names the class.
+    """
     if isinstance(values, str | bytes) or not isinstance(values, Iterable):
         raise ArgumentError(f"{name} must be a sequence of {kind.__name__}, got {_shown(values)}")
     return [instance(f"entry {number} of {name}", value, kind) for number, value in enumerate(values, 1)]
 
 
 def broadcastable(**values: ArrayLike) -> tuple[jax.Array, ...]:
-    """Convert values to float64 arrays; ArgumentError if one is not finite, or their shapes do not broadcast."""
+    """Convert values to finite float64 arrays whose shapes broadcast.
+
+    ArgumentError if a value is not finite, or if the shapes do not broadcast.
+    """
     arrays = {name: number(name, value) for name, value in values.items()}
     broadcast_shape(**arrays)
     return tuple(arrays.values())
 
 
 def broadcast_shape(**arrays: jax.Array) -> tuple[int, ...]:
-    """Return the common shape of arrays; ArgumentError names them and their shapes if they do not broadcast."""
+    """Compute the common shape of arrays.
+
+    ArgumentError if the arrays do not broadcast. It names the arrays and their shapes.
+    """
     shapes = [np.shape(array) for array in arrays.values()]
     try:
         return np.broadcast_shapes(*shapes)
@@ -202,14 +228,17 @@ def extra(what: str, name: str, module: str) -> None:
         module: the module, which is searched and not imported.
 
     Raises:
-        ArgumentError: the module is not installed; the message has the command that installs it.
+        ArgumentError: the module is not installed; the message contains the command that installs it.
     """
     if find_spec(module) is None:
         raise ArgumentError(f"{what} needs an extra: python -m pip install 'matcam[{name}]'")
 
 
 def not_masked(name: str, value: Any) -> None:
-    """Raise ArgumentError for a masked array, because NumPy would use the values behind its mask."""
+    """Raise ArgumentError for a masked array.
+
+    NumPy would ignore the mask and use the masked values.
+    """
     if np.ma.is_masked(value):
         raise ArgumentError(
             f"{name} must not be masked: use .filled(np.nan) where values are missing, or leave them out"
@@ -217,7 +246,10 @@ def not_masked(name: str, value: Any) -> None:
 
 
 def plain_array(name: str, value: Any) -> np.ndarray:
-    """Return an array of any type; ArgumentError for a masked array, and for rows of different lengths."""
+    """Convert a value to an array of any type.
+
+    ArgumentError for a masked array, and for rows of different lengths.
+    """
     not_masked(name, value)
     try:
         return np.asarray(value)
@@ -228,7 +260,7 @@ def plain_array(name: str, value: Any) -> np.ndarray:
 
 
 def _kept(array: np.ndarray, value: Any) -> Any:
-    """Return checked numbers as an array of JAX if they were given as one, otherwise as an immutable one of NumPy."""
+    """Return a checked array as one of JAX if `value` contains an array of JAX, otherwise as an immutable array of NumPy."""
     if has_jax(value):
         from matcam.core.jax import placed
 
@@ -243,7 +275,7 @@ def _as_float64(name: str, value: ArrayLike | npt.ArrayLike) -> np.ndarray:
         array = np.asarray(value)
         if (
             array.dtype.kind not in "biufO"
-        ):  # NumPy accepts times and texts as numbers, and the real part of complex ones
+        ):  # NumPy accepts times and texts as numbers, and the real part of complex numbers
             raise TypeError
         if array.dtype.kind == "O" and any(one is None or isinstance(one, str | bytes) for one in array.flat):
             raise TypeError

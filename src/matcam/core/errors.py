@@ -50,7 +50,7 @@ def one_line(error: Exception) -> str:
 
 
 def unknown_name(kind: str, name: object, known: Iterable[str]) -> ArgumentError:
-    """Return the error for a `name` that is not in `known`, with the nearest name as suggestion."""
+    """Build the error for an unknown name, with the nearest known name."""
     known = sorted(known)
     if not isinstance(name, str):
         return ArgumentError(

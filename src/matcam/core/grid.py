@@ -31,7 +31,7 @@ Sampling = Literal["centre", "edge"]
 SAMPLINGS: tuple[Sampling, ...] = ("centre", "edge")
 """Sampling positions of values in their cells; loaders of MERL files differ."""
 
-_BORDER = 1e-9  # cells: an angle this close below a border lies on it, up to rounding
+_BORDER = 1e-9  # cells: an angle below a border by less than this is on the border, up to rounding
 
 DIMS = ("theta_h", "theta_d", "phi_d", "channel")
 CHANNELS = ("R", "G", "B")
@@ -58,13 +58,14 @@ class Grid(NamedTuple):
     theta_d: np.ndarray
     phi_d: np.ndarray
 
-    def index(  # type: ignore[override]  # not that of a tuple: a grid answers by angle
+    def index(  # type: ignore[override]  # replaces tuple.index: the arguments are angles
         self, *, theta_h: ArrayLike | None = None, theta_d: ArrayLike | None = None, phi_d: ArrayLike | None = None
     ) -> tuple[Any, Any, Any]:
-        """Return the index of angles in a table.
+        """Compute the index of angles in a table.
 
         An angle belongs to the cell that contains it, independent of the sampling position (rule of MERL, which rounds
-        down). On the border of two cells it belongs to the upper one; the end of the range belongs to the last cell.
+        down). An angle on the border of two cells belongs to the upper cell; the end of the range belongs to the last
+        cell.
 
         Args:
             theta_h: half angle, or an array of them, rad, [0, pi / 2]. Default: None, all of them.
@@ -115,7 +116,10 @@ def theta_h_edges() -> np.ndarray:
 
 
 def cosines(theta_h: ArrayLike, theta_d: ArrayLike, phi_d: ArrayLike) -> tuple[jax.Array, jax.Array]:
-    """Compute (cos theta_i, cos theta_o) of a pair of directions; negative below the horizon."""
+    """Compute (cos theta_i, cos theta_o) of a pair of directions.
+
+    The cosine of a direction below the horizon is negative.
+    """
     theta_h, theta_d, phi_d = (xp.asarray(a, dtype=xp.float64) for a in (theta_h, theta_d, phi_d))
     mean = xp.cos(theta_h) * xp.cos(theta_d)
     half_difference = xp.sin(theta_h) * xp.sin(theta_d) * xp.cos(phi_d)
@@ -123,7 +127,10 @@ def cosines(theta_h: ArrayLike, theta_d: ArrayLike, phi_d: ArrayLike) -> tuple[j
 
 
 def azimuth_difference(theta_h: AnyArray, theta_d: AnyArray, phi_d: AnyArray) -> jax.Array:
-    """Compute the azimuth between light and view about the surface normal, rad, in [0, pi]; pi is the mirror side."""
+    """Compute the azimuth between light and view about the surface normal.
+
+    It is in rad, in [0, pi]. It is pi if light and view lie on opposite sides of the normal, as for a mirror.
+    """
     # with the half vector in the x-z plane, the light is Ry(theta_h) (sin td cos pd, sin td sin pd, cos td) and the
     # view the same with pd + pi; their projections on the surface:
     along = xp.cos(theta_h) * xp.sin(theta_d) * xp.cos(phi_d)
@@ -138,9 +145,15 @@ def azimuth_difference(theta_h: AnyArray, theta_d: AnyArray, phi_d: AnyArray) ->
 def half_and_difference(
     theta_i: ArrayLike, phi_i: ArrayLike, theta_o: ArrayLike, phi_o: ArrayLike
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Compute (theta_h, theta_d, phi_d) of light and view, each given by its angle to the normal and its azimuth, rad.
+    """Compute (theta_h, theta_d, phi_d) of light and view, rad.
 
     phi_d lies in [0, 2 pi). It is the azimuth of the light if the half vector is the normal.
+
+    Args:
+        theta_i: angle of the light to the normal, rad.
+        phi_i: azimuth of the light, rad.
+        theta_o: angle of the view to the normal, rad.
+        phi_o: azimuth of the view, rad.
     """
     theta_i, phi_i, theta_o, phi_o = (xp.asarray(a, dtype=xp.float64) for a in (theta_i, phi_i, theta_o, phi_o))
 
@@ -162,9 +175,9 @@ def half_and_difference(
 
 
 def below_horizon(sampling: Sampling) -> np.ndarray:
-    """Mark cells without reflection: light or view at or below the horizon, (90, 90, 180).
+    """Mark the cells whose light or view is not above the horizon.
 
-    The directions of a cell are those of its sampling point.
+    The mask has the shape (90, 90, 180). The directions of a cell are those of its sampling point.
     """
     theta_h, theta_d, phi_d = merl_grid(sampling)
     mean = np.cos(theta_h)[:, None] * np.cos(theta_d)
@@ -173,7 +186,11 @@ def below_horizon(sampling: Sampling) -> np.ndarray:
 
 
 def brdf_table(values: np.ndarray, sampling: Sampling, **attrs: object) -> xr.DataArray:
-    """Label BRDF values (90, 90, 180, channels), 1/sr, NaN where missing, sampled at each cell's `sampling` point."""
+    """Label BRDF values on the MERL grid.
+
+    values: BRDF (90, 90, 180, channels), 1/sr; NaN: missing. sampling: sampling position of the values in their cells.
+    attrs: further attributes of the table.
+    """
     import xarray as xr
 
     from matcam.core.results.labelled import named
@@ -195,9 +212,10 @@ def brdf_table(values: np.ndarray, sampling: Sampling, **attrs: object) -> xr.Da
 
 
 def checked_table(table: xr.DataArray) -> xr.DataArray:
-    """Check a BRDF on the MERL grid, and order its channels R, G, B if these are their labels.
+    """Check a BRDF on the MERL grid, and order its channels.
 
-    ArgumentError names the wrong dims, shape, coordinate, label, unit or value.
+    Channels are ordered R, G, B if these are their labels. ArgumentError names the wrong dims, shape, coordinate, label,
+    unit or value.
     """
     import xarray as xr
 
@@ -226,7 +244,7 @@ def checked_table(table: xr.DataArray) -> xr.DataArray:
 
 
 def in_order(table: xr.DataArray, what: str) -> xr.DataArray:
-    """Order the channels of values R, G, B, if these are their labels.
+    """Order the channels R, G, B if these are their labels.
 
     Three channels have these labels in any order, or no labels and this order. ArgumentError for three other labels,
     whose wavelengths are unknown, and for duplicate labels. what: name of the values, for the message.
@@ -247,7 +265,10 @@ def in_order(table: xr.DataArray, what: str) -> xr.DataArray:
 
 
 def check_unit(what: str, values: xr.DataArray, unit: str) -> None:
-    """Check that values have this unit, or none. ArgumentError."""
+    """Check that values have this unit, or that their unit is missing.
+
+    ArgumentError otherwise.
+    """
     stated = values.attrs.get("units", unit)
     if not isinstance(stated, str) or stated not in _SAME_UNIT[unit]:
         raise ArgumentError(f"{what} must be in {unit}, but its attribute units is {stated!r:.40}")
@@ -262,7 +283,10 @@ _SAME_UNIT = {
 
 
 def azimuth_of(table: xr.DataArray) -> float | None:
-    """Return the azimuth of the lamp in the images of a table, rad: its attribute `lamp_azimuth`, or None."""
+    """Return the azimuth of the lamp in the images of a table.
+
+    It is the attribute `lamp_azimuth` of the table, rad; None if the attribute is missing.
+    """
     azimuth = table.attrs.get("lamp_azimuth")
     if azimuth is None:
         return None
@@ -272,7 +296,10 @@ def azimuth_of(table: xr.DataArray) -> float | None:
 
 
 def sample_of(table: xr.DataArray) -> str | None:
-    """Return the kind of sample that a table was recorded from: its attribute `sample`, or None."""
+    """Return the kind of sample of a table: its attribute `sample`.
+
+    None if the attribute is missing.
+    """
     kind = table.attrs.get("sample")
     if kind is None or kind in ("sphere", "cylinder", "flat"):
         return kind

@@ -35,7 +35,7 @@ _PICTURES = (".png", ".pdf", ".svg")
 
 
 def check_output(path: str | Path, *, force: bool = False, inputs: Iterable[str | Path] = ()) -> Path:
-    """Check before any work that an output can be written and overwrites no file.
+    """Check that an output can be written without overwriting a file.
 
     OutputError if `path` is a folder, has a file as parent, is one of `inputs` (even with `force`), or exists and
     `force` is not set; ArgumentError if `force` is neither True nor False.
@@ -44,10 +44,10 @@ def check_output(path: str | Path, *, force: bool = False, inputs: Iterable[str 
     if type(force).__name__ not in ("bool", "bool_"):  # also of NumPy; a text would be true
         raise ArgumentError(f"force must be True or False, got {force!r:.60}")
     if re.search(UNPRINTABLE, path.name):
-        raise OutputError(f"output {printable(str(path))} has a name that is not plain text: choose another")
+        raise OutputError(f"output {printable(str(path))} has a name that is not plain text: choose another name")
     try:
         _check_position(path, inputs)
-        taken = os.path.lexists(path)  # a broken link is treated as existing, too
+        taken = os.path.lexists(path)  # a broken link exists, too
     except OSError as error:  # such as a name that is too long
         raise OutputError(f"output {path!s:.300} cannot be written: {error.strerror}") from None
     if taken and not force:
@@ -69,7 +69,10 @@ def _check_position(path: Path, inputs: Iterable[str | Path]) -> None:
 
 
 def check_output_folder(path: Path) -> None:
-    """Raise OutputError, before any work, for an output folder that is a file or cannot be created."""
+    """Check that a path can be a folder of outputs.
+
+    OutputError if the path is a file, or if the folder cannot be created.
+    """
     if is_there(path) and not is_folder(path):
         raise OutputError(f"output {path} is a file: give a folder")
     try:
@@ -81,19 +84,19 @@ def check_output_folder(path: Path) -> None:
 
 
 def check_picture(path: str | Path, *, force: bool, inputs: Iterable[str | Path] = ()) -> Path:
-    """Check an output image, whose suffix chooses the format, as `check_output` does."""
+    """Check an output image, whose suffix determines the format, like `check_output`."""
     path = check_output(path, force=force, inputs=inputs)
     if path.suffix.lower() not in _PICTURES:
-        raise OutputError(f"picture {path} must end in {', '.join(_PICTURES)}")
+        raise OutputError(f"output {path} is an image, whose name must end in {', '.join(_PICTURES)}")
     return path
 
 
 class Outputs:
-    """Files that appear together, and the folders created for them.
+    """Files that are published together, and the folders created for them.
 
     Attributes:
-        staged: name of each file -> the temporary file that has its content.
-        are_published: whether the files have their final names.
+        staged: name of each file -> temporary file with its content.
+        are_published: True if the files have their final names.
     """
 
     def __init__(self) -> None:
@@ -127,7 +130,10 @@ class Outputs:
                 return temporary
 
     def publish(self) -> None:
-        """Give all files their final names, or none of them: on failure the replaced files are restored."""
+        """Give all files their final names.
+
+        If this fails for one file, no file is published, and the replaced files are restored.
+        """
         renamed: list[tuple[Path, Path, Path | None]] = []
         several = len(self.staged) > 1
         try:
@@ -135,7 +141,9 @@ class Outputs:
                 old = temporary.with_name(f"{temporary.name}.old") if several and os.path.lexists(path) else None
                 renamed.append((path, temporary, old))
                 if old is not None:
-                    with contextlib.suppress(OSError):  # without links, replaced files are lost
+                    with contextlib.suppress(
+                        OSError
+                    ):  # where links are not supported, replaced files cannot be restored
                         os.link(path, old, follow_symlinks=False)
                 temporary.replace(path)
         except BaseException as error:
@@ -157,13 +165,16 @@ class Outputs:
         self.are_published = bool(self.staged)
 
     def discard(self) -> None:
-        """Remove unpublished files. No effect in a fork of the process that created them."""
+        """Remove unpublished files.
+
+        This has no effect in a fork of the process that created the files.
+        """
         if self._process != os.getpid():
             return
         for temporary in self._temporaries:
             temporary.unlink(missing_ok=True)
         for folder in reversed(self._folders):
-            with contextlib.suppress(OSError):  # other processes have put files there
+            with contextlib.suppress(OSError):  # another process has put files there
                 folder.rmdir()
 
 
@@ -182,9 +193,9 @@ def _discard_unfinished() -> None:
 
 @contextlib.contextmanager
 def replacing(path: str | Path, *, force: bool = False, inputs: Iterable[str | Path] = ()) -> Iterator[Path]:
-    """Yield a temporary name beside `path`; on success it becomes `path`, on any exception it is removed.
+    """Yield a temporary file beside `path`, which replaces `path` on success.
 
-    The temporary name keeps the suffix, because writers choose their format by it.
+    An exception removes the temporary file. Its name has the suffix of `path`, which determines the format.
     """
     path = check_output(path, force=force, inputs=inputs)
     try:
@@ -201,10 +212,10 @@ def replacing(path: str | Path, *, force: bool = False, inputs: Iterable[str | P
 
 @contextlib.contextmanager
 def all_or_nothing() -> Iterator[Outputs]:
-    """Publish the files that are written in the block together at its end, or none of them.
+    """Publish the files of the block together at its end.
 
-    A nested block belongs to the outer one. Files of other threads are not included. An interruption during publication
-    is delayed until its end.
+    After an exception no file is published. A nested block is part of the outer block. Files of other threads are not
+    included. An interruption during publication is delayed until its end.
     """
     outer = _outputs.get()
     if outer is not None:
@@ -239,7 +250,7 @@ class _Waiting:
     """Signals that are delayed by a short operation.
 
     Attributes:
-        is_lifted: whether signals take effect immediately.
+        is_lifted: True if signals take effect immediately.
     """
 
     def __init__(self) -> None:
@@ -260,7 +271,8 @@ class _Waiting:
 def uninterrupted() -> Iterator[_Waiting]:
     """Delay Ctrl-C and termination signals until the end of a short operation.
 
-    It protects libraries that would stay locked after an exception at the wrong moment, and files that appear together.
+    This protects libraries that would stay locked after an exception at the wrong moment, and files that are published
+    together.
     """
     waiting = _Waiting()
     if threading.current_thread() is not threading.main_thread():  # signals interrupt only the main thread
@@ -280,7 +292,7 @@ def uninterrupted() -> Iterator[_Waiting]:
             signal.signal(number, handler)
 
     try:
-        with contextlib.ExitStack() as restored:  # it restores all handlers, even if a signal interrupts it
+        with contextlib.ExitStack() as restored:  # restores all handlers, even after an interruption
             for number, handler in handlers.items():
                 restored.callback(restore, number, handler)
                 signal.signal(number, wait)
@@ -292,7 +304,10 @@ def uninterrupted() -> Iterator[_Waiting]:
 
 
 def make_folder(path: Path) -> None:
-    """Create a folder for outputs, which is removed if they do not appear. OutputError if that fails."""
+    """Create a folder for outputs.
+
+    The folder is removed if the outputs are not published. OutputError if the folder cannot be created.
+    """
     try:
         with all_or_nothing() as outputs:
             outputs.make_folder(path)
@@ -301,14 +316,17 @@ def make_folder(path: Path) -> None:
 
 
 def where_written(path: Path) -> Path:
-    """Return the current path of the content of an output: its final name, or its temporary file."""
+    """Return the current path of the content of an output.
+
+    This is the final name, or the temporary file before publication.
+    """
     outputs = _outputs.get()
     return path if outputs is None else outputs.staged.get(path, path)
 
 
 @contextlib.contextmanager
 def reading(path: Path, what: str = "") -> Iterator[None]:
-    """Convert errors while `path` is opened and read to a FileFormatError that names it.
+    """Convert errors of reading `path` to a FileFormatError that names it.
 
     `what` is the expected content ("an image"); if given, a folder is an error, too.
     """
@@ -318,7 +336,7 @@ def reading(path: Path, what: str = "") -> Iterator[None]:
         mode = path.stat().st_mode
         if stat.S_ISDIR(mode) and what:
             raise FileFormatError(f"{path}: is a folder, not {what}")
-        if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):  # it may have no end, or no writer
+        if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):  # a pipe may have no end, or no writer
             raise FileFormatError(f"{path}: is a pipe or a device, not a file: copy its content to a file first")
         yield
     except FileNotFoundError:
@@ -328,9 +346,10 @@ def reading(path: Path, what: str = "") -> Iterator[None]:
 
 
 def write_columns(path: str | Path, data: xr.Dataset | dict[str, Sequence[Any]], *, force: bool = False) -> None:
-    """Write columns by name, or a Dataset as one row per grid point and a column per coordinate and variable, as CSV.
+    """Write columns, or a Dataset, as CSV.
 
-    Names of columns with a unit end in it ("theta_d_rad").
+    A Dataset has one row per grid point, and one column per coordinate and variable. The name of a column with a unit
+    ends in the unit ("theta_d_rad").
     """
     if isinstance(data, dict):
         columns = {name: _cells(column) for name, column in data.items()}
@@ -359,9 +378,10 @@ def _cells(column: Sequence[Any]) -> list[str]:
 
 
 def user_cache_folder() -> Path:
-    """Return the cache folder of this user: in $XDG_CACHE_HOME if it is set, otherwise that of the system.
+    """Return the cache folder of this user.
 
-    A relative path there is ignored, as the XDG Base Directory Specification requires.
+    It is in $XDG_CACHE_HOME if this is set, and otherwise in the cache folder of the system. A relative path is
+    ignored, as the XDG Base Directory Specification requires.
     """
     root = Path(os.environ.get("XDG_CACHE_HOME", ""))
     if root.is_absolute():
@@ -370,10 +390,10 @@ def user_cache_folder() -> Path:
         if sys.platform == "linux":
             folder = Path.home() / ".cache" / "matcam"
         else:
-            import pooch  # imported here, because it takes a fifth of a second that only programs require
+            import pooch  # imported only if required, because the import takes a fifth of a second
 
             folder = Path(pooch.os_cache("matcam"))
-    except RuntimeError:  # without a home there is no private folder of this user
+    except RuntimeError:  # a user without a home has no private folder
         folder = Path()
     return folder if folder.is_absolute() else Path(os.devnull) / "matcam"  # a path that cannot be created: no cache
 
@@ -391,7 +411,10 @@ def write_json(path: str | Path, document: dict[str, Any], *, force: bool = Fals
 
 
 def plain(value: Any) -> Any:
-    """Convert a result to types of JSON: lists, numbers, texts; NaN and infinities become None."""
+    """Convert a result to lists, numbers and texts, as JSON requires.
+
+    NaN and infinities become None.
+    """
     if isinstance(value, dict):
         return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):

@@ -52,15 +52,18 @@ Device = Literal["cpu", "gpu"]
 _GPU_PLUGINS = ("jax_cuda12_plugin", "jax_cuda13_plugin", "jax_rocm60_plugin", "jax_rocm7_plugin")
 """Modules with GPU support of JAX."""
 _GPU_DEVICES = ("/dev/nvidia0", "/dev/kfd", "/dev/dxg")
-"""Device files of GPUs: NVIDIA and AMD on Linux, and the one of Windows in its Linux subsystem."""
+"""Device files of GPUs: NVIDIA and AMD on Linux, and the file of the Windows subsystem for Linux."""
 
 
-_LARGEST_CACHE = 1 << 30  # bytes of compiled functions
+_LARGEST_CACHE = 1 << 30  # limit of the size of the cached functions, bytes
 _SEALED = "compiled"
 
 
 def has_gpu() -> bool:
-    """Check whether JAX could compute on a GPU of this machine, without starting it, which takes seconds and memory."""
+    """Check whether JAX could compute on a GPU of this machine.
+
+    JAX does not start the GPU for this check, because the start takes seconds and memory.
+    """
     known = any(importlib.util.find_spec(plugin) for plugin in _GPU_PLUGINS)
     return known and any(Path(device).exists() for device in _GPU_DEVICES)
 
@@ -76,28 +79,32 @@ def use_device(device: Device) -> None:
     """
     if device == "gpu" and not has_gpu():
         raise ArgumentError(
-            f"device must be 'cpu', got {device!r}: JAX finds no GPU here; for one of NVIDIA install "
+            f"device must be 'cpu', got {device!r}: JAX finds no GPU here; for a GPU of NVIDIA, run "
             "python -m pip install 'matcam[gpu]'"
         )
     jax.config.update("jax_platforms", "cpu" if device == "cpu" else None)
 
 
 def without_derivatives(tree: T) -> T:
-    """Return the same numbers as constants: concrete under `jax.grad`, but not under `jax.jit`."""
+    """Return the same values as constants, without derivatives.
+
+    They are concrete under `jax.grad`, but not under `jax.jit`.
+    """
     return jax.tree.map(lambda leaf: jax.lax.stop_gradient(leaf) if isinstance(leaf, jax.Array) else leaf, tree)
 
 
 def placed(array: npt.ArrayLike) -> jax.Array:
-    """Convert numbers to an array of JAX without compilation: `jnp.asarray` compiles a program for every shape.
+    """Convert numbers to an array of JAX without compilation.
 
-    The numbers must not be changed afterwards, because JAX may use them in place.
+    In contrast, `jnp.asarray` compiles a program for every shape. The numbers must not be changed afterwards, because
+    JAX may use them in place.
     """
     with jax.ensure_compile_time_eval():  # concrete inside a transformation, too
         return jax.device_put(np.asarray(array))
 
 
 def plainly_compiled(runs: Runs = "some") -> dict[str, Any] | None:
-    """Return options for `jax.jit` that reduce the compile time of a large program.
+    """Return options for `jax.jit` that reduce the compile time.
 
     runs: expected number of runs. "once": a quarter of the compile time, twice the run time. "some": two thirds of the
     compile time, and most programs are not slower. "many": three quarters, and no program is slower.
@@ -113,7 +120,7 @@ def plainly_compiled(runs: Runs = "some") -> dict[str, Any] | None:
 def jit_plainly(function: Callable[P, T], *, runs: Runs = "some", static: tuple[str, ...] = ()) -> Callable[P, T]:
     """Compile a function as `jax.jit` does, with the options of `plainly_compiled`.
 
-    It must not be called inside another compiled function, because options apply to a whole program. runs: as in
+    The result must not be called inside another compiled function, because the options apply to a whole program. runs: as in
     `plainly_compiled`. static: names of arguments that are not arrays.
     """
     programs: dict[bool, Callable[P, T]] = {}
@@ -153,13 +160,16 @@ def use_compilation_cache() -> None:
 
 
 def program_folder() -> Path | None:
-    """Return the folder of whole programs after `use_compilation_cache`; None if programs cannot be kept."""
+    """Return the folder of cached programs, or None without a cache.
+
+    The cache requires a call of `use_compilation_cache`, and a version of JAX that supports a sealed cache.
+    """
     folder = getattr(jax.config, "jax_compilation_cache_dir", None)
     return Path(folder) if folder and Path(folder).name == _SEALED else None
 
 
 def _use_sealed_cache() -> bool:
-    """Make JAX use a sealed cache, for which it has no public interface; otherwise its own cache is used."""
+    """Make JAX use a sealed cache. False if this version of JAX has no interface for that; it then uses its own cache."""
     try:
         from jax._src import compilation_cache
     except ImportError:

@@ -1,5 +1,6 @@
-"""Memory that this process may still use, by the machine, its control group, and its own limit; and release after a
-job.
+"""Memory that this process may still use, and release of memory after a job.
+
+The limits are those of the machine, of the control group, and of the process.
 """
 
 from __future__ import annotations
@@ -33,8 +34,8 @@ def available_memory() -> int:
 def check_address_space() -> None:
     """Check that the libraries fit into the limit of address space (`ulimit -v`).
 
-    OpenBLAS, which SciPy loads, retries the allocation of its buffer without end, and XLA waits for threads that never
-    started.
+    With a smaller limit, OpenBLAS, which SciPy loads, retries the allocation of its buffer without end, and XLA waits
+    for threads that never started.
 
     Raises:
         ArgumentError: the limit is too small.
@@ -43,16 +44,16 @@ def check_address_space() -> None:
     limit = _own_limit()
     if limit < least:
         raise ArgumentError(
-            f"this process may use {limit / 1e9:.2f} GB of address space (ulimit -v): NumPy, SciPy and JAX alone need "
-            f"{least / 1e9:.2f} GB"
+            f"this process may use {limit / 1e9:.2f} GB of address space (ulimit -v), but NumPy, SciPy and JAX alone "
+            f"need {least / 1e9:.2f} GB: raise the limit"
         )
 
 
 def free_for_the_next() -> None:
     """Free the garbage of a job, and exclude older objects from garbage collection.
 
-    The libraries and the caches of all jobs are a million objects, which each collection would scan. Freed memory stays
-    with the process: see `one_core_environment`.
+    The libraries and the caches of all jobs consist of a million objects, which each collection would scan. The process
+    keeps the freed memory: see `one_core_environment`.
     """
     gc.collect()
     _freeze()

@@ -1,7 +1,7 @@
 """Serialisation of a compiled program, without arbitrary code in its description.
 
-JAX writes the description of a program as a pickle, which may call any function. Here only a short list of JAX's
-descriptions of arrays is allowed. The program itself is machine code, which must come from the user (sealed.py).
+JAX writes the description of a program as a pickle, which may call any function. Here the pickle may use only a short
+list of JAX's descriptions of arrays. The program itself is machine code, which must come from the user (sealed.py).
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ _NAMES = {
     "jaxlib._jax": ["DeviceList", "HloSharding", "OpSharding"],
     "numpy": ["dtype"],
 }
-"""Names that the description of a program may use: kinds, shapes and positions of arrays, by module. They are mere
-containers. A description by another version of JAX with other names is not kept.
+"""Names that the description of a program may use: kinds, shapes and positions of arrays, by module. These
+objects only contain values. A program of another version of JAX, whose description uses other names, is not cached.
 """
 _PAIRS = {(module, name) for module, names in _NAMES.items() for name in names}
 
@@ -44,7 +44,7 @@ class _Unpickler(serialize_executable._JaxPjrtUnpickler):
 
     def find_class(self, module: str, name: str) -> Any:
         if (module, name) not in _PAIRS:  # before the import, because an import runs code
-            raise ValueError(f"it names {module[:40]}.{name[:40]}, which no program needs")
+            raise ValueError(f"the description uses {module[:40]}.{name[:40]}, which is not allowed")
         return super().find_class(module, name)
 
 
@@ -55,12 +55,12 @@ def pack_program(program: Any) -> bytes:
         program: the compiled function, which returns an array, or a tuple of arrays and tuples.
 
     Raises:
-        ValueError: it cannot be serialised, or could not be read again.
+        ValueError: the program cannot be serialised, or could not be read again.
     """
     stored, _, output = serialize_executable.serialize(program)
     positions = jax.tree.unflatten(output, range(output.num_leaves))
     if jax.tree.structure(_as_tuples(json.loads(json.dumps(positions)))) != output:
-        raise ValueError("it returns something else than arrays and tuples of them")
+        raise ValueError("the function must return only arrays, and tuples of arrays")
     packed = json.dumps(positions).encode() + b"\n" + stored
     unpack_program(packed)  # names of this version of JAX may be missing in the list
     return packed
@@ -84,7 +84,7 @@ def unpack_program(packed: bytes) -> Any:
 
 @cache
 def _load_lapack() -> None:
-    """Make JAX load LAPACK, as lowering a call does: a program that calls it before would crash."""
+    """Make JAX load LAPACK by lowering a call. A program that calls LAPACK before would crash."""
     jax.jit(jax.numpy.linalg.cholesky).lower(jax.ShapeDtypeStruct((1, 1), float))
 
 

@@ -31,8 +31,8 @@ T = TypeVar("T")
 _ARRAYS = (jax.Array, np.ndarray, np.generic)
 _CPU_INFO = Path("/proc/cpuinfo")
 _MOST_HELD = 30 << 20
-"""Largest size of programs in the memory of a process, bytes on disk: a program that is ready to run takes twenty times
-as much.
+"""Largest size on disk of all programs in the memory of a process, bytes. A program in memory takes twenty times as
+much.
 """
 _log = logging.getLogger("matcam")
 
@@ -42,19 +42,19 @@ def kept_program(function: Callable[P, T]) -> Callable[P, T]: ...
 @overload
 def kept_program(*, runs: Runs = "some", returns: Any = None) -> Callable[[Callable[P, T]], Callable[P, T]]: ...
 def kept_program(function: Callable[P, T] | None = None, *, runs: Runs = "some", returns: Any = None) -> Any:
-    """Compile a function as `eqx.filter_jit` does, and cache the program with the compiled functions of the process.
+    """Compile a function as `eqx.filter_jit` does, and cache the program.
 
-    Programs are kept for the CPU backend, after `use_compilation_cache`. Inside another transformation, and for
+    Programs are cached for the CPU backend, after `use_compilation_cache`. Inside another transformation, and for
     arguments without a persistent description, the function is only compiled.
 
     Args:
         function: a function of positional arguments, which returns an array or a tuple of arrays. Arrays are traced;
-            everything else is part of its kind. Default: None, returns a decorator.
+            all other arguments are part of the key of the cache. Default: None, a decorator is returned.
         runs: expected number of runs, as in `plainly_compiled`. Default: "some".
         returns: class of the result if it is a named tuple, or `tuple[...]` of such classes. Default: None.
 
     Returns:
-        The function, compiled.
+        The compiled function.
 
     Example:
         >>> from matcam.core.programs import kept_program
@@ -128,7 +128,7 @@ class _Program(NamedTuple):
 
 
 class _HeldPrograms:
-    """Cache of the programs that were used last; others are read from disk again."""
+    """Cache of the most recently used programs. Other programs are read from disk again."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -136,8 +136,9 @@ class _HeldPrograms:
         self._total = 0
 
     def use(self, ready: dict[Hashable, _Program], key: Hashable, size: int) -> None:
-        """Mark a program of a function as the most recently used. ready: all programs of the function, by their
-        keys.
+        """Mark a program of a function as the most recently used.
+
+        ready: all programs of the function, by their keys.
         """
         if not size:
             return
@@ -155,9 +156,9 @@ _held = _HeldPrograms()
 
 
 class _Kept(NamedTuple):
-    """Function with a call: leaves, tree, and kinds of its arguments.
+    """Function and one of its calls: leaves, tree and kinds of the arguments.
 
-    It also has the expected number of runs, and the class of a result that is not a tuple of arrays.
+    Further fields are the expected number of runs, and the class of a result that is not a tuple of arrays.
     """
 
     function: Callable[..., Any]
@@ -168,7 +169,11 @@ class _Kept(NamedTuple):
     returns: Any
 
     def program(self, folder: Path) -> tuple[_Program, Any]:
-        """Load the program from disk with its first result, or compile and store it, without a result."""
+        """Load the program from disk, or compile and store it.
+
+        Returns:
+            Program; and the result of the call, which is None for a program that was compiled.
+        """
         name = f"{self.function.__module__}.{self.function.__qualname__}"
         description = f"{name}\n{self.tree}\n{_types(self.tree)}\n{self.kinds!r}\n{self.runs}\n{self.returns}"
         if " at 0x" in description or (made_of := _surroundings()) is None:
@@ -181,7 +186,9 @@ class _Kept(NamedTuple):
                 program = self._of_its_kind(unpack_program(stored))
                 result = jax.block_until_ready(program(*_arrays(self.leaves)))  # some faults appear only at run time
             except Exception as error:  # backends raise arbitrary errors
-                _log.warning("matcam: %s in the cache cannot be used (%s): it is compiled again", path.name, error)
+                _log.warning(
+                    "matcam: %s in the cache cannot be used (%s): the program is compiled again", path.name, error
+                )
             else:
                 return _Program(program, len(stored)), result
         with CompiledFunctions.passed_by():  # programs from the cache of JAX cannot be serialised again
@@ -204,7 +211,10 @@ class _Kept(NamedTuple):
         return lambda *arrays: jax.tree.unflatten(structure, program(*arrays))
 
     def _of_arrays(self) -> Callable[..., Any]:
-        """Return the function of its arrays alone. JAX keeps it, so it must not contain the arrays themselves."""
+        """Return the function with arrays as its only arguments.
+
+        JAX keeps this function, so it must not contain the arrays themselves.
+        """
         function, tree, kinds, flat = self.function, self.tree, self.kinds, self.returns is not None
 
         def of_arrays(*arrays: Any) -> Any:
@@ -227,7 +237,7 @@ def _positions(kind: Any) -> Any:
 
 
 def _types(tree: Any) -> list[str]:
-    """Return the full names of the types of a tree, whose text has short ones."""
+    """Return the full names of the types of a tree, because its text contains only short names."""
     data = tree.node_data()
     own = [f"{data[0].__module__}.{data[0].__qualname__}"] if data else []
     return own + [name for child in tree.children() for name in _types(child)]
@@ -235,8 +245,9 @@ def _types(tree: Any) -> list[str]:
 
 @cache
 def _surroundings() -> str | None:
-    """Describe all dependencies of programs besides their arguments; None if the source of the package is
-    unreadable.
+    """Describe all dependencies of programs except their arguments.
+
+    None if the source of the package cannot be read.
     """
     source = hashlib.sha256()
     folder = Path(__file__).parents[1]

@@ -19,7 +19,7 @@ class Registry(Mapping[str, T], Generic[T]):
     """Mapping from names to classes or functions, each imported on first use.
 
     Attributes:
-        homes: location of each by its name, "package.module:attribute".
+        homes: location of each object by its name, "package.module:attribute".
     """
 
     def __init__(self, homes: Mapping[str, str]):
@@ -97,7 +97,7 @@ WITH_POWER = FAMILIES.subset(lambda name: name in ("epd", "sgd"))
 """Families with a roughness and a power."""
 
 ONE_WIDTH = FAMILIES.subset(lambda name: name not in WITH_POWER)
-"""Families with a roughness alone, whose record by a camera has a closed form in the tangent plane."""
+"""Families with only a roughness, whose record by a camera has a closed form in the tangent plane."""
 
 MASKING_MODELS: Registry[Any] = Registry(
     {
@@ -106,7 +106,7 @@ MASKING_MODELS: Registry[Any] = Registry(
         "van-ginneken": f"{_MATERIAL}.masking:azimuth_correlated",
     }
 )
-"""Joint masking of light and view; None instead of a name: no masking."""
+"""Joint masking of light and view. None instead of a name means no masking."""
 
 FRESNEL_MODELS: Registry[Any] = Registry(
     {
@@ -128,11 +128,13 @@ def family_ndf(family: str, roughness: Any, power: Any = None) -> Any:
         power: the second parameter, for `WITH_POWER` only.
 
     Raises:
-        ArgumentError: the family is unknown, or its power is missing or does not belong there.
+        ArgumentError: the family is unknown, its power is missing, or a power is given for a family without power.
     """
     if family in ONE_WIDTH:
         if power is not None:
-            raise ArgumentError(f"power belongs to {' and '.join(WITH_POWER)}, not to {family}, got {power}")
+            raise ArgumentError(
+                f"power can be given for {' and '.join(WITH_POWER)}, but not for {family}, got {power}: omit it"
+            )
         return FAMILIES[family](roughness)
     if family not in WITH_POWER:
         raise unknown_name("family of lobes", family, FAMILIES)

@@ -10,7 +10,7 @@ class Remark(NamedTuple):
     """Remark on a result.
 
     Attributes:
-        code: lower-case words joined by hyphens ("outliers", "camera-not-determined"): stable between versions.
+        code: lower-case words joined by hyphens ("outliers", "camera-not-determined"), the same in all versions.
         text: one line in plain words.
 
     Example:
@@ -34,7 +34,7 @@ class Remark(NamedTuple):
 
 
 def some_of(names: Iterable[str], most: int = 6) -> str:
-    """List names in one line, with the first ones if there are many.
+    """List names on one line, shortened if there are many.
 
     Args:
         names: the names.
@@ -53,14 +53,16 @@ def some_of(names: Iterable[str], most: int = 6) -> str:
 
 
 def gathered(remarks: Iterable[tuple[str, Remark]], most: int = 3) -> list[Remark]:
-    """Combine equal remarks on many objects: the first remark of a code represents all, and names the others.
+    """Combine remarks with the same code on many objects.
+
+    If there are more than `most`, the first remark represents all, and names the other objects.
 
     Args:
         remarks: name of each object, and its remark.
         most: largest number of separate remarks of one code, no unit. Default: 3.
 
     Returns:
-        The remarks, in the order of their codes.
+        The remarks, by code, in the order in which the codes first occur.
 
     Example:
         >>> for one in gathered([(f"L{k}", Remark("dark", f"L{k}: no light")) for k in range(1, 6)]):
@@ -80,25 +82,25 @@ def gathered(remarks: Iterable[tuple[str, Remark]], most: int = 3) -> list[Remar
 
 
 def texts(remarks: Iterable[Remark]) -> list[str]:
-    """Return the remarks' texts.
+    """Return the texts of remarks.
 
     Args:
-        remarks: any number of them.
+        remarks: any number of remarks.
 
     Returns:
-        One line each, in the same order.
+        One line for each remark, in the same order.
     """
     return [remark.text for remark in remarks]
 
 
 def to_attribute(remarks: Iterable[Remark]) -> str:
-    """Join the remarks to one text for an attribute of a file.
+    """Join remarks to one text for an attribute of a file.
 
     Args:
-        remarks: any number of them.
+        remarks: any number of remarks.
 
     Returns:
-        One line each, "code: text".
+        One line for each remark, "code: text".
 
     Example:
         >>> to_attribute([Remark("clipped", "3 pixels are clipped; they were left out")])

@@ -1,7 +1,7 @@
 """Cache files with a seal: each ends in a SHA-256 of its key and content.
 
-A damaged file, or one of another key, is removed and computed again, and one line is logged. A file that cannot be
-written is skipped, because a full disk must not stop any work.
+A damaged file, or a file of another key, is removed, its content is computed again, and one line is logged. A file that
+cannot be written is skipped, because a full disk must not stop any work.
 
 The seal detects damage, not forgery. Against forgery, only folders and files that belong to this user or to the system,
 and that no other user may change, are used. A folder is opened once and checked, and its files are accessed through it,
@@ -71,7 +71,7 @@ class SealedFile(NamedTuple):
 
 
 def sealed_files(path: Path) -> list[SealedFile]:
-    """List the files of a cache folder; none if it is not usable."""
+    """List the files of a cache folder; empty if it is not usable."""
     try:
         with _opened(path) as folder:
             return [
@@ -119,7 +119,7 @@ class _Folder(NamedTuple):
 
 @contextlib.contextmanager
 def _opened(path: Path) -> Iterator[_Folder]:
-    """Open a folder that no other user may change; OSError if another user may."""
+    """Open a folder that no other user may change. OSError if another user may change it."""
     if not _BY_FOLDER:
         yield _Folder(None, path)
         return
@@ -127,7 +127,7 @@ def _opened(path: Path) -> Iterator[_Folder]:
     try:
         parent = os.stat(
             "..", dir_fd=number
-        )  # a folder in a world-writable folder may be renamed, unless that is sticky
+        )  # others may rename a folder in a world-writable folder without sticky bit
         open_to_all = parent.st_mode & stat.S_IWOTH and not parent.st_mode & stat.S_ISVTX
         if _is_foreign(os.fstat(number)) or parent.st_uid not in (os.getuid(), 0) or open_to_all:
             _warn_of(path)
@@ -138,7 +138,7 @@ def _opened(path: Path) -> Iterator[_Folder]:
 
 
 def _read_own(folder: _Folder, path: Path) -> bytes | None:
-    """Read a file that no other user could have written; None for any other."""
+    """Read a file that no other user could have written; None for any other file."""
     with os.fdopen(folder.open(path.name, _READ), "rb") as file:
         status = os.fstat(file.fileno())
         if not stat.S_ISREG(status.st_mode):
@@ -159,8 +159,8 @@ def _make(path: Path) -> None:
 @cache
 def _warn_of(folder: Path) -> None:
     _log.warning(
-        "matcam: the cache %s is not used: it or files of it are another user's, or others may change them "
-        "(make it yours alone by chmod -R go-w, or remove it)", folder
+        "matcam: the cache %s is not used, because another user owns it or one of its files, or may change them: "
+        "remove the folder, or run chmod -R go-w on it", folder
     )  # fmt: skip
 
 
@@ -176,7 +176,9 @@ def _seal(key: bytes, content: bytes) -> bytes:
 
 
 class CompiledFunctions:
-    """Cache of JAX's compiled functions on disk, which replaces its own cache because that does not detect damage.
+    """Cache of JAX's compiled functions on disk.
+
+    It replaces the cache of JAX, which does not detect damage.
 
     Args:
         path: folder of the files.

@@ -38,7 +38,9 @@ class Shading(NamedTuple):
 
 
 def shading(normal: Vector, tangent: Vector, light: Vector, view: Vector) -> Shading:
-    """Compute the angles of unit vectors; tangent: perpendicular to the normal.
+    """Compute the arguments of a BRDF from unit vectors.
+
+    tangent: first tangent, perpendicular to the normal.
 
     Slopes keep their digits near the mirror direction, unlike the angle of a half vector from its cosine.
     """
@@ -65,7 +67,10 @@ def shading(normal: Vector, tangent: Vector, light: Vector, view: Vector) -> Sha
 
 
 def local_shading(light: Vector, view: Vector) -> Shading:
-    """Compute the `shading` of directions in the frame of the surface: the normal is z, the first tangent x."""
+    """Compute the `shading` of directions in the frame of the surface.
+
+    The normal is the z axis, and the first tangent is the x axis.
+    """
     zero, one = xp.zeros(()), xp.ones(())
     return shading((zero, zero, one), (one, zero, zero), light, view)
 

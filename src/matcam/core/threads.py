@@ -1,4 +1,4 @@
-"""Threads of this package, and of the libraries below NumPy, which read their number from the environment on import."""
+"""Threads of this package, and of linear algebra, which reads its number of threads from the environment on import."""
 
 from __future__ import annotations
 
@@ -19,16 +19,17 @@ U = TypeVar("U")
 ONE_BLAS_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
 """Environment variables that restrict linear algebra to the calling thread.
 
-Matrices of a fit have some thousand rows and twenty columns. OpenBLAS distributes even those over all processors with
+Matrices of a fit have some thousand rows and twenty columns. OpenBLAS distributes even such matrices over all processors with
 spinning threads, which is much slower on busy processors.
 """
 _ARENA_MAX = -8  # M_ARENA_MAX of mallopt(3)
 
 
 def use_one_blas_thread() -> None:
-    """Restrict linear algebra of this process to one thread, unless the user has set it or NumPy is loaded already.
+    """Restrict linear algebra of this process to one thread.
 
-    A program may choose this for its user; a library must not.
+    Settings of the user have priority. There is no effect if NumPy is already loaded. A program may choose this for its
+    user; a library must not.
     """
     if "numpy" not in sys.modules:
         for name, value in ONE_BLAS_THREAD.items():
@@ -36,9 +37,10 @@ def use_one_blas_thread() -> None:
 
 
 def use_one_heap() -> None:
-    """Use one heap for all threads, with glibc and without a setting of the user.
+    """Use one heap for all threads.
 
-    Otherwise each compiling thread keeps a heap of its peak size, in a first correction 0.15 GiB.
+    This requires glibc, and a setting of the user has priority. Otherwise each compiling thread keeps a heap of its
+    peak size, in a first correction 0.15 GiB.
     """
     if "MALLOC_ARENA_MAX" not in os.environ:
         with contextlib.suppress(OSError, AttributeError):
@@ -51,10 +53,11 @@ def available_cores() -> int:
 
 
 def import_behind(*modules: str) -> None:
-    """Import modules in another thread for later use, while XLA computes without the lock of Python.
+    """Import modules in another thread, for later use.
 
-    A failing import fails again where the module is used. The end of the process waits for the import, because an exit
-    inside a module of C++ would abort. modules: their full names.
+    Meanwhile XLA computes without the lock of Python. A failing import fails again where the module is used. The end of
+    the process waits for the import, because an exit inside a module of C++ would abort. modules: full names of the
+    modules.
     """
 
     def work() -> None:
@@ -67,9 +70,9 @@ def import_behind(*modules: str) -> None:
 
 
 def in_order(work: Callable[[T], U], items: Sequence[T], workers: int) -> Iterator[U]:
-    """Yield the result of `work` for each item, in order, with several items at a time in threads.
+    """Yield the results of items in order, computed in several threads.
 
-    The first runs alone, because it sets the reference for the others and compiles their common programs. Threads
+    The first item runs alone, because it sets the reference for the others and compiles their common programs. Threads
     suffice: files are decoded in separate processes, and NumPy and JAX compute without the lock of Python.
 
     Args:
@@ -102,8 +105,9 @@ def in_order(work: Callable[[T], U], items: Sequence[T], workers: int) -> Iterat
 
 
 class _Behind(threading.local):
-    """State of a background thread: whether the foreground work still runs, and whether the result is still
-    required.
+    """State of a background thread.
+
+    busy: set while the foreground work runs. dropped: set if the result is not required any more.
     """
 
     busy: threading.Event | None = None
@@ -129,11 +133,11 @@ def _at_a_time(workers: int) -> int:
 
 @contextlib.contextmanager
 def done_behind(work: Callable[[], object]) -> Iterator[None]:
-    """Run work in a background thread during the block, which fills caches for later use.
+    """Run work that fills caches in a background thread during the block.
 
-    Its `in_order` uses one core while the block runs, and all cores afterwards. The end of the block waits for it;
-    after an error in the block it stops after its current item. Errors of the work are ignored; they occur again where
-    the result is used. On one core the work is skipped.
+    In this work, `in_order` uses one core while the block runs, and all cores afterwards. The end of the block waits for
+    the work; after an error in the block, the work stops after its current item. Errors of the work are ignored; they
+    occur again where the result is used. On one core the work is skipped.
 
     Args:
         work: a function without arguments.

@@ -3,8 +3,8 @@
 Caching is explicit: functions that cache take a `Workspace`. The default is that of `default_workspace`, without files
 on disk. The command line and the workers of a run use `Workspace.user()`.
 
-Tables of the package (metals, checksums, EPD's peak) and results that depend on few plain numbers alone (basis of a
-spline, a lens model) are constants: they use `functools.cache`.
+Tables of the package (metals, checksums, EPD's peak) and results that depend only on a few numbers (basis of a spline,
+a lens model) are constants, which use `functools.cache`.
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ class Workspace:
     Args:
         folder: folder on disk for arrays that other processes may use; it is created on first use. Default: None, no
             files.
-        entries: number of most recent results of each kind in memory; 0: none (no unit). Default: 6, enough for the
-            rigs and slices of one correction.
+        entries: number of most recent results of each kind in memory (no unit); 0: results are not kept. Default: 6,
+            enough for the rigs and slices of one correction.
         files: number of most recent files in `folder` (no unit). Default: 12, at most some hundred MB.
 
     Raises:
@@ -107,9 +107,9 @@ class Workspace:
     def store(self, description: str, make: Callable[[], dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
         """Return the arrays of a description from disk, or compute and store them.
 
-        The file's name is a hash of the description and of the package's version. It ends in a SHA-256 of both and of
-        its content, so that a damaged or foreign file is detected and computed again, with one line in the log. A full
-        disk is not an error. An empty result is not stored.
+        The name of the file is a hash of the description and of the version of the package. The file ends in a SHA-256
+        of both and of its content, so that a damaged or foreign file is detected and computed again, with one line in
+        the log. A full disk is not an error. An empty result is not stored.
 
         Args:
             description: text with all dependencies of the arrays.
@@ -140,7 +140,7 @@ class Workspace:
 
 
 def kept_file(folder: Path, description: str) -> Path:
-    """Return the file of a description in a workspace of this folder."""
+    """Return the path of the file of a description in a folder."""
     return folder / _file_name(_key(description))
 
 

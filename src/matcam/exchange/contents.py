@@ -1,4 +1,4 @@
-"""Files of any format: their contents, with reading and writing independent of the format."""
+"""Contents of files of any format, and reading and writing independent of the format."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Contents:
         format: short name of the file's format; "": not from a file.
         table: a BRDF on the MERL grid.
         fields: a BRDF in RGL's parameterisation.
-        samples: samples of a BRDF, off the MERL grid.
+        samples: samples of a BRDF that are not on the MERL grid.
         result: any other labelled result.
         picture: an image.
     """
@@ -72,8 +72,8 @@ def read(path: str | Path, *, sampling: Sampling = "centre") -> Any:
 
     Args:
         path: file to read.
-        sampling: position in its cell at which a value was sampled, "centre" or "edge"; for MERL files, which do not
-            contain it (see `read_merl`). Default: "centre".
+        sampling: position in a cell at which its value was sampled, "centre" or "edge"; for MERL files, which do not
+            specify the position (see `read_merl`). Default: "centre".
 
     Returns:
         The result of the reader of the format: an `xarray.DataArray` for a table or scattered samples, an
@@ -115,7 +115,7 @@ def write(path: str | Path, thing: Any, *, force: bool = False) -> None:
 
     Raises:
         ArgumentError: the suffix is unknown, or the format does not support the object.
-        OutputError: the file cannot be written, or exists.
+        OutputError: the file cannot be written, or exists and `force` is False.
 
     Example:
         >>> import tempfile
@@ -163,7 +163,7 @@ def contents_of(thing: Any) -> Contents:
 def write_contents(path: str | Path, contents: Contents, *, force: bool = False) -> None:
     """Write contents in the format of the suffix.
 
-    ArgumentError if it does not support them.
+    ArgumentError if the format does not support them.
     """
     path = Path(path)
     form = format_for(path)
@@ -178,18 +178,20 @@ def write_contents(path: str | Path, contents: Contents, *, force: bool = False)
 
 
 def read_contents(path: str | Path, sampling: Sampling = "centre") -> Contents:
-    """Read a file of any format that contains measurements. FileFormatError for anything else.
+    """Read a file of any format that contains measurements.
+
+    FileFormatError for any other file.
 
     Args:
         path: file to read.
-        sampling: point of its cell at which a MERL file's values are sampled, see `read_merl`. Default: "centre".
+        sampling: position in a cell at which a MERL value was sampled, see `read_merl`. Default: "centre".
 
     Returns:
         The contents, with the name of the format.
     """
     form = format_named(identify(path))
     if not set(form.holds) & set(MEASUREMENTS):
-        raise FileFormatError(f"{path}: a {form.name}, which contains no measurement")
+        raise FileFormatError(f"{path}: is a {form.name}, which contains no measurement")
     if form.name == "merl":
         return Contents(form.name, table=_read_merl(Path(path), sampling))
     data = form.read(path)
@@ -207,12 +209,12 @@ def read_table(path: str | Path, sampling: Sampling = "centre") -> xr.DataArray:
     """Read a BRDF table on the MERL grid from any format.
 
     Args:
-        path: file to read: MERL, CSV, or NetCDF and Zarr as `measure`, `correct` and `convert` write them.
-        sampling: point of its cell at which a MERL file's values are sampled, see `read_merl`. Other formats contain
-            it. Default: "centre".
+        path: file to read: MERL, CSV, or NetCDF or Zarr as written by `measure`, `correct` and `convert`.
+        sampling: position in a cell at which a MERL value was sampled, see `read_merl`. Other formats specify the
+            position. Default: "centre".
 
     Returns:
-        The table, 1/sr; of a correction's results the corrected one.
+        The table, 1/sr; if the file has the results of a correction, the corrected table.
 
     Raises:
         FileFormatError: the file contains no table, or is damaged.
@@ -259,11 +261,14 @@ def _labelled(path: Path, name: str, data: xr.Dataset) -> Contents:
 
 
 def material_of(contents: Contents) -> Material:
-    """Build the material of a file. ArgumentError if it does not describe one."""
+    """Build the material from the contents of a file.
+
+    ArgumentError if they do not define a material.
+    """
     if contents.table is not None:
         return Tabulated(contents.table)
     if contents.fields is not None:
         return Adaptive(contents.fields)
     raise ArgumentError(
-        f"{contents.kind} cannot be evaluated at any angle: a table (MERL, RGL, CSV on the MERL grid) can"
+        f"{contents.kind} cannot be evaluated at any angle: give a table (MERL, RGL, CSV on the MERL grid)"
     )

@@ -28,7 +28,7 @@ from matcam.material.measured import Adaptive, Tabulated
 
 _PAIRS, _FARTHEST = 4096, np.radians(80)
 _MIRRORED = 46
-"""Number of mirror directions in which the peak is searched: one per degree, half a cell of a table."""
+"""Number of mirror directions in which the peak is searched: one per degree, the width of a cell of a table."""
 _FLOOR = 1e-6
 """Share of the peak below which a value is not used as a divisor. A camera of 16 bits resolves 1.5e-5."""
 
@@ -50,13 +50,13 @@ def convert(
         source: input: MERL, RGL, Zemax BSDF, UTIA, BiRD JSON, CSV of samples, NetCDF-4, Zarr in a zip, OpenEXR or TIFF.
         target: output: .binary, .bsdf (RGL's), .brdf, .mtlx (a fitted OpenPBR surface), .csv, .nc, .zarr.zip, .exr,
             .tif or .tiff.
-        sampling: point of its cell at which a MERL file's values are sampled, "centre" or "edge", see `read_merl`. A
+        sampling: position in a cell at which a MERL value was sampled, "centre" or "edge", see `read_merl`. A
             table from an RGL file has the same sampling. Default: "centre"; loaders of MERL files disagree.
-        square: nodes along each side of the square of a new RGL file, see `adaptive_grid`. Default: 192; fewer give a
-            smaller file.
-        error: error of a new RGL file, no unit: the first of eight grids (0.2 to 70 MB) is used whose median
-            differences at random pairs and at the peak are at most this value, instead of `square`. Default: None,
-            `square`.
+        square: nodes along each side of the square of a new RGL file, see `adaptive_grid`. Default: 192; fewer nodes give
+            a smaller file.
+        error: largest error of a new RGL file, no unit. It replaces `square`: the first of eight grids (0.2 to 70 MB) is
+            used whose median differences at random pairs of directions and at the peak do not exceed this value.
+            Default: None, `square` is used.
         force: True to replace an existing output. Default: False.
 
     Returns:
@@ -103,17 +103,17 @@ def convert(
 
 
 def resampling_error(before: Material, after: Material) -> dict[str, float]:
-    """Compare two materials' BRDFs at 4096 random pairs of directions, up to 80 degrees from the normal.
+    """Compare the BRDFs of two materials at random pairs of directions.
 
-    The difference is relative to the first material's value, or to 1e-6 of its peak where the value is smaller: a sharp
-    lobe falls below 1e-300 1/sr, where a relative difference has no meaning. The peak is the largest value of a channel
-    in mirror directions up to 45 degrees. A pair counts in the channels with a positive value of the first material, by
-    the largest of their differences.
+    There are 4096 pairs up to 80 degrees from the normal. The difference is relative to the first material's value, or
+    to 1e-6 of its peak where the value is smaller: a sharp lobe decreases below 1e-300 1/sr, where a relative difference
+    has no meaning. The peak is the largest value of a channel in mirror directions up to 45 degrees. The difference of a
+    pair is the largest one among the channels in which the first material has a positive value.
 
     Returns:
-        No unit: the `median`, `p99` (exceeded by 1 % of the pairs) and `largest` difference; `known`, the share of
-        pairs with a value above 0; and `peak`, the median difference in those mirror directions. Random pairs miss a
-        sharp highlight.
+        Values without unit: the `median`, `p99` (exceeded by 1 % of the pairs) and `largest` difference; `known`, the
+        share of pairs with a positive value; and `peak`, the median difference in the mirror directions, because random
+        pairs miss a sharp highlight.
     """
     random = np.random.default_rng(1)
     light, view = (_directions(random) for _ in range(2))
@@ -177,7 +177,7 @@ def _resample(
         side = fields.sizes["row"]
         note = f"to RGL's parameterisation, {fields.sizes['theta_i']} angles of light, {side} x {side} values each"
         if error is not None and not max(found["median"], found["peak"]) <= error:
-            note += f"; no grid reaches an error of {error:.2%}"
+            note += f"; no grid has an error of at most {error:.2%}"
         details = {"missing_share": fields.attrs["missing_share"], "error": found}
         return Contents(contents.format, fields=fields), {"resampled": note, **details}
     if contents.fields is not None and "table" in form.holds and "fields" not in form.holds:
@@ -186,7 +186,10 @@ def _resample(
 
 
 def _smallest_grid(material: Material, error: float, description: str) -> tuple[Any, dict[str, float]]:
-    """Resample to the smallest grid with a given error, or the finest; return it with its error."""
+    """Resample a material to the smallest grid that satisfies an error, otherwise to the finest grid.
+
+    Return the fields and their error.
+    """
     checks.positive("error", error)
     for size in GRID_SIZES:
         fields = resampled_grid(material, size, description, peak_error=error)

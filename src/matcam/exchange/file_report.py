@@ -19,22 +19,22 @@ _RADIUS = 256.0
 def inspect(source: Any, *, sampling: Sampling = "centre", radius: float = _RADIUS) -> dict[str, Any]:
     """Report the contents of a file or a result.
 
-    `matcam inspect` prints the same.
+    `matcam inspect` prints the same report.
 
     Args:
         source: path of a file of any format that matcam reads; or a table, a result, an image or a `Camera`.
-        sampling: sampling position of a value in its cell of a MERL file, "centre" or "edge" (see `read_merl`).
+        sampling: position in a cell at which a MERL value was sampled, "centre" or "edge" (see `read_merl`).
             Default: "centre".
-        radius: radius of the sphere that a table was recorded from, px. Default: 256, as in the MERL rig.
+        radius: radius of the sphere from which a table was recorded, px. Default: 256, as in the MERL rig.
 
     Returns:
-        Plain values that JSON can represent; the names contain units. A file has `file` and `format`. A BRDF has its
-        grid, missing shares, range, reciprocity, albedo, lobe widths, and the trace of a camera; a camera its
-        parameters and MTF50.
+        Plain values that JSON can represent; the names contain units. The report of a file has `file` and `format`,
+        that of a BRDF the grid, missing shares, range, reciprocity, albedo, lobe widths and the trace of a camera, and
+        that of a camera its parameters and MTF50.
 
     Raises:
         FileFormatError: the format of the file is not supported, or the file is damaged.
-        ArgumentError: there is no report on such a `source`, or the radius is out of range.
+        ArgumentError: `source` is of another type, or the radius is out of range.
 
     Example:
         >>> report = matcam.inspect(matcam.rigs.merl().camera)

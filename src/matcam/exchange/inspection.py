@@ -1,8 +1,8 @@
 """Properties of a file and of a table without a model of the material.
 
-Grids, gaps, reciprocity, albedo, and the trace of a camera in a table. A camera widens a lobe in the plane of light and
-view as width^2 = lobe^2 + (kernel / cos theta_d)^2 (docs/model.md 3). A source disc widens it across that plane
-instead.
+These are grids, gaps, reciprocity, albedo, and the trace of a camera in a table. A camera widens a lobe in the plane of
+light and view as width^2 = lobe^2 + (kernel / cos theta_d)^2 (docs/model.md 3). A source disc widens a lobe across that
+plane instead.
 """
 
 from __future__ import annotations
@@ -23,18 +23,18 @@ from matcam.material.material import albedo
 from matcam.material.measured import Adaptive, Tabulated
 
 _IN_PLANE, _ACROSS = 0.95, 0.3  # limits of |cos phi_d| for cells in the plane, and across
-_STEEPEST = np.radians(75)  # of theta_d
-_FEWEST = 20  # angles with a lobe
+_STEEPEST = np.radians(75)  # largest theta_d, rad
+_FEWEST = 20  # smallest number of angles with a lobe
 _HWHM = np.sqrt(2 * np.log(2))  # half width at half maximum over the standard deviation of a Gaussian
 _SIGNIFICANCE, _WIDENING = 5.0, 1.15
 SPHERE_RADIUS = 256.0
-"""Radius of the sphere of the MERL rig, px, as the default."""
+"""Default radius of the sphere, px: that of the MERL rig."""
 
 
 class LobeWidths(NamedTuple):
     """Half widths of a lobe at half maximum, in theta_h.
 
-    There is one for every theta_d of the table; it is NaN where there is no lobe.
+    The arrays have one half width for every theta_d of the table, or NaN where there is no lobe.
 
     Attributes:
         in_plane: half widths in the plane of light and view, (theta_d,), rad.
@@ -54,7 +54,8 @@ def lobe_widths(table: xr.DataArray) -> LobeWidths:
     """Measure the lobe's half width at half maximum at every theta_d.
 
     The BRDF is averaged over the channels, and over the cells within 18 degrees of the plane of light and view, or
-    beyond 72 degrees from it. It is linear between the grid's angles. The maximum is the value at the first theta_h.
+    beyond 72 degrees from it. The average is interpolated linearly between the angles of the grid. The maximum is the
+    value at the first theta_h.
 
     Args:
         table: BRDF on the MERL grid, (90, 90, 180, channels), 1/sr, such as `read_merl` returns.
@@ -81,7 +82,7 @@ def lobe_widths(table: xr.DataArray) -> LobeWidths:
 
 
 def camera_trace(table: xr.DataArray) -> dict[str, Any]:
-    """Check whether lobes widen as through a camera.
+    """Check whether lobes are widened as by a camera.
 
     The squares of the widths in the plane of light and view are fitted by lobe^2 + (kernel / cos theta_d)^2. The camera
     is visible if the term of the kernel exceeds 5 standard deviations, and the widening is above 1.15. The cause is
@@ -92,8 +93,8 @@ def camera_trace(table: xr.DataArray) -> dict[str, Any]:
 
     Returns:
         Plain values, all None if too few angles show a lobe: `visible`; `kernel_rad` and `lobe_rad`, standard
-        deviations of Gaussians, rad; `significance` of the kernel's term; `widening` from normal view to 75 degrees, in
-        the plane over that across.
+        deviations of Gaussians, rad; `significance` of the kernel's term; `widening` in
+        the plane over that across, from normal view to 75 degrees.
 
     Source:
         docs/model.md 3.
@@ -150,13 +151,13 @@ def _half_widths(values: np.ndarray, theta_h: np.ndarray) -> np.ndarray:
 
 
 REPORTED_ANGLES = (0, 15, 30, 45, 60, 70, 75, 80)
-"""Degrees: theta_d at which lobe widths are reported, theta_o at which albedos are."""
+"""Angles of the report, degrees: theta_d of the lobe widths, and theta_o of the albedos."""
 
 
 def inspect_contents(contents: Contents, radius: float = SPHERE_RADIUS) -> dict[str, Any]:
     """Report on contents (see `read_contents`), as plain values (JSON).
 
-    radius: radius of the sphere that a table was recorded from, px.
+    radius: radius of the sphere from which a table was recorded, px.
 
     The report has `holds`, and sections for a table, samples, another result or an image. For fields of RGL it has
     their grid, and the sections of a table after resampling.
@@ -176,20 +177,19 @@ def inspect_table(table: xr.DataArray, radius: float = SPHERE_RADIUS) -> dict[st
 
     Args:
         table: BRDF on the MERL grid, 1/sr.
-        radius: radius of the sphere that it was recorded from, px. Default: 256, the MERL rig's.
+        radius: radius of the sphere from which the table was recorded, px. Default: 256, that of the MERL rig.
 
     Returns:
         Grid, missing shares, range, and:
 
         - `reciprocity_rms`: rms over cells of the relative difference between phi_d and pi - phi_d. Reciprocity and the
-        mirror
-          symmetry of an isotropic material make them equal.
-        - `albedo`: of light from theta_o, per channel; missing values are treated as 0 (see `albedo`).
+          mirror symmetry of an isotropic material make them equal.
+        - `albedo`: albedo for light from theta_o, per channel; missing values are treated as 0 (see `albedo`).
         - `lobe`: half width at half maximum in theta_h, degrees, in the plane of light and view and across it, mean
-          over channels; None without a lobe.
+          over channels; None where there is no lobe.
         - `camera`: see `camera_trace`.
-        - `cells`: `rule` by which cells were read from real pixels, "nearest", "bilinear" or "mean", None without
-          evidence; `phase_px` of the pixels, or one per slice, with `phase_std_px`, None if no grid on a sphere of
+        - `cells`: `rule` by which cells were read from real pixels, "nearest", "bilinear" or "mean", None if there
+          is no evidence; `phase_px` of the pixels, or one per slice, with `phase_std_px`, None if no grid on a sphere of
           `radius_px` fits; the share of neighbours near the highlight with equal values, `repeated_share`; and
           `distinct_values` there, mean over slices.
     """

@@ -4,7 +4,7 @@ OpenPBR (Academy Software Foundation, version 1.1) has GGX facets with height-co
 `specular_roughness` is the square root of alpha, the scale of facet slopes (Walter et al. 2007). Two surfaces are
 fitted, and the better one is written: a metal, whose `base_color` is F at normal incidence in Schlick's formula, and a
 dielectric, whose `base_color` is the albedo of a Lambertian base under a clear interface of `specular_ior`. A renderer
-reduces the base by the reflectance of the interface; the fit adds the two.
+reduces the base by the reflectance of the interface; the fit adds base and interface without this reduction.
 
 Such a surface cannot represent a table exactly: the residual is part of the report and of the file.
 """
@@ -44,7 +44,7 @@ class OpenPBRSurface(NamedTuple):
         metalness: 1 for a metal, 0 for a dielectric, no unit.
         base_color: F at normal incidence of a metal, albedo of a dielectric's base, linear RGB, no unit.
         specular_roughness: square root of alpha, no unit.
-        specular_ior: refractive index of a dielectric, no unit; of a metal it has no effect.
+        specular_ior: refractive index of a dielectric, no unit; it has no effect for a metal.
         material: the same surface as a material that can be evaluated.
 
     Example:
@@ -63,10 +63,11 @@ class OpenPBRSurface(NamedTuple):
 def fit_openpbr(material: Material) -> OpenPBRSurface:
     """Fit an OpenPBR surface to a material.
 
-    Least squares of the cube roots of BRDF times both cosines, which balances highlight and tail.
+    The fit minimises the squared differences of the cube roots of the BRDF times both cosines, which balances highlight and
+    tail.
 
     Args:
-        material: isotropic, one channel or three, such as `Tabulated(table)`.
+        material: isotropic material with one or three channels, such as `Tabulated(table)`.
 
     Raises:
         ArgumentError: the material is not a Material, or has another number of channels.
@@ -132,7 +133,7 @@ def write_openpbr(path: str | Path, surface: OpenPBRSurface, *, note: str = "", 
         force: replace an existing file. Default: False.
 
     Raises:
-        ArgumentError: `surface` or `note` is of another kind.
+        ArgumentError: `surface` or `note` is of another type.
         OutputError: the file cannot be written, or exists and `force` is False.
 
     Example:

@@ -1,6 +1,6 @@
 """Camera for a Mitsuba rendering: the effective kernel as a differentiable linear operation of Dr.Jit.
 
-Mitsuba renders radiance on a film with a box filter, several subpixels per pixel. The value of a pixel of the camera is
+Mitsuba renders radiance on a film with a box filter, with several subpixels per pixel. The value of a pixel of the camera is
 the sum of the subpixels times the integral of the kernel over each, which is exact for constant radiance within a
 subpixel. The operation is linear: its forward derivative is itself, and its backward derivative the transpose.
 """
@@ -17,19 +17,20 @@ from matcam.core import checks
 from matcam.core.errors import ArgumentError
 
 _ENCLOSED = 0.999
-"""Share of the kernel within its support radius; the remainder is spread over it."""
+"""Share of the kernel within its support radius. The weights within it are scaled to a sum of 1."""
 _FARTHEST = 32
-"""Largest support radius, px: a kernel of 65 px across."""
+"""Largest support radius, px: the kernel then has a width of 65 px."""
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(2)
 
 
 class MitsubaFilm:
-    """Record of a rendering by a camera.
+    """Film that converts a rendering to the record of a camera.
 
     Args:
         camera: lens and pixel; its effective kernel is applied.
         subpixels: number of subpixels of the rendering along each side of a pixel, no unit, 1 to 16. Default: 4.
-        reach: support radius of the kernel, px. Default: None, 99.9 % of the kernel, at most 32.
+        reach: support radius of the kernel, px. Default: None, the radius that contains 99.9 % of the line spread
+            function, at most 32 px.
 
     Raises:
         ArgumentError: the camera has no single kernel, or an argument is out of range.
@@ -53,11 +54,11 @@ class MitsubaFilm:
     def record(self, image: np.ndarray) -> np.ndarray:
         """Compute the record of a rendering by the camera.
 
-        The surroundings of the rendering are dark: render `reach` pixels more on every side, and crop.
+        The surroundings of the rendering are treated as dark: render `reach` additional pixels on every side, and crop.
 
         Args:
-            image: radiance of the subpixels, (rows, columns) or (rows, columns, channels), a multiple of `subpixels`
-                each.
+            image: radiance of the subpixels, (rows, columns) or (rows, columns, channels). Rows and columns are
+                multiples of `subpixels`.
 
         Returns:
             Radiance of the pixels.
@@ -92,7 +93,7 @@ class MitsubaFilm:
         return np.asarray(whole[margin : margin + rows, margin : margin + columns])
 
     def __call__(self, image: Any) -> Any:
-        """Record a rendering as a differentiable step of Dr.Jit.
+        """Compute the record as a differentiable operation of Dr.Jit.
 
         Args:
             image: tensor of the subpixels, as `mitsuba.render` returns it.
@@ -108,7 +109,7 @@ class MitsubaFilm:
         film, kind = self, type(image)
 
         class Recorded(dr.CustomOp):
-            """The operation and both of its derivatives."""
+            """Operation of Dr.Jit with its forward and backward derivatives."""
 
             def eval(self, image: Any) -> Any:
                 return kind(film.record(np.array(image)).astype(np.float32))

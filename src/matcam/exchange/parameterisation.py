@@ -1,16 +1,16 @@
-"""Any isotropic material in RGL's adaptive parameterisation (Dupuy & Jakob 2018), which renderers can sample.
+"""Isotropic materials in RGL's adaptive parameterisation (Dupuy & Jakob 2018), which renderers can sample.
 
-The format divides by functions such that the tabulated remainder is smooth:
+The format divides the BRDF by functions such that the tabulated remainder is smooth:
 
 - `ndf`: D(theta_h), the mean over difference angles of 4 BRDF cos_i cos_o, which includes D F G and all other parts.
-  Its nodes are even in sqrt(theta_h), with twice the density of a MERL table, so they include the points of the table
-  and its kinks.
-- `sigma`: the projected area of facets so distributed, by the closed integral over azimuth.
-- `vndf`: visible normals D max(0, i . m) / sigma, mixed with normals ~ sqrt(D) cos theta_m, which spread
-  logarithmically over the tail, and with uniform ones. With visible normals alone the tail would have a few per cent of
-  the square.
+  Its nodes are equally spaced in sqrt(theta_h), with twice the density of a MERL table, so they include the points of
+  the table and its kinks.
+- `sigma`: the projected area of facets with this distribution. The integral over azimuth has a closed form.
+- `vndf`: density of visible normals, D max(0, i . m) / sigma, mixed with a density proportional to sqrt(D) cos theta_m,
+  which samples the tail logarithmically, and with a uniform density. Visible normals alone would assign only a few per
+  cent of the square to the tail.
 - `rgb`: BRDF cos theta_o 4 sigma / D. For views below the horizon it is extrapolated linearly in cos theta_o, so that
-  cells at the horizon are correct above it. It is never negative, which renderers would reject.
+  interpolation is correct above the horizon. Negative values are set to 0, because renderers would reject them.
 - `luminance`: the remaining density, so that samples are distributed as BRDF cos theta_o.
 """
 
@@ -34,10 +34,10 @@ _HALF_PI = np.pi / 2
 
 
 def _light_angles(below: int, beyond: int) -> np.ndarray:
-    """Choose angles up to 82 degrees, and some beyond it up to 89, spaced as cos theta.
+    """Choose angles of the light, rad, with a spacing proportional to cos theta.
 
-    `sigma` leaves a factor 1 / cos theta for broad lobes; its interpolation error between the angles is h^2 (1 + 2
-    tan^2 theta) / 8.
+    below: number of angles up to 82 degrees. beyond: number of angles from there to 89 degrees. `sigma` leaves a factor
+    1 / cos theta for broad lobes; its interpolation error for a spacing h is h^2 (1 + 2 tan^2 theta) / 8.
     """
     log_tan = lambda degrees: np.log(np.tan(np.pi / 4 + np.radians(degrees) / 2))  # noqa: E731  the integral of 1 / cos
     effort = np.concatenate([np.linspace(0, log_tan(82), below), np.linspace(log_tan(82), log_tan(89), beyond + 1)[1:]])
@@ -48,10 +48,10 @@ class GridSize(NamedTuple):
     """Numbers of nodes of an RGL file.
 
     Attributes:
-        angles: angles of the light up to 82 degrees and beyond.
-        square: nodes of the tabulated square along each side.
-        azimuths: azimuths at which visible normals are tabulated.
-        normals: angles at which visible normals are tabulated; 0: the number of nodes of D.
+        angles: number of angles of the light up to 82 degrees, and number beyond.
+        square: number of nodes of the tabulated square along each side.
+        azimuths: number of azimuths at which visible normals are tabulated.
+        normals: number of angles at which visible normals are tabulated; 0: the number of nodes of D.
     """
 
     angles: tuple[int, int]
@@ -73,38 +73,38 @@ GRID_SIZES = (
     GridSize((28, 8), 96, 33, 181),
     _FINEST,
 )
-"""Grids among which a file of a given error is chosen. Angles of the light that the peak requires are added to each.
-The first two take 0.2 to 1 MB, the first five 2 MB at most, the last one 36 to 70 MB.
+"""Grids from which the first one that satisfies a given error is chosen. Angles of the light that the peak requires are
+added to each. A file of the first two grids takes 0.2 to 1 MB, of the first five at most 2 MB, of the last 36 to 70 MB.
 """
 _PEAK_TO, _PEAK_STEP = 45.5, 0.5
-"""Largest angle of the light up to which the peak is resolved, degrees, and the spacing of the candidates. These are
-the centres and the edges of the cells of a MERL table, between which the table is linear.
+"""Largest angle of the light up to which the peak is resolved, and the spacing of the candidate angles, degrees. The
+candidates are the centres and the edges of the cells of a MERL table, between which the table is linear.
 """
 _SAME = np.radians(0.75)
 """Distance of two angles of the light below which one of them suffices, rad: less than a cell of a MERL table."""
 _THETA_NODES = 181
 _VISIBLE_SHARE, _LOGARITHMIC_SHARE, _EVEN_SHARE = 0.4, 0.3, 0.3
-_FAINTEST = 1e-9  # share of the peak of D: the smallest divisor
+_FAINTEST = 1e-9  # smallest divisor, as a share of the peak of D
 
 
 def adaptive_grid(material: Material, *, description: str = "", square: int = SQUARE) -> xr.Dataset:
     """Resample an isotropic material to the fields of an RGL file.
 
-    The format has no missing values. Missing ones are interpolated along theta_h, and extrapolated at the ends.
+    The format does not support missing values. They are interpolated along theta_h, and extrapolated at the ends.
     `convert` reports the difference of the result from the material.
 
     Args:
         material: isotropic material with one or three channels, such as `Tabulated(table)`.
         description: text for the file. Default: "", which means "made by matcam".
         square: nodes of the tabulated square along each side, an even number from 8 to 512. Default: 192, a file of 36
-            MB; fewer give a smaller and coarser one.
+            MB; fewer nodes give a smaller and coarser file.
 
     Returns:
-        Dataset of the fields, as `read_rgl` returns and `write_rgl` and `Adaptive` take them. Attribute `missing_share`
-        is the share of missing values among all above the horizon.
+        Dataset of the fields, as returned by `read_rgl` and accepted by `write_rgl` and `Adaptive`. Attribute
+        `missing_share` is the share of missing values among all values above the horizon.
 
     Raises:
-        ArgumentError: the material is anisotropic, has another count of channels, or is black.
+        ArgumentError: the material is anisotropic, has another number of channels, or is black.
 
     Source:
         Dupuy and Jakob (2018), *An Adaptive Parameterization for Efficient Material Acquisition and Rendering*.
@@ -151,8 +151,8 @@ def resampled_grid(
     outgoing, cos_o, missing = _outgoing(material, theta_m, phi_m, light_angles)
     d = np.interp(position_u, u, facets)
     values = np.maximum(_fill_gaps(outgoing * (4 * seen_area[:, None, None] / d)[..., None], cos_o), 0)
-    # density of samples: BRDF cos_o and the solid angle of views, 4 i . m that of half vectors, over the density of the
-    # warp
+    # density of samples: BRDF cos_o times the solid angle of views, which is 4 i . m times that of half vectors, over the
+    # density of the warp
     light = light_angles[:, None, None]
     cos = np.cos(light) * np.cos(theta_m) + np.sin(light) * np.sin(theta_m) * np.cos(phi_m)
     solid = d * np.maximum(cos, 0) * _jacobian(position_u)
@@ -177,7 +177,7 @@ def resampled_grid(
 def peak_angles(material: Material, error: float) -> np.ndarray:
     """Choose angles of the light between which the peak is linear, rad.
 
-    The interval with the largest deviation is divided until none exceeds the error (Douglas and Peucker 1973).
+    Intervals are divided at their largest deviation until the error is satisfied (Douglas and Peucker 1973).
 
     Args:
         material: isotropic material.
@@ -208,17 +208,18 @@ def peak_angles(material: Material, error: float) -> np.ndarray:
 def _nodes(material: Material) -> int:
     """Choose the number of nodes in theta_h.
 
-    It is a multiple of the steps of a MERL table, with at least ten nodes in the width of the lobe.
+    The number of intervals is a multiple of that of a MERL table, with ten or more nodes in the width of the lobe where
+    the largest multiple permits it.
     """
     finest = np.sqrt(float(material.finest) / _HALF_PI)
     return (_THETA_NODES - 1) * int(np.clip(np.ceil(10 / finest / (_THETA_NODES - 1)), 1, 8)) + 1
 
 
 def _facets(material: Material, u: np.ndarray) -> np.ndarray:
-    """Return D at the nodes, (n,).
+    """Compute D at the nodes, 1/sr, (n,).
 
-    The integral of D cos over the hemisphere is 1. Difference angles extend to the horizon: a camera widens a lobe there,
-    and the values are divided by D.
+    The integral of D cos over the hemisphere is 1. Difference angles extend to the horizon, because a camera widens a
+    lobe there, and the values are divided by D.
     """
     theta_h = (u**2 * _HALF_PI)[:, None, None]
     theta_d = np.radians(np.arange(2.5, 90, 5))[:, None]
@@ -246,9 +247,9 @@ def _between(u: np.ndarray) -> np.ndarray:
 
 
 def _projected_area(u: np.ndarray, facets: np.ndarray, theta_o: np.ndarray) -> np.ndarray:
-    """Integrate D max(0, m . o) over the hemisphere of m.
+    """Compute the projected area of the facets: integral of D max(0, m . o) over the hemisphere of m.
 
-    Over azimuth, max(0, a + b cos phi) has a closed form.
+    The integral of max(0, a + b cos phi) over azimuth has a closed form.
     """
     fine = _between(u)
     theta = fine**2 * _HALF_PI
@@ -286,8 +287,8 @@ def _outgoing(
 ) -> tuple[np.ndarray, np.ndarray, float]:
     """Compute BRDF cos_o, cos_o, and the missing share above the horizon.
 
-    The light is at `light_angles`, and half vectors have shape (T, rows, columns). Channels are last. BRDF cos_o is NaN
-    below the horizon and for missing values.
+    The light is at `light_angles`, and half vectors have shape (T, rows, columns). Channels are on the last axis. BRDF
+    cos_o is NaN below the horizon and for missing values.
     """
     light = np.broadcast_to(light_angles[:, None, None], theta_m.shape)
     i = np.sin(light), np.zeros(light.shape), np.cos(light)
@@ -298,7 +299,7 @@ def _outgoing(
     reflected = reflected if reflected.ndim == 4 else reflected[..., None]
     if reflected.shape[-1] not in (1, len(CHANNELS)):
         raise ArgumentError(
-            f"an RGL file can have {len(CHANNELS)} channels, but this material has {reflected.shape[-1]}"
+            f"an RGL file requires 1 or {len(CHANNELS)} channels, but this material has {reflected.shape[-1]}"
         )
     above = (o[2] > 0) & (twice > 0)
     outgoing = np.broadcast_to(reflected / np.cos(light)[..., None], (*light.shape, len(CHANNELS)))
@@ -307,10 +308,10 @@ def _outgoing(
 
 
 def _fill_gaps(values: np.ndarray, cos_o: np.ndarray) -> np.ndarray:
-    """Fill the gaps of every row.
+    """Fill the missing values of every row.
 
-    Inside the interpolation is linear along the row. Beyond the last value it is linear in cos_o, and constant below
-    -0.2.
+    Gaps between values are interpolated linearly along the row. Beyond the last value, the extrapolation is linear in
+    cos_o, and constant for cos_o below -0.2.
     """
     columns = np.arange(values.shape[2])
     result = np.empty_like(values)

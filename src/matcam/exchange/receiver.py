@@ -1,16 +1,16 @@
 """Solid angles of a rig in the terms of goniophotometers.
 
-For a camera and a sphere the solid angle of the receiver is an equivalence. The kernel k of lens and pixel averages
-over A = 1 / integral of k^2 (px^2), which is the area of the pixel for an ideal lens. On a sphere of radius r px that
-is A / (r^2 cos theta_o) of NORMALS. The sample of a goniophotometer is fixed, and it averages over directions of VIEW.
-Views with the same motion of the half vector fill
+A camera and a sphere have an equivalent solid angle of the receiver. The kernel k of lens and pixel averages over the
+area A = 1 / integral of k^2 (px^2), which is the area of the pixel for an ideal lens. On a sphere of radius r px this
+area covers normals in a solid angle of A / (r^2 cos theta_o). A goniophotometer has a fixed sample, and averages over
+directions of view. The views that move the half vector by the same amount fill the solid angle
 
     d omega_o = 4 cos theta_d d omega_h,
 
-which at the peak, where theta_o = theta_d, is 4 A / r^2 at every angle. For a near camera the line of sight turns as
-well, and the value holds for normal view. The normals of a distant cylinder turn in one plane only, and fill no solid
-angle. The pupil of the lens, seen from the sample, is a second cone, and the source disc a third. All three widen a
-highlight.
+which is 4 A / r^2 at the peak, where theta_o = theta_d, for every angle. For a near camera the line of sight rotates as
+well, and the value applies to normal view. The normals of a cylinder lie in one plane and do not fill a solid angle if
+the camera is distant. The pupil of the lens, seen from the sample, is a second cone of directions, and the source disc
+a third. All three widen a highlight.
 """
 
 from __future__ import annotations
@@ -24,20 +24,20 @@ from matcam.core.errors import ArgumentError
 from matcam.core.jax import jnp
 from matcam.rigs import Rig
 
-_REACH, _RINGS, _DIRECTIONS = 12.0, 6001, 64  # cycles/px; around: the box's transform has corners of its own
+_REACH, _RINGS, _DIRECTIONS = 12.0, 6001, 64  # largest frequency, cycles/px; numbers of frequencies, directions
 
 
 def solid_angles(rig: Rig) -> dict[str, float | None]:
     """Compute the solid angles of a rig's receiver, pupil and lamp.
 
-    The receiver's is the equivalent one of a goniophotometer: its views and the kernel of lens and pixel move the half
-    vector at the peak by the same amount.
+    The solid angle of the receiver is that of an equivalent goniophotometer: its views move the half vector at the peak by
+    the same amount as the kernel of lens and pixel does.
 
     Args:
         rig: camera, sample and lamp.
 
     Returns:
-        `equivalent_receiver_sr`, sr, None if the half vector does not turn in every direction: for a flat sample, and
+        `equivalent_receiver_sr`, sr, None if the half vector does not rotate in every direction: for a flat sample, and
         for a cylinder with a distant camera. `pupil_sr`, sr: the lens as seen from the sample, pi aperture^2 / 4.
         `lamp_sr`, sr: the source disc. `kernel_area_px2`, px^2: the kernel's noise-equivalent area.
 
@@ -68,11 +68,12 @@ def solid_angles(rig: Rig) -> dict[str, float | None]:
 def metadata(rig: Rig, **about: str) -> dict[str, Any]:
     """Describe the measurement of a table as a JSON document.
 
-    It is metadata for a table in any format: geometry with the solid angle of the receiver, instrument, quantity.
+    The document has metadata for a table in any format: geometry with the solid angle of the receiver, instrument and
+    quantity.
 
     Args:
         rig: camera, sample and lamp.
-        **about: strings such as sample, operator or date.
+        **about: strings by name, such as sample, operator or date.
 
     Returns:
         The document, as plain values.
@@ -92,7 +93,7 @@ def metadata(rig: Rig, **about: str) -> dict[str, Any]:
     if wrong:
         raise ArgumentError(f"{wrong[0]} must be text, got {about[wrong[0]]!r:.60}")
     solid = solid_angles(rig)
-    note = "4 A / r^2 before a far camera: views that move the half vector as much as the kernel does, at the peak"
+    note = "4 A / r^2 for a distant camera: views that move the half vector at the peak as much as the kernel does"
     return {
         "format": "matcam measurement metadata",
         "version": 1,
@@ -109,15 +110,16 @@ def metadata(rig: Rig, **about: str) -> dict[str, Any]:
 def effective_area(camera: Camera) -> float:
     """Compute the noise-equivalent area of the camera's kernel, px^2.
 
-    It is 1 / integral of k^2, by Parseval 1 / integral of the squared MTF over all frequencies. It is 1 for a pixel of
-    full fill without a lens, and 4 pi sigma^2 for a Gaussian of standard deviation sigma.
+    The area is 1 / integral of k^2 or, by Parseval's theorem, 1 / integral of the squared MTF over all frequencies. The
+    area is 1 px^2 for a pixel of full fill factor without a lens, and 4 pi sigma^2 for a Gaussian of standard deviation
+    sigma.
     """
     frequency = np.linspace(0, _REACH, _RINGS)
     angles = (np.arange(_DIRECTIONS) + 0.5) / _DIRECTIONS * np.pi / 4  # a square has eight such wedges
     squared = np.stack([np.asarray(camera.mtf(frequency, angle)) ** 2 for angle in angles])
     ring = 2 * np.pi * frequency * squared.mean(axis=0)
-    # the squared transform of a bare pixel falls as 1 / f^3 times f around the rings: the remainder equals the last
-    # octave
+    # integrated over a ring, the squared transform of a bare pixel decreases as 1 / f^2: the integral beyond the last
+    # frequency equals that over the last octave
     half = frequency >= _REACH / 2
     beyond = np.trapezoid(ring[half], frequency[half])
     return float(1 / (np.trapezoid(ring, frequency) + beyond))

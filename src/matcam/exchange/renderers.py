@@ -1,11 +1,11 @@
 """Materials for renderers: microfacet materials for Mitsuba 3 and pbrt-v4, and a sphere rendered by Mitsuba.
 
-Conventions of "roughness" differ. Here it is alpha, the scale of facet SLOPES, as in Walter et al. 2007.
+Conventions of "roughness" differ. In this package, roughness is alpha, the scale of facet slopes (Walter et al. 2007).
 
-- Mitsuba's `alpha` is that value. pbrt's `roughness` is that value only with `remaproughness false`; by default pbrt
-  uses alpha = sqrt(roughness). Disney's roughness would be sqrt(alpha).
-- Mitsuba masks separably, G1 G1, as `masking="smith-separable"`. pbrt masks with height correlation, as "smith".
-- Materials without a counterpart in the renderer raise ArgumentError; `adaptive_grid` converts any material to a file.
+- Mitsuba's `alpha` is the same value. pbrt's `roughness` is the same value only with `remaproughness false`; by default pbrt
+  uses alpha = sqrt(roughness). Disney's roughness is sqrt(alpha).
+- Mitsuba uses separable masking, G1 G1, as `masking="smith-separable"`, pbrt height-correlated masking, as "smith".
+- Materials without a counterpart in the renderer raise ArgumentError; `adaptive_grid` converts any isotropic material.
 """
 
 from __future__ import annotations
@@ -35,13 +35,13 @@ _ELSE = "convert it to a .bsdf file instead"
 def mitsuba_material(material: Microfacet) -> dict[str, Any]:
     """Convert a microfacet material to a dict for `mitsuba.load_dict`.
 
-    It is for RGB variants. The export is exact for `masking="smith-separable"`, except for Mitsuba's rational
-    approximation of Beckmann's masking (0.35 %). Any other masking is replaced by it. A `blendbsdf` adds the diffuse
-    part; its shares are divided out again.
+    The dict is for RGB variants of Mitsuba. The conversion is exact for `masking="smith-separable"`, except for the
+    rational approximation of Beckmann's masking in Mitsuba (0.35 %). Any other masking is replaced by separable masking.
+    A `blendbsdf` adds the diffuse part; the reflectances compensate its weights.
 
     Args:
         material: GGX or Beckmann facets, isotropic or not, of a metal (`Conductor`) or a constant reflectance, with a
-            diffuse part below 1; a fit's `.material` is one.
+            diffuse part below 1, such as the `.material` of a fit.
 
     Returns:
         The dict.
@@ -77,7 +77,7 @@ def mitsuba_material(material: Microfacet) -> dict[str, Any]:
         scaled = _rgb(material.fresnel.value) / (1 - share)
         grey = bool(np.all(scaled == scaled[0]))
         if not grey and scaled.max() > 1:
-            raise ArgumentError(f"a coloured reflectance and a diffuse albedo above 1 together: {_ELSE}")
+            raise ArgumentError(f"a coloured reflectance and a diffuse albedo must not exceed 1 together: {_ELSE}")
         facets |= {"material": "none", "specular_reflectance": float(scaled[0]) if grey else _colour(scaled)}
     else:
         raise ArgumentError(f"Mitsuba's rough conductor has no {type(material.fresnel).__name__} term: {_ELSE}")
@@ -100,8 +100,8 @@ def pbrt_material(material: Microfacet, name: str | None = None) -> str:
         The text.
 
     Raises:
-        ArgumentError: pbrt's conductor does not support the material, or the name contains quotes, backslashes or line
-            breaks.
+        ArgumentError: pbrt's conductor does not support the material, or the name is empty or contains quotes,
+            backslashes or line breaks.
 
     Source:
         Walter et al. (2007): alpha. pbrt-v4, material `conductor`.
@@ -113,11 +113,11 @@ def pbrt_material(material: Microfacet, name: str | None = None) -> str:
     """
     _check(material)
     if not isinstance(material.ndf, GGX | AnisotropicGGX):
-        raise ArgumentError(f"pbrt takes GGX facets, not {material.ndf!r}")
+        raise ArgumentError(f"pbrt supports only GGX facets, not {material.ndf!r}: give GGX facets")
     if not isinstance(material.fresnel, Conductor) or np.any(np.asarray(material.diffuse) > 0):
         raise ArgumentError("pbrt's conductor can only be a metal without a diffuse part")
     if name is not None and (not name or any(c in name for c in '"\\\n')):
-        raise ArgumentError(f"name must not contain quotes, backslashes or line breaks, got {name!r}")
+        raise ArgumentError(f"name must not be empty or contain quotes, backslashes or line breaks, got {name!r}")
     along, across = _alphas(material)
     order = np.argsort(CHANNEL_WAVELENGTHS)
 
@@ -150,7 +150,7 @@ def _alphas(material: Microfacet) -> tuple[float, float]:
 def _rgb(values: Any) -> np.ndarray:
     array = np.asarray(values, dtype=np.float64)
     if array.ndim and array.size not in (1, len(CHANNELS)):
-        raise ArgumentError(f"renderers take {len(CHANNELS)} channels, but this material has {array.size}")
+        raise ArgumentError(f"renderers require {len(CHANNELS)} channels, but this material has {array.size}")
     return np.broadcast_to(array, len(CHANNELS)).copy()
 
 
@@ -172,11 +172,11 @@ def rendered_sphere(
 ) -> np.ndarray:
     """Render a sphere of a material by Mitsuba 3 (extra `matcam[render]`).
 
-    The sphere fills the image. The camera is distant. Its film has a box filter of one pixel in float32, because the
-    default filter of Mitsuba blurs by half a pixel. Materials are converted by `adaptive_grid`.
+    The sphere fills the image. The camera is distant. The film stores float32 and has a box filter of one pixel, because
+    the default filter of Mitsuba blurs by half a pixel. Materials are converted by `adaptive_grid`.
 
-    A distant lamp of irradiance pi is towards +x and a third of that upwards, with a uniform sky of radiance 0.2. A
-    white diffuse sphere has radiance 1 + 0.2 where it faces the lamp.
+    A distant lamp of irradiance pi is displaced towards +x, and by a third of that upwards. The sky has a uniform
+    radiance of 0.2. A white diffuse sphere has radiance 1 + 0.2 where it faces the lamp.
 
     Args:
         material: any isotropic material with one or three channels.
@@ -210,7 +210,7 @@ def rendered_sphere(
     mitsuba = _mitsuba()
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "material.bsdf"
-        with one_by_one():  # no file name of the output, which it gets only at the end
+        with one_by_one():  # written at once, because Mitsuba reads it
             write_rgl(path, adaptive_grid(material))
         scene = mitsuba.load_dict(_scene(mitsuba, path, lamp_angle, environment, size, samples))
         picture = np.asarray(mitsuba.render(scene), dtype=np.float32)

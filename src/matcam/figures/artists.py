@@ -34,7 +34,10 @@ _SHOWN = np.pi / 4
 
 
 def draw_camera(axes: Axes, camera: Camera) -> None:
-    """Draw the MTF of a camera along its rows and diagonal, and the MTF of its lens."""
+    """Draw the MTFs of a camera and of its lens.
+
+    The MTF of the camera is drawn along the rows and the diagonal.
+    """
     from matcam.camera.optics.varying import VaryingOptics
 
     if isinstance(camera.optics, VaryingOptics):
@@ -54,7 +57,10 @@ def draw_camera(axes: Axes, camera: Camera) -> None:
 
 
 def draw_fit(axes: Axes, fit: MaterialFit, channel: int | None = None) -> None:
-    """Draw F of every slice of a fit with its standard deviation. channel: its index; None: all."""
+    """Draw F of every slice of a fit with its standard deviation.
+
+    channel: index of the channel; None: all channels.
+    """
     curves = fit.curves
     theta = np.degrees(curves["theta_d"].values)
     names = [str(name) for name in curves["channel"].values]
@@ -70,15 +76,18 @@ def draw_fit(axes: Axes, fit: MaterialFit, channel: int | None = None) -> None:
 
 
 def draw_correction(axes: Axes, done: Correction, theta_d: float = _SHOWN, channel: int | None = None) -> None:
-    """Draw a lobe as recorded and as corrected, over theta_h at phi_d = 90 degrees.
+    """Draw the recorded and the corrected lobe over theta_h.
 
-    theta_d: rad. channel: its index; None: the middle one.
+    The azimuth phi_d is 90 degrees. theta_d: angle of the lobe, rad. channel: index of the channel; None: the middle one.
     """
     _draw_lobe(axes, done.table, theta_d, channel, done.recorded)
 
 
 def draw_corrected_table(axes: Axes, table: xr.Dataset, theta_d: float = _SHOWN, channel: int | None = None) -> None:
-    """Draw a lobe of a result of `correct`, as recorded and as corrected; the record is recovered from the result."""
+    """Draw the recorded and the corrected lobe of a result of `correct`.
+
+    The recorded lobe is recovered from the result. Parameters as in `draw_correction`.
+    """
     from matcam.inverse.correction.corrected_table import recorded_table
 
     _draw_lobe(axes, table, theta_d, channel, recorded_table(table))
@@ -97,7 +106,10 @@ def _draw_lobe(axes: Axes, table: xr.Dataset, theta_d: float, channel: int | Non
 
 
 def draw_fresnel_term(axes: Axes, result: xr.Dataset, metal: str | None = None, channel: int | None = None) -> None:
-    """Draw raw and corrected F. metal: name of a metal to compare with. channel: index; None: the middle one."""
+    """Draw raw and corrected F.
+
+    metal: name of a metal to compare with; None: no metal. channel: index of the channel; None: the middle one.
+    """
     from matcam.inverse.fresnel_tables import tabulated_fresnel
 
     names = [str(name) for name in result["channel"].values]
@@ -109,7 +121,7 @@ def draw_fresnel_term(axes: Axes, result: xr.Dataset, metal: str | None = None, 
 
 
 def draw_bounds(axes: Axes, data: xr.Dataset) -> None:
-    """Draw the bounds of ln roughness over roughness, for each assumed knowledge of the lens."""
+    """Draw the bounds of ln roughness for each assumption about the lens."""
     for name, label, colour in (
         ("width_std", "lens exact", BLUE),
         ("width_std_stated", "lens as specified by its profile", GREY),
@@ -124,14 +136,17 @@ def draw_bounds(axes: Axes, data: xr.Dataset) -> None:
 
 
 def draw_reconstruction(axes: Axes, result: Reconstruction) -> None:
-    """Draw F of every photograph with its error, and the curve through them, for each channel."""
+    """Draw F of every photograph and the fitted curve, by channel."""
     from matcam.figures.reconstruction_page import draw_reflectance
 
     draw_reflectance(axes, result)
 
 
 def draw_flat_reconstruction(axes: Axes, result: FlatReconstruction, map: str = "diffuse") -> None:  # noqa: A002
-    """Draw one of the maps of a flat sample. map: "diffuse" or "specular"."""
+    """Draw one of the maps of a flat sample.
+
+    map: "diffuse" or "specular".
+    """
     shown = result.maps[checks.choice("map", map, ("diffuse", "specular"))]
     x, y = shown["x"].values, shown["y"].values
     drawn = axes.imshow(

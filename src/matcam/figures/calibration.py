@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from matcam.camera.camera import Camera
 
 _MARKS = {"R": "s", "G": "o", "B": "^", "Y": "o", "grey": "o"}
-_LARGEST = 900  # px of the image as it is drawn
+_LARGEST = 900  # largest side of the drawn image, px
 
 
 def edge_figure(result: EdgeMTF, image: np.ndarray, roi: Sequence[int] | None, name: str) -> Figure:
@@ -28,7 +28,7 @@ def edge_figure(result: EdgeMTF, image: np.ndarray, roi: Sequence[int] | None, n
 
     Args:
         result: the result.
-        image: image in which it was measured, in any codes.
+        image: image in which the edge was measured, in any codes.
         roi: region (x, y, width, height), px; None: the whole image.
         name: title.
     """
@@ -52,7 +52,7 @@ def edge_figure(result: EdgeMTF, image: np.ndarray, roi: Sequence[int] | None, n
 
 
 def _reach(result: EdgeMTF) -> float:
-    """Compute the distance beyond which the edge response is at its levels, px."""
+    """Compute the distance beyond which the edge response is constant, px."""
     distance = np.linspace(0.5, 30, 60)
     line = result.lsf(distance).value
     return float(np.clip(2.2 * distance[line > 0.01 * line[0]].max(initial=2.0), 4, 30))
@@ -87,7 +87,7 @@ def _draw_esf(axes: Axes, result: EdgeMTF, reach: float) -> None:
     distance = np.linspace(-reach, reach, 400)
     found = result.esf(distance)
     axes.plot(samples.distance[near], samples.value[near], ".", ms=2.5, color=GREY, label="pixels")
-    axes.plot(distance, found.value, color=BLUE, label="free")
+    axes.plot(distance, found.value, color=BLUE, label="model-free")
     axes.fill_between(distance, found.value - found.std, found.value + found.std, color=BLUE, alpha=0.25, lw=0)
     axes.set(xlabel="distance [px]", ylabel="edge response [-]", xlim=(-reach, reach))
     axes.legend(loc="upper left", fontsize=8.5)
@@ -117,11 +117,11 @@ def draw_edge_mtf(axes: Axes, result: EdgeMTF) -> None:
         lw=1.2,
         label=label if fit.consistent else f"{label} (wrong model)",
     )
-    axes.plot(f, result.mtf, color=BLUE, label=f"free: {result.mtf50:.4f} ± {result.mtf50_std:.4f}")
+    axes.plot(f, result.mtf, color=BLUE, label=f"model-free: {result.mtf50:.4f} ± {result.mtf50_std:.4f}")
     axes.fill_between(f, result.mtf - result.mtf_std, result.mtf + result.mtf_std, color=BLUE, alpha=0.25, lw=0)
     axes.errorbar(result.mtf50, 0.5, xerr=result.mtf50_std, fmt="o", color=BLUE, ms=4, capsize=2)
     if result.glare_found:
-        label = f"free, without {result.glare_fraction:.1%} of glare: {result.core_mtf50:.4f}"
+        label = f"model-free, without {result.glare_fraction:.1%} of glare: {result.core_mtf50:.4f}"
         axes.plot(f, result.core_mtf, color=BLUE, lw=1, ls=":", label=label)
     axes.set(xlim=(0, 1), ylim=(-0.03, max(1.05, 1.05 * float(np.max(result.mtf)))))
     axes.set(xlabel="frequency along the normal [cycles/px]", ylabel="MTF of lens and pixel [-]")
@@ -135,7 +135,7 @@ def _draw_edge_residuals(axes: Axes, result: EdgeMTF) -> None:
     samples = result.samples
     free = result.esf(samples.distance).value
     for expected, colour, mark, label in (
-        (samples.parametric, VERMILION, "x", f"{result.parametric.model} lens"), (free, BLUE, ".", "free"),
+        (samples.parametric, VERMILION, "x", f"{result.parametric.model} lens"), (free, BLUE, ".", "model-free"),
     ):  # fmt: skip
         axes.plot(
             samples.distance, (samples.value - expected) / samples.std, mark, ms=3, mew=0.7, color=colour, label=label
@@ -147,11 +147,13 @@ def _draw_edge_residuals(axes: Axes, result: EdgeMTF) -> None:
 
 
 def calibration_figure(found: Calibration, picture: np.ndarray | None, lines: Sequence[str]) -> Figure:
-    """Draw a result of `calibrate`: edges in the image, MTFs, residuals, blur over the field, lateral colour.
+    """Draw a result of `calibrate`.
+
+    The panels show the edges in the image, MTFs, residuals, blur over the field, and lateral colour.
 
     Args:
         found: the result.
-        picture: the first image, in any codes; None if there is none.
+        picture: the first image, in any codes; None: not drawn.
         lines: lines of the verdict, printed below.
     """
     channel = found.channels[found.channel]
@@ -211,12 +213,12 @@ def _draw_picture(axes: Axes, fit: CameraFit, picture: np.ndarray | None, channe
 
 
 def draw_calibration(axes: Axes, found: Calibration) -> None:
-    """Draw the mean MTF of the edges and that of the camera, by channel."""
+    """Draw the mean MTFs of edges and camera, by channel."""
     _draw_mtf(axes, found.channels)
 
 
 def draw_camera_fit(axes: Axes, fit: CameraFit) -> None:
-    """Draw the mean MTF of the edges and that of the camera."""
+    """Draw the mean MTFs of edges and camera."""
     _draw_mtf(axes, {"grey": fit})
 
 
@@ -234,7 +236,7 @@ def _draw_mtf(axes: Axes, channels: Mapping[str, CameraFit]) -> None:
                 alpha=0.25,
                 lw=0,
             )
-            axes.plot(fit.curve.frequency, fit.curve.mtf, color=colour, lw=1.3, label=f"{name}: edges, free of a model")
+            axes.plot(fit.curve.frequency, fit.curve.mtf, color=colour, lw=1.3, label=f"{name}: edges, model-free")
         axes.plot(fit.curve.frequency, fit.curve.camera_mtf, color=colour, lw=1.1, ls="--", label=f"{name}: camera")
     axes.set(xlim=(0, 1), ylim=(-0.03, 1.05), xlabel="frequency [cycles/px]", ylabel="MTF of lens and pixel [-]")
     axes.legend(loc="upper right", fontsize=8.5, frameon=True, framealpha=1, edgecolor="none")
@@ -254,7 +256,7 @@ def _draw_residuals(axes: Axes, found: Calibration) -> None:
             alpha=0.2,
             lw=0,
         )
-    axes.set(xlim=(0, 0.75), xlabel="frequency [cycles/px]", ylabel="edges less camera [-]")
+    axes.set(xlim=(0, 0.75), xlabel="frequency [cycles/px]", ylabel="edges - camera [-]")
     if len(found.channels) > 1:
         legend_above(axes, 3)
     axes.set_title("Residuals of the camera", loc="left")
@@ -276,7 +278,7 @@ def _draw_field(axes: Axes, found: Calibration, picture: np.ndarray | None) -> N
                 radius[which], edges.sigma[which], edges.sigma_std[which], fmt=_MARKS[name], ms=3.5, lw=0.7,
                 color=COLOURS[name], mfc=fill, label=f"{name}, {plane}",
             )  # fmt: skip
-    axes.set(xlabel="distance from the image's middle [px]", ylabel="blur as Gaussian sigma [px]")
+    axes.set(xlabel="distance from the centre of the image [px]", ylabel="blur as Gaussian sigma [px]")
     legend_above(axes, 2)
     axes.set_title("Blur over the field", loc="left")
 
@@ -288,7 +290,7 @@ _LOOKS = {
 
 
 def targets_figure(samples: Sequence[MTFSamples], camera: Camera | None = None, title: str = "") -> Figure:
-    """Draw the MTF of lens and pixel from each kind of target, with error bars.
+    """Draw the MTF of lens and pixel from each kind of target.
 
     Args:
         samples: samples of all targets.
@@ -326,6 +328,6 @@ def targets_figure(samples: Sequence[MTFSamples], camera: Camera | None = None, 
         if left is not None:
             left.axhline(0, color=BLACK, lw=0.6)
             left.axhspan(-1, 1, color=GREY, alpha=0.2, lw=0)
-            left.set(xlabel="frequency [cycles/px]", ylabel="target less camera / standard deviation [-]")
+            left.set(xlabel="frequency [cycles/px]", ylabel="(target - camera) / standard deviation [-]")
             left.set_title("Differences", loc="left")
     return figure

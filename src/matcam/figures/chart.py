@@ -16,7 +16,7 @@ from matcam.figures.style import styled
 from matcam.files import tone_curve as srgb
 
 _STEPS = 24  # polygons per cycle of a sine
-_AROUND = 64  # corners of a circle
+_AROUND = 64  # corners of the polygon of a circle
 _INCH = 25.4
 _MOST = 2e8  # pixels of a raster
 
@@ -26,7 +26,7 @@ class Polygon(NamedTuple):
 
     Attributes:
         points: corners, mm (n, 2).
-        level: light relative to the paper's, in [0, 1] (no unit).
+        level: luminance relative to that of the paper, in [0, 1] (no unit).
     """
 
     points: np.ndarray
@@ -34,7 +34,10 @@ class Polygon(NamedTuple):
 
 
 def chart_figure(chart: Chart) -> Figure:
-    """Draw the page of a chart in true size, with a ruler of 50 mm. Vector formats are preferable for printing."""
+    """Draw the page of a chart in true size, with a ruler.
+
+    Vector formats are preferable for printing.
+    """
     polygons = [polygon for fiducial in chart.fiducials for polygon in _fiducial(fiducial, chart.ink)]
     polygons += [polygon for element in chart.elements for polygon in element_polygons(element)]
     width, height = chart.page
@@ -52,7 +55,7 @@ def chart_figure(chart: Chart) -> Figure:
             ),
             autolim=False,
         )
-        # the ends of the ruler and the words are between the marks of the lower border
+        # ruler and text are between the fiducials of the lower border
         y, x = height - 0.045 * min(width, height), 0.14 * width
         axes.plot([x, x, x, x + 50, x + 50, x + 50], [y - 1, y + 1, y, y, y - 1, y + 1], color="black", lw=0.5)
         axes.text(x + 52, y, "50 mm", va="center", fontsize=6.5)
@@ -61,12 +64,16 @@ def chart_figure(chart: Chart) -> Figure:
 
 
 def check_raster(chart: Chart, dpi: float) -> None:
-    """Raise ArgumentError for a raster that is too coarse for a chart, or too large for memory."""
+    """Check the resolution of a raster of a chart.
+
+    ArgumentError if the raster is too coarse for a chart, or too large for memory.
+    """
     checks.within("dpi", dpi, 50, 10_000)
     pixels = chart.page[0] * chart.page[1] * (dpi / _INCH) ** 2
     if pixels > _MOST:
         raise ArgumentError(
-            f"{dpi:g} dpi make {pixels / 1e6:.0f} million pixels of this page; at most {_MOST / 1e6:.0f} can be drawn"
+            f"at {dpi:g} dpi this page has {pixels / 1e6:.0f} million pixels, but at most {_MOST / 1e6:.0f} can be drawn: "
+            "reduce dpi"
         )
 
 
@@ -84,7 +91,7 @@ def element_polygons(element: Element) -> Iterator[Polygon]:
 
 
 def _nearest_code(level: float) -> float:
-    """Return the nearest 8-bit sRGB code of a level, which writers would otherwise truncate."""
+    """Round a level to the nearest 8-bit sRGB code, in [0, 1]. Writers would otherwise truncate it."""
     return min((round(255 * float(srgb.encoded(level))) + 0.25) / 255, 1.0)
 
 

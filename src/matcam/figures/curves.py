@@ -24,7 +24,9 @@ RAW_LABEL = "raw: from the recorded peak, camera ignored"
 def fresnel_figure(
     result: xr.Dataset, tables: xr.Dataset | None = None, title: str = "", channel: int | None = None
 ) -> Figure:
-    """Draw raw and corrected F over theta_d with tabulated metals (left), and the recorded share of the peak (right).
+    """Draw raw and corrected F, and the recorded share of the peak.
+
+    The left panel shows F over theta_d with tabulated metals, the right panel the recorded share of the peak.
 
     Args:
         result: result of `fresnel`.
@@ -49,7 +51,7 @@ def fresnel_figure(
 
 
 def draw_fresnel(axes: Axes, result: xr.Dataset, tables: xr.Dataset | None, channel: int) -> None:
-    """Draw the curves of one channel."""
+    """Draw raw, corrected and tabulated F of one channel."""
     one = result.isel(channel=channel)
     theta = np.degrees(one["theta_d"].values)
     supported = np.degrees(float(one["supported_angle"]))
@@ -89,18 +91,21 @@ def _draw_loss(axes: Axes, result: xr.Dataset) -> None:
     theta = np.degrees(result["theta_d"].values)
     response = result["response"].values
     axes.plot(theta, response / response[0], color=BLUE, label="this lobe")
-    axes.plot(theta, np.cos(np.radians(theta)), color=GREY, ls="--", lw=1, label=r"$\cos\,\theta_d$: narrowest")
+    axes.plot(theta, np.cos(np.radians(theta)), color=GREY, ls="--", lw=1, label=r"$\cos\,\theta_d$: narrowest lobe")
     degrees_axis(axes, r"difference angle $\theta_d$")
     axes.set_xticks(range(0, 91, 30))
     axes.set_ylim(0, 1.05)
     axes.set_ylabel(r"recorded / true peak, relative to $\theta_d$ = 0 [-]")
     half = float(np.degrees(result["hwhm"]))
-    axes.set_title(f"Peak kept of this lobe,\nhalf width {half:.3f}°", loc="left")
+    axes.set_title(f"Recorded share of the peak,\nhalf width {half:.3f}°", loc="left")
     axes.legend(loc="lower left", fontsize=8.2)
 
 
 def prediction_figure(data: Prediction, title: str) -> Figure:
-    """Draw relative response over theta, one line per roughness, with loss angles marked; `data` is from `predicted`."""
+    """Draw the relative response over theta for each roughness.
+
+    Loss angles are marked. data: result of `predicted`.
+    """
     with styled():
         figure = Figure(figsize=(7.4, 4.4), layout="constrained")
         axes = figure.subplots()
@@ -110,7 +115,10 @@ def prediction_figure(data: Prediction, title: str) -> Figure:
 
 
 def draw_prediction(axes: Axes, data: xr.Dataset) -> None:
-    """Draw relative response over theta, one line per roughness, with loss angles marked; `data` is from `predict`."""
+    """Draw the relative response over theta for each roughness.
+
+    Loss angles are marked. data: result of `predict`.
+    """
     colours = matplotlib.colormaps["cividis"](np.linspace(0.0, 0.88, data.sizes["roughness"]))
     limit, theta = 1 - LOSS, np.degrees(data["theta"].values)
     angles = np.degrees(data["loss_angle"].values)
@@ -131,7 +139,10 @@ def draw_prediction(axes: Axes, data: xr.Dataset) -> None:
 
 
 def plane_figure(data: Prediction, title: str) -> Figure:
-    """Draw relative response over the plane of angle and roughness, and its loss angle; `data` is from `predicted`."""
+    """Draw the relative response over angle and roughness, and the loss angle.
+
+    data: result of `predicted`.
+    """
     with styled():
         figure = Figure(figsize=(7.4, 4.6), layout="constrained")
         axes = figure.subplots()
@@ -152,7 +163,10 @@ def plane_figure(data: Prediction, title: str) -> Figure:
 
 
 def highlight_figure(data: xr.Dataset) -> Figure:
-    """Draw a highlight on the sensor, after the optics, and in the pixels: Figures 3 and 4, from `paper.figure_3_4`."""
+    """Draw a highlight on the sensor, after the optics, and in pixels.
+
+    These are Figures 3 and 4 of the paper. data: result of `paper.figure_3_4`.
+    """
     with styled():
         figure = Figure(figsize=(10, 3.3), layout="constrained")
         panels = figure.subplots(1, data.sizes["theta_o"], sharey=True)
@@ -184,7 +198,10 @@ def highlight_figure(data: xr.Dataset) -> Figure:
 
 
 def loss_figure(data: xr.Dataset) -> Figure:
-    """Draw recorded over true peak over the angle, for narrow to wide lobes: Figure 5, from `paper.figure_5`."""
+    """Draw the ratio of recorded to true peak over the angle.
+
+    This is Figure 5 of the paper, for narrow to wide lobes. data: result of `paper.figure_5`.
+    """
     with styled():
         figure = Figure(figsize=(7.4, 4.4), layout="constrained")
         axes = figure.subplots()

@@ -17,12 +17,14 @@ if TYPE_CHECKING:
 COLOURS = {"R": VERMILION, "G": GREEN, "B": BLUE, "Y": BLACK, "grey": BLACK}
 """Colours in which channels are drawn."""
 _LONGER, _SHORTER = 8, 6  # parts along the sides of the image
-_FEWEST = 2  # number of edges in a part, for robustness against one bad edge
-_ROUNDING = 0.02  # share of the width: a smaller range of colours would show only noise
+_FEWEST = 2  # smallest number of edges in a part, for robustness against one bad edge
+_ROUNDING = 0.02  # smallest range of the colour scale, relative to the width: less would show only noise
 
 
 class BlurMap(NamedTuple):
-    """Median blur in parts of the image (rows, columns), NaN with too few edges, and number of edges.
+    """Median blur in parts of the image, (rows, columns).
+
+    It is NaN in parts with too few edges.
 
     Attributes:
         x: borders of the columns, px.
@@ -38,7 +40,10 @@ class BlurMap(NamedTuple):
 
 
 def blur_map(edges: EdgeTable, shape: tuple[int, int]) -> BlurMap:
-    """Compute the median blur of edges in parts of the image. shape: its height and width, px."""
+    """Compute the median blur of edges in parts of the image.
+
+    shape: height and width of the image, px.
+    """
     height, width = shape
     rows, columns = (_SHORTER, _LONGER) if width >= height else (_LONGER, _SHORTER)
     x, y = np.linspace(-0.5, width - 0.5, columns + 1), np.linspace(-0.5, height - 0.5, rows + 1)
@@ -81,7 +86,7 @@ def draw_blur_map(axes: Axes, edges: EdgeTable, shape: tuple[int, int], channel:
 
 
 def draw_lateral_colour(axes: Axes, found: Calibration, shape: tuple[int, int]) -> None:
-    """Draw the radial displacement of other colours from green, from the centre of the image to its corners."""
+    """Draw the radial displacement of the other colours relative to green."""
     corner = float(np.hypot(*shape) / 2)
     radius = np.linspace(0, corner, 101)
     for name, lateral in found.lateral_colour.items():
@@ -91,13 +96,16 @@ def draw_lateral_colour(axes: Axes, found: Calibration, shape: tuple[int, int]) 
             corner, lateral.corner, 2 * lateral.corner_std, fmt="o", ms=4, lw=1, capsize=3, color=COLOURS[name]
         )
     axes.axhline(0, color=BLACK, lw=0.6)
-    axes.set(xlabel="distance from the image's middle [px]", ylabel="further out than G [px]")
+    axes.set(xlabel="distance from the centre of the image [px]", ylabel="radial displacement from G [px]")
     axes.legend(loc="best", fontsize=8.5)
     axes.set_title("Lateral colour, 2 std in the corners", loc="left")
 
 
 def lateral_shift(lateral: LateralColour, radius: np.ndarray, corner: float) -> np.ndarray:
-    """Compute the radial displacement of a colour, px, at radii px. corner: radius of the corners of the image, px."""
+    """Compute the radial displacement of a colour, px.
+
+    radius: distances from the centre of the image, px. corner: distance of the corners, px.
+    """
     linear = lateral.scale * corner
     rho = radius / corner
     return np.asarray(linear * rho + (lateral.corner - linear) * rho**3)

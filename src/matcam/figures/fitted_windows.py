@@ -22,11 +22,12 @@ def fitted_windows(result: Reconstruction) -> xr.Dataset:
         result: the reconstruction.
 
     Returns:
-        Dataset over `picture`, `window_row` and window_column: `window_recorded` and `window_fitted` in the unit of the
-        merged images, `window_residual`, recorded less fitted in standard deviations of the noise; NaN if a pixel was
-        not used; the residual is also NaN if it was clipped. Over `picture`: `picture_name`, `picture_theta_d` (rad), and
-        in px `window_left` and `window_top`, the first column and row; `outline_column`, `outline_row` and
-        `outline_radius`; `highlight_column` and `highlight_row`, the brightest pixel of the fitted window.
+        Dataset. Variables over `picture`, `window_row` and `window_column`: `window_recorded` and `window_fitted`, in the
+        unit of the merged images, and `window_residual`, recorded minus fitted, in standard deviations of the noise.
+        Pixels that were not used are NaN; the residual of clipped pixels is also NaN. Variables over `picture`:
+        `picture_name`; `picture_theta_d`, rad; and in px: `window_left` and `window_top`, the first column and row;
+        `outline_column`, `outline_row` and `outline_radius`; `highlight_column` and `highlight_row`, the brightest pixel
+        of the fitted window.
     """
     solution, layout = result.fit.solution, result.fit.layout
     problem, p = solution.problem, solution.p
@@ -75,7 +76,7 @@ def fitted_windows(result: Reconstruction) -> xr.Dataset:
 
 
 def pinhole_slice(pinhole: xr.DataArray, theta_d: int, channel: int) -> np.ndarray:
-    """Compute a slice of a pinhole table over theta_h, 1/sr, as a mean over phi_d.
+    """Compute the mean over phi_d of a pinhole slice, 1/sr.
 
     The mean is used because few cells of one azimuth contain a pixel.
 
@@ -85,7 +86,7 @@ def pinhole_slice(pinhole: xr.DataArray, theta_d: int, channel: int) -> np.ndarr
         channel: index of the channel.
 
     Returns:
-        Positive values; NaN without pixels.
+        Positive values over theta_h; NaN where there are no pixels.
     """
     all_round = np.asarray(pinhole.values[:, theta_d, :, channel], dtype=float)
     there = np.isfinite(all_round)

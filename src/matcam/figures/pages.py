@@ -35,7 +35,7 @@ from matcam.inverse.operator.rig_axes import LAMP, LENS
 
 _SLICES = (5, 45, 65, 75)
 _SPHERE = 180  # px
-_CLOSER = 20.0  # magnification of a highlight that no magnification shows completely
+_CLOSER = 20.0  # magnification if an image cannot contain the highlight completely
 _READ_AS = {
     "hwhm_rad": "half width at half maximum, rad",
     "tail_exponent": "tail exponent",
@@ -46,7 +46,7 @@ _READ_AS = {
 def write_correction_page(
     path: str | Path, raw: xr.DataArray, done: Correction, name: str, *, force: bool = False
 ) -> None:
-    """Write the page of a correction: verdict, parameters, F, lobes and spheres before and after.
+    """Write the page of a correction: verdict, parameters, F, lobes and spheres.
 
     Args:
         path: HTML file to write; it needs no network and no other file.
@@ -57,7 +57,7 @@ def write_correction_page(
     """
     found = done.fit
     figures = [
-        ("Fresnel term: from the recorded peak, and through the camera", reflectance_figure(raw, done)),
+        ("Fresnel term: from the recorded peak, and fitted through the camera", reflectance_figure(raw, done)),
         ("Lobe, as recorded and as a perfect camera would have measured it", lobe_figure(raw, done)),
         ("Sphere under one lamp, before and after the correction", sphere_figure(raw, done)),
     ]
@@ -77,7 +77,10 @@ def write_correction_page(
 
 
 def reflectance_figure(raw: xr.DataArray, done: Correction) -> Figure:
-    """Draw F over theta_d, free in every slice, beside that of the recorded peak, in the middle channel, as `fresnel` does."""
+    """Draw F over theta_d from the fit and from the recorded peak.
+
+    F of the fit is free in every slice. F of the peak is computed as in `fresnel`. The channel is the middle one.
+    """
     curves = done.fit.curves
     channel = curves.sizes["channel"] // 2
     theta = curves["theta_d"].values
@@ -104,7 +107,10 @@ def reflectance_figure(raw: xr.DataArray, done: Correction) -> Figure:
 
 
 def lobe_figure(raw: xr.DataArray, done: Correction) -> Figure:
-    """Draw the BRDF over theta_h at several theta_d, phi_d = 90 degrees, in the middle channel."""
+    """Draw the BRDF over theta_h at several theta_d.
+
+    The azimuth phi_d is 90 degrees, and the channel is the middle one.
+    """
     channel, grid = raw.sizes["channel"] // 2, merl_grid(sampling_of(raw))
     with styled():
         figure = Figure(figsize=(9.6, 6.4))
@@ -122,9 +128,10 @@ def lobe_figure(raw: xr.DataArray, done: Correction) -> Figure:
 
 
 def sphere_figure(raw: xr.DataArray, done: Correction) -> Figure:
-    """Draw a sphere under one lamp 50 degrees from the camera, before and after, and its highlight magnified.
+    """Draw a sphere and its magnified highlight before and after the correction.
 
-    The sphere is drawn on a logarithmic scale, the highlight is encoded for the screen; each row has one scale.
+    The lamp is 50 degrees from the camera. The sphere has a logarithmic scale; the highlight is encoded for the screen.
+    Each row has one scale.
     """
     tables = raw.values, done.table["brdf"].values
     zoom = highlight_zoom(*tables) or _CLOSER
@@ -147,7 +154,7 @@ def sphere_figure(raw: xr.DataArray, done: Correction) -> Figure:
                 axes.set_title(f"{title}: {part}", loc="left")
                 axes.axis("off")
         figure.supxlabel(
-            f"one scale per row; above logarithmic, black {black:.1g} and white {white:.1g} 1/sr; below display-encoded",
+            f"one scale per row; above: logarithmic, from {black:.1g} to {white:.1g} 1/sr; below: encoded for the screen",
             fontsize=8,
             color=GREY,
         )
@@ -164,7 +171,7 @@ class _Cell(NamedTuple):
     Attributes:
         value: sort key of the column; "" is last.
         text: displayed text.
-        link: address of the link; "" for none.
+        link: address of the link; "": no link.
         details: lines that are shown after a click on the text.
     """
 
@@ -243,7 +250,7 @@ def _number(value: Any, text: Callable[[float], str]) -> _Cell:
 
 
 def _with_std(value: Any, std: Any, scale: float = 1.0) -> _Cell:
-    """Format a value with its standard deviation, both times `scale`."""
+    """Format a value with its standard deviation, both multiplied by `scale`."""
 
     def text(x: float) -> str:
         error = f" ± {std * scale:.1g}" if isinstance(std, int | float) and math.isfinite(std) else ""
@@ -308,7 +315,7 @@ _COLUMNS = (
         "number",
         lambda r: _number((r["fit"].get("noise") or {}).get("relative"), lambda x: f"{x:.1%}"),
     ),
-    _Column(("lens left", "free (px)"), "number", _free_parameter(LENS)),
+    _Column(("free lens", "(px)"), "number", _free_parameter(LENS)),
     _Column(("free lamp radius", "(degrees)"), "number", _free_parameter(LAMP, 180 / math.pi)),
     _Column(("time", "(s)"), "number", lambda r: _number((r.get("run") or {}).get("seconds"), lambda x: f"{x:.1f}")),
 )

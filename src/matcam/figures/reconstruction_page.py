@@ -26,7 +26,7 @@ _BUDGET = (
     ("ratio", "F at grazing angles over F at 10 to 45°, %", 100.0),
     ("level", "F at 10 to 45°, absolute, %", 100.0),
     ("roughness", "roughness, %", 100.0),
-    ("radius_px", "outline's radius, px", 1.0),
+    ("radius_px", "radius of the outline, px", 1.0),
     ("lens", "lens, %", 100.0),
 )
 
@@ -40,14 +40,14 @@ def write_reconstruction_page(
     exposures: Sequence[tuple[str, float, float]] = (),
     force: bool = False,
 ) -> None:
-    """Write the page of a reconstruction; it needs no network and no other file.
+    """Write the page of a reconstruction.
 
     Args:
-        path: HTML file to write.
+        path: HTML file to write; it needs no network and no other file.
         result: the reconstruction.
         name: title of the page.
         overview: an image in which the fitted outline and highlights are drawn. Default: None, not drawn.
-        exposures: name, relative light and standard deviation of the light of each exposure. Default: none.
+        exposures: name, relative light and its standard deviation for each exposure. Default: (), not listed.
         force: whether to replace the file. Default: False.
     """
     figures = _of_cylinder(result) if result.sample == "cylinder" else _of_sphere(result, overview)
@@ -81,13 +81,13 @@ def write_reconstruction_page(
 def _of_cylinder(result: Reconstruction) -> list[tuple[str, Figure]]:
     return [
         ("Profiles of the strips about their highlights: recorded and fitted", profile_figure(result)),
-        ("Fresnel term: strengths of the images, and the curve through them", reflectance_figure(result)),
+        ("Fresnel term: strengths of the images, and the fitted curve", reflectance_figure(result)),
     ]
 
 
 def _of_sphere(result: Reconstruction, overview: MergedPicture | None) -> list[tuple[str, Figure]]:
     figures = [
-        ("Fresnel term: strengths of the images, and the curve through them", reflectance_figure(result)),
+        ("Fresnel term: strengths of the images, and the fitted curve", reflectance_figure(result)),
         (
             "Lobe, as a perfect camera would have measured it, and from the same images by the pinhole model",
             lobe_figure(result),
@@ -100,7 +100,7 @@ def _of_sphere(result: Reconstruction, overview: MergedPicture | None) -> list[t
 
 
 def overview_figure(result: Reconstruction, picture: MergedPicture) -> Figure:
-    """Draw an image of the sphere with the fitted outline and the mirror point of every lamp."""
+    """Draw an image of the sphere with the fitted outline and highlights."""
     geometry = result.geometry
     column, row = geometry["centre_px"][0]
     radius = geometry["radius_px"][0]
@@ -136,13 +136,13 @@ def overview_figure(result: Reconstruction, picture: MergedPicture) -> Figure:
         axes.set_ylabel("row [px]")
         axes.legend(loc="lower left", facecolor="white", framealpha=0.9, frameon=True)
         figure.colorbar(
-            shown, ax=axes, label=r"$\log_{10}$ of the recorded light [unit of the merged images]", shrink=0.8
+            shown, ax=axes, label=r"$\log_{10}$ of the recorded radiance [unit of the merged images]", shrink=0.8
         )
     return figure
 
 
 def reflectance_figure(result: Reconstruction) -> Figure:
-    """Draw the strengths of all images with their errors, and the fitted curve, for each channel."""
+    """Draw the strengths of all images and the fitted curve, by channel."""
     with styled():
         figure = Figure(figsize=(7.5, 4.2), layout="constrained")
         draw_reflectance(figure.subplots(), result)
@@ -150,7 +150,7 @@ def reflectance_figure(result: Reconstruction) -> Figure:
 
 
 def draw_reflectance(axes: Axes, result: Reconstruction) -> None:
-    """Draw the strengths of all images with their errors, and the fitted curve, for each channel."""
+    """Draw the strengths of all images and the fitted curve, by channel."""
     fit = result.fit
     theta = fit.solution.theta_d
     units = np.array([one.value for one in result.units])
@@ -169,9 +169,12 @@ def draw_reflectance(axes: Axes, result: Reconstruction) -> None:
 
 
 def lobe_figure(result: Reconstruction) -> Figure:
-    """Draw the BRDF over theta_h at several theta_d, phi_d = 90 degrees, and the pinhole table averaged over phi_d."""
+    """Draw the reconstructed BRDF over theta_h beside that of the pinhole table.
+
+    The angles are several theta_d at phi_d = 90 degrees. The pinhole table is averaged over phi_d.
+    """
     grid = merl_grid("centre")
-    theta_d = np.sort(np.degrees(result.fit.solution.theta_d))  # where a pinhole table has cells, too
+    theta_d = np.sort(np.degrees(result.fit.solution.theta_d))  # the pinhole table has cells at these angles, too
     slices = [float(theta_d[k]) for k in np.unique(np.linspace(0, len(theta_d) - 1, 4).round().astype(int))]
     table = result.table
     channel = table["brdf"].sizes["channel"] // 2
@@ -211,7 +214,10 @@ def lobe_figure(result: Reconstruction) -> Figure:
 
 
 def highlight_figure(result: Reconstruction) -> Figure:
-    """Draw the window of every highlight: recorded, fitted, and the difference in standard deviations."""
+    """Draw the window of every highlight: recorded, fitted, and residual.
+
+    The residual is in standard deviations.
+    """
     solution, windows = result.fit.solution, fitted_windows(result)
     shown = np.unique(np.linspace(0, len(result.fit.names) - 1, min(_SHOWN, len(result.fit.names))).round().astype(int))
     columns = 3
@@ -237,7 +243,7 @@ def highlight_figure(result: Reconstruction) -> Figure:
         if last is not None:
             figure.colorbar(last, ax=grid, label="recorded - fitted [standard deviations]", shrink=0.6, aspect=30)
         figure.supxlabel(
-            f"{WINDOW} x {WINDOW} px each: recorded and fitted (logarithm, three decades), difference",
+            f"windows of {WINDOW} x {WINDOW} px: recorded and fitted (logarithmic, three decades), and residual",
             fontsize=8,
             color=GREY,
         )

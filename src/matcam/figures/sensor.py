@@ -15,13 +15,13 @@ from matcam.figures.style import BLACK, BLUE, GREY, VERMILION, inline_png, style
 if TYPE_CHECKING:
     from matcam.calibration.sensor.characteristics import SensorCharacteristics
 
-_LARGEST = 400  # px of a map as it is drawn
+_LARGEST = 400  # largest side of a drawn map, px
 _SPREAD = 3.0
 """Number of standard deviations that the grey levels of a map span on each side of the mean."""
 
 
 def sensor_figure(result: SensorCharacteristics, name: str) -> Figure:
-    """Draw photon transfer, signal over noise, linearity and the maps of the pixels' responses.
+    """Draw photon transfer, signal over noise, linearity and maps of the response.
 
     Args:
         result: as from `characterise_sensor`.
@@ -33,17 +33,15 @@ def sensor_figure(result: SensorCharacteristics, name: str) -> Figure:
         draw_transfer(axes["transfer"], result)
         _draw_snr(axes["snr"], result)
         _draw_linearity(axes["linearity"], result)
-        _draw_map(
-            axes["response"], 100 * (result.prnu_map - 1), 100 * result.prnu.value, "response over its mean - 1 [%]"
-        )
-        _draw_map(axes["dark"], result.dsnu_map, result.dsnu.value, "dark signal over its mean [e-]")
+        _draw_map(axes["response"], 100 * (result.prnu_map - 1), 100 * result.prnu.value, "response / mean - 1 [%]")
+        _draw_map(axes["dark"], result.dsnu_map, result.dsnu.value, "dark signal - mean [e-]")
         _draw_spread(axes["spread"], result)
         figure.suptitle(name, x=0.01, ha="left", fontsize=11, parse_math=False)
     return figure
 
 
 def write_sensor_page(path: str | Path, result: SensorCharacteristics, name: str, *, force: bool = False) -> None:
-    """Write the page of a sensor: values with standard deviations, remarks, and the figure.
+    """Write the page of a sensor: values, remarks, and the figure.
 
     Args:
         path: HTML file to write; it needs no network and no other file.
@@ -67,7 +65,7 @@ def write_sensor_page(path: str | Path, result: SensorCharacteristics, name: str
 
 
 def draw_transfer(axes: Axes, result: SensorCharacteristics) -> None:
-    """Draw the photon transfer curve, and the line whose slope is the gain."""
+    """Draw the photon transfer curve, and a line of the fitted gain."""
     top = 1.0
     for plane in result.transfers:
         own = plane.variance - plane.dark_variance
@@ -77,7 +75,7 @@ def draw_transfer(axes: Axes, result: SensorCharacteristics) -> None:
     line = np.array([0.0, top])
     axes.plot(line, result.gain.value * line, color=VERMILION, lw=1.1)
     axes.set_ylim(0, None)
-    axes.set(title="Photon transfer", xlabel="signal [DN]", ylabel="temporal variance - dark [DN²]")
+    axes.set(title="Photon transfer", xlabel="signal [DN]", ylabel="temporal variance - dark variance [DN²]")
 
 
 def _draw_snr(axes: Axes, result: SensorCharacteristics) -> None:
@@ -86,7 +84,7 @@ def _draw_snr(axes: Axes, result: SensorCharacteristics) -> None:
         signal = plane.signal[there] / result.gain.value
         axes.loglog(signal, plane.signal[there] / np.sqrt(plane.variance[there]), "o", ms=3, color=BLUE)
     fine = np.geomspace(1, max(result.full_well.value, 2.0), 100)
-    axes.loglog(fine, result.snr(fine * result.gain.value), color=VERMILION, lw=1.1, label="by gain and read noise")
+    axes.loglog(fine, result.snr(fine * result.gain.value), color=VERMILION, lw=1.1, label="from gain and read noise")
     axes.loglog(fine, np.sqrt(fine), color=BLACK, lw=0.8, ls="--", label="ideal sensor")
     axes.legend(loc="lower right")
     axes.set(title="Signal over noise", xlabel="signal [e-]", ylabel="signal / noise")
@@ -97,7 +95,7 @@ def _draw_linearity(axes: Axes, result: SensorCharacteristics) -> None:
         judged = plane.judged
         axes.plot(plane.signal[judged], 100 * plane.departure[judged], "o", ms=3, color=BLUE)
     axes.axhline(0, color=BLACK, lw=0.8)
-    axes.set(title="Linearity", xlabel="signal [DN]", ylabel="departure from a line [%]")
+    axes.set(title="Linearity", xlabel="signal [DN]", ylabel="deviation from a line [%]")
 
 
 def _draw_map(axes: Axes, values: np.ndarray, std: float, title: str) -> None:
@@ -115,4 +113,4 @@ def _draw_spread(axes: Axes, result: SensorCharacteristics) -> None:
     departure = 100 * (result.prnu_map - 1).ravel()
     limit = 6 * max(100 * result.prnu.value, 1e-9)
     axes.hist(np.clip(departure, -limit, limit), bins=101, histtype="step", color=BLUE, log=True)
-    axes.set(title="Responses of the pixels", xlabel="response over its mean - 1 [%]", ylabel="pixels")
+    axes.set(title="Responses of the pixels", xlabel="response / mean - 1 [%]", ylabel="pixels")

@@ -1,4 +1,4 @@
-"""Images of spheres from the entries of a table, as thumbnails, rendered, or simulated for a rig."""
+"""Images of spheres: from the entries of a table, as thumbnails, rendered, or simulated for a rig."""
 
 from __future__ import annotations
 
@@ -24,7 +24,9 @@ LAMP = np.radians(50.0)
 def table_sphere(
     values: np.ndarray, size: int, zoom: float = 1.0, lamp: float = LAMP, azimuth: float = 0.0
 ) -> np.ndarray:
-    """Compute the radiance of a sphere under a distant lamp, (size, size, channel).
+    """Compute the radiance of a sphere under a distant lamp.
+
+    The result has shape (size, size, channel).
 
     Args:
         values: a table's values (theta_h, theta_d, phi_d, channel); the nearest entry is used, and missing entries are dark.
@@ -50,9 +52,10 @@ def table_sphere(
 
 
 def whole_sphere(values: np.ndarray, size: int) -> np.ndarray:
-    """Compute the image of `table_sphere`, with an area average for the pixel of the highlight.
+    """Compute the image of `table_sphere`, with an average at the highlight.
 
-    The average is required because a highlight may be much narrower than a pixel and lie between pixel centres.
+    The average over the area of a pixel is required, because a highlight may be much narrower than a pixel and lie
+    between pixel centres.
 
     Args:
         values: values of a table (theta_h, theta_d, phi_d, channel), 1/sr.
@@ -65,12 +68,18 @@ def whole_sphere(values: np.ndarray, size: int) -> np.ndarray:
 
 
 def encoded_for_screen(picture: np.ndarray, white: float) -> np.ndarray:
-    """Encode a radiance for a screen (sRGB), in [0, 1]: `white` and brighter values are white."""
+    """Encode a radiance for a screen (sRGB), in [0, 1].
+
+    white: radiance that is white; larger values are clipped.
+    """
     return srgb.encoded(np.clip(picture / max(white, 1e-300), 0, 1))
 
 
 def body_white(corrected: np.ndarray) -> float:
-    """Choose the radiance of white for a well exposed body of the sphere, its 99th percentile."""
+    """Compute the radiance of white for a well exposed sphere.
+
+    This is the 99th percentile of the lit pixels.
+    """
     lit = corrected[corrected > 0]
     return float(np.quantile(lit, 0.99)) if lit.size else 0.0
 
@@ -85,13 +94,14 @@ _GROUND = 0.45
 
 
 def logarithmic_range(*pictures: np.ndarray) -> tuple[float, float]:
-    """Compute the radiances of black and white for images on one logarithmic scale.
+    """Compute the radiances of black and white for a common logarithmic scale.
 
     Args:
         pictures: radiances (height, width, channel), any number of them.
 
     Returns:
-        The 5 % quantile of lit pixels, at least 2 and at most 8 decades below the largest value; and that value.
+        The 5 % quantile of lit pixels, at least 2 and at most 8 decades below the largest value; and the largest
+        value.
     """
     lit = np.concatenate([picture[picture > 0] for picture in pictures])
     if not lit.size:
@@ -102,13 +112,14 @@ def logarithmic_range(*pictures: np.ndarray) -> tuple[float, float]:
 
 
 def logarithmic(picture: np.ndarray, black: float, white: float) -> np.ndarray:
-    """Encode the radiance of `table_sphere` for a screen on a logarithmic scale, in [0, 1], on a grey background.
+    """Encode a radiance on a logarithmic scale, in [0, 1].
 
-    The highlight of a mirror is 10^6 times brighter than its body: on a linear scale the image would be a dot on black.
-    The scale applies to the brightest channel; the ratios of the channels are encoded as in sRGB.
+    The background of the sphere is grey. The highlight of a mirror is 10^6 times brighter than its body: on a linear
+    scale the image would be a dot on black. The scale applies to the brightest channel; the ratios of the channels are
+    encoded as in sRGB.
 
     Args:
-        picture: radiance (size, size, channel).
+        picture: radiance from `table_sphere`, (size, size, channel).
         black: radiance that is black.
         white: radiance that is white.
     """
@@ -132,7 +143,9 @@ _WHOLE = 0.3
 
 
 def highlight_zoom(*tables: np.ndarray) -> float | None:
-    """Compute the largest magnification at which an image shows the highlight of each table completely, or None.
+    """Compute the largest magnification at which all highlights are complete.
+
+    The result is None if no magnification shows the highlight of each table completely.
 
     Args:
         tables: values (theta_h, theta_d, phi_d, channel), 1/sr.
@@ -147,9 +160,10 @@ def highlight_zoom(*tables: np.ndarray) -> float | None:
 
 
 def write_thumbnail(path: str | Path, raw: xr.DataArray, corrected: xr.DataArray, *, force: bool = False) -> None:
-    """Write a PNG of 128 x 64 px: a sphere from the recorded table (left) and from the corrected one (right).
+    """Write a PNG of a sphere before and after the correction.
 
-    Brightness is logarithmic, on one scale for both. The highlight is magnified in the lower left corner, on a linear scale.
+    The image has 128 x 64 px: the sphere of the recorded table is on the left, that of the corrected table on the right.
+    Both have the same logarithmic scale. The highlight is magnified in the lower left corner, on a linear scale.
     """
     tables = raw.values, corrected.values
     spheres = [whole_sphere(table, SIZE) for table in tables]
@@ -170,7 +184,7 @@ def write_thumbnail(path: str | Path, raw: xr.DataArray, corrected: xr.DataArray
 
 
 def spheres_figure(pictures: Mapping[str, np.ndarray], light: str, exposure: float = 1.0) -> Figure:
-    """Draw rendered spheres beside each other at one exposure, encoded for display (sRGB).
+    """Draw rendered spheres beside each other at one exposure, encoded as sRGB.
 
     Args:
         pictures: linear radiances (size, size, 3) by their titles.
@@ -192,8 +206,8 @@ def spheres_figure(pictures: Mapping[str, np.ndarray], light: str, exposure: flo
 def picture_figure(data: xr.DataArray, title: str) -> Figure:
     """Draw the image of a rig beside the profile through its axis.
 
-    Left, the image is encoded for display, with the 99.5th percentile of lit pixels as white. Right, the row through
-    the optical axis on a logarithmic scale, which shows faint light.
+    The left panel shows the image encoded for display, with the 99.5th percentile of lit pixels as white. The right panel
+    shows the row through the optical axis on a logarithmic scale, so that small values are visible.
 
     Args:
         data: image (row, column[, channel]), from `picture`.

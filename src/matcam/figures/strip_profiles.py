@@ -16,7 +16,10 @@ _SHOWN = 6
 
 
 def profile_figure(result: Reconstruction) -> Figure:
-    """Draw the profiles about the highlight in some images, one colour per strip, and the residuals below."""
+    """Draw the profiles about the highlight in some images, and their residuals.
+
+    Each strip has its own colour.
+    """
     fit, solution = result.fit, result.fit.solution
     problem = solution.problem
     count = len(fit.names)
@@ -45,7 +48,7 @@ def profile_figure(result: Reconstruction) -> Figure:
             )
             grid[1, position].set_ylim(-5, 5)
             grid[1, position].set_xlabel("column [px]")
-        grid[0, 0].set_ylabel("light [unit of the merged images]")
+        grid[0, 0].set_ylabel("radiance [unit of the merged images]")
         grid[1, 0].set_ylabel("recorded - fitted [standard deviations]")
         grid[0, 0].legend(loc="lower left", fontsize=7)
     return figure

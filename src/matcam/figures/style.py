@@ -1,8 +1,7 @@
 """Style and writing of all figures and pages.
 
 pyplot is not used, because it has global state and takes half a second to import. The colours are those of Okabe & Ito,
-which colour-blind readers can distinguish. Pages are Jinja2 templates (templates/*.html), which escape all
-values.
+which colour-blind readers can distinguish. Pages are Jinja2 templates (templates/*.html), which escape all values.
 """
 
 from __future__ import annotations
@@ -60,7 +59,10 @@ def styled() -> AbstractContextManager[None]:
 
 
 def save(figure: Figure, path: str | Path, *, force: bool = False, dpi: float = 144) -> None:
-    """Write a figure without a date, so that the same data give the same file. `dpi` applies to PNG."""
+    """Write a figure to a file, without a date.
+
+    The same data therefore give the same file. dpi: resolution of a PNG.
+    """
     path = check_picture(path, force=force)
     if path.suffix.lower() == ".png":
         drawn = _png(figure, dpi)
@@ -77,10 +79,11 @@ def save(figure: Figure, path: str | Path, *, force: bool = False, dpi: float = 
 
 
 def fit_titles(figure: Figure) -> bool:
-    """Shrink titles of a drawn figure that would leave it or overlap the panel to the right.
+    """Shrink the titles of a drawn figure that do not fit.
 
-    Titles contain names of files and parameters of rigs, which may be long; Matplotlib clips them. A title that would
-    be smaller than 7 points is also broken into lines.
+    A title must not extend beyond the figure or overlap the panel to the right. Titles contain names of files and
+    parameters of rigs, which may be long; Matplotlib clips them. A title that would be smaller than 7 points is also
+    broken into lines.
 
     Returns:
         True if a title was changed, so that the figure must be drawn again.
@@ -125,13 +128,16 @@ def degrees_axis(axes: Axes, label: str, end: float = 90) -> None:
 
 
 def nyquist_line(axes: Axes) -> None:
-    """Mark the highest frequency that whole pixels resolve, 0.5 cycles/px; its name is below the legend of an MTF."""
+    """Mark the Nyquist frequency, 0.5 cycles/px.
+
+    The label is below the legend of an MTF.
+    """
     axes.axvline(0.5, color=GREY, lw=0.8)
     axes.annotate("Nyquist", (0.5, 0.5), xytext=(3, -9), textcoords="offset points", fontsize=8, color=GREY)
 
 
 def legend_above(axes: Axes, columns: int) -> None:
-    """Add a legend above the data, for which the range of y is extended."""
+    """Extend the range of y, and add a legend above the data."""
     low, high = axes.get_ylim()
     share = 0.04 + 0.08 * -(-len(axes.get_legend_handles_labels()[0]) // columns)
     axes.set_ylim(low, high + (high - low) * share / (1 - share))
@@ -139,7 +145,7 @@ def legend_above(axes: Axes, columns: int) -> None:
 
 
 def inline_png(figure: Figure) -> str:
-    """Encode a figure as the address of an embedded image."""
+    """Encode a figure as a data URL of a PNG image."""
     return "data:image/png;base64," + base64.b64encode(_png(figure, 110)).decode()
 
 
@@ -158,7 +164,10 @@ def _png(figure: Figure, dpi: float) -> bytes:
 
 
 def write_page(path: str | Path, template: str, content: Mapping[str, Any], *, force: bool = False) -> None:
-    """Write an HTML page from a template of the package; all values in `content` are escaped."""
+    """Write an HTML page from a template of the package.
+
+    All values in `content` are escaped.
+    """
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
     environment = Environment(
@@ -170,4 +179,4 @@ def write_page(path: str | Path, template: str, content: Mapping[str, Any], *, f
     )
     text = environment.get_template(template).render(content)
     with replacing(path, force=force) as temporary:
-        temporary.write_text(text, encoding="utf-8", errors="xmlcharrefreplace")  # the name of a folder may not be text
+        temporary.write_text(text, encoding="utf-8", errors="xmlcharrefreplace")  # names of folders may be invalid text

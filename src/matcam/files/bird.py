@@ -1,7 +1,7 @@
 """Universal BRDF data format (JSON) of the metrology institutes (EMPIR 16NRM08 BiRD, schemas of version 1.0).
 
 A document has "metadata" (laboratory, sample, instrument) and "data": arrays of equal length with units, one entry per
-reading. The arrays are theta_i, phi_i, theta_r, phi_r and BRDF; optional ones are the uncertainty uBRDF, wavelength_i,
+reading. The arrays are theta_i, phi_i, theta_r, phi_r and BRDF; optional arrays are the uncertainty uBRDF, wavelength_i,
 polarization_i and others.
 
 The reader arranges readings of one pair of directions as channels, one per wavelength and polarisation. The writer
@@ -36,15 +36,15 @@ _NANO = {"nm": 1.0, "μm": 1e3, "µm": 1e3, "um": 1e3}
 _MOST = 2_000_000
 """Largest number of readings that are written; each takes about 100 bytes."""
 _LONGEST_NAME = 60
-"""Largest number of characters in the name of a channel, as in CSV. Each name takes the memory of the longest."""
+"""Largest number of characters in the name of a channel, as in CSV. Each name takes as much memory as the longest."""
 _SPARSEST = 1000
 """Largest number of cells of the resulting table per reading. The table grows with the square of the number of readings
-if each reading has another pair of directions and another channel. The 50,000 readings of the largest document then
+if each reading has its own pair of directions and its own channel. The 50,000 readings of the largest document then
 take 400 MB.
 """
 _NOT_STATED = "not stated"
 _GRAZING = 1e-9
-"""Smallest difference between written angles and 90 degrees, which the schema excludes."""
+"""Smallest difference of written angles from 90 degrees, degrees. The schema excludes 90 degrees."""
 
 
 def read_bird(path: str | Path) -> xr.DataArray:
@@ -59,7 +59,7 @@ def read_bird(path: str | Path) -> xr.DataArray:
         "BRDF".
 
     Raises:
-        FileFormatError: the file is not such a document, or the lengths of its arrays differ.
+        FileFormatError: the file is not a BiRD document, or the lengths of its arrays differ.
 
     Example:
         >>> import tempfile, pathlib
@@ -95,14 +95,17 @@ def read_bird(path: str | Path) -> xr.DataArray:
     order = np.argsort(np.argsort(first))  # pairs of directions in the order of the file
     if len(unique) * len(names) > _SPARSEST * len(values):
         raise FileFormatError(
-            f"{path}: {len(values)} readings are too few for {len(unique)} pairs of directions in {len(names)} channels"
+            f"{path}: {len(values)} readings are too few for {len(unique)} pairs of directions in {len(names)} channels: "
+            "store the channels in separate files"
         )
     table = np.full((len(unique), len(names)), np.nan)
     number = {name: k for k, name in enumerate(names)}
     column = np.array([number[one] for one in channel])
     row = order[position.reshape(-1)]
     if len(set(zip(row.tolist(), column.tolist(), strict=True))) < len(values):
-        raise FileFormatError(f"{path}: several readings have the same pair of directions and the same channel")
+        raise FileFormatError(
+            f"{path}: several readings have the same pair of directions and the same channel: keep one of them"
+        )
     table[row, column] = values
     kept = [a[np.sort(first)] for a in angles]
     return samples_from(table, [np.asarray(a) for a in half_and_difference(*kept)], names).assign_attrs(
@@ -135,7 +138,7 @@ def write_bird(path: str | Path, samples: xr.DataArray, *, force: bool = False) 
     samples = checked_samples(samples)
     known = np.isfinite(samples.values)
     if known.sum() > _MOST:
-        raise ArgumentError(f"{known.sum()} values are too many for JSON: at most {_MOST}; use .nc or .csv")
+        raise ArgumentError(f"{known.sum()} values are too many for JSON, which is limited to {_MOST}: use .nc or .csv")
     half = [np.asarray(samples[name].values, np.float64) for name in ("theta_h", "theta_d", "phi_d")]
     theta_i, theta_r = (np.arccos(np.clip(np.asarray(one), 0, 1)) for one in cosines(*half))
     phi_r = np.asarray(azimuth_difference(*half)) * np.where(np.sin(half[2]) >= 0, -1.0, 1.0)
@@ -171,12 +174,12 @@ def _column(path: Path, data: dict[str, Any], name: str, units: dict[str, float]
     except ValueError:  # rows of different lengths
         values = np.empty((1, 1))
     if values.dtype.kind not in "iuf" or values.ndim != 1 or not len(values) or not np.isfinite(values).all():
-        raise FileFormatError(f"{path}: data.{name}.values must be finite numbers, at least one")
+        raise FileFormatError(f"{path}: data.{name}.values must be a list of one or more finite numbers")
     return values * units[one["unit"]]
 
 
 def _channels(path: Path, data: dict[str, Any], count: int) -> list[str]:
-    """Name the channel of each reading by its wavelength, polarisation and own channel."""
+    """Build the name of the channel of each reading from wavelength, polarisation and the variable "channel"."""
     parts: list[list[str]] = []
     if "wavelength_i" in data:
         parts.append([f"{one:g} nm" for one in _column(path, data, "wavelength_i", _NANO)])
@@ -189,7 +192,9 @@ def _channels(path: Path, data: dict[str, Any], count: int) -> list[str]:
     if isinstance(own, dict) and isinstance(own.get("values"), list):
         parts.append([str(one) for one in own["values"]])
     if any(len(part) != count for part in parts):
-        raise FileFormatError(f"{path}: wavelengths, polarisations and channels must have {count} values, as data.BRDF")
+        raise FileFormatError(
+            f"{path}: wavelengths, polarisations and channels must have {count} values each, as many as data.BRDF"
+        )
     return [" ".join(one) for one in zip(*parts, strict=True)] if parts else ["BRDF"] * count
 
 

@@ -5,11 +5,12 @@
     frames/         images of the sample, one for each lamp position and exposure
     dark/           images with the lens covered, for each exposure
     flat/           images of an evenly lit field, pairs of one exposure
-    outline/        images of the sample before a bright field
+    outline/        images of the sample in front of a bright field
     reference/      separate images of a white patch or a monitor, for each lamp position
 
-docs/capture.md lists the fields, `json_schema()` is the published schema (docs/capture-v1.schema.json). Wrong settings
-raise an error; a wrong image is left out and listed in `Capture.problems`. Nothing outside the folder is read.
+docs/capture.md lists the fields, and `json_schema()` returns the published schema (docs/capture-v1.schema.json). Invalid
+settings raise an error; an unusable image is omitted and listed in `Capture.problems`. Files outside the folder are not
+read.
 """
 
 from __future__ import annotations
@@ -55,7 +56,7 @@ class Capture:
         frames: the usable images, in the order of `frames.csv`.
         lamps: lamp positions by name, in the same order.
         settings: checked content of capture.toml, with all defaults.
-        problems: errors of the other images, each with its frame.
+        problems: errors of the omitted images, each with its frame.
     """
 
     folder: Path
@@ -65,7 +66,7 @@ class Capture:
     problems: tuple[Remark, ...] = ()
 
     def of(self, kind: str, lamp: str | None = None, exposure: str | None = None) -> list[CaptureFrame]:
-        """Select the frames of a kind, and optionally of one lamp position or exposure."""
+        """Select frames by kind, and optionally by lamp position and exposure."""
         return [
             frame
             for frame in self.frames
@@ -74,7 +75,7 @@ class Capture:
 
     @property
     def exposures(self) -> list[str]:
-        """Return the exposures of the images of the sample, in order of their nominal time."""
+        """Return the exposures of the sample, in order of their nominal time."""
         times: dict[str, float] = {}
         for frame in self.of("frames"):
             times.setdefault(frame.exposure, frame.time)
@@ -86,19 +87,22 @@ class Capture:
 
     @property
     def profile(self) -> Path | None:
-        """Return the file of the camera profile; None without one."""
+        """Return the file of the camera profile; None: not given."""
         name = self.settings["camera"]["profile"]
         return None if name is None else self.folder / name
 
     @property
     def mask(self) -> Path | None:
-        """Return the image whose bright or dark disc is the sphere; None without one."""
+        """Return the file of the mask of the sphere; None: not given."""
         name = self.settings["outline"]["mask"]
         return None if name is None else self.folder / name
 
     @property
     def circle(self) -> tuple[tuple[float, float], Stated] | None:
-        """Return (column, row) of the outline of the sphere and its radius, px; None: not given."""
+        """Return centre (column, row) and radius of the sphere's outline, px.
+
+        None: not given.
+        """
         section = self.settings["outline"]
         if section["radius_px"] is None:
             return None
@@ -111,33 +115,48 @@ class Capture:
         return _as_stated(self.settings["sample"]["radius_mm"])
 
     def stated(self, name: str) -> Stated | None:
-        """Return a value of [sample] by the name of its field, such as "axis_column_px"; None: not given."""
+        """Return a value of [sample] by the name of its field.
+
+        None: not given.
+        """
         return _as_stated(self.settings["sample"][name])
 
     @property
     def camera_radii(self) -> Stated | None:
-        """Return the distance of the camera from the centre of the sample, in its radii; None: not given."""
+        """Return the distance of the camera, in radii of the sample.
+
+        The distance is from the centre of the sample; None: not given.
+        """
         return self._in_radii("camera_mm")
 
     @property
     def lamp_radii(self) -> Stated | None:
-        """Return the distance of the lamp from the centre of the sample, in its radii; None: not given."""
+        """Return the distance of the lamp, in radii of the sample.
+
+        The distance is from the centre of the sample; None: not given.
+        """
         return self._in_radii("lamp_mm")
 
     @property
     def direction_std(self) -> float:
-        """Return the standard deviation of each of the two angles of the directions of the lamps, rad."""
+        """Return the standard deviation of each angle of the lamp directions, rad."""
         return math.radians(self.settings["lamp"]["direction_std_deg"])
 
     @property
     def reference_region(self) -> Region | None:
-        """Return the region of the reference in every frame; None: it is not in the frames."""
+        """Return the region of the reference in every frame.
+
+        None: the reference is not in the frames.
+        """
         section = self.settings["reference"]
         return None if section is None or section["apart"] else self.reference_position
 
     @property
     def reference_position(self) -> Region | None:
-        """Return the region of the reference in the frames of the sample or in separate images; None: not given."""
+        """Return the region of the reference in its images.
+
+        These are the frames of the sample or separate images. None: not given.
+        """
         section = self.settings["reference"]
         return None if section is None or section["region_px"] is None else tuple(section["region_px"])
 
@@ -149,7 +168,7 @@ class Capture:
 
     @property
     def region(self) -> Region | None:
-        """Return the region of the frames that is used; None: the whole frame."""
+        """Return the used region of the frames; None: the whole frame."""
         box = self.settings["sample"]["region_px"]
         return None if box is None else tuple(box)
 
@@ -168,7 +187,7 @@ class Capture:
             region: first column, first row, width, height, px. None: the whole frame. Default: None.
 
         Returns:
-            The codes of the image.
+            The image as stored, with metadata.
 
         Raises:
             FileFormatError: the file is missing, damaged, or no longer inside the folder.
@@ -183,7 +202,7 @@ def _as_stated(pair: list[float] | None) -> Stated | None:
 def read_capture(folder: str | Path) -> Capture:
     """Read the description of a capture, and list its frames.
 
-    No image is decoded. Missing or wrongly described frames are left out and listed in `problems`.
+    No image is decoded. Missing or wrongly described frames are omitted and listed in `problems`.
 
     Args:
         folder: folder of `capture.toml` and `frames.csv`.
@@ -192,7 +211,7 @@ def read_capture(folder: str | Path) -> Capture:
         The capture.
 
     Raises:
-        FileFormatError: a file is missing or wrong, or no frame can be used; the message names the field.
+        FileFormatError: a file is missing or invalid, or no frame can be used; the message names the field.
 
     Example:
         >>> read_capture("none")
@@ -201,7 +220,7 @@ def read_capture(folder: str | Path) -> Capture:
         matcam.core.errors.FileFormatError: none: no such folder
     """
     folder = Path(folder)
-    check_folder(folder, ": give a capture's")
+    check_folder(folder, ": give the folder of a capture")
     settings = read_settings(folder / SETTINGS)
     if settings["camera"]["profile"] is not None:
         _inside(folder, settings["camera"]["profile"])
@@ -211,29 +230,29 @@ def read_capture(folder: str | Path) -> Capture:
     _check_light(folder, settings, lamps)
     problems += _unlisted(folder, frames, problems)
     if not any(frame.kind == "frames" for frame in frames):
-        why = f": {problems[0]}" if problems else ": list them in it"
+        why = f": {problems[0]}" if problems else ": list the frames in this file"
         raise FileFormatError(f"{folder / LIST}: no frame of the sample can be used{why}")
     return Capture(folder, tuple(frames), lamps, settings, tuple(problems))
 
 
 def _check_light(folder: Path, settings: dict[str, Any], lamps: dict[str, LampGuess]) -> None:
-    """Raise FileFormatError if the source of the light of the lamps lacks its data."""
+    """Raise FileFormatError if data are missing for the specified source of the lamp intensities."""
     said, path = settings["lamp"]["intensity"], folder / SETTINGS
     lacking = [name for name, guess in lamps.items() if not guess.intensity]
     if said == "reference" and settings["reference"] is None:
-        raise FileFormatError(f"{path}: lamp.intensity is {said!r}, but there is no [reference]: describe it")
+        raise FileFormatError(f"{path}: lamp.intensity is {said!r}, but there is no [reference]: add one")
     if said == "table":
         if lacking:
             raise FileFormatError(
-                f"{path}: lamp.intensity is {said!r}, but {LIST} gives no {INTENSITY} of lamp {some_of(lacking, 3)}"
+                f"{path}: lamp.intensity is {said!r}, but {LIST} gives no {INTENSITY} of lamp {some_of(lacking, 3)}: fill it in"
             )
         if settings["reference"] is not None:
             raise FileFormatError(
-                f"{path}: lamp.intensity is {said!r}, but there is a [reference]: give the light once"
+                f"{path}: lamp.intensity is {said!r}, but there is also a [reference]: delete one of them"
             )
     elif len(lacking) < len(lamps):
         raise FileFormatError(
-            f"{path}: lamp.intensity is {said!r}, but {LIST} has a column {INTENSITY}: make it 'table'"
+            f"{path}: lamp.intensity is {said!r}, but {LIST} has a column {INTENSITY}: set lamp.intensity to 'table'"
         )
 
 
@@ -249,7 +268,7 @@ def read_settings(path: Path) -> dict[str, Any]:
     radius = settings["sample"]["radius_mm"]
     for name, distance in settings["distances"].items():
         if radius is not None and distance is not None and not distance[0] > radius[0]:
-            text = f"must lie outside of the sample, whose radius is {radius[0]:g} mm, got {distance[0]:g} mm"
+            text = f"must exceed the radius of the sample, {radius[0]:g} mm, got {distance[0]:g} mm"
             raise FileFormatError(f"{path}: field distances.{name}: {text}")
     cfa = settings["camera"]["cfa"]
     if cfa is not None and cfa not in CFAS:
@@ -268,7 +287,7 @@ def _inside(folder: Path, name: str) -> Path:
 
 
 def _listed(folder: Path) -> tuple[list[CaptureFrame], dict[str, LampGuess], list[Remark]]:
-    """Return the existing frames of frames.csv, the lamps, and errors of the others."""
+    """Read frames.csv: the existing frames, the lamps, and errors of the other frames."""
     path = folder / LIST
     check_within(path, folder)
     reader = csv.reader(f"{line}\n" for line in read_lines(path, "the list of a capture"))
@@ -280,9 +299,9 @@ def _listed(folder: Path) -> tuple[list[CaptureFrame], dict[str, LampGuess], lis
         raise FileFormatError(f"{path}: line {reader.line_num}: {error}") from None
     if not lines or sorted(set(lines[0][1]) - {INTENSITY}) != sorted(COLUMNS):
         got = " ".join(",".join(lines[0][1]).split()) if lines else "nothing"  # a quoted cell may have many lines
-        raise FileFormatError(f"{path}: first line must be {','.join(COLUMNS)}, got {got:.100}")
+        raise FileFormatError(f"{path}: the first line must be {','.join(COLUMNS)}, got {got:.100}")
     if len(lines) > _MOST:
-        raise FileFormatError(f"{path}: {len(lines)} lines; a capture has at most {_MOST} frames")
+        raise FileFormatError(f"{path}: has {len(lines)} lines, but a capture has at most {_MOST} frames")
     frames: list[CaptureFrame] = []
     lamps: dict[str, LampGuess] = {}
     problems: list[Remark] = []
@@ -291,7 +310,9 @@ def _listed(folder: Path) -> tuple[list[CaptureFrame], dict[str, LampGuess], lis
     header = lines[0][1]
     for number, cells in lines[1:]:
         if len(cells) != len(header):
-            problems.append(Remark("bad-line", f"{path}: line {number} has {len(cells)} cells; {len(header)} are read"))
+            problems.append(
+                Remark("bad-line", f"{path}: line {number} has {len(cells)} cells, but must have {len(header)}")
+            )
             continue
         row = dict(zip(header, cells, strict=True))
         try:
@@ -309,7 +330,7 @@ def _listed(folder: Path) -> tuple[list[CaptureFrame], dict[str, LampGuess], lis
             lamps[frame.lamp] = guess
     if absent:
         where = folder / absent[0] if len(absent) == 1 else f"{folder}: {some_of(absent)}"
-        problems.append(Remark("bad-frame", f"{where}: no such file{'s' * (len(absent) > 1)}, though {LIST} lists it"))
+        problems.append(Remark("bad-frame", f"{where}: no such file{'s' * (len(absent) > 1)}, but listed in {LIST}"))
     times: dict[str, float] = {}
     for frame in frames:
         if not math.isnan(frame.time) and frame.time != times.setdefault(frame.exposure, frame.time):
@@ -344,22 +365,28 @@ def _frame(
             raise FileFormatError(f"{path}: {column} must be finite and, if a time, above 0, got {row[column]:.20}")
     for column in ("lamp", "exposure"):
         if row[column] and not _NAME.fullmatch(row[column]):
-            raise FileFormatError(f"{path}: {column} must be letters, digits, . + - _, got {row[column]!r:.20}")
+            raise FileFormatError(
+                f"{path}: {column} must consist of letters, digits and . + - _, got {row[column]!r:.20}"
+            )
     lamp, guess = row["lamp"], None
     if kind == "frames":
         if not lamp or not row["exposure"]:
             raise FileFormatError(f"{path}: a frame needs a lamp and an exposure")
         if not (math.isnan(values["angle_deg"]) or 0 <= values["angle_deg"] <= 180):
             raise FileFormatError(
-                f"{path}: angle_deg must lie in [0, 180] degrees, from the axis to the camera, got {row['angle_deg']:.20}"
+                f"{path}: angle_deg, from the axis towards the camera, must lie in [0, 180] degrees, got {row['angle_deg']:.20}"
             )
         light = stated_intensity(path, row.get(INTENSITY, ""))
         guess = LampGuess(math.radians(values["angle_deg"]), math.radians(values["azimuth_deg"]), light)
         known = lamps.get(lamp)
         if known is not None and not np.allclose(known[:2], guess[:2], atol=1e-9, rtol=0, equal_nan=True):
-            raise FileFormatError(f"{path}: lamp {lamp} has another position than in an earlier line")
+            raise FileFormatError(
+                f"{path}: lamp {lamp} has another position than in an earlier line: give each position its own lamp"
+            )
         if known is not None and known.intensity != guess.intensity:
-            raise FileFormatError(f"{path}: lamp {lamp} has another intensity than in an earlier line")
+            raise FileFormatError(
+                f"{path}: lamp {lamp} has another intensity than in an earlier line: give one value for each lamp"
+            )
     return CaptureFrame(name, kind, lamp, row["exposure"], values["time_s"]), guess
 
 

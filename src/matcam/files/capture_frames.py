@@ -11,8 +11,8 @@ import numpy as np
 from matcam.core.errors import FileFormatError
 
 INTENSITY = "intensity"
-"""Name of the column with the relative light of each lamp: one number, or one per colour. It is required only if
-lamp.intensity is "table".
+"""Name of the column with the relative intensity of each lamp: one value, or one per colour. The column is required only
+if lamp.intensity is "table".
 """
 
 
@@ -22,7 +22,7 @@ class CaptureFrame(NamedTuple):
     Attributes:
         file: name inside the folder, such as "frames/L05_E2.tif".
         kind: "frames", "dark", "flat", "outline" or "reference": the name of its folder.
-        lamp: name of the lamp position; empty without one.
+        lamp: name of the lamp position; empty: not applicable.
         exposure: name of the exposure; images of one exposure share their time.
         time: nominal exposure time, s; NaN: unknown.
     """
@@ -40,7 +40,7 @@ class LampGuess(NamedTuple):
     Attributes:
         angle: angle between lamp and optical axis, rad; NaN: unknown.
         azimuth: azimuth about the axis from +x (right) towards +y (up), rad; NaN: unknown.
-        intensity: relative light of the lamp: one number, or one per colour; empty: unknown.
+        intensity: relative intensity of the lamp: one value, or one per colour; empty: unknown.
     """
 
     angle: float
@@ -49,17 +49,23 @@ class LampGuess(NamedTuple):
 
     @property
     def direction(self) -> np.ndarray:
-        """Return the unit vector (x, y, z) to the lamp; NaN if an angle is unknown."""
+        """Return the unit vector (x, y, z) towards the lamp.
+
+        It is NaN if an angle is unknown.
+        """
         sin = math.sin(self.angle)
         return np.array([sin * math.cos(self.azimuth), sin * math.sin(self.azimuth), math.cos(self.angle)])
 
 
 def stated_intensity(path: Path, text: str) -> tuple[float, ...]:
-    """Parse the light of a lamp: one positive number, or one per colour with spaces between them."""
+    """Parse the relative intensity of a lamp.
+
+    text: one positive number, or one per colour, separated by blanks; empty: unknown.
+    """
     try:
         light = tuple(float(part) for part in text.split())
     except ValueError:
         light = (math.nan,)
     if not all(math.isfinite(one) and one > 0 for one in light) or len(light) not in (0, 1, 3):
-        raise FileFormatError(f"{path}: {INTENSITY} must be one number above 0, or three, got {text!r:.40}")
+        raise FileFormatError(f"{path}: {INTENSITY} must be one or three positive numbers, got {text!r:.40}")
     return light

@@ -27,9 +27,9 @@ from matcam.files.photographs import PICTURES, open_photograph
 from matcam.files.picture_header import exposure_time
 
 _SAME_TIME = 1.1
-"""Ratio of two exposure times below which they are one exposure. Steps of a third of a stop have a ratio of 1.26."""
+"""Ratio of two exposure times below which they belong to one exposure. Steps of a third of a stop have a ratio of 1.26."""
 _SAME_LAMP = math.radians(0.01)
-"""Angle between two directions of a light position file below which they are one lamp position."""
+"""Angle between two directions of a light position file below which they belong to one lamp position, rad."""
 _SPLIT = re.compile(r"(?P<lamp>.+)[_-](?P<exposure>[^_-]+)")
 _MOST_EXPOSURES = 12
 
@@ -39,8 +39,8 @@ class Listing:
     """List of the images of a capture.
 
     Attributes:
-        rows: lines of frames.csv by column.
-        copies: dict from image to its name in the capture.
+        rows: lines of frames.csv, each with its values by column.
+        copies: dict from the path of an image to its name in the capture.
         notes: remarks, and fields to fill in.
     """
 
@@ -49,14 +49,16 @@ class Listing:
     notes: list[str] = field(default_factory=list)
 
     def copy_to(self, folder: Path, *, force: bool = False) -> None:
-        """Copy the images into the folder of the capture; existing equal files are kept.
+        """Copy the images into the folder of the capture.
+
+        Existing equal files are kept.
 
         Args:
             folder: folder of the capture.
             force: replace different files of these names (no unit). Default: False.
 
         Raises:
-            OutputError: a different file of that name exists, or a file cannot be written.
+            OutputError: a different file of one of these names exists and `force` is False, or a file cannot be written.
         """
         wanted = [(source, folder / name) for source, name in self.copies.items()]
         wanted = [(source, target) for source, target in wanted if source.resolve() != target.resolve()]
@@ -72,20 +74,20 @@ class Listing:
 def list_photographs(source: str | Path, light_positions: str | Path | None = None) -> Listing:
     """List the photographs of a folder as a capture.
 
-    Photographs of one lamp position are grouped by, in this order: the light position file; names that end in the
-    exposure, such as "L01_E1"; exposure times that repeat from one lamp position to the next. Otherwise each photograph
-    has its own lamp position.
+    Photographs of one lamp position are grouped by the first of these criteria that applies: the light position file;
+    names that end in the exposure, such as "L01_E1"; exposure times that repeat from one lamp position to the next.
+    Otherwise each photograph has its own lamp position.
 
     Args:
         source: folder of photographs.
-        light_positions: `.lp` file with the lamp of each photograph. Default: None, the file in the folder, if any.
+        light_positions: `.lp` file with the lamp of each photograph. Default: None, the file in the folder, if it has one.
 
     Returns:
-        The list.
+        The list of images.
 
     Raises:
         ArgumentError: the folder contains no photograph.
-        FileFormatError: the folder is missing, or the light position file is wrong.
+        FileFormatError: the folder is missing, or the light position file is invalid.
     """
     source = Path(source)
     check_folder(source)
@@ -99,7 +101,7 @@ def list_photographs(source: str | Path, light_positions: str | Path | None = No
         path.name for path in _files(source) if path.suffix.lower() not in (*PICTURES, ".lp", ".csv", ".toml", ".json")
     ]
     if others:
-        listing.notes.append(f"{some_of(others)}: not an image of a supported format; convert it to TIFF or PNG")
+        listing.notes.append(f"{some_of(others)}: the format is not supported; convert to TIFF or PNG")
     times = {path: exposure_time(path) for paths in found.values() for path in paths}
     names = _exposure_names([time for time in times.values() if time is not None])
     positions = _light_positions(source, light_positions)
@@ -144,7 +146,7 @@ def _in_order(path: Path) -> list[tuple[int, int, str]]:
 
 
 def _exposure_names(times: Sequence[float]) -> list[tuple[float, str]]:
-    """Compute the smallest time and the name of each exposure, in ascending order."""
+    """Compute the smallest time, s, and the name of each exposure, in ascending order."""
     least: list[float] = []
     for time in sorted(times):
         if not least or time > _SAME_TIME * least[-1]:
@@ -153,7 +155,7 @@ def _exposure_names(times: Sequence[float]) -> list[tuple[float, str]]:
 
 
 def _exposure(time: float, names: Sequence[tuple[float, str]]) -> tuple[float, str]:
-    """Return the common time and the name of the exposure of an image."""
+    """Find the exposure of an image: its smallest time, s, and its name."""
     return [one for one in names if one[0] <= time][-1]
 
 
@@ -178,7 +180,7 @@ def _matching(path: Path, directions: dict[str, LightPosition]) -> LightPosition
 def _lamp_names(
     frames: Sequence[Path], times: dict[Path, float | None], positions: list[LightPosition] | None
 ) -> dict[Path, tuple[str, str]]:
-    """Find the lamp position of each photograph, and the exposure in its name, or an empty text."""
+    """Find the lamp position and the exposure of each photograph. The exposure is "" if its file name does not contain it."""
     by_name = {one.file.lower(): one for one in positions or ()}
     stated = {path: one for path in frames if (one := _matching(path, by_name)) is not None}
     if stated and len(stated) == len(frames):  # some tables list one photograph per bracket
@@ -216,7 +218,7 @@ def _named(frames: Sequence[Path], at: dict[Path, int], count: int) -> dict[Path
 
 
 def _kind_notes(path: Path) -> list[str]:
-    """Describe the first image of the sample and the settings that accept it."""
+    """Describe a processed image, and the settings with which it is accepted."""
     try:
         values = open_photograph(path).values
     except MatcamError as error:
@@ -225,7 +227,7 @@ def _kind_notes(path: Path) -> list[str]:
     what += ["in full colour"] if values.ndim == 3 else []
     if not what:
         return []
-    text = f"{path.name}: is {' and '.join(what)}; raw frames are better. Set camera.accept_processed = true to use it"
+    text = f"{path.name}: is {' and '.join(what)}; raw frames are more accurate. Set camera.accept_processed = true to use it"
     return [text + (', and camera.tone = "srgb" if it is not linear' if what[0] == "of 8 bits" else "")]
 
 
@@ -244,7 +246,7 @@ def _notes(
     notes += _kind_notes(found["frames"][0])
     unknown = [path.name for path, time in times.items() if time is None]
     if unknown:
-        notes.append(f"{some_of(unknown)}: the file has no exposure time: fill in time_s, or leave it empty")
+        notes.append(f"{some_of(unknown)}: the metadata contain no exposure time; fill in time_s, or leave it empty")
     if positions is None:
         notes.append(
             "angle_deg and azimuth_deg are empty: fill them in, or give a light position file (.lp) with --lamps"
@@ -256,7 +258,7 @@ def _notes(
         if not are_unit_vectors(positions):
             length = float(np.median([np.linalg.norm(one.position) for one in positions]))
             notes.append(
-                f"the light position file contains positions, {length:.4g} of its unit from the centre: give the "
+                f"the light position file contains positions at {length:.4g} of its units from the centre: give this "
                 "distance in mm as distances.lamp_mm in capture.toml"
             )
     missing = [kind for kind in ("dark", "outline") if not found[kind]]

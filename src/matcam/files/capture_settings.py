@@ -20,15 +20,19 @@ _TOO_LARGE = 1e12
 
 
 class Stated(NamedTuple):
-    """Specified value with its standard deviation, in the same unit. A standard deviation of 0 means exact."""
+    """Specified value with its standard deviation, in the same unit.
+
+    A standard deviation of 0 means that the value is exact.
+    """
 
     value: float
     std: float = 0.0
 
 
 def _stated(low: float, high: float = math.inf) -> tuple[BeforeValidator, WithJsonSchema]:
-    """Build the validator of a value or [value, standard deviation] within limits, and its schema; both become a list
-    of two.
+    """Build the validator and the schema of a field that is a value or [value, standard deviation].
+
+    The validator checks the limits of the value, and converts both forms to a list of two.
     """
 
     def check(value: Any) -> list[float]:
@@ -98,13 +102,18 @@ class _Sample(_Strict):
         for kind, names in _ONLY.items():
             for name in names:
                 if self.kind != kind and getattr(self, name) is not None:
-                    raise ValueError(f"{name} applies only to a {kind}, but kind is {self.kind}")
+                    raise ValueError(f"{name} applies only if kind is {kind}, but kind is {self.kind}: delete it")
         rows, turns = self.strip_rows_px, self.strip_turn_deg
         if turns is not None and len(turns) != len(rows or ()):
-            raise ValueError(f"strip_turn_deg has {len(turns)} angles for {len(rows or ())} strips of strip_rows_px")
+            raise ValueError(
+                f"strip_turn_deg has {len(turns)} angles, but strip_rows_px has {len(rows or ())} strips: give one angle for "
+                "each"
+            )
         for first, last in rows or ():
             if last <= first:
-                raise ValueError(f"strip_rows_px must be [first row, last row] of each strip, got [{first}, {last}]")
+                raise ValueError(
+                    f"strip_rows_px must have [first row, last row] of each strip, first < last, got [{first}, {last}]"
+                )
         return self
 
 
@@ -161,6 +170,6 @@ class CaptureSettings(_Strict):
     def _circle_of_a_sphere(self) -> CaptureSettings:
         if self.sample.kind != "sphere" and (self.outline.centre_px is not None or self.outline.mask is not None):
             raise ValueError(
-                f"outline.centre_px and outline.mask apply only to a sphere, but sample.kind is {self.sample.kind}"
+                f"outline.centre_px and outline.mask apply only to a sphere, but sample.kind is {self.sample.kind}: delete them"
             )
         return self

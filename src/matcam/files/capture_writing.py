@@ -24,16 +24,16 @@ version = 1
 
 [camera]
 # profile = "camera.json"            # from `matcam calibrate`: lens and noise; a file in this folder
-# cfa = "RGGB"                       # colours of the first 2 x 2 px; leave it out for grey images and camera raw
+# cfa = "RGGB"                       # colours of the first 2 x 2 px; omit it for grey images and camera raw
 # black_level_dn = 256               # only without dark frames
 # accept_processed = false           # true: accept demosaiced or 8-bit images, which are less accurate
 
 [sample]
 kind = "sphere"                      # sphere | cylinder | flat
 # radius_mm = [25.0, 0.005]
-# region_px = [800, 600, 900, 900]   # first column, first row (both even), width, height that hold the sphere
+# region_px = [800, 600, 900, 900]   # first column, first row (both even), width, height around the sphere
 # strip_rows_px = [[0, 99], [100, 199]]   # of a cylinder: first and last row of each strip of material
-# strip_turn_deg = [0.0, 90.0]       # of each strip: its x axis from the direction round the cylinder towards up
+# strip_turn_deg = [0.0, 90.0]       # of each strip: angle of its x axis from the circumferential direction towards up
 # tilt_deg = [0, 10, 20]             # of a flat sample, for each lamp position: tilt of its normal towards the right
 # mm_per_px = 0.02                   # of a flat sample at normal view
 
@@ -45,20 +45,20 @@ kind = "sphere"                      # sphere | cylinder | flat
 # radius_mm = [3.5, 0.05]            # radius of the source disc
 motion = "free"                      # arc | free | table
 intensity = "constant"               # reference | constant | table
-gain_std = 0.005                     # relative standard deviation of the light of an image
+gain_std = 0.005                     # relative standard deviation of the lamp intensity of an image
 direction_std_deg = 1.0              # standard deviation of angle_deg and azimuth_deg of frames.csv
 
-# [reference]                        # object of known light, in every frame or in separate images
-# kind = "diffuse"                   # diffuse: white patch facing the camera | monitor: light proportional to the lamp
+# [reference]                        # object of known radiance, in every frame or in separate images
+# kind = "diffuse"                   # diffuse: white patch facing the camera | monitor: radiance proportional to the lamp
 # reflectance = [0.98, 0.003]        # of a diffuse reference: F is then absolute
-# depth_mm = [0, 2]                  # of a diffuse reference: distance before the sphere's centre, towards the camera
+# depth_mm = [0, 2]                  # of a diffuse reference: distance from the sphere's centre towards the camera
 # region_px = [10, 10, 60, 60]       # first column, first row, width, height, in the whole frame
-# apart = false                      # true: it is in the images in reference/, one or more for each lamp position
-# between_std = 0.001                # if apart: scatter of the lamp's light between its image and that of the sample
+# apart = false                      # true: separate images in reference/, one or more for each lamp position
+# between_std = 0.001                # if apart: relative scatter of the lamp between images of reference and sample
 
 [outline]
 field_beyond_deg = 3.0               # angle by which the bright field of outline frames extends beyond the limb
-# centre_px = [1250.5, 1049.0]       # the outline without outline frames: column and row of its centre
+# centre_px = [1250.5, 1049.0]       # without outline frames: column and row of the centre of the outline
 # radius_px = [401.2, 0.5]           # radius of the outline
 # mask = "mask.png"                  # or an image in this folder with two values: sphere and background
 # mask_std_px = 0.5                  # standard deviation of the radius of the mask
@@ -70,11 +70,11 @@ def write_template(folder: str | Path, rows: Iterable[Mapping[str, Any]] = (), *
 
     Args:
         folder: folder of the capture; it is created.
-        rows: lines of frames.csv by column. Default: none.
+        rows: lines of frames.csv, each with its values by column. Default: no lines.
         force: replace an existing capture.toml and frames.csv (no unit). Default: False.
 
     Returns:
-        The two files.
+        Paths of the two files.
 
     Raises:
         OutputError: a file exists and `force` is False, or the folder cannot be written.
@@ -98,8 +98,8 @@ def write_description(
 
     Args:
         folder: folder of the capture.
-        settings: tables of capture.toml by name, values that JSON can represent.
-        rows: lines of frames.csv by column; missing cells are empty.
+        settings: tables of capture.toml by name. JSON must be able to represent their values.
+        rows: lines of frames.csv, each with its values by column; missing cells are empty.
         force: replace existing files (no unit). Default: False.
     """
     for name, content in ((SETTINGS, as_toml(settings)), (LIST, _table(rows))):
@@ -116,7 +116,10 @@ def _table(rows: Iterable[Mapping[str, Any]]) -> str:
 
 
 def write_codes(path: Path, codes: np.ndarray, *, force: bool = False) -> None:
-    """Write a frame of integers as a 16-bit TIFF, without compression, so that regions of it can be read."""
+    """Write a frame of integers as an uncompressed 16-bit TIFF.
+
+    Without compression, regions of the frame can be read separately.
+    """
     import tifffile
 
     with replacing(path, force=force) as temporary:
@@ -124,7 +127,10 @@ def write_codes(path: Path, codes: np.ndarray, *, force: bool = False) -> None:
 
 
 def as_toml(settings: Mapping[str, Any]) -> str:
-    """Format tables of plain values as TOML: numbers, texts and lists of JSON are valid TOML."""
+    """Format tables of plain values as TOML.
+
+    The values are written as JSON, because its numbers, strings and lists are valid TOML.
+    """
     lines = [f"{key} = {json.dumps(value)}" for key, value in settings.items() if not isinstance(value, dict)]
     for name, table in settings.items():
         if isinstance(table, dict):

@@ -1,10 +1,10 @@
 """Labelled arrays (xarray Datasets) on disk: as NetCDF-4, and as Zarr in one zip file.
 
-NetCDF-4 is self-describing and supported by xarray, MATLAB, R and many others. `xarray.open_zarr` reads Zarr (version
-3, .zarr.zip) from disk and from object storage. It is a zip and not a folder, because a file can be written atomically;
-its members carry CRC-32 checksums. Zarr needs the extra `matcam[scale]`.
+NetCDF-4 is self-describing and supported by xarray, MATLAB, R and many other programs. `xarray.open_zarr` reads Zarr (version
+3, .zarr.zip) from disk and from object storage. The store is a zip file and not a folder, because a file can be written
+atomically. The members of the zip file have CRC-32 checksums. Zarr requires the extra `matcam[scale]`.
 
-Headers of both formats may claim far more data than the file contains, so sizes are checked before reading.
+Headers of both formats may specify far more data than the file contains, so sizes are checked before reading.
 """
 
 from __future__ import annotations
@@ -30,15 +30,15 @@ _DEFLATE = {"zlib": True, "complevel": 1, "shuffle": True}
 def write_netcdf(path: str | Path, data: xr.Dataset, *, force: bool = False, compress: bool = True) -> None:
     """Write a Dataset with its attributes as NetCDF-4.
 
-    A table of standard deviations, a float64 variable of more than two dimensions whose name ends in _std, is stored as
-    float32: 7 digits of an uncertainty suffice. All other variables are stored exactly.
+    Tables of standard deviations are stored as float32, because 7 digits of an uncertainty suffice. These are float64
+    variables of more than two dimensions with names that end in _std. All other variables are stored exactly.
 
     Args:
         path: file to write (.nc).
         data: result with labels and units.
         force: replace an existing file (no unit). Default: False.
-        compress: whether to compress its arrays by deflate at level 1, without loss; every reader of NetCDF-4 supports
-            it. Default: True.
+        compress: whether to compress the arrays losslessly by deflate at level 1, which every reader of NetCDF-4
+            supports. Default: True.
 
     Raises:
         ArgumentError: `data` is not a Dataset.
@@ -72,7 +72,7 @@ def _write(path: Path, data: xr.Dataset, encoding: _Encoding) -> None:
 
 
 def with_short_deviations(data: xr.Dataset) -> xr.Dataset:
-    """Convert tables of standard deviations to float32; values beyond its range become its largest value."""
+    """Convert tables of standard deviations to float32; larger values are clipped."""
     tables = {
         name: one
         for name, one in data.data_vars.items()
@@ -85,7 +85,10 @@ def with_short_deviations(data: xr.Dataset) -> xr.Dataset:
 
 
 def _compressed(data: xr.Dataset) -> _Encoding:
-    """Compress each array of numbers: in chunks along its first dimension, or in one chunk if that is short."""
+    """Build the encoding that compresses numeric arrays.
+
+    Arrays of more than two dimensions have one chunk for each index of the first dimension.
+    """
     encoding: _Encoding = {}
     for name, one in data.data_vars.items():
         if one.ndim and one.dtype.kind in "biuf":
@@ -94,7 +97,7 @@ def _compressed(data: xr.Dataset) -> _Encoding:
 
 
 def _readable(path: Path, data: xr.Dataset) -> bool:
-    """Check that `read_netcdf` accepts a compressed file; it rejects arrays that are much larger than their file."""
+    """Check that `read_netcdf` accepts a compressed file. It rejects files whose arrays are much larger than the file."""
     try:
         shapes = {str(name): (one.shape, one.dtype) for name, one in data.variables.items()}
         check_stored_sizes(path, path.stat().st_size, shapes)
@@ -113,7 +116,7 @@ def read_netcdf(path: str | Path) -> xr.Dataset:
         The Dataset, in memory.
 
     Raises:
-        FileFormatError: the file is not NetCDF-4, is damaged, or claims more than 16 times its bytes.
+        FileFormatError: the file is not NetCDF-4 or is damaged, or its arrays exceed 16 times its size.
 
     Example:
         >>> import tempfile, xarray
@@ -160,7 +163,7 @@ def write_zarr(path: str | Path, data: xr.Dataset, *, force: bool = False) -> No
         # not compressed, so that the size of the file bounds the required memory
         plain = {name: {"compressors": ()} for name in data.variables}
         data.to_zarr(store, zarr_format=3, consolidated=False, encoding=plain)
-    # through memory, because a zip cannot replace a member, and the attributes are written twice
+    # written through memory, because a zip cannot replace a member, and the attributes are written twice
     with replacing(path, force=force) as temporary, zipfile.ZipFile(temporary, "w", zipfile.ZIP_STORED) as packed:
         for name in sorted(members, key=lambda name: (not name.endswith(DESCRIPTION), name)):
             packed.writestr(name, members[name].to_bytes())
@@ -177,7 +180,7 @@ def read_zarr(path: str | Path) -> xr.Dataset:
 
     Raises:
         ArgumentError: zarr is not installed.
-        FileFormatError: the file is not Zarr in a zip, is damaged, or claims more than 16 times its bytes.
+        FileFormatError: the file is not Zarr in a zip or is damaged, or its arrays exceed 16 times its size.
 
     Example:
         >>> import tempfile, xarray
@@ -191,7 +194,7 @@ def read_zarr(path: str | Path) -> xr.Dataset:
 
     path = Path(path)
     if is_folder(path):
-        raise FileFormatError(f"{path}: is a folder: give a Zarr in one zip file (zip -0 -r a.zarr.zip .)")
+        raise FileFormatError(f"{path}: is a folder: give a Zarr store in one zip file (zip -0 -r a.zarr.zip .)")
     stored = read_apart("matcam.files.decoders:decode_zarr", path, "a Zarr in a zip file", libraries=("zarr.storage",))
     try:
         for variable in stored["variables"].values():
@@ -208,7 +211,9 @@ def _variables(stored: dict[str, Any]) -> dict[str, xr.Variable]:
 
 def _check_dataset(data: object) -> None:
     if not isinstance(data, xr.Dataset):
-        raise ArgumentError(f"data must be an xarray.Dataset, got {type(data).__name__}; a DataArray has to_dataset()")
+        raise ArgumentError(
+            f"data must be an xarray.Dataset, got {type(data).__name__}; convert a DataArray by to_dataset()"
+        )
 
 
 def _storage() -> Any:

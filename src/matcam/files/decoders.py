@@ -1,7 +1,8 @@
 """Decoders of labelled arrays (NetCDF-4 and Zarr), which run in a separate process (apart.py).
 
-Files are not trusted. Before any value is read, these are rejected: links and storage in other files, groups, filters
-and codecs beyond a short list (others are loaded as plugins), and arrays larger than 16 times the file.
+Files are not trusted. Before any value is read, these are rejected: links to other files and storage in them, groups,
+filters and codecs that are not on a short list (plugins would be loaded for them), and arrays larger than 16 times the
+file.
 """
 
 from __future__ import annotations
@@ -66,7 +67,9 @@ def check_stored_sizes(path: Path, size: int, variables: Mapping[str, tuple[tupl
 def check_lengths(path: Path, name: str, shape: Sequence[Any]) -> None:
     """Raise FileFormatError if lengths are not non-negative integers."""
     if not all(type(length) is int and length >= 0 for length in shape):
-        raise FileFormatError(f"{path}: variable {name!r:.60} has the lengths {list(shape)!r:.60}: damaged")
+        raise FileFormatError(
+            f"{path}: variable {name!r:.60} has invalid lengths {list(shape)!r:.60}: the file is damaged"
+        )
 
 
 def decode_netcdf(path: Path) -> dict[str, Any]:
@@ -88,7 +91,7 @@ def decode_netcdf(path: Path) -> dict[str, Any]:
 
 
 def _texts(attributes: Mapping[str, Any]) -> dict[str, Any]:
-    """Convert attributes with text to text: a single character is stored as a byte."""
+    """Decode attributes that are bytes: a single character is stored as a byte."""
     return {
         name: value.decode("utf-8", "replace") if isinstance(value, bytes) else value
         for name, value in attributes.items()
@@ -101,28 +104,30 @@ def _check_hdf5(path: Path, file: Any) -> None:
     shapes: dict[str, tuple[tuple[int, ...], Any]] = {}
     for index, name in enumerate(file):
         if index > _MOST_VARIABLES:
-            raise FileFormatError(f"{path}: more than {_MOST_VARIABLES} variables: damaged, or not a result")
+            raise FileFormatError(
+                f"{path}: contains more than {_MOST_VARIABLES} variables: damaged, or of another format"
+            )
         link = file.get(name, getlink=True)
         if isinstance(link, h5py.ExternalLink):
             raise FileFormatError(
-                f"{path}: {name!r:.60} is a link to another file, {link.filename!r:.80}: not followed"
+                f"{path}: {name!r:.60} is a link to another file, {link.filename!r:.80}, which is not followed"
             )
         if not isinstance(link, h5py.HardLink):
-            raise FileFormatError(f"{path}: {name!r:.60} is a symbolic link: not followed")
+            raise FileFormatError(f"{path}: {name!r:.60} is a symbolic link, which is not followed")
         variable = file[name]
         if isinstance(variable, h5py.Group):
-            raise FileFormatError(f"{path}: {name!r:.60} is a group; results have variables only")
+            raise FileFormatError(f"{path}: {name!r:.60} is a group, but results contain variables only")
         if not isinstance(variable, h5py.Dataset):
             continue  # a named type, which no variable requires
         if variable.external:
             raise FileFormatError(
-                f"{path}: variable {name!r:.60} is stored in another file, {variable.external[0][0]!r:.80}: not read"
+                f"{path}: variable {name!r:.60} is stored in another file, {variable.external[0][0]!r:.80}, which is not read"
             )
         if variable.is_virtual:
-            raise FileFormatError(f"{path}: variable {name!r:.60} is assembled from other files: not read")
+            raise FileFormatError(f"{path}: variable {name!r:.60} is assembled from other files, which are not read")
         if variable.dtype.kind == "O" and h5py.check_string_dtype(variable.dtype) is None:
             raise FileFormatError(
-                f"{path}: variable {name!r:.60} contains lists or references; only numbers and text are read"
+                f"{path}: variable {name!r:.60} contains lists or references, but only numbers and text are supported"
             )
         creation = variable.id.get_create_plist()
         seen: set[int] = set()
@@ -130,10 +135,10 @@ def _check_hdf5(path: Path, file: Any) -> None:
             code = creation.get_filter(number)[0]
             if code not in _FILTERS:
                 raise FileFormatError(
-                    f"{path}: variable {name!r:.60} is compressed by filter {code}; known: {', '.join(_FILTERS.values())}"
+                    f"{path}: variable {name!r:.60} is compressed by filter {code}; supported: {', '.join(_FILTERS.values())}"
                 )
             if code in seen:  # each pass of deflate multiplies the size by up to 1032
-                raise FileFormatError(f"{path}: variable {name!r:.60} passes {_FILTERS[code]} twice: damaged")
+                raise FileFormatError(f"{path}: variable {name!r:.60} is filtered twice by {_FILTERS[code]}: damaged")
             seen.add(code)
         shapes[name] = (variable.shape or (), variable.dtype)
         if variable.chunks:  # a chunk is decoded completely, even if the array uses little of it
@@ -145,7 +150,7 @@ def _check_hdf5(path: Path, file: Any) -> None:
 
 
 def decode_zarr(path: Path) -> dict[str, Any]:
-    """Read the variables and attributes of a Zarr in one zip file as plain arrays."""
+    """Read variables and attributes of a zipped Zarr as plain arrays."""
     try:
         import zarr
         from zarr import storage
@@ -167,7 +172,10 @@ def decode_zarr(path: Path) -> dict[str, Any]:
 
 
 def decode_rows(folder: Path, *, arrays: list[str], row: int | None = None) -> dict[str, Any]:
-    """Read the attributes of a Zarr, and some of its arrays or one row of each."""
+    """Read attributes of a Zarr, and arrays or one row of each.
+
+    arrays: names of the arrays. row: index of the row; None: complete arrays.
+    """
     import zarr
 
     group: Any = zarr.open_group(folder, mode="r", zarr_format=3, use_consolidated=False)
@@ -189,20 +197,22 @@ def _check_zarr(path: Path) -> None:
         described = {}
         for member in members:
             if member.filename.endswith((".zarray", ".zgroup", ".zattrs", ".zmetadata")):
-                raise FileFormatError(f"{path}: {member.filename!r:.60} is of Zarr version 2; version 3 is read")
+                raise FileFormatError(
+                    f"{path}: {member.filename!r:.60} is of Zarr version 2, but only version 3 is supported"
+                )
             if member.filename.rsplit("/", 1)[-1] == DESCRIPTION:
                 if member.filename.count("/") > 1:
                     raise FileFormatError(
-                        f"{path}: {member.filename!r:.60} lies inside an array or a second group; results have variables only"
+                        f"{path}: {member.filename!r:.60} is inside an array or a second group, but results have variables only"
                     )
                 if member.file_size > _DESCRIPTION_BYTES:
-                    raise FileFormatError(f"{path}: {member.filename!r:.60} of {member.file_size} bytes: damaged")
+                    raise FileFormatError(f"{path}: {member.filename!r:.60} has {member.file_size} bytes: damaged")
                 described[member.filename] = json.loads(archive.read(member))
         broken = archive.testzip()
     if broken:
         raise FileFormatError(f"{path}: damaged: the checksum of {broken} differs")
     if described.get(DESCRIPTION, {}).get("node_type") != "group":
-        raise FileFormatError(f"{path}: no zarr.json of a group at its root: not a Zarr of version 3")
+        raise FileFormatError(f"{path}: is not a Zarr of version 3: its root has no zarr.json of a group")
     shapes, chunks = {}, {}
     for name, document in described.items():
         if document.get("zarr_format") != 3:
@@ -213,25 +223,32 @@ def _check_zarr(path: Path) -> None:
             shapes[name] = (tuple(document["shape"]), width)
             chunks[f"{name} (chunk)"] = (chunk_shape(document), width)
         elif name != DESCRIPTION:
-            raise FileFormatError(f"{path}: {name!r:.60} is a group inside a group; results have variables only")
+            raise FileFormatError(f"{path}: {name!r:.60} is a group inside a group, but results have variables only")
     check_stored_sizes(path, size, shapes)
     check_stored_sizes(path, size, chunks)
 
 
 def check_codecs(path: Path, name: str, document: dict[str, Any]) -> None:
-    """Check that the values and codecs of an array of a Zarr are on a short list, by its description (FileFormatError)."""
+    """Check that the values and codecs of a Zarr array are supported.
+
+    document: description of the array. Raise FileFormatError otherwise.
+    """
     kind = document["data_type"]
     kind = kind["name"] if isinstance(kind, dict) else kind
     if kind not in _NUMBERS | _TEXTS:
-        raise FileFormatError(f"{path}: {name!r:.60} has values of type {kind!r:.40}; only numbers and text are read")
+        raise FileFormatError(
+            f"{path}: {name!r:.60} has values of type {kind!r:.40}, but only numbers and text are supported"
+        )
     if document["chunk_grid"]["name"] != "regular":
-        raise FileFormatError(f"{path}: {name!r:.60} has no regular chunks")
+        raise FileFormatError(f"{path}: {name!r:.60} must have regular chunks")
     if document.get("storage_transformers"):
-        raise FileFormatError(f"{path}: {name!r:.60} has storage transformers: not supported")
+        raise FileFormatError(f"{path}: {name!r:.60} has storage transformers, which are not supported")
     for codec in document["codecs"]:
         used = codec["name"] if isinstance(codec, dict) else codec
         if used not in _CODECS:
-            raise FileFormatError(f"{path}: {name!r:.60} is coded by {used!r:.40}; known: {', '.join(sorted(_CODECS))}")
+            raise FileFormatError(
+                f"{path}: {name!r:.60} is coded by {used!r:.40}; supported: {', '.join(sorted(_CODECS))}"
+            )
 
 
 def chunk_shape(document: dict[str, Any]) -> tuple[int, ...]:
@@ -271,4 +288,4 @@ def _check_directory(path: Path, size: int) -> None:
         raise FileFormatError(f"{path}: not a zip file")
     length, start = struct.unpack_from("<II", end, at + 12)
     if length + start > size:
-        raise FileFormatError(f"{path}: damaged: list of members, {length} bytes at byte {start}, exceeds the file")
+        raise FileFormatError(f"{path}: damaged: the list of members, {length} bytes at byte {start}, exceeds the file")

@@ -30,8 +30,8 @@ SOURCE_SETTING = "MATCAM_MERL_SOURCE"
 """Environment variable that names another source: an archive (ending in .zip) or a folder of NAME.binary files."""
 
 _SIZE = 34_992_012  # bytes of every MERL file
-_TIMEOUT = 60  # s without a byte
-_DEADLINE = 1800.0  # s for one file
+_TIMEOUT = 60  # longest time without data, s
+_DEADLINE = 1800.0  # longest time for one file, s
 _BLOCK = 1 << 16  # bytes
 _TAIL = 1 << 17  # bytes at the end of an archive that contain its directory
 _MOST_AT_ONCE = 16 << 20  # largest size of a directory, bytes
@@ -39,7 +39,7 @@ _MOST_AT_ONCE = 16 << 20  # largest size of a directory, bytes
 
 @cache
 def merl_checksums() -> dict[str, str]:
-    """Return the SHA-256 of the 100 published MERL files, by material."""
+    """Return the SHA-256 checksums of the 100 published MERL files, by material."""
     lines = resources.files("matcam").joinpath("data/merl_sha256.txt").read_text(encoding="ascii").splitlines()
     return {name.removesuffix(".binary"): sha256 for sha256, _, name in (line.split() for line in lines)}
 
@@ -54,7 +54,7 @@ def fetch_merl(
 ) -> Path:
     """Fetch one published MERL file and check it.
 
-    An existing correct file is kept. After an error no file remains. At most the size of the published file is read.
+    An existing correct file is kept. After an error no file remains. No more bytes than the published file are read.
 
     Args:
         material: name as published, such as "chrome".
@@ -70,7 +70,7 @@ def fetch_merl(
     Raises:
         ArgumentError: the material is unknown; the message suggests the nearest name.
         DownloadError: the file cannot be fetched, or its SHA-256 differs from the published one.
-        OutputError: a different file has its name and `force` is False, or the file cannot be written.
+        OutputError: a different file of this name exists and `force` is False, or the file cannot be written.
     """
     checksums = merl_checksums()
     if material not in checksums:
@@ -89,7 +89,9 @@ def fetch_merl(
                 if progress:
                     progress(done, _SIZE)
         if digest.hexdigest() != checksums[material]:
-            raise DownloadError(f"{material}: the file from {source} is not the published one (SHA-256 differs)")
+            raise DownloadError(
+                f"{material}: the file from {source} is not the published one (SHA-256 differs): use another source"
+            )
     return path
 
 
@@ -99,8 +101,8 @@ def _sha256(path: Path) -> str:
 
 
 def _pieces(source: str, material: str) -> Generator[bytes]:
-    """Yield a published file in pieces, at most its size; DownloadError for all failures."""
-    # imported here, because it takes half a second that only a download requires
+    """Yield a published file in pieces, up to its published size. All failures raise DownloadError."""
+    # imported here, because the import takes half a second, and only a download requires it
     import requests
     import urllib3
 
@@ -118,7 +120,9 @@ def _pieces(source: str, material: str) -> Generator[bytes]:
     except (requests.RequestException, urllib3.exceptions.HTTPError) as error:
         raise DownloadError(f"{material}: cannot be fetched from {source}: {one_line(error)}") from None
     except (EOFError, zlib.error, ValueError, OverflowError, struct.error, NotImplementedError, RuntimeError) as error:
-        raise DownloadError(f"{material}: cannot be fetched from {source}: {one_line(error)}: damaged") from None
+        raise DownloadError(
+            f"{material}: cannot be fetched from {source}, because the data are damaged: {one_line(error)}"
+        ) from None
 
 
 def _limited(pieces: Iterable[bytes], source: str) -> Iterator[bytes]:
@@ -126,10 +130,10 @@ def _limited(pieces: Iterable[bytes], source: str) -> Iterator[bytes]:
     for piece in pieces:
         done += len(piece)
         if done > _SIZE:
-            raise DownloadError(f"{source}: sends more than the {_SIZE} bytes of the published file")
+            raise DownloadError(f"{source}: the server sends more than the {_SIZE} bytes of the published file")
         yield piece
     if done < _SIZE:
-        raise DownloadError(f"{source}: the connection ended after {done} of {_SIZE} bytes")
+        raise DownloadError(f"{source}: the connection ended after {done} of {_SIZE} bytes: try again")
 
 
 def _member(web: _Web, source: str, name: str) -> Iterator[bytes]:
@@ -140,20 +144,25 @@ def _member(web: _Web, source: str, name: str) -> Iterator[bytes]:
         if member is None:
             raise DownloadError(f"{source} does not contain {name}")
         if member.file_size != _SIZE:
-            raise DownloadError(f"{source}: lists {name} with {member.file_size} bytes; the published file has {_SIZE}")
+            raise DownloadError(
+                f"{source}: lists {name} with {member.file_size} bytes, but the published file has {_SIZE}"
+            )
         remote.end = min(remote.size, member.header_offset + member.compress_size + _BLOCK)
         with archive.open(member) as packed:
             yield from _limited(iter(lambda: packed.read(_BLOCK), b""), source)
 
 
 class _Web:
-    """HTTP requests with a deadline, which read at most the requested bytes."""
+    """HTTP requests with a deadline, limited to the requested bytes."""
 
     def __init__(self, session: Any, deadline: float):
         self.session, self.deadline = session, deadline
 
     def stream(self, address: str, span: tuple[int, int] | None = None) -> Iterator[bytes]:
-        """Yield the answer of a server in pieces; `span`: only these bytes, first and last."""
+        """Yield the response of a server in pieces.
+
+        span: first and last byte of a range; None: the whole file.
+        """
         headers = {"Accept-Encoding": "identity"} | ({"Range": f"bytes={span[0]}-{span[1]}"} if span else {})
         with self.session.get(address, headers=headers, timeout=_TIMEOUT, stream=True) as reply:
             reply.raise_for_status()
@@ -167,23 +176,26 @@ class _Web:
                 left -= len(piece)
                 yield piece
                 if time.monotonic() > self.deadline:
-                    raise DownloadError(f"{address}: not finished after {_DEADLINE:g} s")
+                    raise DownloadError(f"{address}: the download is not finished after {_DEADLINE:g} s: try again")
 
     @staticmethod
     def _check_span(address: str, reply: Any, span: tuple[int, int]) -> None:
-        """Check that the answer contains exactly these bytes."""
+        """Check that the response is a range of bytes that starts at the requested byte."""
         if reply.status_code != 206:
             raise DownloadError(
-                f"{address}: this server sends only the whole archive; fetch and unpack it yourself, or name a folder of files"
+                f"{address}: the server sends only the whole archive: unpack it yourself, or give a folder of files as source"
             )
         stated = reply.headers.get("Content-Range", "")
         if not re.fullmatch(rf"bytes {span[0]}-[0-9]{{1,18}}/[0-9]{{1,18}}", stated):
             raise DownloadError(
-                f"{address}: the server answered a request for a range of bytes with {stated!r:.60}; download the file yourself"
+                f"{address}: the server answered a request for a range of bytes with {stated!r:.60}: download the file yourself"
             )
 
     def size(self, address: str) -> int:
-        """Return the size of a file, bytes, by a request for one byte, because some servers answer HEAD differently."""
+        """Request the size of a file, bytes.
+
+        The request is for one byte, because some servers respond differently to HEAD.
+        """
         headers = {"Accept-Encoding": "identity", "Range": "bytes=0-0"}
         with self.session.get(address, headers=headers, timeout=_TIMEOUT, stream=True) as reply:
             reply.raise_for_status()
@@ -192,7 +204,7 @@ class _Web:
 
 
 class _RemoteFile(io.RawIOBase):
-    """Remote file for zipfile: its end from memory, the remainder as a stream while it is read sequentially.
+    """Remote file for zipfile. Its end is kept in memory, and the remainder is streamed while it is read sequentially.
 
     Attributes:
         size: size of the file, bytes.
@@ -223,7 +235,7 @@ class _RemoteFile(io.RawIOBase):
     def read(self, size: int = -1) -> bytes:
         size = max(0, self.size - self._at) if size < 0 else size
         if size > _MOST_AT_ONCE:
-            raise DownloadError(f"{self.address}: its list of members takes {size} bytes: damaged")
+            raise DownloadError(f"{self.address}: the list of members has {size} bytes: the archive is damaged")
         position = self._at - self._tail_at
         found = self._tail[position:][:size] if position >= 0 else self._streamed(size)
         self._at += len(found)

@@ -1,4 +1,4 @@
-"""Series of exposures of a uniform field and of darkness, from which a sensor is characterised.
+"""Series of lit and dark exposures of a uniform field, from which a sensor is characterised.
 
 There are two kinds of folders. The first has a descriptor, a text file in the format of the public EMVA 1288 data sets:
 
@@ -8,7 +8,7 @@ There are two kinds of folders. The first has a descriptor, a text file in the f
     d 40000.0                       dark: exposure time, ns
 
 The second has images in folders dark/ and flat/, or with names that begin with "dark" or "flat". Exposure times are in
-the names ("flat_20ms_1.tif") or in the metadata of the files; the lamp is constant.
+the names ("flat_20ms_1.tif") or in the metadata of the files; the lamp must be constant.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _NANO = 1e-9
 _UNITS = {"ns": 1e-9, "us": 1e-6, "ms": 1e-3, "s": 1.0}
 _TIME = re.compile(r"(?<![a-zA-Z0-9.])(\d+(?:\.\d+)?)\s?(ns|us|ms|s)(?![a-zA-Z0-9])")
 _KINDS = {"dark": False, "bias": False, "flat": True, "bright": True}
-"""Beginning of the name of a file or its folder -> True for lit frames, False for dark ones."""
+"""True for lit frames and False for dark frames, by the beginning of the name of a file or of its folder."""
 _MOST_LINES = 20_000
 """Largest number of lines of a descriptor. Most lines name a file, whose path takes 40 us to check."""
 _DEEPEST = 32  # bits of a code
@@ -56,18 +56,18 @@ class ExposureSet(NamedTuple):
 
     @property
     def name(self) -> str:
-        """Short description for messages."""
+        """Return a short description for messages."""
         light = f", {self.photons:g} photons" if math.isfinite(self.photons) and self.lit else ""
         return f"{'flat' if self.lit else 'dark'} frames of {self.time:g} s{light}"
 
 
 @dataclass(frozen=True)
 class ExposureSeries:
-    """Exposures of a uniform field and of darkness.
+    """Lit and dark exposures of a uniform field.
 
     Attributes:
         source: folder or descriptor that was read.
-        sets: frames of each exposure, dark ones first, then by light.
+        sets: frames of each exposure, dark frames first, then in ascending order of `light`.
         bits: depth of the codes; None: unknown.
     """
 
@@ -77,11 +77,14 @@ class ExposureSeries:
 
     @property
     def light_unit(self) -> str:
-        """Unit of `light`: "photons" or "s"."""
+        """Return the unit of `light`, "photons" or "s"."""
         return "photons" if all(math.isfinite(one.photons) for one in self.sets if one.lit) else "s"
 
     def light(self, one: ExposureSet) -> float:
-        """Relative light of an exposure: photons per pixel, or the exposure time, s."""
+        """Return the relative light of an exposure.
+
+        This is the number of photons per pixel, or the exposure time, s (see `light_unit`).
+        """
         return one.photons if self.light_unit == "photons" else one.time
 
 
@@ -89,7 +92,7 @@ def read_exposure_series(path: str | Path) -> ExposureSeries:
     """List the frames of a series of exposures.
 
     Args:
-        path: folder, or descriptor of one.
+        path: folder, or descriptor of a series.
 
     Raises:
         FileFormatError: the folder contains no series, a line of the descriptor is wrong, or a frame has no exposure
@@ -125,7 +128,9 @@ def _described(path: Path) -> ExposureSeries:
     """Read a descriptor of the EMVA 1288 reference data sets."""
     lines = _lines(path)
     if len(lines) > _MOST_LINES:
-        raise FileFormatError(f"{path}: {len(lines)} lines; a descriptor of exposures has at most {_MOST_LINES}")
+        raise FileFormatError(
+            f"{path}: has {len(lines)} lines, but a descriptor of exposures has at most {_MOST_LINES}"
+        )
     bits: int | None = None
     sets: list[ExposureSet] = []
     files: list[list[Path]] = []
@@ -149,7 +154,7 @@ def _described(path: Path) -> ExposureSeries:
         except FileFormatError as error:
             raise FileFormatError(f"{path}: line {number}: {error}") from None
         except ValueError:
-            text = "must be n BITS WIDTH HEIGHT, b TIME PHOTONS, d TIME, or i FILE behind one of them"
+            text = "must be n BITS WIDTH HEIGHT, b TIME PHOTONS, d TIME, or i FILE after b or d"
             raise FileFormatError(f"{path}: line {number} {text}, got {line!r:.60}") from None
     return _series(path, [one._replace(files=tuple(of)) for one, of in zip(sets, files, strict=True)], bits)
 
@@ -176,14 +181,16 @@ def _listed(folder: Path) -> ExposureSeries:
         stated = _TIME.findall(re.sub(r"[_-]", " ", str(inside)))
         time = float(stated[-1][0]) * _UNITS[stated[-1][1]] if stated else exposure_time(file)
         if time is None:
-            raise FileFormatError(f"{file}: has no exposure time in its metadata or its name, as in flat_20ms_1.tif")
+            raise FileFormatError(
+                f"{file}: has no exposure time in its metadata or its name: rename it as in flat_20ms_1.tif"
+            )
         key = (lit, f"{time:.{_DIGITS}g}")
         one = found.setdefault(key, ExposureSet(lit, time, math.nan if lit else 0.0, ()))
         found[key] = one._replace(files=(*one.files, file))
     if not found:
         raise FileFormatError(
-            f"{folder}: contains no exposures: it needs images in dark/ and flat/, images with names that begin so, or a "
-            "descriptor"
+            f"{folder}: contains no exposures: give images in dark/ and flat/, images with names that begin with dark and "
+            "flat, or a descriptor"
         )
     return _series(folder, found.values(), None)
 
@@ -192,6 +199,6 @@ def _series(path: Path, sets: Iterable[ExposureSet], bits: int | None) -> Exposu
     found = [one for one in sets if one.files]
     for lit, kind in ((True, "lit"), (False, "dark")):
         if not any(one.lit == lit for one in found):
-            raise FileFormatError(f"{path}: contains no {kind} exposure: a sensor needs lit and dark ones")
+            raise FileFormatError(f"{path}: contains no {kind} exposure: give lit and dark exposures")
     series = ExposureSeries(path, tuple(found), bits)
     return ExposureSeries(path, tuple(sorted(found, key=lambda one: (one.lit, series.light(one), one.time))), bits)

@@ -1,20 +1,20 @@
 r"""Images of 32-bit floats, (H, W) or (H, W, channels), row 0 on top, as TIFF and as OpenEXR.
 
-TIFF 6.0 with SampleFormat 3: one page, interleaved channels, deflated losslessly. Three channels are marked as RGB, any
+TIFF 6.0 with SampleFormat 3: one page, interleaved channels, compressed by deflate. Three channels are marked as RGB, any
 other number as grey with extra samples; the values are linear in both cases.
 
-OpenEXR: one part, scan lines, 32-bit floats, lossless. All little-endian.
+OpenEXR: one part, scan lines, 32-bit floats, lossless compression. All values are little-endian.
 
     byte 0  int32   20000630, the magic number
-         4  int32   version: low byte 2; bits 0x200 tiles, 0x800 deep data, 0x1000 several parts: none of them here
+         4  int32   version: low byte 2; bits 0x200 tiles, 0x800 deep data, 0x1000 several parts must be 0
          8  attributes, each: name\0 type\0 int32 size, then its bytes; an empty name ends them
             "channels" chlist: name\0 int32 type (0 uint, 1 half, 2 float) int32 linear int32 x, y sampling; \0 ends
             "compression" uint8; "dataWindow" int32[4]: x and y of the first and of the last pixel
-         -  uint64[chunks]   where each chunk of scan lines starts
-         -  chunks: int32 y, int32 size, then so many bytes
+         -  uint64[chunks]   first byte of each chunk of scan lines
+         -  chunks: int32 y, int32 size, then as many bytes
 
 Channels: "Y" for (H, W); "R", "G", "B" for three; "C0000", "C0001", ... for any other number (the format keeps them in
-alphabetical order). The structure is checked here before the library decodes the file, because the library trusts it.
+alphabetical order). The structure is checked here before the library decodes the file, because the library does not check it.
 Decoding runs in a separate process (picture_decoders.py).
 """
 
@@ -37,21 +37,21 @@ from matcam.files.picture_header import LARGEST, check_memory, check_promised, p
 _DECODERS = "matcam.files.picture_decoders"
 _MAGIC, _FLOAT, _MOST_CHANNELS = 20000630, 2, 4096
 _LINES_PER_CHUNK = {0: 1, 1: 1, 2: 1, 3: 16, 4: 32}
-"""Number of scan lines per chunk by compression: none, RLE, ZIPS, ZIP, PIZ. Others lose digits of floats."""
+"""Number of scan lines per chunk by compression: none, RLE, ZIPS, ZIP, PIZ. Other compressions lose digits of floats."""
 _LONGEST_HEADER = 1 << 20  # bytes
 
 
 def as_float32(picture: ArrayLike) -> np.ndarray:
     """Convert an image to contiguous float32.
 
-    NaN (missing) and infinities pass. ArgumentError for a wrong shape, for complex numbers or text, and for values
+    NaN (missing) and infinite values are accepted. ArgumentError for a wrong shape, for complex numbers or text, and for values
     beyond float32.
     """
     given = checks.plain_array("picture", picture)
     labels = [str(label) for label in np.atleast_1d(getattr(picture, "coords", {}).get("channel", ()))]
     if labels and labels != list(_names(len(labels))):
         raise ArgumentError(
-            f"picture has the channels {', '.join(labels)[:60]}; it must have {', '.join(_names(len(labels)))}"
+            f"picture has the channels {', '.join(labels)[:60]}, but must have {', '.join(_names(len(labels)))}"
         )
     if given.dtype.kind not in "fiub":
         raise ArgumentError(f"picture must hold real numbers, got {given.dtype}")
@@ -159,7 +159,9 @@ def write_exr(path: str | Path, picture: ArrayLike, *, force: bool = False) -> N
 
 
 def write_exr_layers(path: str | Path, layers: Mapping[str, ArrayLike], *, force: bool = False) -> None:
-    """Write several images as layers of one OpenEXR file, which viewers show as groups, such as `corrected.R`.
+    """Write several images as layers of one OpenEXR file.
+
+    Viewers show each layer as a group of channels, such as `corrected.R`.
 
     Args:
         path: file to write (.exr).
@@ -192,13 +194,13 @@ def read_exr(path: str | Path) -> np.ndarray:
     """Read an image from an OpenEXR file of 32-bit floats.
 
     Args:
-        path: OpenEXR file of one part, scan lines, compressed without loss.
+        path: OpenEXR file of one part with scan lines, losslessly compressed.
 
     Returns:
         Values, float32, shape (H, W) or (H, W, channels), row 0 on top.
 
     Raises:
-        FileFormatError: the file is damaged, or has other content; the message lists what is supported.
+        FileFormatError: the file is damaged, or its content is not supported; the message lists the supported content.
 
     Example:
         >>> import tempfile
@@ -235,28 +237,30 @@ def _checked_skeleton(path: Path) -> _Skeleton:
             version = struct.unpack_from("<i", head, 4)[0]
             if version & 0xFF != 2 or version & 0x1A00:
                 raise FileFormatError(
-                    f"{path}: OpenEXR with tiles, deep data or several parts; one part of scan lines is read"
+                    f"{path}: OpenEXR with tiles, deep data or several parts is not supported: give one part of scan lines"
                 )
             attributes, start = _attributes(head)
             channels, height, width = _described(path, attributes, size)
             compression = attributes["compression"][0]
             if compression not in _LINES_PER_CHUNK:
                 raise FileFormatError(
-                    f"{path}: OpenEXR compression {compression} loses digits; none, RLE, ZIP and PIZ are read"
+                    f"{path}: OpenEXR compression {compression} loses digits: use no compression, RLE, ZIP or PIZ"
                 )
             chunks = -(-height // _LINES_PER_CHUNK[compression])
             if start + 8 * chunks > size:
-                raise FileFormatError(f"{path}: truncated: {size} bytes end within the table of {chunks} chunks")
+                raise FileFormatError(
+                    f"{path}: truncated: the file of {size} bytes ends within the table of {chunks} chunks"
+                )
             file.seek(start)
             offsets = np.frombuffer(file.read(8 * chunks), "<u8")
             for offset in offsets.tolist():
                 if not start + 8 * chunks <= offset <= size - 8:
-                    raise FileFormatError(f"{path}: truncated or damaged: a chunk at byte {offset} of {size}")
+                    raise FileFormatError(f"{path}: truncated or damaged: a chunk starts at byte {offset} of {size}")
                 file.seek(offset + 4)
                 length = struct.unpack("<i", file.read(4))[0]
                 if not 0 <= length <= size - 8 - offset:
                     raise FileFormatError(
-                        f"{path}: truncated or damaged: byte {offset + 4} gives {length} bytes of {size}"
+                        f"{path}: truncated or damaged: byte {offset + 4} specifies a chunk of {length} bytes of {size}"
                     )
     except (struct.error, IndexError, KeyError, UnicodeDecodeError):
         raise FileFormatError(f"{path}: damaged OpenEXR header") from None
@@ -287,16 +291,18 @@ def _described(path: Path, attributes: dict[str, bytes], size: int) -> tuple[tup
         at += 16
         if kind != _FLOAT:
             stored = {0: "whole numbers", 1: "16-bit floats"}.get(kind, "an unknown type")
-            raise FileFormatError(f"{path}: channel {name!r:.40} has {stored}; only 32-bit floats are read")
+            raise FileFormatError(
+                f"{path}: channel {name!r:.40} contains {stored}, but only 32-bit floats are supported"
+            )
         if sampling != [1, 1]:
-            raise FileFormatError(f"{path}: channel {name!r:.40} is subsampled")
+            raise FileFormatError(f"{path}: channel {name!r:.40} is subsampled, which is not supported")
         names.append(name)
         if len(names) > _MOST_CHANNELS:
-            raise FileFormatError(f"{path}: more than {_MOST_CHANNELS} channels")
+            raise FileFormatError(f"{path}: has more than {_MOST_CHANNELS} channels")
     expected = _names(None if names == ["Y"] else len(names))
     if sorted(names) != sorted(expected):
         raise FileFormatError(
-            f"{path}: channels are {', '.join(names)[:60]}; Y, or R, G, B, or C0000, C0001, ... are read"
+            f"{path}: the channels are {', '.join(names)[:60]}, but must be Y, or R, G, B, or C0000, C0001 and so on"
         )
     check_promised(path, bottom - top + 1, right - left + 1, len(names), size)
     return expected, bottom - top + 1, right - left + 1

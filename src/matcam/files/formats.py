@@ -64,15 +64,24 @@ class Format:
 
     @property
     def written(self) -> tuple[str, ...]:
-        """Keys of `CONTENTS` that can be written to it; a profile and a chart have their own writers."""
+        """Return the keys of `CONTENTS` that can be written in this format.
+
+        Camera profiles and charts have their own writers.
+        """
         return tuple(self.writers) or (() if self.reader else self.holds)
 
     def read(self, path: str | Path, **options: Any) -> Any:
-        """Read a file. `options` are passed to the reader, such as `sampling` for MERL."""
+        """Read a file.
+
+        `options` are passed to the reader, such as `sampling` for MERL.
+        """
         return _function(self.reader)(path, **options)
 
     def writer(self, content: str) -> Callable[..., None]:
-        """Return the function that writes (path, data, force=...); ArgumentError if the content is not supported."""
+        """Return the function that writes (path, data, force=...).
+
+        ArgumentError if the format does not support the content.
+        """
         if content in self.writers:
             return _function(self.writers[content])
         choice, suffix = ", ".join(suffixes_for(content)), self.suffixes[0]
@@ -216,12 +225,18 @@ def format_named(name: str) -> Format:
 
 
 def suffixes_for(*contents: str) -> tuple[str, ...]:
-    """Return the suffixes of the formats that can be written with any of these contents, in the order of `FORMATS`."""
+    """List the suffixes of output formats for any of these contents.
+
+    contents: keys of `CONTENTS`. The suffixes are in the order of `FORMATS`.
+    """
     return tuple(dict.fromkeys(s for form in FORMATS for s in form.suffixes if set(contents) & set(form.written)))
 
 
 def titles_for(*contents: str) -> str:
-    """Describe the formats that can be read and support any of these contents by titles and suffixes, for messages."""
+    """List titles and suffixes of input formats, for messages.
+
+    contents: keys of `CONTENTS`; the formats support any of them.
+    """
     read = (form for form in FORMATS if set(contents) & set(form.holds) and form.name != "materialx")
     return ", ".join(
         f"{form.title} ({', '.join(form.suffixes)})" if ".json" not in form.suffixes else form.title for form in read
@@ -229,9 +244,9 @@ def titles_for(*contents: str) -> str:
 
 
 def identify(path: str | Path) -> str:
-    """Identify the format of a file by its content, or by its name if the content is damaged.
+    """Identify the format of a file by its content.
 
-    Raise FileFormatError for unsupported files.
+    The name of the file is used if the content is damaged. Raise FileFormatError for unsupported files.
     """
     path = Path(path)
     with reading(path), path.open("rb") as file:
@@ -267,9 +282,10 @@ def identify(path: str | Path) -> str:
 
 
 def format_for(path: str | Path, *contents: str) -> Format:
-    """Return the format for the name of an output, among those that support any of these contents.
+    """Return the format of an output by the suffix of its name.
 
-    contents: keys of `CONTENTS`. Default: any measurement. ArgumentError for a name with another suffix.
+    contents: keys of `CONTENTS`, of which the format supports at least one. Default: any measurement. ArgumentError for
+    a name with another suffix.
     """
     name, contents = Path(path).name.lower(), contents or MEASUREMENTS
     for form in FORMATS:
@@ -297,10 +313,13 @@ _MOST_LOOKED_AT = 100
 
 
 def decoded_by(paths: Iterable[Path]) -> list[str]:
-    """List the modules that decode the existing files among `paths` and in their folders, by the names of the files."""
+    """List the modules that decode files, by the suffixes of the files.
+
+    paths: files, and folders of files. Missing ones are ignored.
+    """
     suffixes = set()
     for path in paths:
-        with contextlib.suppress(OSError, ValueError):  # the command reports the error
+        with contextlib.suppress(OSError, ValueError):  # the command reports this error
             inside = path.iterdir() if is_folder(path) else [path] if is_there(path) else []
             suffixes |= {file.suffix.lower() for file in islice(inside, _MOST_LOOKED_AT)}
     return sorted({module for suffix in suffixes & set(_DECODERS) for module in _DECODERS[suffix]})

@@ -1,8 +1,8 @@
 """Light position files (`.lp`) of reflectance transformation imaging: lamp position of each photograph.
 
-The first line is the number of lines that follow. Each line has a file name and x, y, z of the lamp from the sample's
-centre: x right, y up, z to the camera. Vectors have unit length, or the length is the distance of the lamp in any unit
-(RTIBuilder, Cultural Heritage Imaging; relight, Visual Computing Lab of CNR).
+The first line is the number of lines that follow. Each line has a file name and x, y, z of the lamp relative to the
+sample's centre: x right, y up, z towards the camera. Vectors have unit length, or the length is the distance of the lamp
+in any unit (RTIBuilder, Cultural Heritage Imaging; relight, Visual Computing Lab of CNR).
 """
 
 from __future__ import annotations
@@ -20,7 +20,9 @@ from matcam.core.io import replacing
 from matcam.core.readers.texts import read_lines
 
 _UNIT = 0.02
-"""Departure of lengths from 1 below which vectors are unit vectors. Files are rounded to two or more digits."""
+"""Deviation of lengths from 1 below which vectors are treated as unit vectors, in the unit of the file. Files are
+rounded to two or more digits.
+"""
 
 
 class LightPosition(NamedTuple):
@@ -28,7 +30,7 @@ class LightPosition(NamedTuple):
 
     Attributes:
         file: name of the photograph, without folders.
-        position: x, y, z from the sample's centre, in the file's unit (3,).
+        position: x, y, z relative to the sample's centre, in the unit of the file, (3,).
 
     Example:
         >>> at = matcam.io.LightPosition("IMG_1.tif", np.array([0.0, 0.5, 0.5]))
@@ -41,7 +43,10 @@ class LightPosition(NamedTuple):
 
     @property
     def angles(self) -> tuple[float, float]:
-        """Angle from the optical axis and azimuth from +x to +y, rad."""
+        """Return the angle from the optical axis and the azimuth, rad.
+
+        The azimuth is from +x towards +y.
+        """
         x, y, z = self.position
         return math.atan2(math.hypot(x, y), z), math.atan2(y, x)
 
@@ -70,7 +75,7 @@ def read_light_positions(path: str | Path) -> list[LightPosition]:
         raise FileFormatError(f"{path}: the first line must be the number of photographs, got {head!r:.40}")
     if int(head) != len(numbered) - 1:
         raise FileFormatError(
-            f"{path}: the first line announces {int(head)} photographs, but {len(numbered) - 1} lines follow"
+            f"{path}: the first line specifies {int(head)} photographs, but {len(numbered) - 1} lines follow"
         )
     return [_position(path, number, line) for number, line in numbered[1:]]
 
@@ -114,7 +119,10 @@ def write_light_positions(path: str | Path, positions: Sequence[LightPosition], 
 
 
 def are_unit_vectors(positions: list[LightPosition]) -> bool:
-    """Check that all positions have unit length, so that they are directions without distances."""
+    """Check whether all positions have unit length.
+
+    They are then directions without distances.
+    """
     return all(abs(float(np.linalg.norm(one.position)) - 1) < _UNIT for one in positions)
 
 

@@ -1,4 +1,4 @@
-"""MERL's binary BRDF format (Matusik et al. 2003), bytes <-> table. All little-endian.
+"""Binary BRDF format of MERL (Matusik et al. 2003): reading and writing of tables. All values are little-endian.
 
     byte        0   int32[3]            90, 90, 180: cells along theta_h, theta_d, phi_d
     byte       12   float64[1458000]    red:   (theta_h, theta_d, phi_d), phi_d fastest
@@ -37,9 +37,9 @@ def read_merl(path: str | Path, sampling: Sampling = "centre") -> xr.DataArray:
 
     Args:
         path: MERL file (.binary).
-        sampling: position in its cell at which each value was sampled, "centre" or "edge" (no unit). Default: "centre".
-            The file does not contain it, and at a sharp peak the choice changes values by up to 45 %. It is stored in
-            `attrs["sampling"]` and determines the angle coordinates.
+        sampling: position in a cell at which its value was sampled, "centre" or "edge" (no unit). Default: "centre".
+            The file does not specify the position, and at a sharp peak the choice changes values by up to 45 %. The
+            choice is stored in `attrs["sampling"]` and determines the angle coordinates.
 
     Returns:
         Table in 1/sr, dims (theta_h, theta_d, phi_d, channel), shape (90, 90, 180, 3); NaN where missing.
@@ -106,7 +106,7 @@ def write_merl(path: str | Path, brdf: xr.DataArray, *, force: bool = False) -> 
     """
     brdf = checked_table(brdf)
     if brdf.sizes["channel"] != len(CHANNELS):
-        raise ArgumentError(f"a MERL file takes the channels R, G, B; this table has {brdf.sizes['channel']}")
+        raise ArgumentError(f"a MERL file requires the channels R, G, B, but this table has {brdf.sizes['channel']}")
     stored = np.array(np.moveaxis(brdf.values, -1, 0), dtype=np.float64, order="C")
     lowest, highest = np.fmin.reduce(stored, axis=None), np.fmax.reduce(stored, axis=None)
     if np.isnan(lowest):
@@ -124,13 +124,15 @@ def write_merl(path: str | Path, brdf: xr.DataArray, *, force: bool = False) -> 
 
 
 def _read_stored(path: Path) -> np.ndarray:
-    """Read stored values (3, 90, 90, 180), after size and header have been checked."""
+    """Check size and header, and read the stored values, (3, 90, 90, 180)."""
     with reading(path, "a MERL file"):
         size = path.stat().st_size
         with path.open("rb") as file:
             header = file.read(_HEADER_BYTES)
             if len(header) < _HEADER_BYTES:
-                raise FileFormatError(f"{path}: {size} bytes; a MERL file starts with 12 bytes of dimensions")
+                raise FileFormatError(
+                    f"{path}: has only {size} bytes, but a MERL file starts with 12 bytes of dimensions"
+                )
             dims = tuple(np.frombuffer(header, dtype=_HEADER).tolist())
             if dims != GRID_SHAPE:
                 raise FileFormatError(f"{path}: not a MERL file: bytes 0 to 11 are {dims}, not {GRID_SHAPE}")
@@ -139,12 +141,12 @@ def _read_stored(path: Path) -> np.ndarray:
                 raise FileFormatError(f"{path}: {what}: {size} bytes, but a MERL file has {FILE_BYTES}")
             values = np.fromfile(file, dtype=_VALUE)
     if values.nbytes != FILE_BYTES - _HEADER_BYTES:
-        raise FileFormatError(f"{path}: changed while it was read")
+        raise FileFormatError(f"{path}: changed while it was read: try again")
     return values.astype(np.float64, copy=False).reshape(len(CHANNELS), *GRID_SHAPE)
 
 
 def _refuse_non_finite(path: Path, stored: np.ndarray) -> None:
-    """Raise FileFormatError that names the first byte whose value is not finite."""
+    """Raise FileFormatError for non-finite values, with the byte of the first one."""
     bad = np.flatnonzero(~np.isfinite(stored))
     if bad.size:  # a sum of huge but valid values overflows, too
         byte = _HEADER_BYTES + _VALUE.itemsize * bad[0]

@@ -47,10 +47,11 @@ class Mosaic(NamedTuple):
 
 
 def read_raw(path: str | Path, region: tuple[int, int, int, int] | None = None) -> Mosaic:
-    """Read the mosaic of a camera raw file, or a region of it (first column and row, both even, width, height).
+    """Read the mosaic of a camera raw file, or a region.
 
-    Raise FileFormatError that names the file if LibRaw does not support it, if it is damaged, if its colours are not a
-    Bayer mosaic, or if rawpy is not installed.
+    region: first column, first row (both even), width, height, px; None: the whole image. Raise FileFormatError, which
+    names the file, if LibRaw does not support it, it is damaged, its colours are not a Bayer mosaic, or rawpy is not
+    installed.
     """
     path = Path(path)
     there = _memory_for(path)
@@ -79,11 +80,11 @@ class Photograph(NamedTuple):
 
 
 def open_photograph(path: str | Path, region: tuple[int, int, int, int] | None = None) -> Photograph:
-    """Read an image of any of these formats, or a region of it.
+    """Read an image of any supported format, or a region of it.
 
-    region: first column, first row, width, height, px; the first two even, to preserve the mosaic. Images are cropped
-    during decoding. Raise FileFormatError that names the file if it is missing, of an unknown format, damaged, smaller
-    than the region, or too large for the memory.
+    region: first column, first row, width, height, px; None: the whole image. The first two must be even, to preserve
+    the mosaic. Images are cropped during decoding. Raise FileFormatError, which names the file, if it is missing, of an
+    unknown format, damaged, smaller than the region, or too large for the memory.
     """
     path = Path(path)
     with reading(path, "an image"), path.open("rb") as file:
@@ -98,9 +99,10 @@ def open_photograph(path: str | Path, region: tuple[int, int, int, int] | None =
 
 
 def read_photograph(path: str | Path, region: tuple[int, int, int, int] | None = None) -> np.ndarray:
-    """Read the codes of an image or of a region, (height, width) or (height, width, 3), in the type of the file.
+    """Read the codes of an image or of a region of it.
 
-    An alpha channel is omitted. Raise FileFormatError that names the file if it is missing, unsupported or damaged.
+    The result has shape (height, width) or (height, width, 3), and the type of the file. An alpha channel is omitted.
+    Raise FileFormatError, which names the file, if it is missing, unsupported or damaged.
     """
     path = Path(path)
     there = _memory_for(path)
@@ -117,8 +119,8 @@ def _read_exr(path: Path) -> np.ndarray:
 
 
 def _memory_for(path: Path) -> int:
-    """Compute the available memory for an image, bytes; FileFormatError for a file that is too large."""
+    """Compute the available memory for an image, bytes. FileFormatError for a file that is too large."""
     with reading(path, "an image"):
         if path.stat().st_size > _LARGEST:
-            raise FileFormatError(f"{path}: {path.stat().st_size} bytes is too large for a photograph")
+            raise FileFormatError(f"{path}: has {path.stat().st_size} bytes, which is too large for a photograph")
     return picture_memory()

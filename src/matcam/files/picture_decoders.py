@@ -18,14 +18,14 @@ from matcam.core.errors import FileFormatError
 from matcam.files.picture_header import DEFLATE_LIMIT, check_memory, check_promised, cut, jpeg_size, png_size
 
 _TIFF, _PNG, _JPEG = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"), b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff"
-_START = 26  # bytes: up to the size in a PNG
+_START = 26  # bytes of a PNG up to the end of its size
 _PREVIEW, _CANON = 1, b"CR"  # a bit of NewSubfileType (TIFF 6.0), and the bytes after the TIFF header of a CR2
 
 
 def decode_photograph(path: Path, *, there: int, region: Sequence[int] | None = None) -> np.ndarray:
-    """Decode a TIFF, PNG or JPEG, or a region of it, without an alpha channel.
+    """Decode a TIFF, PNG or JPEG, or a region of it.
 
-    (height, width) or (height, width, 3).
+    The result has shape (height, width) or (height, width, 3). An alpha channel is omitted.
     """
     with path.open("rb") as file:
         start = file.read(_START)
@@ -49,17 +49,17 @@ def _decoded(path: Path, start: bytes, there: int, *, in_part: bool = False) -> 
             page = file.pages[0].aspage()
             if page.subfiletype & _PREVIEW or start[8:10] == _CANON:
                 raise FileFormatError(
-                    f"{path}: starts with a preview of {page.imagewidth} x {page.imagelength} px, like camera raw: "
-                    "give the raw file its own suffix (.dng, .nef, .cr2, ...)"
+                    f"{path}: starts with a preview of {page.imagewidth} x {page.imagelength} px, as camera raw does: "
+                    "rename the file with the suffix of its raw format (.dng, .nef, .cr2, ...)"
                 )
             check_memory(path, *_tiff_size(page.shape), np.dtype(page.dtype or "u1").itemsize, there)
             size = path.stat().st_size
             ends = [a + n for a, n in zip(page.dataoffsets, page.databytecounts, strict=True)]
             if page.nbytes > DEFLATE_LIMIT * size or max(ends, default=0) > size:
                 raise FileFormatError(
-                    f"{path}: header gives {page.shape}, more than its {size} bytes can hold: damaged"
+                    f"{path}: the header specifies shape {page.shape}, which exceeds the {size} bytes of the file: damaged"
                 )
-            # if the file stores the image uncompressed, only the pages of the region are read
+            # if the file stores the image uncompressed, only the memory pages of the region are read
             mapped = in_part and page.is_memmappable
             picture = page.asarray(out="memmap") if mapped else np.asarray(page.asarray())
             planar = page.planarconfig == 2 and picture.ndim == 3
@@ -72,18 +72,21 @@ def _decoded(path: Path, start: bytes, there: int, *, in_part: bool = False) -> 
     if start[:3] == _JPEG:
         check_memory(path, *jpeg_size(path), there)
         return np.asarray(imagecodecs.jpeg8_decode(path.read_bytes()))
-    raise FileFormatError(f"{path}: neither TIFF, PNG, JPEG, OpenEXR nor camera raw")
+    raise FileFormatError(f"{path}: is neither TIFF, PNG, JPEG, OpenEXR nor camera raw: convert it to TIFF or PNG")
 
 
 def _tiff_size(shape: tuple[int, ...]) -> tuple[int, int, int]:
-    """Read height, width and channels. Pages with separate colours have the channels first."""
+    """Derive height, width and channels from the shape of a page. Planes of separate colours are on the first axis."""
     if len(shape) == 3 and shape[0] < shape[2]:
         return shape[1], shape[2], shape[0]
     return shape[0], shape[1], int(np.prod(shape[2:]))
 
 
 def decode_raw(path: Path, *, there: int, region: Sequence[int] | None = None) -> dict[str, Any]:
-    """Decode the mosaic of a camera raw file, or a region of it: `values` above the black level, `cfa` and `saturation`."""
+    """Decode the mosaic of a camera raw file, or a region.
+
+    The result has `values`, counts above the black level, `cfa` and `saturation` (see `Mosaic`).
+    """
     import rawpy
 
     try:
@@ -100,10 +103,12 @@ def decode_raw(path: Path, *, there: int, region: Sequence[int] | None = None) -
         what = what.decode("ascii", "replace") if isinstance(what, bytes) else str(what)
         raise FileFormatError(f"{path}: camera raw cannot be read: {what}") from None
     if counts is None or counts.ndim != 2 or pattern is None or pattern.shape != (2, 2):
-        raise FileFormatError(f"{path}: its colours are not a Bayer mosaic of 2 x 2 px; others are not supported")
+        raise FileFormatError(
+            f"{path}: its colours are not a Bayer mosaic of 2 x 2 px; other mosaics are not supported"
+        )
     cfa = "".join(names[i] for i in pattern.ravel())
     if sorted(cfa) != ["B", "G", "G", "R"] or cfa[0] == cfa[3] != "G":
-        raise FileFormatError(f"{path}: its mosaic is {cfa}; red, green, green, blue is supported")
+        raise FileFormatError(f"{path}: its mosaic is {cfa}, but it must have the colours red, green, green, blue")
     height, width = counts.shape
     tile = black[pattern]
     counts -= np.tile(tile, (height // 2 + 1, width // 2 + 1))[:height, :width]
@@ -118,24 +123,31 @@ def decode_float_tiff(path: Path, *, there: int) -> np.ndarray:
     logging.getLogger("tifffile").setLevel(logging.CRITICAL + 1)  # tifffile also logs the errors that it raises
     with tifffile.TiffFile(path) as file:
         if len(file.pages) != 1:
-            raise FileFormatError(f"{path}: {len(file.pages)} pages; one is read")
+            raise FileFormatError(f"{path}: has {len(file.pages)} pages, but only one page is supported")
         page = file.pages[0].aspage()
         if page.dtype != np.float32:
-            raise FileFormatError(f"{path}: has {page.dtype or 'unknown numbers'}; 32-bit floats are read")
+            raise FileFormatError(
+                f"{path}: contains {page.dtype or 'an unknown type'}, but only 32-bit floats are supported"
+            )
         shape = file.series[0].shape if file.is_shaped else page.shape
         if len(shape) not in (2, 3) or page.planarconfig != 1:
-            raise FileFormatError(f"{path}: an image of shape {shape}; (H, W) or (H, W, channels) is read")
+            raise FileFormatError(f"{path}: has shape {shape}, but only (H, W) and (H, W, channels) are supported")
         height, width, channels = (*page.shape, 1)[:3]
         check_promised(path, height, width, channels, size)
         check_memory(path, height, width, channels, 4, there)
         ends = [a + n for a, n in zip(page.dataoffsets, page.databytecounts, strict=True)]
         if max(ends, default=0) > size or 0 in page.databytecounts:
-            raise FileFormatError(f"{path}: truncated: the data extend to byte {max(ends, default=0)} of {size}")
+            raise FileFormatError(
+                f"{path}: truncated: the data extend to byte {max(ends, default=0)}, but the file has {size}"
+            )
         return np.ascontiguousarray(page.asarray().reshape(shape), dtype=np.float32)
 
 
 def decode_exr(path: Path, *, channels: list[str]) -> dict[str, np.ndarray]:
-    """Decode the channels of an OpenEXR file, whose structure has been checked, by name."""
+    """Decode channels of an OpenEXR file by name.
+
+    The caller must have checked the structure of the file.
+    """
     import OpenEXR
 
     stored = OpenEXR.File(str(path), separate_channels=True).channels()

@@ -1,9 +1,9 @@
-"""Metadata of an image, read before decoding: its size and the camera.
+"""Metadata of an image that are read before decoding: size and camera.
 
 The size is read from the first bytes, before memory is allocated for the image.
 
 Maker, model and f-number are in the TIFF or Exif directory. Exif is a TIFF directory at the start of a TIFF and of most
-camera raw files, in the APP1 segment of a JPEG, or in the eXIf chunk of a PNG (CIPA DC-008-2023, 4.6). It consists of a
+camera raw files, in the APP1 segment of a JPEG, or in the eXIf chunk of a PNG (CIPA DC-008-2023, 4.6). A directory has a
 uint16 count and entries of 12 bytes: uint16 tag, uint16 type, uint32 count, and the value or its offset. A damaged
 directory is treated as absent.
 """
@@ -22,13 +22,13 @@ from matcam.core.memory import available_memory
 from matcam.core.readers.apart import files_are_trusted
 
 _SHARE = 0.5  # share of the available memory for one image
-_WORKING = 24  # bytes per pixel: a plane of light in float64, its mask, and two temporary copies
-_UNASKED, _MOST_TIMES = 1 << 30, 100  # bytes that any image may take; beyond them, a multiple of its file
+_WORKING = 24  # bytes per pixel: a plane of float64, its mask, and two temporary copies
+_UNASKED, _MOST_TIMES = 1 << 30, 100  # bytes that any image may take; a larger one: multiple of its file size
 _MOST_SEGMENTS = 200
 LARGEST = 1 << 29
-"""Largest number of values in an image of floats (2 GiB). A header with more is damaged."""
+"""Largest number of values in an image of floats (2 GiB). A header with a larger number is treated as damaged."""
 DEFLATE_LIMIT = 1032
-"""Largest expansion of a byte by deflate (258 for every 2 bits)."""
+"""Largest ratio of the sizes after and before decompression by deflate: 258 bytes for every 2 bits."""
 _FRAMES = {0xC0, 0xC1, 0xC2, 0xC3, 0xC5, 0xC6, 0xC7, 0xC9, 0xCA, 0xCB, 0xCD, 0xCE, 0xCF}
 _CHANNELS = {0: 1, 2: 3, 3: 3, 4: 2, 6: 4}
 """Number of channels by colour type of PNG."""
@@ -38,46 +38,50 @@ _WIDTH, _HEIGHT, _LONG = 0x0100, 0x0101, 4
 _ASCII, _LONGEST_TEXT = 2, 200
 _MOST_ENTRIES = 500
 _TIFF = {b"II*\0": "<", b"MM\0*": ">", b"IIRO": "<", b"IIU\0": "<"}
-"""Byte order by first bytes of a file. The last two entries are of Olympus and Panasonic."""
+"""Byte order by the first four bytes of a file. The last two entries are those of Olympus and Panasonic."""
 
 
 def picture_memory() -> int:
-    """Return the memory for one image with its working copies, bytes: half of the available memory."""
+    """Return the memory for one image with its working copies, bytes.
+
+    This is half of the available memory.
+    """
     return int(_SHARE * available_memory())
 
 
 def check_memory(path: Path, height: int, width: int, channels: int, depth: int, there: int) -> None:
-    """Raise FileFormatError for an image that does not fit into `there` bytes with its working copies.
+    """Check that an image and its working copies fit into memory.
 
-    Unless files are trusted, a large image of more than a hundred times the size of its file is also rejected, because
-    no camera writes one.
+    depth: bytes per sample. there: available memory, bytes. Raise FileFormatError otherwise. Unless files are trusted, a
+    large image of more than 100 times the size of its file is also rejected, because no camera writes such a file.
     """
     decoded = height * width * channels * depth
     needed = decoded + height * width * _WORKING
     if needed > there:
         raise FileFormatError(
-            f"{path}: an image of {width} x {height} px needs {needed / 2**30:.1f} GiB; only "
-            f"{there / 2**30:.1f} GiB of the memory may be used"
+            f"{path}: an image of {width} x {height} px needs {needed / 2**30:.1f} GiB, but only "
+            f"{there / 2**30:.1f} GiB of memory may be used: free memory, or give a smaller image"
         )
     size = path.stat().st_size
     if needed > _UNASKED and decoded > _MOST_TIMES * size and not files_are_trusted():
         raise FileFormatError(
-            f"{path}: an image of {width} x {height} px in {size} bytes is compressed too strongly: it needs "
-            f"{needed / 2**30:.1f} GiB of memory"
+            f"{path}: an image of {width} x {height} px in {size} bytes is compressed too strongly and needs "
+            f"{needed / 2**30:.1f} GiB of memory: store it with less compression"
         )
 
 
 def cut(picture: np.ndarray, region: Sequence[int] | None, path: Path) -> np.ndarray:
-    """Crop an image to a region (first column, first row, width, height); None: the whole image.
+    """Crop an image to a region.
 
-    FileFormatError if the region is not within the image.
+    region: first column, first row, width, height, px; None: the whole image. Raise FileFormatError if the region is not
+    within the image.
     """
     if region is None:
         return picture
     column, row, width, height = region
     if column + width > picture.shape[1] or row + height > picture.shape[0] or min(column, row) < 0:
         raise FileFormatError(
-            f"{path}: an image of {picture.shape[1]} x {picture.shape[0]} px has no region of {width} x {height} "
+            f"{path}: an image of {picture.shape[1]} x {picture.shape[0]} px does not contain the region of {width} x {height} "
             f"px at column {column}, row {row}: check that all images have the same size"
         )
     return picture[row : row + height, column : column + width]
@@ -86,23 +90,30 @@ def cut(picture: np.ndarray, region: Sequence[int] | None, path: Path) -> np.nda
 def check_promised(path: Path, height: int, width: int, channels: int, size: int) -> None:
     """Check that a file can contain its image, before memory is allocated.
 
-    FileFormatError for an implausibly large image, or one that `size` bytes cannot represent with any compression.
+    Raise FileFormatError if the image is implausibly large, or `size` bytes cannot represent it with any compression.
     """
     values = height * width * channels
     if min(height, width, channels) < 1 or values > LARGEST or 4 * values > DEFLATE_LIMIT * size:
         raise FileFormatError(
-            f"{path}: header gives {height} x {width} pixels of {channels} channels, in {size} bytes: damaged or too large"
+            f"{path}: the header specifies {height} x {width} pixels of {channels} channels in {size} bytes: damaged or too "
+            "large"
         )
 
 
 def png_size(start: bytes) -> tuple[int, int, int, int]:
-    """Return height, width, channels and bytes per sample from the first 26 bytes of a PNG."""
+    """Read height, width, channels and bytes per sample of a PNG.
+
+    start: the first 26 bytes of the file.
+    """
     width, height, bits, colours = struct.unpack_from(">IIBB", start, 16)
     return height, width, _CHANNELS.get(colours, 4), max(bits // 8, 1)
 
 
 def jpeg_size(path: Path) -> tuple[int, int, int, int]:
-    """Return height, width, channels and bytes per sample of a JPEG; zeros if unknown."""
+    """Read height, width, channels and bytes per sample of a JPEG.
+
+    All four are 0 if they are unknown.
+    """
     with path.open("rb") as file:
         at = 2
         for _ in range(_MOST_SEGMENTS):
@@ -134,7 +145,7 @@ class Exif(NamedTuple):
 
 
 def read_exif(path: str | Path) -> Exif:
-    """Read the metadata of an image; empty if they are missing or unreadable."""
+    """Read the metadata of an image; empty if missing or unreadable."""
     try:
         with Path(path).open("rb") as file:
             base = _start(file)
@@ -144,7 +155,10 @@ def read_exif(path: str | Path) -> Exif:
 
 
 def exposure_time(path: str | Path) -> float | None:
-    """Read the exposure time from the Exif directory of an image, s; None without one (CIPA DC-008-2023, 4.6.5)."""
+    """Read the exposure time of an image from its Exif directory, s.
+
+    None if it is missing. The tag is defined in CIPA DC-008-2023, 4.6.5.
+    """
     try:
         with Path(path).open("rb") as file:
             base = _start(file)
@@ -166,7 +180,7 @@ def exposure_time(path: str | Path) -> float | None:
 
 
 def _start(file: BinaryIO) -> int | None:
-    """Find the offset of the TIFF header; None without one."""
+    """Find the offset of the TIFF header, bytes; None if it is missing."""
     head = file.read(12)
     if head[:4] in _TIFF:
         return 0
@@ -205,7 +219,7 @@ def _directory(file: BinaryIO, base: int) -> Exif:
         file.seek(base + struct.unpack(order + "I", found[_F_NUMBER][2])[0])
         over, under = struct.unpack(order + "II", file.read(8))
         f_number = over / under if over and under else None
-    # many models repeat the name of their maker
+    # the names of many models begin with the name of their maker
     named = model if model.lower().startswith(make.lower()) else f"{make} {model}"
     return Exif(named.strip(), f_number, _DNG in first, _size(first, order))
 

@@ -1,20 +1,20 @@
-r"""RGL's tensor files (.bsdf; Dupuy & Jakob 2018), bytes <-> Dataset of their fields. All little-endian.
+r"""Tensor files of RGL (.bsdf; Dupuy & Jakob 2018): reading and writing of their fields. All values are little-endian.
 
     byte  0  "tensor_file\0"
          12  uint8, uint8       version 1, 0
          14  uint32             number of fields
          18  fields, each: uint16 length, name; uint16 dimensions; uint8 type (1 u8, 2 i8, 3 u16, 4 i16, 5 u32, 6 i32,
              7 u64, 8 i64, 9 f16, 10 f32, 11 f64); uint64 offset; uint64 shape[dimensions]
-          -  their values, row-major, each on a multiple of 8 bytes
+          -  values of the fields, row-major; each field starts at a multiple of 8 bytes
 
 Fields of a BRDF, with P azimuths and T angles of the light, rows along azimuth and columns along theta:
 
     phi_i [P], theta_i [T]        f32  rad, ascending; an isotropic material has P <= 2
     ndf [., .], sigma [., .]      f32  normal distribution; projected area of the facets seen from a direction
-    vndf [P, T, ., .]             f32  density whose inversion takes facet normals to the unit square
+    vndf [P, T, ., .]             f32  density whose inversion maps facet normals to the unit square
     luminance [P, T, N, N]        f32  density of samples on that square
     rgb [P, T, 3, N, N]           f32  on that square; or spectra [P, T, W, N, N] and wavelengths [W], nm
-    jacobian [1]                  u8   BRDF times cos theta_o: 1, rgb or spectra times ndf / (4 sigma); 0, they alone
+    jacobian [1]                  u8   1: BRDF times cos theta_o is rgb or spectra times ndf / (4 sigma); 0: rgb or spectra
     description                   u8   text
 
 Directions on a unit square: theta = u^2 pi / 2, phi = (2 v - 1) pi, u along the columns. Other fields ("version",
@@ -152,7 +152,10 @@ def write_rgl(path: str | Path, fields: xr.Dataset, *, force: bool = False) -> N
 
 
 def check_fields(fields: xr.Dataset) -> xr.Dataset:
-    """Check fields and name their dimensions as in the file. The ArgumentError names the wrong field."""
+    """Check the fields of a BRDF, and label their dimensions.
+
+    The ArgumentError names the wrong field.
+    """
     return _checked({str(name): field.values for name, field in fields.variables.items()})
 
 
@@ -161,16 +164,18 @@ def _next_aligned(at: int) -> int:
 
 
 def _checked(fields: dict[str, np.ndarray]) -> xr.Dataset:
-    """Check and label the fields. The ArgumentError names the wrong field."""
+    """Check and label the fields (see `check_fields`)."""
     colour = "spectra" if "wavelengths" in fields else "rgb"
     missing = [name for name in (*_REQUIRED, colour) if name not in fields]
     if missing:
-        raise ArgumentError(f"field {missing[0]} is missing: not a BRDF in RGL's form")
+        raise ArgumentError(f"field {missing[0]} is missing: the data are not a BRDF in RGL's parameterisation")
     for name, dims in _DIMS.items():
         if name in fields:
             array = fields[name]
             if array.dtype != np.float32 or array.ndim != len(dims) or 0 in array.shape:
-                raise ArgumentError(f"field {name} must be float32 {dims}, got {array.dtype} of shape {array.shape}")
+                raise ArgumentError(
+                    f"field {name} must be float32 with dims {dims}, got {array.dtype} of shape {array.shape}"
+                )
             if not np.all(np.isfinite(array)):
                 raise ArgumentError(f"field {name} must hold finite numbers, got {array[~np.isfinite(array)].flat[0]}")
     if fields["jacobian"].dtype != np.uint8 or fields["jacobian"].shape != (1,):
@@ -182,7 +187,7 @@ def _checked(fields: dict[str, np.ndarray]) -> xr.Dataset:
     try:
         data = xr.Dataset(labelled)
     except ValueError as error:
-        raise ArgumentError(f"shapes of the fields do not fit together: {str(error).splitlines()[0]:.150}") from None
+        raise ArgumentError(f"the shapes of the fields must agree: {str(error).splitlines()[0]:.150}") from None
     _check_numbers(data, colour)
     return data
 
@@ -190,7 +195,7 @@ def _checked(fields: dict[str, np.ndarray]) -> xr.Dataset:
 def _check_numbers(data: xr.Dataset, colour: str) -> None:
     for name in (*_LIGHT, *(["wavelengths"] if colour == "spectra" else [])):
         if np.any(np.diff(data[name].values) <= 0):
-            raise ArgumentError(f"field {name} must ascend")
+            raise ArgumentError(f"field {name} must increase strictly")
     for name in ("phi_i", "theta_i"):
         if np.abs(data[name].values).max() > 6.3:
             raise ArgumentError(f"field {name} must hold angles in rad, got {np.abs(data[name].values).max():g}")
@@ -201,7 +206,7 @@ def _check_numbers(data: xr.Dataset, colour: str) -> None:
             raise ArgumentError(f"field {name} must not be negative, got {data[name].values.min():g}")
     if data["sigma"].values.min() <= 0:
         raise ArgumentError(
-            f"field sigma must be above 0: values are divided by it, got {data['sigma'].values.min():g}"
+            f"field sigma must be positive, because values are divided by it, got {data['sigma'].values.min():g}"
         )
     for name in ("vndf", "luminance"):
         if not np.all(np.max(data[name].values, axis=(2, 3)) > 0):

@@ -3,9 +3,10 @@
     theta_h_rad,theta_d_rad,phi_d_rad,R_per_sr,G_per_sr,B_per_sr
     0.0123,0.5,1.2,0.31,0.30,0.28
 
-The first line names the columns, in any order. Angles end in _deg or _rad: either theta_h, theta_d, phi_d (half and
-difference angles) or theta_i, phi_i, theta_o, phi_o (light and view, to the surface normal). Every other column must
-end in _per_sr and is a channel of the BRDF. An empty value is missing. Numbers are written with all digits.
+The first line names the columns, in any order. Names of angles end in _deg or _rad. The angles are either theta_h,
+theta_d and phi_d (half and difference angles), or theta_i, phi_i, theta_o and phi_o (directions of light and view
+relative to the surface normal). Every other column is a channel of the BRDF, and its name must end in _per_sr. An empty
+value is missing. Values are written with all digits.
 """
 
 from __future__ import annotations
@@ -37,11 +38,14 @@ from matcam.files.table_decoders import VALUE as _VALUE
 
 _ON_THE_GRID = 1e-6  # rad
 _LABEL = re.compile(r"[^,\x00-\x1f\"]{1,60}")
-"""Pattern of channel labels that can be the name of a column."""
+"""Pattern of channel labels that can be names of columns: without commas, quotes and control characters."""
 
 
 def samples_of(table: xr.DataArray) -> xr.DataArray:
-    """Convert all cells of a table with a value in some channel to samples with dims (sample, channel)."""
+    """Convert a table to samples, dims (sample, channel).
+
+    Cells without a value in any channel are omitted.
+    """
     stacked = checked_table(table).transpose("phi_d", "theta_d", "theta_h", "channel")
     known = np.isfinite(stacked.values).any(axis=-1)
     angles = np.meshgrid(*(stacked[name].values for name in reversed(_HALF)), indexing="ij")[::-1]
@@ -49,16 +53,18 @@ def samples_of(table: xr.DataArray) -> xr.DataArray:
 
 
 def table_of(samples: xr.DataArray) -> xr.DataArray:
-    """Build the table of some samples; all other cells are missing.
+    """Build a table from samples; cells without a sample are missing.
 
-    There is no interpolation: ArgumentError if a sample is not on the MERL grid, or two are in one cell.
+    Samples are not interpolated. ArgumentError if a sample is not on the MERL grid, or two samples are in one cell.
     """
     samples = in_order(checked_samples(samples), "samples")
     labels = [str(label) for label in samples["channel"].values]
     if len(labels) not in (1, len(CHANNELS)) or (len(labels) == 1 and labels[0] in CHANNELS):
-        raise ArgumentError(f"samples must have one channel for all colours, or R, G, B, got {', '.join(labels)[:60]}")
+        raise ArgumentError(
+            f"samples must have one channel for all colours, or the channels R, G and B, got {', '.join(labels)[:60]}"
+        )
     found = {name: np.asarray(samples[name].values) for name in _HALF}
-    found["phi_d"] = np.mod(found["phi_d"] + _ON_THE_GRID, np.pi) - _ON_THE_GRID  # 180 degrees is 0 again
+    found["phi_d"] = np.mod(found["phi_d"] + _ON_THE_GRID, np.pi) - _ON_THE_GRID  # 180 degrees is equivalent to 0
     for sampling in SAMPLINGS:
         grid = merl_grid(sampling)._asdict()
         nearest = [_nearest(grid[name], found[name]) for name in _HALF]
@@ -69,7 +75,8 @@ def table_of(samples: xr.DataArray) -> xr.DataArray:
         worst = int(np.argmax(np.max(apart, axis=0)))
         where = ", ".join(f"{name} {np.degrees(found[name][worst]):.4f}" for name in _HALF)
         raise ArgumentError(
-            f"sample {worst + 1} ({where} degrees) must lie on the MERL grid: scattered samples are not resampled"
+            f"sample {worst + 1} ({where} degrees) must lie on the MERL grid, because samples are not interpolated: "
+            "resample them first"
         )
     values = np.full((*(g.size for g in grid.values()), len(CHANNELS)), np.nan)
     numbers = np.ravel_multi_index(tuple(nearest), values.shape[:3])
@@ -82,7 +89,10 @@ def table_of(samples: xr.DataArray) -> xr.DataArray:
 
 
 def checked_samples(samples: xr.DataArray) -> xr.DataArray:
-    """Check samples of a BRDF, dims (sample, channel). Errors name the wrong dims, coordinate, label or unit."""
+    """Check samples of a BRDF, dims (sample, channel).
+
+    ArgumentError names the wrong dims, coordinate, label or unit.
+    """
     if not isinstance(samples, xr.DataArray) or samples.dims != ("sample", "channel"):
         dims = getattr(samples, "dims", type(samples).__name__)
         raise ArgumentError(f"samples must have dims (sample, channel) (see read_samples), got {dims}")
@@ -91,7 +101,7 @@ def checked_samples(samples: xr.DataArray) -> xr.DataArray:
     check_unit("samples", samples, "1/sr")
     for name in _HALF:
         if name not in samples.coords or samples[name].dims != ("sample",) or samples[name].dtype.kind not in "fiu":
-            raise ArgumentError(f"samples must have a coordinate {name} of numbers along sample")
+            raise ArgumentError(f"samples must have a numeric coordinate {name} along the dimension sample")
         check_unit(f"coordinate {name}", samples[name], "rad")
     labels = [str(label) for label in samples["channel"].values]
     if "channel" not in samples.coords or len(set(labels)) < len(labels) or not all(map(_LABEL.fullmatch, labels)):
@@ -178,7 +188,10 @@ def read_samples(path: str | Path) -> xr.DataArray:
 
 
 def samples_from(values: np.ndarray, angles: list[np.ndarray], channels: list[str]) -> xr.DataArray:
-    """Build samples from values (n, channels), 1/sr, at theta_h, theta_d and phi_d (n,) each, rad."""
+    """Build samples of a BRDF from arrays.
+
+    values: BRDF, 1/sr, (n, channels). angles: theta_h, theta_d and phi_d, rad, (n,) each. channels: labels.
+    """
     coords = {name: ("sample", angle, {"units": "rad"}) for name, angle in zip(_HALF, angles, strict=True)}
     attrs = {"units": "1/sr", "long_name": "BRDF"}
     return named(
@@ -200,6 +213,6 @@ def _check(path: Path, angles: dict[str, np.ndarray], values: np.ndarray) -> Non
             )
     if np.isinf(values).any():
         line = int(np.flatnonzero(np.isinf(values).any(axis=1))[0])
-        raise FileFormatError(f"{path}: line {line + 2} has an infinite value")
+        raise FileFormatError(f"{path}: line {line + 2} has an infinite value: leave missing values empty")
     if not np.isfinite(values).any():
-        raise FileFormatError(f"{path}: every value is missing: the file is empty")
+        raise FileFormatError(f"{path}: every value is missing: the file contains no samples")

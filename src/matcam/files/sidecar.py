@@ -1,23 +1,23 @@
-"""Sidecar of an image: JSON file beside it with all information that an inversion requires.
+"""Sidecar of an image: JSON file beside the image, with all information that an inversion requires.
 
     {
       "format": "matcam picture sidecar",  "version": 1,
       "software": "matcam 0.1.0",  "created": "2026-01-31",
       "picture": {"file": "copper.exr", "shape": [512, 512, 3], "quantity": "radiance", "channel_wavelengths_m": [...],
                   "axis_column_px": 255.5, "axis_row_px": 255.5},
-      "camera": {...},                                        a camera profile, whole
+      "camera": {...},                                        a complete camera profile
       "sample": {"kind": "sphere", "radius_px": 256.0, "distance_radii": null},           null: infinite
-      "lamp": {"angles_rad": [0.5], "azimuths_rad": [0.0],    seen from the sample's centre; 0: towards +x, then up
+      "lamp": {"angles_rad": [0.5], "azimuths_rad": [0.0],    seen from the sample's centre; azimuth from +x to up
                "radius_rad": 0.004, "distance_radii": null},  null: infinite
-      "blur": {"jitter_px": 0.0, "aperture": 0.0, "focus_rad": 0.0},        registration; pupil over distance, and focus
+      "blur": {"jitter_px": 0.0, "aperture": 0.0, "focus_rad": 0.0},        registration; pupil over distance; angle in focus
       "exposure": {"electrons_per_radiance": [1e4], "times_s": [0.01], "seed": 1},        null: no noise was added
-      "material": {...},                                      free
+      "material": {...},                                      free description
       "notes": ""
     }
 
-Units are in the names; row 0 is on top, pixel centres lie on integers, and the axis is the optical axis, which may lie
-outside a cropped image. `json_schema()` is the published schema (docs/picture-sidecar-v1.schema.json). The camera is
-checked by its own format: `Camera.from_profile`.
+Units are in the names. Row 0 is on top, and pixel centres have integer coordinates. The axis is the optical axis, which
+may lie outside a cropped image. `json_schema()` returns the published schema (docs/picture-sidecar-v1.schema.json).
+`Camera.from_profile` checks the camera profile.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ class _Strict(BaseModel):
 
 def _not_a_folder(name: str) -> str:
     if name in (".", ".."):
-        raise ValueError("is a folder: an image lies beside its sidecar")
+        raise ValueError("is a folder: give the name of an image file, which must be beside its sidecar")
     return name
 
 
@@ -159,14 +159,14 @@ def write_sidecar(
         sample: kind "sphere", "cylinder" or "flat", radius in px, distance in radii (None: infinite).
         lamp: angles between lamp and optical axis, azimuths about the axis (None: 0) and the lamp's angular radius,
             rad, all seen from the centre of the sample; distance of the lamp in radii (None: infinite).
-        blur: jitter in px, aperture over distance (no unit), focus in rad.
+        blur: jitter in px, aperture over distance (no unit), angle of the normals in focus in rad.
         exposure: electrons per unit of radiance, times in s, seed; None: without noise.
         material: free description of the material.
         notes: free text. Default: "".
         force: replace an existing file (no unit). Default: False.
 
     Raises:
-        ArgumentError: a field is missing, unknown or out of its range; the message names it.
+        ArgumentError: a field is missing, unknown or out of its range; the message names the field.
         OutputError: the file cannot be written, or exists and `force` is False.
 
     Example:
@@ -215,11 +215,11 @@ def read_sidecar(path: str | Path) -> dict[str, Any]:
         path: JSON file, as from `sidecar_path`.
 
     Returns:
-        Its sections as dicts by name, checked, with all fields present.
+        Sections of the sidecar by name, as dicts with all fields.
 
     Raises:
         FileFormatError: the file is not a sidecar, or a field is missing, unknown or out of its range; the message
-            names it.
+            names the field.
 
     Example:
         >>> matcam.io.read_sidecar("none.exr.json")

@@ -21,19 +21,22 @@ VALUE = "_per_sr"
 _UNITS = {"rad": 1.0, "deg": np.pi / 180}
 _LONGEST_HEAD, _LINES_AT_ONCE = 4096, 1 << 16
 _LONGEST_LINE = 16 << 10
-"""Largest length of a line of a CSV file, bytes: 450 columns of 25 characters."""
+"""Largest length of a line of a CSV file, bytes: enough for 450 columns of 25 characters."""
 _BLOCK = 1 << 16  # bytes
 
 RGL_MAGIC, RGL_VERSION = b"tensor_file\0", b"\1\0"
 RGL_TYPES = dict(enumerate(("u1", "i1", "<u2", "<i2", "<u4", "<i4", "<u8", "<i8", "<f2", "<f4", "<f8"), 1))
 UTIA_SHAPE = (3, 6, 48, 6, 48)
 _UTIA_BYTES = 8 * math.prod(UTIA_SHAPE)
-"""Size of a UTIA file, bytes. The format has no other mark."""
+"""Size of a UTIA file, bytes. The format has no other property by which a file can be identified."""
 _MOST_FIELDS, _MOST_DIMENSIONS, _LONGEST_NAME = 64, 8, 64
 
 
 def decode_csv(path: Path) -> dict[str, Any]:
-    """Read the names of the columns, the unit of each, and the values (lines, columns)."""
+    """Decode a CSV file of BRDF samples.
+
+    The result has the names of the columns, their units in rad or 1/sr, and the values, (lines, columns).
+    """
     names, scale = _columns(path)
     _check_lines(path)
     return {"names": names, "scale": scale, "values": _values(path, len(names))}
@@ -49,13 +52,13 @@ def _check_lines(path: Path) -> None:
             if max(lengths) > _LONGEST_LINE:
                 number += next(k for k, length in enumerate(lengths) if length > _LONGEST_LINE)
                 raise FileFormatError(
-                    f"{path}: line {number} has more than {_LONGEST_LINE} bytes: damaged, or not samples"
+                    f"{path}: line {number} has more than {_LONGEST_LINE} bytes: damaged, or without samples"
                 )
             before, number = lengths[-1], number + len(lengths) - 1
 
 
 def _columns(path: Path) -> tuple[list[str], list[float]]:
-    """Read the names of the columns and the unit of each, in rad or 1/sr."""
+    """Read the name of each column, and its unit in rad or 1/sr."""
     with path.open("rb") as file:
         head = file.readline(_LONGEST_HEAD)
     try:
@@ -76,21 +79,24 @@ def _columns(path: Path) -> tuple[list[str], list[float]]:
                 f"{path}: line 1: column {name!r:.40} is neither an angle (theta_h_rad, ...) nor a channel (R_per_sr, ...)"
             )
     if len(set(names)) < len(names) or not (set(HALF) <= set(names) or set(PAIR) <= set(names)):
-        raise FileFormatError(f"{path}: line 1 must name, once each, {', '.join(HALF)} or {', '.join(PAIR)}")
+        raise FileFormatError(
+            f"{path}: line 1 must name either {', '.join(HALF)} or {', '.join(PAIR)}, each of them once"
+        )
     if len(names) != len(PAIR if set(PAIR) <= set(names) else HALF) + sum(n.endswith(VALUE) for n in given):
         raise FileFormatError(
-            f"{path}: line 1 must name half and difference angles, or those of light and view, not both"
+            f"{path}: line 1 must name either half and difference angles or the angles of light and view, not both"
         )
     if not any(name.endswith(VALUE) for name in given):
-        raise FileFormatError(f"{path}: line 1 names no channel of the BRDF (R_per_sr, ...)")
+        raise FileFormatError(f"{path}: line 1 must name at least one channel of the BRDF (R_per_sr, ...)")
     return names, scale
 
 
 def _values(path: Path, columns: int) -> np.ndarray:
-    """Read the lines below the names of the columns, (lines, columns)."""
+    """Read the values below the names of the columns, (lines, columns)."""
     import pandas as pd
 
-    old = tuple(map(int, pd.__version__.split(".")[:2])) < (3, 1)  # their standard converter loses the last digit
+    # the default converter of these versions loses the last digit
+    old = tuple(map(int, pd.__version__.split(".")[:2])) < (3, 1)
     exact: Any = {"float_precision": "round_trip"} if old else {}
     blocks, at = [], 0
     try:
@@ -115,14 +121,16 @@ def _values(path: Path, columns: int) -> np.ndarray:
     except pd.errors.EmptyDataError:
         pass
     except (ValueError, pd.errors.ParserError, pd.errors.ParserWarning, OverflowError) as error:
-        raise FileFormatError(f"{path}: after line {at + 1}: {' '.join(str(error).split())[:120]}") from None
+        raise FileFormatError(
+            f"{path}: cannot be read after line {at + 1}: {' '.join(str(error).split())[:120]}"
+        ) from None
     if not blocks:
-        raise FileFormatError(f"{path}: has no line after the names of the columns")
+        raise FileFormatError(f"{path}: has no values below the names of the columns")
     return np.concatenate(blocks)
 
 
 def decode_rgl(path: Path) -> dict[str, np.ndarray]:
-    """Read all fields of a tensor file, with checks that they lie within it."""
+    """Decode all fields of an RGL file, and check their extents."""
     content = path.read_bytes()
     start = len(RGL_MAGIC) + len(RGL_VERSION)
     if content[:start] != RGL_MAGIC + RGL_VERSION:
@@ -134,37 +142,41 @@ def decode_rgl(path: Path) -> dict[str, np.ndarray]:
     try:
         (count,) = struct.unpack_from("<I", content, start)
         if count > _MOST_FIELDS:
-            raise FileFormatError(f"{path}: byte {start} gives {count} fields: damaged, or not a BRDF")
+            raise FileFormatError(f"{path}: byte {start} specifies {count} fields: damaged, or not a BRDF")
         at = start + 4
         for _ in range(count):
             (length,) = struct.unpack_from("<H", content, at)
             name = content[at + 2 : at + 2 + length].decode()
             if not 0 < length <= _LONGEST_NAME or not name.isidentifier() or name in found:
-                raise FileFormatError(f"{path}: byte {at} is not the name of another field")
+                raise FileFormatError(
+                    f"{path}: the name of a field at byte {at} is invalid or repeated: the file is damaged"
+                )
             at += 2 + length
             dimensions, code, offset = struct.unpack_from("<HBQ", content, at)
             if dimensions > _MOST_DIMENSIONS or code not in RGL_TYPES:
-                raise FileFormatError(f"{path}: field {name}: {dimensions} dimensions of type {code} are not known")
+                raise FileFormatError(
+                    f"{path}: field {name} has {dimensions} dimensions and type {code}, which is not supported"
+                )
             shape = struct.unpack_from(f"<{dimensions}Q", content, at + 11)
             at += 11 + 8 * dimensions
             dtype, values = np.dtype(RGL_TYPES[code]), math.prod(shape)
             left -= values * dtype.itemsize
             if left < 0 or offset + values * dtype.itemsize > len(content):
                 raise FileFormatError(
-                    f"{path}: truncated or damaged: field {name} is {' x '.join(map(str, shape))} values at byte {offset}, "
+                    f"{path}: truncated or damaged: field {name} has {' x '.join(map(str, shape))} values at byte {offset}, "
                     f"but the file has {len(content)} bytes"
                 )
             found[name] = np.frombuffer(content, dtype, values, offset).reshape(shape)
     except (struct.error, UnicodeDecodeError):
-        raise FileFormatError(f"{path}: damaged list of fields") from None
+        raise FileFormatError(f"{path}: the list of fields is damaged") from None
     return found
 
 
 def decode_utia(path: Path) -> np.ndarray:
-    """Read the values of a BRDF of UTIA: channel, and two angles of the light and of the view."""
+    """Decode a UTIA BRDF, 1/sr, (channel, theta_i, phi_i, theta_o, phi_o)."""
     size = path.stat().st_size
     if size != _UTIA_BYTES:
-        raise FileFormatError(f"{path}: has {size} bytes; a BRDF of UTIA has {_UTIA_BYTES}")
+        raise FileFormatError(f"{path}: has {size} bytes, but a BRDF of UTIA has {_UTIA_BYTES}")
     values = np.fromfile(path, "<f8").reshape(UTIA_SHAPE)
     if not np.isfinite(values).all():
         raise FileFormatError(f"{path}: has {np.count_nonzero(~np.isfinite(values))} values that are not finite")

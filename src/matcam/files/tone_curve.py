@@ -1,7 +1,7 @@
-"""Tone curves: mapping from the codes of an image to light.
+"""Tone curves: mapping from the codes of an image to linear values.
 
-The transfer function of sRGB (IEC 61966-2-1) and its inverse: light as a share of white <-> code as a share of full
-scale.
+The transfer function of sRGB (IEC 61966-2-1) converts linear values relative to white to codes relative to full scale.
+Its inverse is included.
 
 Curves as text (OECF tables, ISO 14524):
 
@@ -26,21 +26,24 @@ _DEEPEST = 65535
 
 
 def encoded(light: ArrayLike) -> np.ndarray:
-    """Convert linear light to sRGB codes; negative values continue the linear part."""
+    """Convert linear values to sRGB codes; white is 1 in both.
+
+    Negative values continue the linear segment of the curve.
+    """
     light = np.asarray(light, dtype=np.float64)
     return np.where(light <= 0.0031308, 12.92 * light, 1.055 * np.maximum(light, 0) ** (1 / 2.4) - 0.055)
 
 
 def decoded(code: ArrayLike) -> np.ndarray:
-    """Convert sRGB codes to linear light, the inverse of `encoded`."""
+    """Convert sRGB codes to linear values, the inverse of `encoded`."""
     code = np.asarray(code, dtype=np.float64)
     return np.where(code <= 0.04045, code / 12.92, ((np.maximum(code, 0) + 0.055) / 1.055) ** 2.4)
 
 
 def read_tone_curve(path: str | Path) -> np.ndarray:
-    """Read linear values by code, (codes,) or (codes, 3).
+    """Read a tone curve: linear values by code, (codes,) or (codes, 3).
 
-    Raise FileFormatError that names file and line if it is not a tone curve, or not monotone.
+    Raise FileFormatError, which names the file, if it does not contain a tone curve, or the curve is not monotone.
     """
     values = read_numbers(path)
     try:
@@ -53,9 +56,10 @@ def read_tone_curve(path: str | Path) -> np.ndarray:
 
 
 def read_numbers(path: str | Path, columns: int | None = None) -> np.ndarray:
-    """Read lines of numbers as (lines, columns), without comments and empty lines.
+    """Read the numbers of a text file, (lines, columns).
 
-    columns: numbers in every line; None: one to three, the same in all lines. Errors name file and line.
+    Comments and empty lines are skipped. columns: count of numbers in every line; None: one to three, the same in all
+    lines. FileFormatError names the file and the line.
     """
     path = Path(path)
     lines = read_lines(path, "a tone curve")
@@ -69,13 +73,16 @@ def read_numbers(path: str | Path, columns: int | None = None) -> np.ndarray:
         except ValueError:
             raise FileFormatError(f"{path}: line {number}: {line.strip()[:40]!r} must be numbers") from None
         if len(words) != (columns or len(rows[0])) or (columns is None and len(words) > 3):
-            wanted = columns or "one, two or three"
-            raise FileFormatError(f"{path}: line {number} has {len(words)} numbers; {wanted} in every line are read")
+            wanted = columns or "the same count (one, two or three)"
+            raise FileFormatError(f"{path}: line {number} has {len(words)} numbers, but every line must have {wanted}")
     return np.array(rows) if rows else np.zeros((0, columns or 1))
 
 
 def checked_curve(values: np.ndarray) -> np.ndarray:
-    """Check a table of linear values by code; ArgumentError if it is too short, not finite or not monotone."""
+    """Check a table of linear values by code.
+
+    Raise ArgumentError if it is too short, or if its values are not finite, decrease or are all equal.
+    """
     if values.ndim not in (1, 2) or len(values) < 2 or (values.ndim == 2 and values.shape[1] != 3):
         raise ArgumentError(
             f"tone curve must have at least 2 codes with one or three linear values each, got shape {values.shape}"
@@ -87,19 +94,20 @@ def checked_curve(values: np.ndarray) -> np.ndarray:
         code = int(np.argmax(falls))
         raise ArgumentError(f"tone curve must be monotone, but falls from code {code} to {code + 1}")
     if (values[-1] <= values[0]).any():
-        raise ArgumentError("tone curve is flat: all codes have the same light")
+        raise ArgumentError("tone curve must increase, but all codes have the same linear value")
     return values
 
 
 def curve_through(codes: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Interpolate a table (codes,) through points (code, linear value), extrapolated linearly to code 0.
+    """Interpolate a tone curve, (codes,), through points of code and linear value.
 
-    Raise ArgumentError if codes do not increase strictly within 0 to 65535, or values fall.
+    The curve is extrapolated linearly to code 0. Raise ArgumentError if the codes do not increase strictly within 0 to
+    65535, or the values decrease.
     """
     from scipy.interpolate import PchipInterpolator
 
     if codes.size < 2 or not (np.diff(codes) > 0).all() or codes[0] < 0 or codes[-1] > _DEEPEST:
-        raise ArgumentError(f"tone curve's codes must increase strictly, from 0 to {_DEEPEST} at most")
+        raise ArgumentError(f"tone curve's codes must increase strictly and lie in [0, {_DEEPEST}]")
     if not np.isfinite(values).all() or (np.diff(values) < 0).any():
         bad = int(np.argmax(~(np.diff(values) >= 0)))
         raise ArgumentError(f"tone curve must be monotone, but falls from code {codes[bad]:g} to {codes[bad + 1]:g}")
@@ -107,6 +115,6 @@ def curve_through(codes: np.ndarray, values: np.ndarray) -> np.ndarray:
     try:
         inside = PchipInterpolator(codes, values)(np.clip(at, codes[0], codes[-1]))
     except ValueError:
-        raise ArgumentError("tone curve is too steep for interpolation: give points further apart") from None
+        raise ArgumentError("tone curve is too steep for interpolation: give points that are further apart") from None
     slope = (values[1] - values[0]) / (codes[1] - codes[0])
     return checked_curve(inside + np.minimum(at - codes[0], 0) * slope)

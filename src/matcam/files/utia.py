@@ -1,6 +1,6 @@
 """Anisotropic BRDFs of the UTIA database (.bin): 3 x 288 x 288 float64, channel, light, view.
 
-Light and view each run over 6 angles to the normal (0, 15, ... 75 degrees) and, within each, 48 azimuths (0, 7.5, ... degrees).
+Light and view each have 6 angles to the normal (0, 15, ... 75 degrees), and 48 azimuths (0, 7.5, ... degrees) per angle.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ def read_utia(path: str | Path) -> xr.Dataset:
         path: file to read (.bin).
 
     Returns:
-        Dataset with `brdf` as in the file, dims (theta_i, phi_i, theta_o, phi_o, channel), angles in rad. The values
-        are not resampled: steps of 15 degrees do not resolve a highlight, so there is no conversion to a table.
+        Dataset with `brdf` as in the file, 1/sr, dims (theta_i, phi_i, theta_o, phi_o, channel), angles in rad. The
+        values cannot be converted to a table, because steps of 15 degrees do not resolve a highlight.
 
     Raises:
         FileFormatError: the file has another size, or contains non-finite values.

@@ -1,12 +1,12 @@
-"""BSDF Data Interchange files of Zemax OpticStudio (.bsdf): text, supported for reflection with plane symmetry.
+"""BSDF Data Interchange files of Zemax OpticStudio (.bsdf). Only reflection with plane symmetry is supported.
 
     Symmetry PlaneSymmetrical          SpectralContent Monochrome, or XYZ           ScatterType BRDF
     SampleRotation 1 / 0               AngleOfIncidence 3 / 0 30 60                 ScatterAzimuth 19 / 0 10 ... 180
     ScatterRadial 11 / 0 5 ... 80      Monochrome DataBegin
     then, for each angle of incidence, a total (TIS) and one row per azimuth
 
-Directions of view are relative to the mirror direction: radial is the angle from it, and azimuth 0 points to the
-surface normal. RGL's files have the same suffix and are distinguished by their content.
+Directions of view are relative to the mirror direction: radial is the angle from the mirror direction, and azimuth 0
+points towards the surface normal. RGL's files have the same suffix and are distinguished by their content.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ def read_zemax(path: str | Path) -> xr.DataArray:
     names, values = stored["names"], stored["values"]
     incidence, azimuth, radial = (np.radians(stored[name]) for name in AXES[1:])
     theta_i, phi, r = np.meshgrid(incidence, azimuth, radial, indexing="ij")
-    # about the mirror direction, then tilted by the angle of incidence; the light is at azimuth 0
+    # directions of view about the mirror direction, then tilted by the angle of incidence; the light is at azimuth 0
     x, y, z = np.sin(r) * np.cos(phi), np.sin(r) * np.sin(phi), np.cos(r)
     x, z = x * np.cos(theta_i) - z * np.sin(theta_i), x * np.sin(theta_i) + z * np.cos(theta_i)
     above = (z > 1e-6) & (theta_i < np.pi / 2)

@@ -22,12 +22,13 @@ _MOST = 100_000
 
 
 def decode_zemax(path: Path) -> dict[str, Any]:
-    """Read the angles of each axis, in degrees, the names of the channels, and `values`.
+    """Decode a BSDF file of Zemax.
 
-    Values have the shape (channels, incidence, azimuth, radial).
+    The result has the angles of each axis, degrees, the names of the channels, and `values`, 1/sr, (channels, incidence,
+    azimuth, radial).
     """
     if path.stat().st_size > _LARGEST:
-        raise FileFormatError(f"{path}: {path.stat().st_size} bytes is too large for a BSDF of Zemax")
+        raise FileFormatError(f"{path}: has {path.stat().st_size} bytes, which is too large for a BSDF of Zemax")
     words = re.sub(r"#[^\n]*", "", path.read_text(encoding="latin-1")).split()
     settings, axes, start = _head(path, words)
     for key, allowed in (
@@ -37,10 +38,10 @@ def decode_zemax(path: Path) -> dict[str, Any]:
     ):
         if settings.get(key) not in allowed:
             found = settings.get(key, "nothing")
-            raise FileFormatError(f"{path}: {key} {found} is not read: it must be {' or '.join(allowed)}")
+            raise FileFormatError(f"{path}: {key} must be {' or '.join(allowed)}, got {found}")
     if len(axes["SampleRotation"]) > 1:
         raise FileFormatError(
-            f"{path}: has {len(axes['SampleRotation'])} sample rotations; only isotropic samples with one are read"
+            f"{path}: has {len(axes['SampleRotation'])} sample rotations, but only isotropic samples with one are supported"
         )
     shape = (len(axes["AngleOfIncidence"]), len(axes["ScatterAzimuth"]), len(axes["ScatterRadial"]))
     names, values = _blocks(path, words[start:], shape)
@@ -48,7 +49,7 @@ def decode_zemax(path: Path) -> dict[str, Any]:
 
 
 def _head(path: Path, words: list[str]) -> tuple[dict[str, str], dict[str, np.ndarray], int]:
-    """Read settings and axes up to the first block of data, and the index of that block among the words."""
+    """Parse settings and axes before the first block of data, and find the index of this block among the words."""
     settings: dict[str, str] = {}
     axes: dict[str, np.ndarray] = {"SampleRotation": np.zeros(1)}
     at = 0
@@ -63,7 +64,7 @@ def _head(path: Path, words: list[str]) -> tuple[dict[str, str], dict[str, np.nd
             except ValueError:
                 count = -1
             if not 0 < count <= _MOST or len(axes.get(key, ())) != count or not np.isfinite(axes[key]).all():
-                raise FileFormatError(f"{path}: {key} must be a count and as many angles in degrees")
+                raise FileFormatError(f"{path}: {key} must have a count, followed by as many angles in degrees")
             at += 2 + count
         elif key in ("Source", "Symmetry", "SpectralContent", "ScatterType"):
             settings[key] = words[at + 1]
@@ -77,7 +78,7 @@ def _head(path: Path, words: list[str]) -> tuple[dict[str, str], dict[str, np.nd
 
 
 def _blocks(path: Path, words: list[str], shape: tuple[int, int, int]) -> tuple[list[str], np.ndarray]:
-    """Read the values of every channel, (channels, incidence, azimuth, radial)."""
+    """Parse the names of the channels and their values, (channels, incidence, azimuth, radial)."""
     size = shape[1] * shape[2]
     names: list[str] = []
     blocks: list[np.ndarray] = []
@@ -93,13 +94,14 @@ def _blocks(path: Path, words: list[str], shape: tuple[int, int, int]) -> tuple[
                 values = np.zeros(0)
             if len(values) != size or not np.isfinite(values).all() or (values < 0).any():
                 raise FileFormatError(
-                    f"{path}: block {len(blocks) + 1} must hold {shape[1]} rows of {shape[2]} values, 0 or more"
+                    f"{path}: block {len(blocks) + 1} must have {shape[1]} rows of {shape[2]} non-negative values"
                 )
             blocks.append(values)
             at += 1 + size
         at += 1
     if len(blocks) != shape[0] * len(names) or len(set(names)) != len(names):
         raise FileFormatError(
-            f"{path}: has {len(blocks)} blocks of values; {shape[0]} angles of incidence need as many per channel"
+            f"{path}: has {len(blocks)} blocks of values, but each channel must have one for each of the {shape[0]} "
+            "angles of incidence"
         )
     return names, np.array(blocks).reshape(len(names), *shape)

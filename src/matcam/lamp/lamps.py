@@ -1,10 +1,10 @@
 """Lamps: distance and size of the source disc (docs/model.md 10).
 
-The position of a lamp belongs to each image: the angle between lamp and optical axis, and the azimuth about that axis.
-A lamp is isotropic. Its irradiance is 1 at the sample's centre, on a surface that faces it. Lengths are in radii of the
-sample.
+Each image has its own position of the lamp: the angle between lamp and optical axis, and the azimuth about that axis. A
+lamp is isotropic. Its irradiance is 1 at the sample's centre, on a surface that faces the lamp. Lengths are in radii of
+the sample.
 
-The light of a disc is the mean over its points, each of which is a lamp (`lamp_points`).
+The light of a disc is the mean of the light of its points, each of which is a lamp (`lamp_points`).
 """
 
 from __future__ import annotations
@@ -27,10 +27,12 @@ if TYPE_CHECKING:
 _LARGEST_DISC = np.pi / 8
 """Largest angular radius of a source disc, rad."""
 STEEPEST = 0.1
-"""Smallest cosine of theta_d by which the image of a source disc is stretched. There it is as long as the sample."""
+"""Smallest cosine of theta_d by which the image of a source disc is stretched. At this cosine the image is as long as the
+sample.
+"""
 _TURNS = 2 * np.pi
 _AT_CAMERA = 1e-6
-"""Distance of a lamp from the camera, over the camera's distance, below which the lamp is inside the camera."""
+"""Distance of a lamp from the camera, relative to the camera's distance, below which the lamp is inside the camera."""
 
 
 class Lamp(Module):
@@ -95,7 +97,8 @@ class DistantLamp(Lamp):
 class NearLamp(Lamp):
     """Lamp at a finite distance, whose irradiance varies over the sample.
 
-    Irradiance is proportional to the inverse square of the distance from the lamp, and to the cosine at the surface.
+    Irradiance is proportional to the inverse square of the distance from the lamp, and to the cosine of the angle of
+    incidence.
 
     Args:
         distance: distance of the lamp from the sample's centre, in radii of the sample, above 1.
@@ -143,7 +146,8 @@ class NearLamp(Lamp):
 def closeness(lamp_nearness: ArrayLike | None, cos_i: jax.Array) -> jax.Array:
     """Compute the ratio of the lamp's distance from the centre of the sample to its distance from the surface.
 
-    The ratio is 1 for a distant lamp. Its square is the irradiance of a facing surface there, relative to the centre.
+    The ratio is 1 for a distant lamp. Its square is the irradiance of a surface that faces the lamp, relative to that at
+    the centre.
 
     Args:
         lamp_nearness: inverse of the lamp's distance from the centre, 1/radii; None: a distant lamp.
@@ -160,8 +164,8 @@ class LampPoint(NamedTuple):
 
     Attributes:
         angle: angle between the point and the optical axis in each image, rad.
-        azimuth: azimuth of the point about the axis, from +x towards +y, of angle's shape, rad.
-        distance: distance of the point over the distance of the lamp's centre, no unit.
+        azimuth: azimuth of the point about the axis, from +x towards +y, rad; the same shape as `angle`.
+        distance: distance of the point relative to that of the lamp's centre, no unit.
         weight: share of the lamp's irradiance at the sample's centre, no unit.
     """
 
@@ -174,14 +178,14 @@ class LampPoint(NamedTuple):
 def lamp_points(lamp: Lamp, lamp_angle: np.ndarray, azimuth: np.ndarray | float, fineness: float) -> list[LampPoint]:
     """Generate the points of a quadrature rule over the source disc.
 
-    The rule is Gauss-Legendre in the squared radius times equal steps around the disc. For the blur given by
-    `fineness`, its error is below 5e-5 of any value above a thousandth of the peak (tests).
+    The rule is the product of Gauss-Legendre quadrature in the squared radius and equal steps around the disc. For the
+    blur that `fineness` specifies, its error is below 5e-5 of any value above a thousandth of the peak (tests).
 
     Args:
         lamp: the lamp.
         lamp_angle: angles between the lamp's centre and the optical axis, rad, any shape.
-        azimuth: azimuth of the lamp about the optical axis, rad, one or of lamp_angle's shape.
-        fineness: radius of the disc over the standard deviation of the blur of its image, no unit.
+        azimuth: azimuth of the lamp about the optical axis, rad; one value, or the same shape as lamp_angle.
+        fineness: ratio of the disc's radius to the standard deviation of the blur of its image, no unit.
 
     Returns:
         Points of the rule, ring by ring.
@@ -215,7 +219,7 @@ def rings_and_spokes(fineness: float) -> tuple[int, int]:
 
 
 def disc_of(lamp: Lamp) -> float:
-    """Return the angular radius of a source disc, rad. It sets the number of points, so it must be concrete."""
+    """Return the angular radius of a source disc, rad. It determines the number of points, so it must be concrete."""
     return checks.outside_jit(lamp.angular_radius, "the lamp's parameters")
 
 
@@ -255,7 +259,7 @@ def checked_lamp_angles(lamp_angle: ArrayLike, lamp: Lamp, camera_distance: Arra
         apart = xp.hypot(1 / nearness * xp.sin(angle), 1 / nearness * xp.cos(angle) - camera_distance)
         if is_concrete(apart) and bool(xp.any(apart < _AT_CAMERA * camera_distance)):
             raise ArgumentError(
-                f"the lamp is inside the camera, {camera_distance:g} radii from the sample on its axis: "
+                f"the lamp is inside the camera, {camera_distance:g} radii from the sample on the optical axis: "
                 "give another lamp_angle or lamp_distance"
             )
     return angle

@@ -1,8 +1,8 @@
 """Departure of a diffuse part from Lambert's law: smooth, isotropic and reciprocal.
 
-Polynomials of the second order model roughness and scattering below the surface (Koenderink and van Doorn 1998), two
-fifth powers the loss in a clear coat at grazing light and view (Burley 2012). All vanish if both directions are the
-normal.
+Polynomials of the second order model roughness and scattering below the surface (Koenderink and van Doorn 1998). Two
+fifth powers model the loss in a clear coat at grazing light and view (Burley 2012). All terms vanish if light and view
+are along the normal.
 """
 
 from __future__ import annotations
@@ -12,11 +12,13 @@ from jax.typing import ArrayLike
 from matcam.core.jax import jax, jnp
 
 TERMS = 6
-"""Number of terms."""
+"""Number of terms of the departure: four polynomials and two fifth powers."""
 
 
 def departure(coefficients: ArrayLike, cos_i: ArrayLike, cos_o: ArrayLike, theta_d: ArrayLike) -> jax.Array:
-    """Compute a diffuse part over the Lambertian one of its albedo at normal incidence, no unit, at least 0.
+    """Compute the ratio of diffuse to Lambertian reflection, no unit.
+
+    Both have the same value at normal incidence and view. The ratio is at least 0.
 
     Args:
         coefficients: coefficients of the terms, no unit, (TERMS,), or (0,) for a Lambertian part.
@@ -26,7 +28,7 @@ def departure(coefficients: ArrayLike, cos_i: ArrayLike, cos_o: ArrayLike, theta
 
     Returns:
         The ratio, of the common shape of the angles. Source: Koenderink and van Doorn, "Phenomenological description of
-        bidirectional surface reflection", JOSA A 15 (1998), their rho^2 being 1 - cos; Burley, SIGGRAPH course 2012.
+        bidirectional surface reflection", JOSA A 15 (1998), where rho^2 is 1 - cos; Burley, SIGGRAPH course 2012.
 
     Example:
         >>> float(departure([0.0, 0.0, 0.0, 0.0, -0.5, 0.0], 1.0, 0.0, 0.4))
@@ -39,9 +41,9 @@ def departure(coefficients: ArrayLike, cos_i: ArrayLike, cos_o: ArrayLike, theta
 
 
 def terms(cos_i: jax.Array, cos_o: jax.Array, theta_d: ArrayLike) -> tuple[jax.Array, ...]:
-    """Compute the terms of `departure`. Arguments as there."""
+    """Compute the terms of `departure`. The arguments are those of `departure`."""
     low_i, low_o = 1 - jnp.clip(cos_i, 0.0, 1.0), 1 - jnp.clip(cos_o, 0.0, 1.0)
-    # sin sin cos of the azimuth between the two, over the factor that makes it rho_i rho_o cos
+    # sin_i sin_o cos(azimuth difference), divided by the factor that converts sin_i sin_o to rho_i rho_o
     towards = (jnp.cos(2 * jnp.asarray(theta_d)) - cos_i * cos_o) / jnp.sqrt((2 - low_i) * (2 - low_o))
     return (
         low_i + low_o,

@@ -1,7 +1,7 @@
 """Masking and shadowing: the visible share of a rough surface (docs/model.md 6).
 
-Smith's Lambda of a direction is the ratio of masked to visible facets. It has a closed form, is an integral over the
-slopes of the lobe, or comes from a table of that integral. `g2` combines the Lambdas of light and view.
+Smith's Lambda of a direction is the ratio of masked to visible facets. It is computed in closed form, by an integral
+over the slopes of the lobe, or from a table of that integral. `g2` combines the Lambdas of light and view.
 """
 
 from __future__ import annotations
@@ -30,11 +30,10 @@ JointMasking = Callable[["jax.Array", "jax.Array", "jax.Array"], "jax.Array"]
 SlopeDensity = Callable[["jax.Array"], "jax.Array"]
 """P22 of an isotropic surface as a function of the SQUARED slope."""
 
-_STEPS = np.linspace(
-    -3.7, 3.7, 201
-)  # of the exp-sinh rule: accurate to rounding even for a P22 as steep as exp(-slope^8)
-_FARTHEST = 1e9  # cot theta: Lambda is 0 at smaller angles
-_NEAREST = 1e-30  # cosine: keeps Lambda finite at the horizon, where 1 / Lambda is effectively 0
+# steps of the exp-sinh rule, which is accurate to rounding even for a P22 as steep as exp(-slope^8)
+_STEPS = np.linspace(-3.7, 3.7, 201)
+_FARTHEST = 1e9  # largest cot theta; Lambda is 0 to rounding at smaller angles
+_NEAREST = 1e-30  # smallest cosine; keeps Lambda finite at the horizon, where 1 / Lambda is effectively 0
 
 # grid of the table: even in asinh(cot / (scale _KNEE)), that is in cot near the horizon and in its logarithm elsewhere
 _NODES, _KNEE, _REACH = 2048, 1e-2, 1e4
@@ -43,11 +42,11 @@ _NUS = np.maximum(_KNEE * np.sinh(_SPACING * np.arange(_NODES)), 1e-11)
 
 
 def smith_lambda(slope_density: SlopeDensity, scale: jax.Array, cot: jax.Array) -> jax.Array:
-    """Compute Smith's Lambda of an isotropic slope density by its integral (`smith_rule`).
+    """Compute Smith's Lambda of an isotropic slope density by quadrature (`smith_rule`).
 
     Args:
         slope_density: P22 as a function of the squared slope.
-        scale: scale of the slope on which P22 falls, shape ().
+        scale: scale of the slope on which P22 decreases, shape ().
         cot: cot theta of the directions.
     """
     slope2, weight = smith_rule(scale, cot)
@@ -55,14 +54,16 @@ def smith_lambda(slope_density: SlopeDensity, scale: jax.Array, cot: jax.Array) 
 
 
 def smith_rule(scale: jax.Array, cot: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Compute squared slopes and weights on a trailing axis: Lambda is the sum of weight times P22(squared slope).
+    """Compute squared slopes and weights of a quadrature of Lambda.
 
-    Lambda = (2 / mu) integral over r > mu of r P22(r) [sqrt(r^2 - mu^2) - mu acos(mu / r)], mu = cot theta. The
-    integral runs over the height y = sqrt(r^2 - mu^2), on an exp-sinh grid (double exponential rule) about the scale on
-    which P22 falls. Its relative error is below 1e-10 (tests).
+    Lambda is the sum of weight P22(squared slope) over a trailing axis.
+
+    Lambda = (2 / mu) integral over r > mu of r P22(r) [sqrt(r^2 - mu^2) - mu acos(mu / r)], mu = cot theta. The variable
+    of integration is y = sqrt(r^2 - mu^2), on an exp-sinh grid (double exponential rule) about the scale on which P22
+    decreases. The relative error is below 1e-10 (tests).
 
     Args:
-        scale: scale of the slope on which P22 falls, shape ().
+        scale: scale of the slope on which P22 decreases, shape ().
         cot: cot theta of the directions.
 
     Source:
@@ -73,7 +74,7 @@ def smith_rule(scale: jax.Array, cot: jax.Array) -> tuple[jax.Array, jax.Array]:
     y = xp.sqrt(scale**2 + mu**2) * np.exp(np.pi / 2 * np.sinh(_STEPS))
     step = (_STEPS[1] - _STEPS[0]) * np.pi / 2 * np.cosh(_STEPS)
     ratio = y / mu
-    # y - mu atan(y / mu), without cancellation where y is much smaller
+    # y - mu atan(y / mu), without cancellation where y is much smaller than mu
     excess = xp.where(
         ratio < 1e-2, mu * ratio**3 * (1 / 3 - ratio**2 * (1 / 5 - ratio**2 / 7)), y - mu * xp.arctan(ratio)
     )
@@ -81,23 +82,26 @@ def smith_rule(scale: jax.Array, cot: jax.Array) -> tuple[jax.Array, jax.Array]:
 
 
 def tabulated_lambda(slope_density: SlopeDensity, scale: jax.Array, cos: jax.Array) -> jax.Array:
-    """Compute Smith's Lambda in directions of cosine `cos` > 0 to the normal.
+    """Compute Smith's Lambda in many directions.
 
-    Few directions use the integral. More directions than nodes of a table use a table and cubic interpolation, to 1e-9
-    of 1 / (1 + Lambda) for scales from 1e-4 to 1.
+    cos: cosines of the angles of the directions to the normal, > 0. If there are more directions than nodes of a table,
+    Lambda is interpolated in a table by cubics, with an error of 1e-9 of 1 / (1 + Lambda) for scales from 1e-4 to 1.
     """
     cot = cot_of(cos)
     if cot.size <= _NODES:
         return smith_lambda(slope_density, scale, cot)
     scale = constant(scale)  # the nodes of the table do not affect the function
     nu = xp.minimum(cot / scale, _REACH)
-    # nu (1 + Lambda) has a finite limit at the horizon; far off it is nu
+    # nu (1 + Lambda) has a finite limit at the horizon; far from the horizon it is nu
     table = xp.log(_NUS * (1 + smith_lambda(slope_density, scale, scale * _NUS)))
     return xp.maximum(xp.exp(between_entries(table, xp.arcsinh(nu / _KNEE) / _SPACING)) / nu - 1, 0.0)
 
 
 def cot_of(cos: jax.Array) -> jax.Array:
-    """Compute cot theta of directions with cos theta in (0, 1]: large but finite along the normal."""
+    """Compute cot theta from cos theta in (0, 1].
+
+    Along the normal it is large but finite.
+    """
     cos = xp.maximum(cos, _NEAREST)
     return cos / xp.sqrt(xp.maximum((1 - cos) * (1 + cos), _FARTHEST**-2))
 
@@ -109,7 +113,7 @@ def g2(masking: Masking, lambda_i: jax.Array, lambda_o: jax.Array, azimuth: jax.
         masking: name of the model; None: 1, no masking.
         lambda_i: Lambda of the light.
         lambda_o: Lambda of the view.
-        azimuth: angle between them about the normal, rad, [0, pi].
+        azimuth: angle between light and view about the normal, rad, [0, pi].
     """
     if masking is None:
         return xp.ones_like(lambda_i + lambda_o)
@@ -117,20 +121,23 @@ def g2(masking: Masking, lambda_i: jax.Array, lambda_o: jax.Array, azimuth: jax.
 
 
 def height_correlated(lambda_i: jax.Array, lambda_o: jax.Array, azimuth: jax.Array) -> jax.Array:
-    """Compute 1 / (1 + L_i + L_o): both directions depend on the same heights (Ross et al. 2005; Heitz 2014, (99))."""
+    """Compute the height-correlated masking, 1 / (1 + L_i + L_o).
+
+    The heights of the surface mask both directions (Ross et al. 2005; Heitz 2014, (99)).
+    """
     return 1 / (1 + lambda_i + lambda_o)
 
 
 def separable(lambda_i: jax.Array, lambda_o: jax.Array, azimuth: jax.Array) -> jax.Array:
-    """Compute G1(i) G1(o): the two directions are independent."""
+    """Compute the separable masking G1(i) G1(o), for independent directions."""
     return 1 / ((1 + lambda_i) * (1 + lambda_o))
 
 
 def azimuth_correlated(lambda_i: jax.Array, lambda_o: jax.Array, azimuth: jax.Array) -> jax.Array:
-    """Compute the masking of van Ginneken et al. (1998; Heitz 2014, section 5.3).
+    """Compute the azimuth-correlated masking (van Ginneken et al. 1998; Heitz 2014).
 
-    1 / (1 + max + c min) with c = 4.41 azimuth / (4.41 azimuth + 1): shared masking counts once if light and view are
-    on the same side.
+    It is 1 / (1 + max + c min) with c = 4.41 azimuth / (4.41 azimuth + 1). If light and view have the same azimuth, c is
+    0, and only the stronger masking applies.
     """
     correlation = 4.41 * azimuth / (4.41 * azimuth + 1)
     return 1 / (1 + xp.maximum(lambda_i, lambda_o) + correlation * xp.minimum(lambda_i, lambda_o))

@@ -28,23 +28,26 @@ class Material(eqx.Module):
     def reflected(self, shading: Shading) -> jax.Array:
         """Return the BRDF times both cosines, 1/sr.
 
-        It is finite including the horizon, 0 if light or view are below it, and NaN for missing data.
+        It is finite up to the horizon, 0 if light or view are below the horizon, and NaN for missing data.
 
         Args:
             shading: directions of light and view; its arrays broadcast.
 
         Returns:
-            Shape of `shading`, with (channels,) behind it if the material has channels.
+            Shape of `shading`, followed by (channels,) if the material has channels.
         """
 
     @property
     @abstractmethod
     def finest(self) -> jax.Array:
-        """Narrowest angular scale of the lobe, rad, shape (): quadrature is graded to it."""
+        """Narrowest angular scale of the lobe, rad, shape ().
+
+        It determines the grading of quadratures.
+        """
 
     @property
     def elongation(self) -> float:
-        """Return the length of the lobe over its width, no unit."""
+        """Return the ratio of length to width of the lobe, no unit."""
         return 1.0
 
     def brdf(self, theta_h: ArrayLike, theta_d: ArrayLike, phi_d: ArrayLike, phi_h: ArrayLike = 0.0) -> jax.Array:
@@ -58,7 +61,7 @@ class Material(eqx.Module):
                 depend on it. Default: 0.
 
         Returns:
-            Shape of the angles, with (channels,) behind it if the material has channels; NaN below the horizon.
+            Shape of the angles, followed by (channels,) if the material has channels; NaN below the horizon.
 
         Raises:
             ArgumentError: an angle is not finite, or the shapes do not broadcast.
@@ -85,9 +88,10 @@ def shading_at(theta_h: ArrayLike, theta_d: ArrayLike, phi_d: ArrayLike, phi_h: 
 
 
 def above_horizon(shading: Shading) -> tuple[Shading, jax.Array]:
-    """Replace values of `shading` below the horizon by harmless ones, and return it with a mask of values above it.
+    """Replace directions of `shading` below the horizon by directions above it.
 
-    NaN in an unused branch would still affect derivatives.
+    Returns the shading, and a mask of the directions that were above the horizon. NaN in an unused branch would affect
+    derivatives.
     """
     above = (shading.cos_i > 0) & (shading.cos_o > 0)
     cos_i, cos_o = (jnp.where(above, c, 0.5) for c in (shading.cos_i, shading.cos_o))
@@ -98,20 +102,20 @@ def above_horizon(shading: Shading) -> tuple[Shading, jax.Array]:
 def theta_h_of(shading: Shading) -> jax.Array:
     """Compute the angle of the half vector to the normal, rad."""
     slope2 = shading.slope_along**2 + shading.slope_across**2
-    mirror = slope2 == 0  # the slope of the root is infinite there
+    mirror = slope2 == 0  # the derivative of the root is infinite there
     return jnp.where(mirror, 0.0, jnp.arctan(jnp.sqrt(jnp.where(mirror, 1.0, slope2))))
 
 
 def albedo(material: Material, theta: ArrayLike) -> np.ndarray:
-    """Integrate a BRDF over the hemisphere: the directional albedo.
+    """Compute the directional albedo of a material, no unit.
 
-    The directional-hemispherical reflectance is the integral of BRDF cos theta_i over the light's directions. The
-    midpoint rule runs over half vectors, evenly in sqrt(theta_h), with d omega_i = 4 cos theta_d d omega_h. It resolves
-    lobes down to 1e-4 rad.
+    The directional-hemispherical reflectance is the integral of BRDF cos theta_i over the directions of the light. The
+    midpoint rule uses half vectors that are evenly spaced in sqrt(theta_h), with d omega_i = 4 cos theta_d d omega_h.
+    It resolves lobes down to 1e-4 rad.
 
     Args:
         material: any material; missing values (NaN) are treated as 0.
-        theta: angle of the view to the normal, at azimuth 0, rad, [0, pi/2), shape (n,).
+        theta: viewing angle to the normal, at azimuth 0, rad, [0, pi/2), shape (n,).
 
     Returns:
         Albedo, no unit, shape (n, channels); one channel for a material without channels.

@@ -1,20 +1,20 @@
 """Measured BRDFs as materials: tables on the MERL grid, and RGL's adaptive parameterisation.
 
 A table is interpolated linearly, and missing values stay missing. The adaptive parameterisation is that of Dupuy &
-Jakob (2018; files/rgl.py has its fields).
+Jakob (2018); files/rgl.py describes its fields.
 
-The half vector m is a point u of the unit square: theta = u^2 pi / 2, phi = (2 v - 1) pi. For an isotropic material
-the azimuth is relative to that of the light. A map that flattens the density `vndf` maps it to the point s at which
-`rgb` is tabulated:
+The half vector m is a point u_m = (u, v) of the unit square: theta = u^2 pi / 2, phi = (2 v - 1) pi. For an isotropic
+material the azimuth is relative to that of the light. A map that flattens the density `vndf` maps the point u_m to the
+point s at which `rgb` is tabulated:
 
     BRDF cos theta_o = rgb(s) ndf(u_m) / (4 sigma(u_i))           with `jacobian`; otherwise rgb(s) alone.
 
-"i" is the light, "o" the view. A measured file need not be reciprocal, and its tables have some negative values.
+"i" is the light, "o" the view. A measured file need not be reciprocal, and its tables contain some negative values.
 
-Densities are bilinear between the nodes of a grid and given for some directions of light. The map runs row by row
-(section 4): y is the marginal distribution along the rows' axis, x the conditional one along the columns within a row.
-Between the directions of light, both the densities and their integrals are interpolated linearly, as in Mitsuba's
-`Marginal2D`, so that positions on the flattened square agree with that renderer.
+Densities are tabulated for some directions of light, and are bilinear between the nodes of a grid. The map consists of
+two cumulative distributions (section 4): the marginal distribution of the rows maps y, and the conditional distribution
+within a row maps x. Between the directions of light, both the densities and their integrals are interpolated linearly,
+as in Mitsuba's `Marginal2D`, so that positions on the flattened square agree with that renderer.
 """
 
 from __future__ import annotations
@@ -40,18 +40,18 @@ _HALF_PI = np.pi / 2
 class Tabulated(Material):
     """BRDF table on the MERL grid, interpolated.
 
-    It is linear in (sqrt theta_h, theta_d, phi_d).
+    The interpolation is linear in (sqrt theta_h, theta_d, phi_d).
 
     - Values are at the centre or the edge of their cells, according to `sampling` of the table.
-    - phi_d + pi is phi_d (reciprocity), so the last phi_d and the first are neighbours.
+    - phi_d + pi is equivalent to phi_d (reciprocity), so the last and the first phi_d are neighbours.
     - Below the first theta_h the first value is used, because through theta_h = 0 the table continues at phi_d + pi,
       which has the same value. Beyond the last theta_h and theta_d the last value is used.
-    - A missing cell (NaN) stays missing: the result is NaN if the nearest sampling point is. Otherwise missing
+    - A missing cell (NaN) stays missing: the result is NaN if the nearest sampling point is NaN. Otherwise missing
       neighbours are omitted, and the weights of the others are normalised.
 
     Args:
-        table: BRDF, 1/sr, dims (theta_h, theta_d, phi_d, channel), shape (90, 90, 180, channels), such as `read_merl`
-            reads.
+        table: BRDF, 1/sr, dims (theta_h, theta_d, phi_d, channel), shape (90, 90, 180, channels), such as from
+            `read_merl`.
 
     Attributes:
         values: the table, 1/sr, shape (90, 90, 180, channels).
@@ -61,7 +61,7 @@ class Tabulated(Material):
         ArgumentError: the table has other dimensions or another shape.
 
     Source:
-        Matusik et al. (2003), "A Data-Driven Reflectance Model": the grid.
+        Matusik et al. (2003), "A Data-Driven Reflectance Model" (the grid).
 
     Example:
         >>> from matcam.core.grid import brdf_table
@@ -138,7 +138,7 @@ class Blend(NamedTuple):
 
     Attributes:
         slices: indices of the tabulated directions for each point, shape (points, slices).
-        weight: their weights, same shape.
+        weight: weights of the directions, same shape.
     """
 
     slices: jax.Array
@@ -151,8 +151,10 @@ class Blend(NamedTuple):
 
 
 def blend(axes: tuple[jax.Array, jax.Array], azimuth: jax.Array, theta: jax.Array) -> Blend:
-    """Build the linear interpolation on the grid (azimuths P, angles T) of light directions, P T slices; clamped at its
-    ends.
+    """Build the linear interpolation between tabulated directions of light.
+
+    axes: azimuths (P,) and angles (T,) of the directions, rad, P T slices. azimuth, theta: direction of the light of
+    each point, rad, (points,); beyond the ends of the axes, the value at the end is used.
     """
     (i_p, w_p), (i_t, w_t) = (_between(axis, value) for axis, value in zip(axes, (azimuth, theta), strict=True))
     index = i_p[:, :, None] * axes[1].size + i_t[:, None, :]
@@ -168,7 +170,11 @@ def _between(axis: jax.Array, value: jax.Array) -> tuple[jax.Array, jax.Array]:
 
 
 def bilinear(slices: jax.Array, chosen: Blend | None, x: jax.Array, y: jax.Array) -> jax.Array:
-    """Interpolate grids (rows, columns), or (slices, rows, columns, ...) blended, at (x, y); x along the columns."""
+    """Interpolate a grid at positions of the unit square.
+
+    slices: one grid, (rows, columns), or several grids that `chosen` blends, (slices, rows, columns, ...). x: positions
+    from the first to the last column. y: positions from the first to the last row.
+    """
     rows, columns = slices.shape[:2] if chosen is None else slices.shape[1:3]
     (i_x, t_x), (i_y, t_y) = _cell(x, columns), _cell(y, rows)
     look = (lambda r, c: slices[r, c]) if chosen is None else (lambda r, c: chosen.of(slices, r, c))
@@ -191,8 +197,8 @@ class Warp(eqx.Module):
     Attributes:
         density: density of each slice, normalised so that trapezoid sums over whole grid steps are 1; (slices, rows,
             columns).
-        conditional: its integral along each row up to each node, same shape.
-        marginal: the integral of whole rows up to each row, (slices, rows).
+        conditional: integral of the density along each row up to each node, same shape.
+        marginal: integral of the density over all rows up to each row, (slices, rows).
     """
 
     density: jax.Array
@@ -225,12 +231,12 @@ class Warp(eqx.Module):
         return jnp.where(row > 0, part / jnp.where(row > 0, row, 1.0), 0.0), above
 
     def inverse(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Map the grid x (nx,) by y (ny,) of the flattened square back, for every slice.
+        """Map a grid of the flattened square back, for every slice.
 
-        Every row must have a positive value.
+        x: columns of the grid, (nx,). y: rows of the grid, (ny,). Every row of the density must have a positive value.
 
         Returns:
-                x and y on the square of the density, and the density there, shape (slices, ny, nx) each.
+            x and y on the square of the density, and the density there, shape (slices, ny, nx) each.
         """
         density, conditional, marginal = (np.asarray(a) for a in (self.density, self.conditional, self.marginal))
         slices, rows, columns = density.shape
@@ -266,12 +272,12 @@ def _within(first: np.ndarray, last: np.ndarray, area: np.ndarray) -> np.ndarray
 
 
 class Adaptive(Material):
-    """BRDF in RGL's adaptive parameterisation, interpolated as by Mitsuba's `measured`.
+    """BRDF in RGL's adaptive parameterisation, interpolated as in Mitsuba's `measured`.
 
-    Channels are R, G, B, or the file's wavelengths. Results are differentiable almost everywhere.
+    Channels are R, G, B, or the wavelengths of the file. Results are differentiable almost everywhere.
 
     Args:
-        fields: Dataset that `read_rgl` reads or `adaptive_grid` makes.
+        fields: Dataset from `read_rgl` or `adaptive_grid`.
 
     Attributes:
         azimuths: azimuths of the light, rad, (P,).
@@ -308,7 +314,7 @@ class Adaptive(Material):
 
     def __init__(self, fields: xr.Dataset):
         if not isinstance(fields, xr.Dataset) or "vndf" not in fields:
-            raise ArgumentError(f"fields must be a Dataset such as read_rgl's, got {type(fields).__name__}")
+            raise ArgumentError(f"fields must be a Dataset from read_rgl or adaptive_grid, got {type(fields).__name__}")
 
         def array(name: str) -> np.ndarray:
             return fields[name].values.astype(np.float64)
@@ -323,7 +329,7 @@ class Adaptive(Material):
         self.mirrored = 0 if self.azimuths.size <= 2 else round(2 * np.pi / span)
         if self.mirrored not in (0, 1, 2, 4):
             raise ArgumentError(
-                f"field phi_i must span a full, half or quarter turn (others follow by symmetry), got {span:.4g} rad"
+                f"field phi_i must span a full, half or quarter turn (the others follow by symmetry), got {span:.4g} rad"
             )
 
     @eqx.filter_jit
@@ -368,7 +374,7 @@ class Adaptive(Material):
 
     @property
     def finest(self) -> jax.Array:
-        """Half width of the mean lobe, rad, at least one step."""
+        """Half width of the mean lobe, rad, at least one grid step."""
         profile = jnp.mean(self.ndf, axis=0)
         below = jnp.argmax(jnp.append(profile, 0.0) < profile.max() / 2)
         return jnp.maximum(below / (profile.size - 1), 1 / (profile.size - 1)) ** 2 * _HALF_PI

@@ -1,4 +1,4 @@
-"""Microfacet materials: F D G / (4 cos_i cos_o) + diffuse / pi (Cook & Torrance 1982, with 4 for their pi)."""
+"""Microfacet materials: F D G / (4 cos_i cos_o) + diffuse / pi (Cook & Torrance 1982, with 4 instead of pi)."""
 
 from __future__ import annotations
 
@@ -17,23 +17,24 @@ from matcam.material.reflectance import Reflectance, as_reflectance, per_channel
 
 
 class Microfacet(Material):
-    """Rough surface: a lobe of microfacets on a Lambertian part.
+    """Rough surface: a lobe of microfacets and a Lambertian part.
 
     BRDF = F D G / (4 cos_i cos_o) + diffuse / pi.
 
     Args:
         ndf: distribution D of the facets, such as `GGX(0.1)`.
         fresnel: reflectance F of a facet: `Conductor`, `Schlick`, `Dielectric`, `Sampled`; or a constant in [0, 1], a
-            single one or one per channel.
-        diffuse: albedo of the Lambertian part, no unit, [0, 1], a single one or one per channel. Default: 0.
-        masking: G, by name: "smith" (height-correlated), "smith-separable", "van-ginneken"; None: no masking, G = 1.
-            Default: "smith". Renderers differ; use theirs for comparisons.
+            single value or one per channel.
+        diffuse: albedo of the Lambertian part, no unit, [0, 1], a single value or one per channel. Default: 0.
+        masking: name of the model of G: "smith" (height-correlated), "smith-separable", "van-ginneken"; None: no
+            masking, G = 1. Default: "smith". Renderers use different models; for a comparison, choose that of the
+            renderer.
 
     Raises:
-        ArgumentError: a parameter is of the wrong kind, out of range or not one per channel.
+        ArgumentError: a parameter is of the wrong kind, out of range, or neither a single value nor one per channel.
 
     Source:
-        Cook & Torrance (1982), with 4 for their pi; Walter et al. (2007), (20); docs/model.md 6.
+        Cook & Torrance (1982), with 4 instead of pi; Walter et al. (2007), (20); docs/model.md 6.
 
     Example:
         >>> chrome = matcam.Microfacet(matcam.GGX(0.1), matcam.Conductor(3.1, 3.3))
@@ -64,7 +65,7 @@ class Microfacet(Material):
     def reflected(self, shading: Shading) -> jax.Array:
         """Return the BRDF times both cosines, 1/sr.
 
-        F D G / 4 + diffuse cos_i cos_o / pi.
+        It is F D G / 4 + diffuse cos_i cos_o / pi.
         """
         shading, above = above_horizon(shading)
         lambert = jnp.where(above, shading.cos_i * shading.cos_o / jnp.pi, 0.0)
@@ -79,12 +80,12 @@ class Microfacet(Material):
 
     @property
     def finest(self) -> jax.Array:
-        """Narrowest scale of the facets' slopes, about rad."""
+        """Narrowest scale of the slopes of the facets, approximately rad."""
         return self.ndf.finest
 
     @property
     def elongation(self) -> float:
-        """Return the ratio of the facets' largest to smallest roughness, no unit."""
+        """Return the ratio of the largest to the smallest roughness, no unit."""
         return self.ndf.elongation
 
     def smooth_part(self, shading: Shading) -> jax.Array:
@@ -96,7 +97,7 @@ class Microfacet(Material):
             shading: directions of light and view; its arrays broadcast.
 
         Returns:
-            The shape is that of `reflected`; the value is 0 below the horizon.
+            The factor, 0 below the horizon, in the shape of `reflected`.
         """
         shading, above = above_horizon(shading)
         factor = jnp.where(above, self._joint_masking(shading) / (4 * shading.cos_i * shading.cos_o), 0.0)

@@ -41,10 +41,10 @@ def metals(name: str | None = None) -> dict[str, tuple[str, ...]]:
     Results depend on the source: chromium's reflectance at 550 nm is 0.555, 0.650 or 0.681.
 
     Args:
-        name: name of one metal, such as "Cr" or "brass". None: all of them.
+        name: name of one metal, such as "Cr" or "brass". None: all metals.
 
     Returns:
-        Names of the tables by the name of the metal; `metal` takes both.
+        Names of the tables by the name of the metal; `metal` accepts both.
 
     Raises:
         ArgumentError: the metal is unknown; the message suggests the nearest name.
@@ -72,13 +72,13 @@ def metal(name: str, wavelength: ArrayLike, source: str | None = None) -> MetalI
     Values are interpolated linearly in a published table.
 
     Args:
-        name: one of `metals()`, such as "Cr" or "brass".
-        wavelength: in vacuum, m, any shape.
-        source: name of the table, one of those that `metals` lists. None: the first. Compare several tables, because
-            published values of one metal differ.
+        name: name of the metal, one of `metals()`, such as "Cr" or "brass".
+        wavelength: wavelength in vacuum, m, any shape.
+        source: name of the table, one of those that `metals` lists. None: the first table. Compare several tables,
+            because published values of one metal differ.
 
     Returns:
-        `MetalIndex`: n and k, no unit, shape of `wavelength`; and the citation.
+        `MetalIndex` with n and k, no unit, shape of `wavelength`, and the citation.
 
     Raises:
         ArgumentError: the metal or the source is unknown (the message suggests the nearest name), or a wavelength lies

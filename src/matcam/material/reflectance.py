@@ -16,7 +16,7 @@ from matcam.core.grid import CHANNEL_WAVELENGTHS
 from matcam.core.jax import is_concrete, jax, jnp
 from matcam.material.optical_constants import metal
 
-_LARGEST_INDEX = 1e6  # of any material at any wavelength; fourth powers of it are still accurate
+_LARGEST_INDEX = 1e6  # exceeds the index of any material at any wavelength; its fourth power is still accurate
 
 
 def fresnel_conductor(theta: ArrayLike, n: ArrayLike, k: ArrayLike) -> jax.Array:
@@ -27,7 +27,7 @@ def fresnel_conductor(theta: ArrayLike, n: ArrayLike, k: ArrayLike) -> jax.Array
     Args:
         theta: angle of incidence, rad, [0, pi/2].
         n: real part of the complex index n + i k, no unit, positive.
-        k: extinction coefficient, no unit, >= 0; 0 is a dielectric.
+        k: extinction coefficient, no unit, >= 0; 0 for a dielectric.
 
     Returns:
         Reflectance in [0, 1], shape of the broadcast arguments.
@@ -63,7 +63,10 @@ def _modulus2(z: jax.Array) -> jax.Array:
 
 
 class Reflectance(eqx.Module):
-    """Reflectance of a microfacet, with single parameters or one per channel."""
+    """Reflectance of a microfacet.
+
+    Each parameter has a single value or one per channel.
+    """
 
     def __repr__(self) -> str:
         return constructor_call(self)
@@ -73,10 +76,10 @@ class Reflectance(eqx.Module):
         """Return the reflectance at an angle of incidence.
 
         Args:
-            theta: angle between light and the facet's normal (theta_d), rad, [0, pi/2].
+            theta: angle between the light and the normal of the facet (theta_d), rad, [0, pi/2].
 
         Returns:
-            Shape of `theta`, with (channels,) behind it if the parameters are per channel.
+            Reflectance, no unit, shape of `theta`, followed by (channels,) if the parameters are per channel.
         """
 
 
@@ -88,10 +91,10 @@ class Conductor(Reflectance):
         k: extinction coefficient, no unit, >= 0; shape () or (channels,).
 
     Raises:
-        ArgumentError: a parameter is out of range, or not one per channel.
+        ArgumentError: a parameter is out of range, or neither a single value nor one per channel.
 
     Source:
-        Born & Wolf, 14.2; `from_metal` takes published values.
+        Born & Wolf, 14.2; `from_metal` uses published values.
 
     Example:
         >>> chromium = matcam.Conductor(3.1, 3.3)
@@ -115,15 +118,15 @@ class Conductor(Reflectance):
         """Build the Fresnel term of a metal from published optical constants.
 
         Args:
-            name: one of `matcam.material.metals()`, such as "Cr" or "brass".
+            name: name of the metal, one of `matcam.material.metals()`, such as "Cr" or "brass".
             wavelengths: wavelength in vacuum of each channel, m, shape (channels,) or (). Default: those of R, G and B.
-            source: name of the table, as `metal` takes it. Default: None, the first.
+            source: name of the table, as in `metal`. Default: None, the first table.
 
         Raises:
             ArgumentError: the metal or the source is unknown, or a wavelength lies outside the table.
 
         Source:
-            refractiveindex.info database (Polyanskiy 2024), CC0; `metal` has the citation of each table.
+            refractiveindex.info database (Polyanskiy 2024), CC0; `metal` returns the citation of each table.
 
         Example:
             >>> copper = matcam.Conductor.from_metal("Cu", [650e-9, 450e-9])
@@ -142,10 +145,11 @@ class Dielectric(Reflectance):
     """Transparent medium, seen from outside.
 
     Args:
-        eta: refractive index over that of the outside, no unit, above 1; shape () or (channels,). Glass has 1.5.
+        eta: refractive index divided by that of the outside, no unit, above 1; shape () or (channels,). It is about 1.5
+            for glass.
 
     Raises:
-        ArgumentError: eta is out of range, or not one per channel.
+        ArgumentError: eta is out of range, or neither a single value nor one per channel.
 
     Source:
         Fresnel's equations, unpolarised (Born & Wolf, 1.5.2).
@@ -168,13 +172,13 @@ class Dielectric(Reflectance):
 class Schlick(Reflectance):
     """Schlick's approximation of a Fresnel term.
 
-    f0 + (1 - f0) (1 - cos theta)^5.
+    It is f0 + (1 - f0) (1 - cos theta)^5.
 
     Args:
         f0: reflectance at normal incidence, no unit, [0, 1]; shape () or (channels,).
 
     Raises:
-        ArgumentError: f0 is out of range, or not one per channel.
+        ArgumentError: f0 is out of range, or neither a single value nor one per channel.
 
     Source:
         Schlick (1994), (15).
@@ -201,7 +205,7 @@ class Constant(Reflectance):
         value: reflectance, no unit, [0, 1]; shape () or (channels,).
 
     Raises:
-        ArgumentError: the value is out of range, or not one per channel.
+        ArgumentError: `value` is out of range, or neither a single value nor one per channel.
 
     Example:
         >>> float(matcam.material.Constant(0.5).at(1.0))
@@ -224,12 +228,12 @@ class Sampled(Reflectance):
     It is linear between these angles and constant beyond them.
 
     Args:
-        theta: angles of incidence, rad, [0, pi/2], ascending, shape (angles,).
-        values: reflectance there, no unit, >= 0; shape (angles,) or (angles, channels). A free estimate may exceed 1,
-            because it has the scale of its data.
+        theta: angles of incidence, rad, [0, pi/2], increasing, shape (angles,).
+        values: reflectance at these angles, no unit, >= 0; shape (angles,) or (angles, channels). Fitted values may
+            exceed 1, because they have the scale of the data.
 
     Raises:
-        ArgumentError: shapes do not match, an entry is out of range, or theta does not ascend.
+        ArgumentError: shapes do not match, an entry is out of range, or theta does not increase.
 
     Example:
         >>> float(matcam.material.Sampled([0.0, 1.0], [0.5, 1.0]).at(0.5))
@@ -249,7 +253,7 @@ class Sampled(Reflectance):
                 f"of shape {self.theta.shape}"
             )
         if is_concrete(self.theta) and bool(np.any(np.diff(self.theta) <= 0)):
-            raise ArgumentError("theta must ascend")
+            raise ArgumentError("theta must increase strictly")
 
     def at(self, theta: jax.Array) -> jax.Array:
         """Interpolate linearly at theta."""
@@ -260,12 +264,15 @@ class Sampled(Reflectance):
 
 
 def as_reflectance(value: Reflectance | ArrayLike) -> Reflectance:
-    """Return a `Reflectance` unchanged, and anything else as `Constant`."""
+    """Convert a constant to a `Reflectance`, and return a `Reflectance` unchanged."""
     return value if isinstance(value, Reflectance) else Constant(value)
 
 
 def per_channel(name: str, value: jax.Array) -> jax.Array:
-    """Check that `value` is a number or has one entry per channel; ArgumentError with its shape otherwise."""
+    """Check that `value` is a number or has one entry per channel.
+
+    Otherwise an ArgumentError with its shape is raised.
+    """
     if value.ndim > 1:
         raise ArgumentError(f"{name} must be a number or a list with one entry per channel, got shape {value.shape}")
     return value

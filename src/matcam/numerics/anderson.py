@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-_DEPTH = 5
+_DEPTH = 5  # number of earlier steps that are mixed
 _FLOOR = 1e-10  # share of the mean eigenvalue below which steps are linearly dependent
 
 
@@ -47,5 +47,5 @@ class AndersonMixing:
         return step - (positions + steps) @ share
 
     def forget(self) -> None:
-        """Discard earlier steps, before steps of another kind."""
+        """Discard the earlier steps, before the iteration changes."""
         self._positions, self._steps = [], []

@@ -1,6 +1,7 @@
 """Integration and interpolation of functions that are known at some points.
 
-Integrals: Gauss-Legendre on intervals and on panels. Values: Lagrange's polynomials through a few points, and cubic B-splines.
+Integrals use Gauss-Legendre nodes on intervals and on panels. Interpolation uses Lagrange polynomials through a few points,
+and cubic B-splines.
 """
 
 from __future__ import annotations
@@ -18,34 +19,44 @@ AnyValues = TypeVar("AnyValues", bound=Any)
 
 
 def nodes_between(low: AnyValues, high: AnyValues, order: int) -> tuple[AnyValues, AnyValues]:
-    """Compute Gauss-Legendre (nodes, weights) on [low, high], on a trailing axis. NumPy arrays give NumPy arrays."""
+    """Compute Gauss-Legendre nodes and weights on [low, high].
+
+    The nodes and the weights have a trailing axis. They are NumPy arrays if the limits are NumPy arrays.
+    """
     unit, weight = np.polynomial.legendre.leggauss(order)
     half = (high - low)[..., None] / 2
     return (high + low)[..., None] / 2 + half * unit, half * weight
 
 
 def nodes_in_panels(cuts: AnyValues, order: int) -> tuple[AnyValues, AnyValues]:
-    """Compute (nodes, weights) of every panel between neighbouring cuts (last axis), one panel after the other."""
+    """Compute Gauss-Legendre nodes and weights on panels between neighbouring cuts.
+
+    The last axis of `cuts` has the limits of the panels. The last axis of the results has the nodes of all panels.
+    """
     nodes, weights = nodes_between(cuts[..., :-1], cuts[..., 1:], order)
     return nodes.reshape(*nodes.shape[:-2], -1), weights.reshape(*nodes.shape[:-2], -1)
 
 
 def between_entries(table: jax.Array, position: jax.Array) -> jax.Array:
-    """Interpolate at positions among the entries of a table, counted from 0, by Lagrange's cubic through four neighbours."""
+    """Interpolate a table by Lagrange cubics through four entries.
+
+    position: positions among the entries, counted from 0.
+    """
     first, shares = four_about(position, table.size)
     return sum((xp.take(table, first + k, mode="clip") * share for k, share in enumerate(shares)), xp.zeros(()))
 
 
 def four_about(position: jax.Array, entries: int) -> tuple[jax.Array, list[jax.Array]]:
-    """Compute the first of the four entries about each position, and the weights of the four entries."""
+    """Compute first index and weights of the four entries about positions."""
     left = constant(xp.clip(xp.floor(position), 1, entries - 3))
     return left.astype(int) - 1, lagrange_basis(np.arange(-1.0, 3.0), position - left)
 
 
 def lagrange_basis(points: Any, at: Any) -> list[Any]:
-    """Evaluate Lagrange's basis polynomials of `points` (n,) at the positions `at`: n arrays of its shape and kind.
+    """Evaluate the Lagrange basis polynomials of points.
 
-    The polynomial through values v_k is `sum_k v_k basis_k`. Its derivatives are also finite at the points.
+    points: points of the interpolation, (n,). at: positions, any shape. The result is n arrays of the shape and kind of
+    `at`. The polynomial through values v_k is `sum_k v_k basis_k`. Its derivatives are also finite at the points.
     """
     differences = points[:, None] - points + np.eye(points.size)
     factors = [at - point for point in points]
@@ -58,18 +69,20 @@ def lagrange_basis(points: Any, at: Any) -> list[Any]:
 
 
 def cubic_basis(position: jax.Array, count: int) -> jax.Array:
-    """Evaluate `count` cubic B-splines at `position` in [0, count - 1], on a leading axis.
+    """Evaluate cubic B-splines, (count, ...).
 
-    They are local, smooth to the second derivative, and add up to 1. They are mirrored at 0 and constant at the end.
+    position: positions in [0, count - 1]. The splines are local, smooth to the second derivative, and add up to 1. They
+    are mirrored at 0 and constant at the end.
     """
-    # one operation for all: a program with separate ones takes three times as long to compile and to load
+    # one operation for all splines: a program with separate operations takes three times as long to compile and to load
     knots = np.arange(-1.0, count + 1).reshape(-1, *[1] * position.ndim)
     return _mirrored(_cubic(position - knots))
 
 
 def _mirrored(splines: jax.Array) -> jax.Array:
-    """Apply the boundary conditions to splines from one before the first knot to one after the last: mirrored at 0,
-    constant at the end.
+    """Apply the boundary conditions: mirrored at 0, constant at the end.
+
+    The splines range from one before the first knot to one after the last knot.
     """
     return xp.concatenate(
         [splines[1:2], splines[2:3] + splines[:1], splines[3:-2], splines[-2:-1] + splines[-1:]], axis=0
@@ -77,7 +90,10 @@ def _mirrored(splines: jax.Array) -> jax.Array:
 
 
 def cubic_spline(coefficients: jax.Array, position: jax.Array) -> jax.Array:
-    """Evaluate sum_k coefficient_k B_k of the splines of `cubic_basis`, of which four are non-zero at each position."""
+    """Evaluate sum_k coefficient_k B_k at positions.
+
+    B_k are the splines of `cubic_basis`. Four of them are non-zero at each position.
+    """
     ends = coefficients[-1:]
     beyond = xp.concatenate([coefficients[1:2], coefficients, ends, ends])
     left = constant(xp.clip(xp.floor(position), 0, coefficients.size - 2))
@@ -88,7 +104,10 @@ def cubic_spline(coefficients: jax.Array, position: jax.Array) -> jax.Array:
 
 
 def cubic_sums(position: jax.Array, weights: jax.Array, count: int, axes: int = 1) -> jax.Array:
-    """Compute sum weights B_k(position) over the last `axes` axes, for each spline of `cubic_basis`, on a leading axis."""
+    """Sum weights times B_k over positions, (count, ...).
+
+    B_k are the splines of `cubic_basis`. The sum is over the last `axes` axes of the positions.
+    """
     over = tuple(range(-axes, 0))
     # one sum after the other, because all splines at all positions would not fit into the cache
     from matcam.core.jax import jax
@@ -104,10 +123,10 @@ def combined(coefficients: jax.Array, basis: jax.Array) -> jax.Array:
 
 
 def smoothness(count: int) -> np.ndarray:
-    """Build the smoothness penalty of a spline: rows (rows, count), whose products with its coefficients are penalised.
+    """Build the smoothness penalty of a spline, (rows, count).
 
-    The rows are second differences, first differences times 1/3, and the mean with a small factor. Another parameter
-    absorbs the mean.
+    The products of the rows with the coefficients of the spline are penalised. The rows are second differences, first
+    differences times 1/3, and the mean with a small factor. Another parameter absorbs the mean.
     """
     unit = np.eye(count)
     return np.concatenate([np.diff(unit, 2, axis=0), np.diff(unit, axis=0) / 3, np.full((1, count), 0.1 / count)])

@@ -1,4 +1,4 @@
-"""Programs over any number of rows, in arrays of few shapes: each shape requires a compilation."""
+"""Programs over any number of rows, in arrays of few shapes, because each shape requires a compilation."""
 
 from __future__ import annotations
 
@@ -10,12 +10,14 @@ import numpy as np
 from matcam.core.jax import jax, jnp
 
 BLOCKS, BLOCK = 64, 1024
-"""Default number of blocks of one call, and of rows in a block: their arrays fit into a cache."""
-_SHORTEST, _SHORT, _MEDIUM = 16, 1024, 8192
+"""Default numbers of blocks in a call and of rows in a block. The arrays of a block fit into a cache."""
+_SHORTEST, _SHORT, _MEDIUM = 16, 1024, 8192  # lengths at which the spacing of `few_lengths` changes
 
 
 def in_blocks(function: Callable[..., Any], used: Any, rows: Any) -> Any:
-    """Map a function over blocks of rows, (blocks, rows), and skip unused blocks, whose results are 0.
+    """Map a function over blocks of rows, and skip unused blocks.
+
+    The results of unused blocks are 0.
 
     Args:
         function: function of the rows of one block.
@@ -43,7 +45,7 @@ def repeated_sum(function: Callable[..., Any], count: Any, terms: Any, nothing: 
         function: function of one term.
         count: number of terms to sum; None: all, which reverse differentiation requires.
         terms: arrays, (terms, ...).
-        nothing: 0 of the shape of the result.
+        nothing: zeros in the shape of the result.
     """
     if count is None:
         return jax.lax.scan(lambda total, term: (total + function(term), None), nothing, terms)[0]
@@ -53,12 +55,15 @@ def repeated_sum(function: Callable[..., Any], count: Any, terms: Any, nothing: 
 
 
 def shaped(rows: Any, blocks: int = BLOCKS, block: int = BLOCK) -> tuple[np.ndarray, Any]:
-    """Repeat rows up to (blocks, block); returns the number of blocks with rows, and the arrays.
+    """Repeat rows to fill arrays of shape (blocks, block).
 
     Args:
-        rows: arrays of one length, at most blocks * block, not empty.
+        rows: arrays of equal length, at most blocks * block, not empty.
         blocks: number of blocks.
         block: number of rows of a block.
+
+    Returns:
+        Number of blocks that contain rows before the repetition, and the arrays.
     """
     count = jax.tree.leaves(rows)[0].shape[0]
     repeated = jax.tree.map(lambda a: np.resize(a, blocks * block).reshape(blocks, block), rows)
@@ -71,7 +76,7 @@ def in_calls(program: Callable[..., tuple[Any, ...]], rows: tuple[np.ndarray, ..
     Args:
         program: function of the number of used blocks, the rows, (BLOCKS, BLOCK), and other arguments. It returns a tuple
             of arrays, (BLOCKS, BLOCK, ...).
-        rows: arrays of one length, not empty.
+        rows: arrays of equal length, not empty.
         others: further arguments of the program.
 
     Returns:
@@ -86,15 +91,16 @@ def in_calls(program: Callable[..., tuple[Any, ...]], rows: tuple[np.ndarray, ..
 
 
 def pad_indices(index: np.ndarray) -> np.ndarray:
-    """Repeat the last index up to one of few lengths."""
+    """Pad indices with the last index to one of few lengths (`few_lengths`)."""
     return np.pad(index, (0, few_lengths(index.size) - index.size), mode="edge") if index.size else index
 
 
 def few_lengths(size: int) -> int:
-    """Round up to one of few lengths, because each requires a compilation, and programs of 10 to 20 MB.
+    """Round a length up to one of few lengths.
 
-    A compilation takes longer than a thousand positions, so up to that number each length is four times the previous
-    one. Beyond it there are two lengths per power of two, and eight beyond several thousand.
+    Each length requires a compilation, and a program of 10 to 20 MB. A compilation takes longer than a thousand
+    positions, so up to this number each length is four times the previous length. Beyond a thousand there are two
+    lengths per power of two, and beyond several thousand there are eight.
     """
     length = _SHORTEST
     while length < min(size, _SHORT):

@@ -33,7 +33,7 @@ class UncertaintySource(NamedTuple):
         value: estimate, in its unit.
         uncertainty: standard uncertainty, in the same unit.
         sensitivity: change of the result divided by the change of the source.
-        kind: "A" by statistics of repeated readings, "B" by other means (JCGM 100, 4.2 and 4.3).
+        kind: "A": evaluated by statistics of repeated readings; "B": evaluated by other means (JCGM 100, 4.2 and 4.3).
         degrees: degrees of freedom of the uncertainty, no unit. Default: infinite.
 
     Example:
@@ -50,7 +50,7 @@ class UncertaintySource(NamedTuple):
 
     @property
     def contribution(self) -> float:
-        """Standard uncertainty of the result by this source alone."""
+        """Standard uncertainty of the result due to this source alone."""
         return abs(self.sensitivity) * self.uncertainty
 
 
@@ -61,7 +61,7 @@ class UncertaintyBudget:
         name: name of the result, with its unit.
         value: estimate of the result.
         sources: sources of uncertainty, at least one.
-        correlation: correlation of the sources, (n, n). Default: None, independent.
+        correlation: correlation of the sources, (n, n). Default: None, the sources are independent.
 
     Raises:
         ArgumentError: there is no source, an uncertainty is negative, or `correlation` is not a correlation matrix.
@@ -108,8 +108,8 @@ class UncertaintyBudget:
         Args:
             name: name of the result, with its unit.
             function: result as a function of the values of the sources, in order.
-            sources: sources of uncertainty. Their sensitivities are replaced by numerical ones.
-            correlation: correlation of the sources, (n, n). Default: None, independent.
+            sources: sources of uncertainty. Their sensitivities are replaced by numerical derivatives.
+            correlation: correlation of the sources, (n, n). Default: None, the sources are independent.
         """
         given = checks.instances("sources", sources, UncertaintySource)
         values = [one.value for one in given]
@@ -134,7 +134,7 @@ class UncertaintyBudget:
 
     @property
     def coverage_factor(self) -> float:
-        """Factor k of the expanded uncertainty, 95.45 %."""
+        """Factor k of the expanded uncertainty, for a probability of 95.45 %."""
         if not math.isfinite(self.degrees):
             return 2.0
         from scipy.stats import t
@@ -200,7 +200,7 @@ class UncertaintyBudget:
 
 
 def _checked(source: UncertaintySource) -> UncertaintySource:
-    """Raise ArgumentError if a number of a source is not a single number or is out of its range."""
+    """Raise ArgumentError if a value of a source is not a single number or is out of its range."""
     name = f"of source {checks.instance('name of a source', source.name, str)!r:.60}"
     numbers = {
         "value": checks.numbers(f"value {name}", source.value),
@@ -218,7 +218,7 @@ def write_budgets(path: str | Path, budgets: Sequence[UncertaintyBudget], *, for
 
     Args:
         path: file to write, .json or .csv.
-        budgets: one per result. Without budgets the file is empty.
+        budgets: budgets, one per result. Without budgets the file is empty.
         force: replace an existing file. Default: False.
 
     Raises:
@@ -246,8 +246,8 @@ def write_budgets(path: str | Path, budgets: Sequence[UncertaintyBudget], *, for
 def check_budget(path: str | Path, *, force: bool, inputs: Sequence[str | Path] = ()) -> None:
     """Check before any work that `write_budgets` can write a file.
 
-    inputs: files that are read, which must not be replaced. ArgumentError if the name does not end in .json or .csv;
-    OutputError if the file cannot be written.
+    inputs: files that are read, which must not be replaced. An ArgumentError is raised if the name does not end in .json
+    or .csv, and an OutputError if the file cannot be written.
     """
     _check_name(path)
     check_output(path, force=force, inputs=inputs)
@@ -256,11 +256,13 @@ def check_budget(path: str | Path, *, force: bool, inputs: Sequence[str | Path] 
 def _check_name(path: str | Path) -> None:
     """Raise ArgumentError for a file of budgets whose suffix is neither .json nor .csv."""
     if Path(path).suffix.lower() not in (".json", ".csv"):
-        raise ArgumentError(f"{path}: a budget's name must end in .json or .csv")
+        raise ArgumentError(f"{path}: the name of a budget must end in .json or .csv")
 
 
 def fit_budget(name: str, value: float, std: float) -> UncertaintyBudget:
-    """Build the budget of a fitted value, whose one source is the fit (type A).
+    """Build the budget of a fitted value.
+
+    Its only source is the fit (type A).
 
     Args:
         name: name of the value, with its unit.

@@ -1,8 +1,8 @@
 """Uniform disc as chords: positions, lengths, and shares of the light.
 
-Their distance from the centre of the disc is sin t, with Gauss-Legendre nodes in t, which is smooth for chords that are
-longer or shorter than the blur. The few chords of a small disc are Gauss nodes for the disc itself (Chebyshev's second
-kind), which preserve the light and its variance.
+The distance of a chord from the centre of the disc is sin t, with Gauss-Legendre nodes in t. The integrand is smooth in t
+for chords that are longer or shorter than the blur. The few chords of a small disc are Gauss nodes for the disc itself
+(Chebyshev polynomials of the second kind), which preserve the total light and its variance.
 """
 
 from __future__ import annotations
@@ -16,19 +16,19 @@ COUNTS = (4, 6, 9, 13, 18, 26, 36, 48, 64)
 _SMALL = 1.2
 """Ratio of the radius of a disc to the standard deviation of the blur up to which the disc is small."""
 _LEAST, _ACROSS, _ALONG = 2.0, 2.4, 1.0
-"""Number of chords: minimum, and additional ones per standard deviation of the blur in half the width of the disc
-across and along them.
+"""Number of chords: minimum, and additional chords per unit of the half width of the disc divided by the standard
+deviation of the blur, across and along the chords.
 """
 CHORD_RULE = (COUNTS, _SMALL, _LEAST, _ACROSS, _ALONG)
 
 
 class Chords(NamedTuple):
-    """Chords of the unit disc: arrays of one shape.
+    """Chords of the unit disc, as arrays of equal shape.
 
     Attributes:
-        at: distances from its centre.
-        half: half lengths.
-        share: shares of the light; their sum is 1.
+        at: distances of the chords from the centre.
+        half: half lengths of the chords.
+        share: shares of the light, whose sum is 1.
     """
 
     at: np.ndarray
@@ -54,7 +54,10 @@ def half_of(chords: Chords) -> Chords:
 
 
 def chord_rule(across: np.ndarray, along: np.ndarray) -> np.ndarray:
-    """Choose the index into `COUNTS`. across, along: half widths of discs over the standard deviation of the blur."""
+    """Choose the number of chords, as an index into `COUNTS`.
+
+    across, along: half widths of discs divided by the standard deviation of the blur, across and along the chords.
+    """
     large = np.maximum(COUNTS[1], _LEAST + _ACROSS * across + _ALONG * along)
     needed = np.where(np.maximum(across, along) <= _SMALL, 0.0, large)
     return np.minimum(np.searchsorted(COUNTS, needed), len(COUNTS) - 1)

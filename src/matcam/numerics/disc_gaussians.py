@@ -1,8 +1,8 @@
 """Small uniform disc as a sum of few Gaussians, some of them negative.
 
-After a Gaussian blur, low moments determine the image of a small disc. The sum has the light, the variance and the
-fourth moment of the disc. The other parameters minimise the error of the blurred disc: 2e-4 of its value, down to 1e-5
-of the central value.
+After a Gaussian blur, low moments determine the image of a small disc. The sum has the total light, the variance and
+the fourth moment of the disc. The other parameters minimise the error of the blurred disc, which is 2e-4 of its value,
+down to values of 1e-5 of the central value.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 LARGEST = 1.5
-"""Ratio of the radius of the disc to the standard deviation of the blur up to which the sum has this accuracy."""
+"""Largest ratio of the radius of the disc to the standard deviation of the blur for which the error is at most 2e-4."""
 
 DISC_GAUSSIANS = np.array(
     [
@@ -21,8 +21,8 @@ DISC_GAUSSIANS = np.array(
         (2.136969263243, 0.1881039562135),
     ]
 )
-"""Share of the light and variance over the disc's radius squared, of each Gaussian (Gaussians, 2).
+"""Share of the light of each Gaussian, and its variance divided by the squared radius of the disc, (Gaussians, 2).
 
-They minimise the largest error, relative to the blurred disc and 1e-5 of its middle, for radii of 0.75, 1.1 and 1.5
-standard deviations.
+They minimise the largest error relative to the blurred disc, down to 1e-5 of its central value, for radii of 0.75, 1.1
+and 1.5 standard deviations.
 """

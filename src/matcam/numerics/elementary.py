@@ -29,12 +29,18 @@ _ARCSINE = (
 
 
 def sine(angle: jax.Array) -> jax.Array:
-    """Compute the sine within [-pi/2, pi/2], accurate to the last digit but one."""
+    """Compute the sine of angles in [-pi/2, pi/2], rad.
+
+    The result is accurate to the last digit but one.
+    """
     return _odd(_SINE, angle, angle * angle)
 
 
 def arcsine(x: jax.Array) -> jax.Array:
-    """Compute the arcsine within [-1, 1], accurate to the last digit but one; beyond 1/2 from sqrt((1 - |x|) / 2)."""
+    """Compute the arcsine of x in [-1, 1], rad.
+
+    The result is accurate to the last digit but one. Beyond 1/2 it is computed from sqrt((1 - |x|) / 2).
+    """
     size = xp.abs(x)
     steep = size > 0.5
     square = xp.where(steep, (1 - size) / 2, size * size)
@@ -45,7 +51,7 @@ def arcsine(x: jax.Array) -> jax.Array:
 def plane_length(x: jax.Array, y: jax.Array) -> jax.Array:
     """Compute sqrt(x^2 + y^2), with derivative zero at zero.
 
-    `xp.hypot` has none there since JAX 0.12, so smooth functions of the squared length would lose their derivatives.
+    `xp.hypot` of JAX 0.12 and later has no derivative there, so smooth functions of the squared length would have none.
     """
     square = x * x + y * y
     nowhere = square == 0

@@ -20,9 +20,13 @@ from matcam.numerics.budget import UncertaintyBudget, UncertaintySource
 from matcam.numerics.linalg import scaled_inverse
 
 _EFFECT = 1e-6
-"""Share of the combined uncertainty below which a source is neglected. 1e-12 of the variance is rounding."""
+"""Share of the combined uncertainty below which a source is neglected. Its share of the variance, 1e-12, is comparable to
+rounding errors.
+"""
 _UNCORRELATED = 1e-9
-"""Relative off-diagonal information below which the priors of two parameters are independent. Less is rounding."""
+"""Relative off-diagonal information below which the priors of two parameters are independent. Smaller values are
+rounding errors.
+"""
 
 
 class StatedParameter(NamedTuple):
@@ -46,9 +50,9 @@ class Statement(NamedTuple):
 
     Attributes:
         name: name of the source.
-        information: information matrix of the fit's coordinates, (n, n).
-        stated: specified parameters. Each becomes a source, correlated with the others. Default: none; the statement is
-            then one source, in the unit of the result.
+        information: information matrix of the coordinates of the fit, (n, n).
+        stated: specified parameters. Each becomes a source, correlated with the others. Default: (), the prior knowledge
+            is one source, in the unit of the result.
     """
 
     name: str
@@ -56,9 +60,10 @@ class Statement(NamedTuple):
     stated: tuple[StatedParameter, ...] = ()
 
     def variance(self, slopes: np.ndarray, covariance: np.ndarray) -> np.ndarray:
-        """Compute the variance of results by this source.
+        """Compute the variance of results due to this source.
 
-        slopes: (..., n), derivatives of the results by the coordinates. covariance: (n, n), of the coordinates.
+        slopes: derivatives of the results with respect to the coordinates, (..., n). covariance: covariance of the
+        coordinates, (n, n).
         """
         moved = slopes @ covariance
         return np.einsum("...p,pq,...q->...", moved, self.information, moved)
@@ -87,7 +92,7 @@ class Readings(NamedTuple):
 
     Attributes:
         name: name of the source.
-        kind: "A" if their noise is estimated from them, "B" if it is given.
+        kind: "A" if the noise is estimated from the readings, "B" if it is specified.
         degrees: degrees of freedom, no unit. Default: infinite.
     """
 
@@ -97,7 +102,7 @@ class Readings(NamedTuple):
 
 
 class VariancePart(NamedTuple):
-    """Variances of several results by one source.
+    """Variances of several results due to one source.
 
     Attributes:
         name: name of the source.
@@ -121,7 +126,7 @@ class VariancePart(NamedTuple):
         return self._replace(variance=self.variance * factor)
 
     def source(self, at: Any) -> UncertaintySource:
-        """Return the source of one of the results. at: its index."""
+        """Return the source of one result. at: index of the result."""
         std = math.sqrt(max(float(self.variance[at]), 0.0))
         if not self.uncertainty:
             return UncertaintySource(self.name, self.value, std, 1.0, self.kind, self.degrees)
@@ -142,14 +147,14 @@ def statement_parts(
     variance: np.ndarray,
     readings: Readings,
 ) -> tuple[VariancePart, ...]:
-    """Split the variances of the results of a fit into those of prior knowledge and of the readings.
+    """Split variances of fitted results into parts of priors and readings.
 
     Args:
         statements: prior knowledge.
-        slopes: (..., n), derivatives of the results by the fit's coordinates.
-        covariance: (n, n), of the coordinates.
-        variance: (...), of the results.
-        readings: the source that has the remaining variance.
+        slopes: derivatives of the results with respect to the coordinates of the fit, (..., n).
+        covariance: covariance of the coordinates, (n, n).
+        variance: variances of the results, (...).
+        readings: the source with the remaining variance.
     """
     parts = []
     for one in statements:
@@ -165,7 +170,10 @@ def statement_parts(
 
 
 def parts_budget(name: str, value: float, parts: Sequence[VariancePart], at: Any = ()) -> UncertaintyBudget:
-    """Build the budget of one of several results; sources without effect are left out. at: its index among the results."""
+    """Build the budget of one of several results.
+
+    Sources without effect are omitted. at: index of the result.
+    """
     sources = [part.source(at) for part in parts]
     least = _EFFECT * math.sqrt(sum(one.contribution**2 for one in sources))
     return UncertaintyBudget(name, value, [one for one in sources if one.contribution > least] or sources[:1])
@@ -180,16 +188,18 @@ def posterior_budget(
     readings: Readings,
     more: Sequence[UncertaintySource] = (),
 ) -> UncertaintyBudget:
-    """Build the budget of a result that is linear in the parameters of a fit with priors.
+    """Build the budget of a result of a fit with priors.
+
+    The result is linear in the parameters of the fit.
 
     Args:
         name: name of the result, with its unit.
         value: estimate.
-        slope: (n,), derivatives of the result by the fit's coordinates.
-        covariance: (n, n), of the coordinates.
-        statements: prior knowledge of them.
+        slope: derivatives of the result with respect to the coordinates of the fit, (n,).
+        covariance: covariance of the coordinates, (n, n).
+        statements: prior knowledge of the parameters.
         readings: the source with the remaining variance.
-        more: sources beside the fit. Default: none.
+        more: other sources of uncertainty. Default: (), the fit is the only source.
     """
     sources, blocks, stated = [], [np.eye(1)], 0.0
     for one in statements:
@@ -207,12 +217,12 @@ def posterior_budget(
 def stated_parameters(
     name: str, information: np.ndarray, stated: Sequence[StatedParameter], *, least: float = 0.0
 ) -> list[Statement]:
-    """Describe the prior knowledge of some parameters: each correlated group of them is one statement.
+    """Describe the prior knowledge of parameters, by groups of correlated parameters.
 
     Args:
-        name: common name of the sources.
-        information: (n, n), of the fit's coordinates.
-        stated: the parameters. Parameters without prior knowledge are left out.
+        name: name of a group of several parameters.
+        information: information matrix of the coordinates of the fit, (n, n).
+        stated: the parameters. Parameters without prior knowledge are omitted.
         least: information below which a parameter is unknown. Default: 0.
     """
     known = [one for one in stated if information[one.position, one.position] > least]

@@ -14,9 +14,11 @@ _OUTLIER = 8.0
 it with a probability of 1e-15.
 """
 _SMALLEST_SPREAD = 0.5
-"""Smallest robust standard deviation, codes: most pixels of a quiet frame have one code."""
+"""Smallest robust standard deviation, DN. The estimate may be 0, because most pixels of a frame with little noise have the
+same code.
+"""
 _SIGNIFICANT = 5.0
-"""Number of standard deviations from which a departure from a straight line is significant."""
+"""Number of standard deviations above which a departure from a straight line is significant."""
 
 
 def clipped_variance(values: np.ndarray) -> float:
@@ -92,10 +94,10 @@ def fixed_pattern_variance_error(pattern: float, temporal: float, frames: int, p
 
 
 def line_of_least_relative_error(x: np.ndarray, y: np.ndarray) -> tuple[float, float]:
-    """Fit a straight line by least squares of relative departures (EMVA 1288, 8.2.7).
+    """Fit a line by least squares of relative departures (EMVA 1288, 8.2.7).
 
     Args:
-        x: light, any unit, (n,).
+        x: exposure, any unit, (n,).
         y: signal above dark, positive, (n,).
 
     Returns:
@@ -106,11 +108,11 @@ def line_of_least_relative_error(x: np.ndarray, y: np.ndarray) -> tuple[float, f
 
 
 def not_linear(departure: np.ndarray, std: np.ndarray, least: float) -> np.ndarray:
-    """Find departures from a straight line that are larger than allowed and significant.
+    """Find significant departures from a straight line that exceed a limit.
 
     Args:
-        departure: relative to the line, no unit.
-        std: standard deviation, same shape.
+        departure: departure of the signal divided by the value of the line, no unit.
+        std: standard deviation of the departure, same shape.
         least: largest departure that is allowed, no unit.
 
     Returns:

@@ -12,14 +12,14 @@ from matcam.core.arrays import compiled_by_jax, first_axis_map, has_jax, special
 if TYPE_CHECKING:
     from matcam.core.jax import jax
 
-_SMALL = 1e-4
+_SMALL = 1e-4  # argument below which 1 - v^2 / 8 is accurate to rounding
 
 
 def jinc(v: jax.Array, largest: float) -> jax.Array:
     """Compute 2 J1(v) / v, 1 at v = 0.
 
-    For arrays of JAX, which has no J1, it is the mean over the disc's chords of 2 cos^2 t cos(v sin t), exact once the nodes
-    outnumber v.
+    For arrays of JAX, which has no J1, it is computed as the mean of 2 cos^2 t cos(v sin t) over the chords of the disc. The
+    mean is exact if there are more nodes than v.
 
     Args:
         v: argument, >= 0, any shape.

@@ -2,7 +2,7 @@
 
 An information matrix (the inverse of a covariance) is symmetric and positive semidefinite. Its entries may differ by a
 factor of 1e20, because its parameters have different units; so it is scaled to a unit diagonal before it is inverted.
-One floor decides which directions the data determine.
+The data do not determine a direction whose eigenvalue is below `FLOOR`.
 """
 
 from __future__ import annotations
@@ -24,13 +24,14 @@ AnyMatrix = TypeVar("AnyMatrix", bound=Any)
 def scaled_inverse(information: AnyMatrix, undetermined: float = 0.0) -> AnyMatrix:
     """Invert a symmetric, positive semidefinite matrix, scaled to a unit diagonal.
 
-    NumPy arrays are inverted by their eigenvalues, with `FLOOR` as the smallest, so that sums which are indefinite by
-    rounding are harmless. JAX arrays are lifted by `FLOOR` and inverted by Cholesky's decomposition, which compiles to
-    less. The two differ by `FLOOR` over the smallest eigenvalue.
+    The inverse of NumPy arrays follows from their eigenvalues, which are limited to at least `FLOOR`, so that matrices
+    may be indefinite by rounding. JAX arrays are inverted by Cholesky decomposition, which compiles to a smaller program,
+    after `FLOOR` is added to their diagonal. The relative difference of the two results is `FLOOR` divided by the
+    smallest eigenvalue.
 
     Args:
-        information: matrix, or a stack of them (NumPy only), shape (..., n, n), in inverse squares of the parameters'
-            units.
+        information: matrix, or a stack of matrices (NumPy only), shape (..., n, n), in inverse squares of the units of
+            the parameters.
         undetermined: variance of a parameter whose diagonal entry is 0. Default: 0.0, the parameter is fixed.
 
     Returns:
@@ -58,12 +59,18 @@ def lifted_inverse(information: AnyMatrix, undetermined: float = 0.0) -> AnyMatr
 
 
 def least_eigenvalue(information: np.ndarray) -> float:
-    """Compute the smallest eigenvalue of a matrix with a unit diagonal; below `FLOOR`, a direction is not determined."""
+    """Compute the smallest eigenvalue of a matrix, scaled to a unit diagonal.
+
+    Below `FLOOR`, the data do not determine a direction.
+    """
     return float(np.linalg.eigvalsh(_to_unit_diagonal(information)[0])[0])
 
 
 def _to_unit_diagonal(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Scale a matrix to a unit diagonal; return it with the factor of each row, 0 where the diagonal is not positive."""
+    """Scale a matrix to a unit diagonal.
+
+    Returns the scaled matrix, and the factor of each row, 0 where the diagonal is not positive.
+    """
     diagonal = np.diagonal(matrix, axis1=-2, axis2=-1)
     scale = np.where(diagonal > 0, 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0)), 0.0)
     return matrix * scale[..., :, None] * scale[..., None, :], scale

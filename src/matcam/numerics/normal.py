@@ -14,11 +14,13 @@ if TYPE_CHECKING:
     from matcam.core.jax import jax
 
 _ROBUST = 1.4826
-"""Standard deviation of normal values over their median absolute value."""
+"""Standard deviation of normal values divided by their median absolute value."""
 _FAR = 4.0
-"""Standard deviations above which a residual is an outlier: by chance once in 16,000."""
+"""Number of standard deviations above which a residual is an outlier. The probability of a larger normal value is 1 in
+16,000.
+"""
 _ROUNDS = 4
-"""Fits, each without the outliers of the one before."""
+"""Number of fits, each without the outliers of the previous fit."""
 
 
 def normal_density(x: ArrayLike, std: ArrayLike = 1.0) -> jax.Array:
@@ -31,9 +33,9 @@ class RobustFit(NamedTuple):
 
     Attributes:
         parameters: fitted parameters, (k,).
-        covariance: their covariance, from the standard deviations of the values, (k, k).
-        chi2: chi2 per degree of freedom: `covariance` times this follows from the scatter of the values.
-        kept: values that are no outliers, bool, (n,).
+        covariance: covariance of the parameters, from the standard deviations of the values, (k, k).
+        chi2: chi2 per degree of freedom. `covariance` times `chi2` is the covariance from the scatter of the values.
+        kept: True for values that are not outliers, (n,).
     """
 
     parameters: FloatArray
@@ -43,7 +45,10 @@ class RobustFit(NamedTuple):
 
 
 def robust_std(values: FloatArray) -> float:
-    """Estimate the standard deviation of normally distributed values of mean 0; outliers have no effect."""
+    """Estimate the standard deviation of normal values of mean 0.
+
+    Outliers have little effect.
+    """
     return _ROBUST * float(np.median(np.abs(values)))
 
 
@@ -55,14 +60,15 @@ def robust_fit(
     least: float = 1e-12,
     resolved: float = 1e-12,
 ) -> RobustFit:
-    """Fit values by least squares, and leave out those that are far from the fit.
+    """Fit values by linear least squares without outliers.
 
     Args:
-        design: derivatives of the values by the parameters, (n, k).
+        design: derivatives of the values with respect to the parameters, (n, k).
         values: values, (n,).
         std: standard deviations of the values, (n,). Default: 1.0.
         least: smallest scatter, in units of `std`. Default: 1e-12.
-        resolved: smallest singular value of the design, relative to the largest. Smaller ones are treated as 0. Default: 1e-12.
+        resolved: smallest singular value of the design, relative to the largest. Smaller values are treated as 0.
+            Default: 1e-12.
     """
     design, values = design / np.broadcast_to(std, len(values))[:, None], values / std
     kept = np.ones(len(values), bool)

@@ -20,7 +20,7 @@ def plane_powers(x: FloatArray, y: FloatArray, degree: int) -> FloatArray:
         y: second coordinate, of the same shape.
         degree: highest order.
     """
-    # powers as such are slow
+    # products are faster than powers
     of_x, of_y = [np.ones_like(x)], [np.ones_like(y)]
     for _ in range(degree):
         of_x.append(of_x[-1] * x)
@@ -38,7 +38,7 @@ def plane_fit(x: FloatArray, y: FloatArray, values: FloatArray, degree: int) -> 
         degree: highest order.
 
     Returns:
-        Coefficients of x^i y^j, (degree + 1, degree + 1, ...), as `numpy.polynomial.polynomial.polyval2d` takes them.
+        Coefficients of x^i y^j, (degree + 1, degree + 1, ...), as for `numpy.polynomial.polynomial.polyval2d`.
     """
     found = np.zeros((degree + 1, degree + 1, *values.shape[1:]))
     i, j = np.transpose(plane_orders(degree))

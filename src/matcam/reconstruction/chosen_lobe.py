@@ -1,8 +1,8 @@
 """Choice of the lobe that explains the images best: one of two families, with a spline modification if it reduces the
 residual.
 
-A prior that contradicts the images is widened until it agrees, with a remark: the specified value or the model is
-wrong.
+A prior that contradicts the images is widened until it agrees with them. A remark reports that the specified value or the
+model is wrong.
 """
 
 from __future__ import annotations
@@ -28,15 +28,17 @@ from matcam.reconstruction.sphere_scene import SphereScene, part_of
 _SPLINE = 1.0
 _FEWEST = 3
 _NOISE_ALONE, _AS_NOISE = 0.003, 1.15
-"""Unexplained share of the light, and mean squared residual, below either of which noise alone explains the images."""
+"""Noise alone explains the images if their unexplained share of the light, or their mean squared residual, is smaller."""
 _CLEARLY, _AT_ONCE = 0.9, 0.5
-"""Ratios of unexplained shares for a spline modification, at the end and before a specified value is rejected."""
+"""Ratios of unexplained shares below which a spline modification is accepted: at the end, and before a specified value is
+rejected.
+"""
 _DIFFUSE_PIXELS = 0.2
 """Share of the pixels with more diffuse light than lobe, above which the shape of the diffuse part is considered."""
 _SEEN = 3.0  # standard deviations of the noise above which a pixel contains light
 _TURNS = 3  # number of sources that may be wrong
 _ODD = 4.0
-"""Chi squared of an image over the median of all above which it is reported. Scatter of lamps at most doubles it."""
+"""Ratio of chi squared of an image to the median above which the image is reported. Scatter of the lamps at most doubles it."""
 _MANY, _SOME = 32, 16
 """Number of images above which the lobe is chosen with an even selection of images, and the size of the selection.
 
@@ -89,7 +91,7 @@ def chosen_fit(
     Args:
         pictures: merged images.
         scene: prior knowledge of the rig.
-        lamps: directions to the lamps from the highlights, (pictures, 3).
+        lamps: directions to the lamps, derived from the highlights, (pictures, 3).
         family: family of the lobe; "auto": the most probable candidate, spline-modified if that reduces the residual.
             Default: "auto".
         masking: masking G of the lobe. Default: "smith".
@@ -140,7 +142,7 @@ def chosen_fit(
 
     def with_shape(best: SphereFit) -> SphereFit:
         """Fit a non-Lambertian diffuse part, and return that fit if its unexplained share is smaller."""
-        # a shape that few parameters do not improve is not improved by many
+        # if the rounds did not improve a fit with few parameters, more parameters do not help
         if not diffuse or best.stuck or _explained(best) or _diffuse_pixels(best) < _DIFFUSE_PIXELS:
             return best
         other = fitted(best.kind.family, scene, start=best, shaped=True)
@@ -199,7 +201,8 @@ def chosen_fit(
         remarks.append(
             Remark(
                 "picture-left-out",
-                f"{', '.join(pictures[k].name for k in lost)}: not explained by the joint fit; left out",
+                f"{', '.join(pictures[k].name for k in lost)}: the joint fit does not explain these images, which were left "
+                "out: check their frames and lamp directions",
             )
         )
         pictures, lamps = [pictures[k] for k in keep], best.lamps[keep]
@@ -264,9 +267,9 @@ def chosen_fit(
             best = rivalled(best)
         best = with_spline(best, _CLEARLY)
     if best.stuck:
-        text = "the rounds of the fit were ended, because the unexplained share of the light does not fall: "
+        text = "the rounds of the fit were ended, because the unexplained share of the light does not decrease ("
         text += (
-            f"{', '.join(f'{share:.0%}' for share in best.stuck)}; look for clipping, a tone curve, or a mirrored room"
+            f"{', '.join(f'{share:.0%}' for share in best.stuck)}): look for clipping, a tone curve, or a mirrored room"
         )
         remarks.append(Remark("fit-stuck", text))
     if shaped:
@@ -280,7 +283,7 @@ def chosen_fit(
 
 
 def _odd_pictures(fit: SphereFit) -> dict[int, float]:
-    """Find the images with an exceptional chi squared, and the unexplained share of their light."""
+    """Find the images with an exceptional chi squared. Returns: unexplained share of the light, by index of the image."""
     solution = fit.solution
     usual = max(float(np.median(solution.chi2)), 1.0)
     odd = np.flatnonzero(solution.chi2 > _ODD * usual).tolist()
@@ -289,10 +292,8 @@ def _odd_pictures(fit: SphereFit) -> dict[int, float]:
 
 def _odd_remark(fit: SphereFit, k: int, share: float) -> Remark:
     chi2 = fit.solution.chi2
-    text = f"{fit.names[k]}: its chi squared is {chi2[k]:.1f}, the median of all is {np.median(chi2):.1f}: it contains "
-    text += (
-        f"light that the model lacks (a second lamp, a reflection, dust); its F is taken as {share:.1%} less certain"
-    )
+    text = f"{fit.names[k]}: the chi squared of this image is {chi2[k]:.1f}, but the median is {np.median(chi2):.1f}; "
+    text += f"F of this image is {share:.1%} less certain: look for a second lamp, a reflection or dust in the image"
     return Remark("picture-odd", text)
 
 
@@ -341,7 +342,7 @@ def _diffuse_pixels(fit: SphereFit) -> float:
 
 
 def _likelier(one: SphereFit, other: SphereFit) -> bool:
-    """Check whether a fit explains its pixels better than another, given the smaller unexplained share for both."""
+    """Check whether a fit explains its pixels better than another, with the smaller of their unexplained shares for both."""
     judge = Likelihood(UnexplainedLight(max(min(one.solution.unexplained, other.solution.unexplained), 1e-3)))
     surprise = []
     for fit in (one, other):

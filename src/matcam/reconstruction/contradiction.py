@@ -1,4 +1,7 @@
-"""Specified values that contradict the images. Each source is freed in turn to find the one that explains most."""
+"""Detection of specified values that contradict the images.
+
+Each source is freed in turn, to find the source whose error explains the largest part of chi squared.
+"""
 
 from __future__ import annotations
 
@@ -17,11 +20,11 @@ from matcam.reconstruction.sphere_scene import Known, SphereScene, prior_of
 _FAR = 10.0
 """Number of standard deviations beyond which a distance is not printed, because it is a first-order estimate."""
 _CONTRADICTED = 2.5
-"""Root mean square of the residuals of a source, in its standard deviations, above which it is wrong."""
+"""Root mean square of the residuals of a source, in its standard deviations, above which the source is wrong."""
 _EACH = 4.0
-"""Decrease of chi squared per specified value that a source must explain, because of chance improvements."""
+"""Decrease of chi squared per specified value that is attributed to chance when a source is freed."""
 _MUCH = 20.0
-"""Decrease of chi squared by freeing a source above which its values are wrong, even if no single residual is large."""
+"""Decrease of chi squared above which the values of a freed source are wrong, even if each single residual is small."""
 _FREE = 1e3  # factor of a standard deviation that frees its source
 _LENGTH = 0.1
 """Smallest relative standard deviation of a freed length. A length specified as exact may be 2 % wrong."""
@@ -29,10 +32,10 @@ _IN_EACH = ("lamp", "gain", "shift")
 """Sources with a value for each image."""
 _WIDENED = {
     "lens": "the lens differs from its profile",
-    "distortion": "the lens's distortion is not as its profile states",
-    "outline": "the highlights indicate another outline than the limb",
+    "distortion": "the distortion of the lens differs from its profile",
+    "outline": "the highlights indicate an outline that differs from the limb",
     "shift": "the sphere moves between the images by more than its limb indicates",
-    "lamp": "the lamps are not at the directions of the table",
+    "lamp": "the directions to the lamps differ from the table",
     "camera distance": "the camera distance differs from the specified value",
     "lamp distance": "the lamp distance differs from the specified value",
     "sample radius": "the sample radius in mm differs from the specified value",
@@ -42,7 +45,7 @@ _WIDENED = {
 
 
 class _Blame(NamedTuple):
-    """Decrease of chi squared if a source is freed, and its distance from the specified value.
+    """Effect of freeing a source: decrease of chi squared, and distance from the specified value.
 
     Attributes:
         explains: decrease of chi squared to first order, less the expected decrease by chance.
@@ -61,7 +64,8 @@ class _Blame(NamedTuple):
     def holds(self, fit: SphereFit) -> bool:
         """Check the predicted decrease of chi squared along the step.
 
-        If the values of each image are free, they are hardly determined, and the first order is inaccurate.
+        If each image has a free value of its own, these values are poorly determined, and the first-order prediction is
+        inaccurate.
         """
         if self.source not in _IN_EACH:
             return True
@@ -75,7 +79,8 @@ def contradiction(fit: SphereFit, scene: SphereScene) -> tuple[str, float, Remar
     """Find the source that contradicts the images, the factor of its standard deviation, and a remark.
 
     A wrong but narrow prior displaces other parameters. Therefore each source is freed in turn, and the one that
-    explains most is returned. None: no prior is displaced, and no freed source explains much.
+    explains most is returned. The result is None if all residuals of the priors are small, and every freed source explains
+    little.
     """
     problem = fit.solution.problem
     away = problem.prior_rows @ fit.solution.p - problem.prior_values
@@ -89,11 +94,11 @@ def contradiction(fit: SphereFit, scene: SphereScene) -> tuple[str, float, Remar
     if blamed.source == "sample radius" and scene.sample_radius is not None:
         stated = scene.sample_radius.value
         wanted = stated * np.exp(float((fit.solution.p + blamed.step)[problem.layout.sample_radius]))
-        text += f" (the images indicate {wanted:.4g} mm, {stated:.4g} mm is specified)"
+        text += f" (the images indicate {wanted:.4g} mm, but {stated:.4g} mm is specified)"
     remark = Remark(
         f"{blamed.source.replace(' ', '-')}-contradicted",
-        f"{text}: {times_off(pull)} the given standard deviation, which was enlarged; the distance is extrapolated from the "
-        "fit within it",
+        f"{text}: {times_off(pull)} the given standard deviation, as extrapolated from the fit; the standard deviation "
+        "was enlarged, but check the given value",
     )
     return blamed.source, 1.5 * pull, remark
 
@@ -148,7 +153,7 @@ def _rms(values: np.ndarray) -> float:
 
 
 def _freeing(scene: SphereScene, source: str) -> float:
-    """Compute the factor of the standard deviation of a source that frees it."""
+    """Compute the factor by which the standard deviation of a source is multiplied to free the source."""
     lengths = {
         "camera distance": scene.camera_nearness,
         "lamp distance": scene.lamp_nearness,

@@ -22,20 +22,22 @@ from matcam.reconstruction.sphere_fit import SphereFit
 from matcam.reconstruction.sphere_scene import Known
 
 NOISE = "noise"
-"""Remaining uncertainty if all stated values are exact: photons, read noise, and residuals of the model."""
+"""Source of the uncertainty that remains if all specified values are exact: photon noise, read noise, and residuals of the
+model.
+"""
 REFERENCE = "reference"
-"""Unit of the values of the images by a white patch: its reflectance, its position, its noise."""
+"""Source of the uncertainty of the unit of image values: reflectance, position and noise of a white patch."""
 _EXACT = 1e6  # factor of the information of a source that makes it exact
 _APART = 0.95
 """Correlation above which the images do not distinguish two parameters."""
 _WEAK = 3.0
 """Ratio of standard deviations without and with specified values above which a parameter is not determined."""
 _KEPT = 0.01
-"""Share of the prior information on a parameter that is kept in the test of determination. If the parameter were free,
-would follow it.
+"""Share of the prior information on a parameter that is kept in the test of determination. Without this share, the
+other parameters would be fully correlated with the freed parameter.
 """
 _NORMAL = np.radians([10, 15, 20, 25, 30, 35, 40, 45])
-"""Range of theta_d over which F is averaged for normalisation, rad, within the range of the images."""
+"""Angles theta_d at which F is averaged for normalisation, rad; angles outside the range of the images are omitted."""
 
 
 class Inseparable(NamedTuple):
@@ -200,9 +202,9 @@ def error_budget(
 def inseparable(fit: SphereFit) -> tuple[Inseparable, ...]:
     """Find shared parameters that the images alone do not distinguish from the lens, the distances or the outline.
 
-    The prior of each of these is removed in turn. If its correlation with another parameter then exceeds 0.95 and its
-    standard deviation grows more than threefold, the images do not determine it. The most correlated parameter is
-    reported.
+    The prior of each of these parameters is removed in turn. If the correlation of the freed parameter with another one then
+    exceeds 0.95, and its standard deviation more than triples, the images do not determine the freed parameter. The parameter
+    with the largest correlation is reported.
     """
     solution, shared = fit.solution, _shared(fit)
     names = shared.names
@@ -253,9 +255,9 @@ class FitReading(NamedTuple):
 def parameter_readings(
     fit: SphereFit, curves: Sequence[ReflectanceCurve], units: Sequence[Known]
 ) -> dict[str, FitReading]:
-    """Derive lobe, lens, n and k, and diffuse parts from a fit, by reported names.
+    """Derive the parameters of lobe, lens, F (n and k) and diffuse parts from a fit, by reported name.
 
-    curves: F of each channel. units: unit of each channel, value of the images per radiance under unit irradiance.
+    curves: F of each channel. units: unit of each channel: value of the images per radiance under unit irradiance.
     """
     p, layout, unity = fit.solution.p, fit.layout, np.eye(fit.layout.size)
     found = _lobe_readings(fit)
@@ -303,7 +305,7 @@ def reflectance_readings(
 def length_readings(fit: SphereFit) -> dict[str, FitReading]:
     """Derive the radius of the outline, px, and the distances of camera and lamp, radii of the sample, from a fit.
 
-    A distance that the images do not determine is left out.
+    A distance that the images do not determine is omitted.
     """
     scene, unity = fit.layout.scene, np.eye(fit.layout.size)
     p = fit.solution.p[scene]
@@ -325,7 +327,7 @@ def reading_budget(fit: SphereFit, name: str, reading: FitReading) -> Uncertaint
         k1 = solution.problem.unstated[0].field.k1
         more.append(
             UncertaintySource(
-                "distortion of the lens k1, not specified", k1.value, k1.std, np.sqrt(max(unstated, 0.0)) / k1.std, "B"
+                "unspecified distortion k1 of the lens", k1.value, k1.std, np.sqrt(max(unstated, 0.0)) / k1.std, "B"
             )
         )
     pixels = sum(int(one.used.sum()) for one in solution.problem.pixels)
@@ -335,7 +337,10 @@ def reading_budget(fit: SphereFit, name: str, reading: FitReading) -> Uncertaint
 
 
 def _statements(fit: SphereFit) -> list[Statement]:
-    """Collect the prior knowledge of the parameters. A source of one parameter has its own name and unit."""
+    """Collect the prior knowledge of the parameters.
+
+    A source that specifies one parameter has the name and unit of that parameter.
+    """
     problem, layout, scene = fit.solution.problem, fit.layout, fit.scene
     sigma = float(scene.camera.parameters().get("optics.sigma_px", np.nan))
     radius = np.nan if scene.sample_radius is None else scene.sample_radius.value

@@ -38,23 +38,24 @@ def reconstruct(
 ) -> Reconstruction | FlatReconstruction:
     """Reconstruct a material from photographs of a sample under a moved lamp.
 
-    The sample is a sphere, a cylinder or a flat one. Frames are merged, with exposures, noise and clipping estimated
+    The sample is a sphere, a cylinder or flat. Frames are merged, with exposures, noise and clipping estimated
     from them. Outline and highlights give a first estimate of the geometry. Then lobe, reflectance, diffuse part, lens,
     outline, lamps and distances are fitted to the pixels of all images jointly, with the specified values of the
     capture as priors. Standard deviations include the uncertainty of all these quantities, and the unexplained
     residual. For a flat sample, maps are estimated at each frequency of its texture.
 
     Args:
-        capture: as from `files.capture.read_capture`, or its folder.
+        capture: capture, as returned by `files.capture.read_capture`, or its folder.
         ndf: family of the lobe: "ggx", "epd", "sgd", "beckmann" or "gaussian". Default: "auto", the more probable of
-            "ggx" and "epd", spline-modified if that reduces the residual; for a cylinder with strips of several turns,
-            GGX with two roughnesses.
+            "ggx" and "epd", spline-modified if that reduces the residual; for a cylinder with strips of several
+            orientations, GGX with two roughnesses.
         masking: masking G of the lobe: "smith", "smith-separable", "van-ginneken" or None. Default: "smith".
         diffuse: True if the material may have a Lambertian part. Default: True.
-        rig_from: an earlier reconstruction by the same rig, or its JSON file. Its lens, distances, lamps and
+        rig_from: earlier reconstruction with the same rig, or its JSON file. Its lens, distances, lamps and
             distortion, with their covariance, replace the specified values of the capture. Default: None.
-        progress: function of the name of a step, and the numbers of finished and of all parts. Default: None.
-        workers: number of lamp positions whose frames are read at a time, in threads. Default: 1.
+        progress: function that is called with the name of a step, the number of finished parts and the number of all parts.
+            Default: None.
+        workers: number of lamp positions whose frames are read at the same time, in threads. Default: 1.
         keep: folder for intermediate results, from which an interrupted run resumes. Default: None, not stored.
 
     Returns:
@@ -85,7 +86,7 @@ def reconstruct(
     checks.whole_number("workers", workers, 1)
     kind = capture.settings["sample"]["kind"]
     if rig_from is not None and kind != "sphere":
-        raise ArgumentError(f"rig_from is for photographs of a sphere, but the sample is a {kind}: leave it out")
+        raise ArgumentError(f"rig_from is for photographs of a sphere, but sample.kind is {kind}: omit rig_from")
     kept = None if keep is None else KeptWork(Path(keep))
     steps = iter(range(1, 1000))
 
@@ -130,7 +131,7 @@ def _of_sphere(
 def _of_cylinder(
     found: CapturedCylinder, ndf: str, masking: Masking, diffuse: bool, progress: Callable[[str], None]
 ) -> Reconstruction:
-    """Reconstruct from a cylinder, with two roughnesses if strips of different turns can distinguish them."""
+    """Reconstruct from a cylinder, with two roughnesses if strips of different orientations can distinguish them."""
     scene = found.scene
     turned = len({round(float(np.degrees(strip.turn)) % 180, 3) for strip in found.strips}) > 1
     stretched = ndf == AUTO and turned

@@ -20,25 +20,28 @@ from matcam.reconstruction.sphere_fit import SphereFit
 from matcam.reconstruction.sphere_scene import Known
 
 _BEYOND = np.radians(2.0)
-"""Angle theta_d beyond the range of the images up to which an entry may be supported, rad."""
+"""Largest distance of theta_d from the range of the images at which an entry may be supported, rad."""
 ATTRIBUTES: dict[str, dict[str, str | int]] = {
     "brdf": {"units": "1/sr", "long_name": "BRDF reconstructed from photographs", CORRECTED: 1},
-    "brdf_std": {"units": "1/sr", "long_name": "standard deviation of brdf: all sources of the error budget"},
-    "supported": {"units": "1", "long_name": "within the images' angles, and standard deviation of brdf under 5 %"},
+    "brdf_std": {"units": "1/sr", "long_name": "standard deviation of brdf from all sources of the error budget"},
+    "supported": {
+        "units": "1",
+        "long_name": "within the range of theta_d of the images, and standard deviation below 5 %",
+    },
 }
 
 
 def material_table(fit: SphereFit, curves: Sequence[ReflectanceCurve], units: Sequence[Known]) -> xr.Dataset:
-    """Tabulate a joint fit.
+    """Tabulate the material of a joint fit.
 
     Args:
         fit: lobe, strengths and diffuse parts.
         curves: F of each channel, in the unit of the fit.
-        units: unit of each channel, value per radiance under unit irradiance: divisor of strengths that gives F, with
-            relative standard deviation; NaN: F is relative.
+        units: unit of each channel: value per radiance under unit irradiance, with its relative standard deviation.
+            Strengths divided by the unit are F. If the standard deviation is NaN, F is relative.
 
     Returns:
-        Dataset with `brdf` and `brdf_std` (1/sr), `supported`, over the MERL grid. A grey capture has three equal channels.
+        Dataset with `brdf`, `brdf_std` (1/sr) and `supported` over the MERL grid. A grey capture has three equal channels.
     """
     grid = merl_grid("centre")
     half = len(grid.phi_d) // 2  # isotropic and reciprocal: phi_d and pi - phi_d are equivalent
@@ -69,19 +72,19 @@ def _mirrored(half: np.ndarray) -> np.ndarray:
 
 
 def covered(fit: SphereFit, theta_d: np.ndarray) -> np.ndarray:
-    """Check which angles lie within the range of the images, or next to it."""
+    """Compute the mask of the angles that lie within the range of the images, or up to 2 degrees beyond."""
     seen = fit.solution.theta_d
     return np.asarray((theta_d > seen.min() - _BEYOND) & (theta_d < seen.max() + _BEYOND))
 
 
 class UnitEntries(NamedTuple):
-    """Table entries for strengths and albedos of 1; entries on the last axes, theta_d on the last but one.
+    """Table entries for strengths and albedos of 1, on the last axes. theta_d is on the second to last axis.
 
     Attributes:
-        lobe: entries of the lobe with F = 1, 1/sr, NaN below the horizon.
+        lobe: entries of the lobe with F = 1, in 1/sr; NaN below the horizon.
         by_lobe: derivatives of `lobe` with respect to the coordinates of the lobe, on the first axis.
         diffuse: entries of the diffuse part, 1/sr.
-        by_shape: derivatives of `diffuse` with respect to the terms beside Lambert's law, on the first axis.
+        by_shape: derivatives of `diffuse` with respect to the terms that modify Lambert's law, on the first axis.
     """
 
     lobe: np.ndarray
@@ -98,15 +101,16 @@ def channel_entries(
     entries: UnitEntries,
     theta_d: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Compute the entries of one channel and their standard deviations, 1/sr, in the shape of the unit entries.
+    """Compute the entries of one channel and their standard deviations, 1/sr, with the shape of the unit entries.
 
     Args:
         fit: strengths, diffuse parts and their covariance.
         curve: F of the channel, in the unit of the fit.
         channel: index of the channel.
-        unit: value per radiance under unit irradiance, with relative standard deviation; NaN: F is relative.
-        entries: entries of strengths and albedos of 1.
-        theta_d: angles along the last axis but one of the entries, rad.
+        unit: value per radiance under unit irradiance, with its relative standard deviation. If the latter is NaN, F is
+            relative.
+        entries: entries for strengths and albedos of 1.
+        theta_d: angles along the second to last axis of the entries, rad.
     """
     layout, solution, n = fit.layout, fit.solution, fit.layout.lobe
     reading = fit.strengths_rows()[channel :: layout.channels]
@@ -130,11 +134,11 @@ def channel_entries(
 
 
 def unit_entries(fit: SphereFit, *angles: np.ndarray) -> UnitEntries:
-    """Compute the lobe of a fit with F = 1 and its diffuse part of albedo 1, with their derivatives.
+    """Compute the entries of a lobe with F = 1 and of a diffuse part of albedo 1, and their derivatives.
 
     Args:
         fit: lobe and shape of the diffuse part.
-        angles: theta_h, theta_d, phi_d and, if the lobe depends on it, phi_h, rad, which broadcast.
+        angles: theta_h, theta_d, phi_d and, if the lobe depends on it, phi_h, rad, in arrays that broadcast.
     """
     p, layout = fit.solution.p, fit.layout
     q, shape = p[: layout.lobe], p[layout.diffuse_shape]

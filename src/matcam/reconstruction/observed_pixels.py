@@ -1,6 +1,6 @@
 """Selection of the pixels of an image for a fit: all pixels about the highlight, and some elsewhere.
 
-The window about the highlight determines the lens and a narrow lobe. Beyond it the image is smooth, and pixels at all
+The window about the highlight determines the lens and a narrow lobe. Outside the window the image is smooth, and pixels at all
 half angles determine tails and diffuse part. These pixels are drawn uniformly in the logarithm of the half angle, with
 a fixed seed.
 """
@@ -29,10 +29,10 @@ class ObservedPixels(NamedTuple):
 
     Attributes:
         window: nodes and pixels about the highlight, as required by the model.
-        column: column of the scattered pixels, px without the lens's distortion, (SCATTERED,).
-        row: row of the scattered pixels, px without the lens's distortion, (SCATTERED,).
+        column: column of the scattered pixels without the distortion of the lens, px, (SCATTERED,).
+        row: row of the scattered pixels without the distortion of the lens, px, (SCATTERED,).
         values: values of all pixels, (WINDOW^2 + SCATTERED,); 0 if not used.
-        std: standard deviation of the noise, same shape; 1 where not used.
+        std: standard deviation of the noise, same shape; 1 if not used.
         clipped: True for pixels whose value is a lower bound.
         channel: index of the colour of each pixel.
         used: True for pixels that have a value and are fitted.
@@ -80,15 +80,15 @@ def chosen_pixels(
     keep: ObservedPixels | None = None,
     field: LensField | None = None,
 ) -> ObservedPixels:
-    """Choose the pixels of an image that are fitted.
+    """Choose the pixels of an image for the fit.
 
     Args:
         picture: values of the image and their noise.
         position: positions of sphere and highlight.
-        scale: angle on which the lobe changes at its peak, rad.
+        scale: angle over which the lobe changes near its peak, rad.
         plateau: half the lamp's angular radius, rad.
         seed: seed of the draw of the scattered pixels.
-        keep: earlier choice, which is kept except for its nodes if the highlight has not moved. Default: None.
+        keep: earlier choice. Its pixels are kept, with new nodes, if the pixels of the window are the same. Default: None.
         field: distortion and blur of the lens over the field. Default: None, uniform.
     """
     window = window_about(
@@ -149,7 +149,7 @@ def _scattered(
     seed: int,
     field: LensField | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Draw pixels beyond the window, uniformly in strata of ln theta_h. Those outside the frame are marked as unused."""
+    """Draw pixels outside the window, uniformly in strata of ln theta_h. Missing pixels have positions outside the frame."""
     height, width = picture.values.shape
     row, column = np.mgrid[0:height, 0:width]
     row, column = row.ravel() + picture.origin[0], column.ravel() + picture.origin[1]
@@ -179,6 +179,6 @@ def _scattered(
     picked = index[np.concatenate(chosen)] if chosen else np.zeros(0, int)
     column_out, row_out = np.full(SCATTERED, -1.0), np.full(SCATTERED, -1.0)
     column_out[: picked.size], row_out[: picked.size] = column[picked], row[picked]
-    # positions without a pixel are outside the frame; they are kept inside the disc, where the model is defined
+    # positions without a pixel are far outside the frame, so that they are not used
     column_out[picked.size :], row_out[picked.size :] = np.nan, np.nan
     return np.nan_to_num(column_out, nan=-(10.0**6)), np.nan_to_num(row_out, nan=-(10.0**6))

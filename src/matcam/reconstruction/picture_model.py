@@ -1,6 +1,6 @@
 """Record of a lobe in the pixels of one image, with derivatives with respect to every parameter.
 
-The value of a pixel is the integral of kernel(position - pixel) L(position) over the image. About the highlight the
+The value of a pixel is the integral of kernel(position - pixel) L(position) over the image. Near the highlight the
 nodes are fixed on the sphere, so that they move with its centre and radius. For other pixels the image is smooth on the
 scale of the kernel, and the Gauss rule of the kernel is used.
 """
@@ -22,10 +22,12 @@ from matcam.reconstruction.picture_rule import Window
 from matcam.reconstruction.sphere_in_picture import light_and_view, normal_at, radiance, sphere_shading
 
 SCENE = ("lens", "radius", "camera", "lamp")
-"""Parameters of all images behind those of the lobe: ln of the lens's scale, radius in px, both nearnesses. The terms of the
-diffuse part follow, if any."""
+"""Shared parameters after those of the lobe: ln of the scale of the lens, radius in px, inverse distances of camera and lamp.
+
+The terms of the diffuse part follow, if it has any.
+"""
 OWN = ("column", "row", "lamp_a", "lamp_b")
-"""Parameters of one image: centre of the outline, px, and the turn of the lamp from its base direction along two
+"""Parameters of one image: centre of the outline, px, and the rotation of the lamp from its base direction along two
 tangents, rad.
 """
 
@@ -57,11 +59,11 @@ class ShownLight(NamedTuple):
 
     Attributes:
         lobe: coordinates of the lobe, which do not affect angles.
-        pose: nearness of camera and of lamp, and the turn a, b of the lamp.
+        pose: inverse distances of camera and lamp, and the rotation (a, b) of the lamp.
         shape: terms of the diffuse part.
-        table: table of Lambda of the lobe if it is an integral; all images share it. Default: None.
-        by_lobe: derivatives of the table with respect to the coordinates of the lobe, (coordinates, nodes), on request.
-            Default: None.
+        table: table of Lambda of the lobe, which all images share. Default: None, Lambda has a closed form.
+        by_lobe: derivatives of the table with respect to the coordinates of the lobe, (coordinates, nodes). Default: None,
+            not requested.
     """
 
     lobe: Any
@@ -88,7 +90,7 @@ class KernelSlopes(NamedTuple):
 
 
 def lamp_frame(direction: np.ndarray) -> LampFrame:
-    """Build the frame of a lamp in a direction of length 1, (3,)."""
+    """Build the frame of a lamp from its direction of length 1, (3,)."""
     helper = np.eye(3)[np.argmin(np.abs(direction))]
     first = np.cross(direction, helper)
     first /= np.linalg.norm(first)
@@ -96,7 +98,7 @@ def lamp_frame(direction: np.ndarray) -> LampFrame:
 
 
 def turned_lamp(frame: LampFrame, a: Any, b: Any) -> Any:
-    """Compute the unit vector of a lamp that is turned by (a, b)."""
+    """Compute the unit vector to a lamp that is rotated by (a, b) from its base direction."""
     vector = frame.base + a * frame.first + b * frame.second
     return vector / jnp.sqrt(jnp.sum(vector**2))
 
@@ -107,9 +109,9 @@ class PictureModel(eqx.Module):
     Attributes:
         kind: family, masking and splines of the lobe.
         blur: kernel of the camera, with a lens that is a sum of Gaussians.
-        positions: positions on the source disc as turns of the lamp, rad, (points, 2).
+        positions: positions on the source disc, as rotations of the direction to the lamp, rad, (points, 2).
         weights: weights of these positions, (points,); their sum is 1.
-        shape: number of terms of the diffuse part beside Lambert's. Default: 0.
+        shape: number of terms by which the diffuse part departs from Lambert's law. Default: 0.
     """
 
     kind: LobeKind = eqx.field(static=True)
@@ -120,19 +122,19 @@ class PictureModel(eqx.Module):
 
     @property
     def size(self) -> int:
-        """Number of parameters of one image: lobe, scene, diffuse part, own."""
+        """Number of parameters of one image: lobe, scene, diffuse part, own parameters."""
         return self.kind.size + len(SCENE) + self.shape + len(OWN)
 
     def window(
         self, p: np.ndarray, frame: LampFrame, window: Window, *, slopes: bool
     ) -> tuple[Recorded, Recorded | None]:
-        """Compute the record of a window, (WINDOW, WINDOW) with v first, and the derivatives, with a trailing (size,)."""
+        """Compute the record of a window, (WINDOW, WINDOW) with v first, and its derivatives, with a last axis (size,)."""
         return _compiled("_window_slopes" if slopes else "_window_value")(self, *self._split(p, slopes), frame, window)
 
     def pixels(
         self, p: np.ndarray, frame: LampFrame, column: np.ndarray, row: np.ndarray, *, slopes: bool
     ) -> tuple[Recorded, Recorded | None]:
-        """Compute the record of single pixels, (pixels,), and the derivatives, with a trailing (size,)."""
+        """Compute the record of single pixels, (pixels,), and its derivatives, with a last axis (size,)."""
         name = "_pixels_slopes" if slopes else "_pixels_value"
         return _compiled(name)(self, *self._split(p, slopes), frame, (column, row))
 
@@ -197,7 +199,7 @@ class PictureModel(eqx.Module):
         return Recorded(value[0], value[1], theta_d(light, kernel)), derivative
 
     def _emitted(self, light: ShownLight, frame: LampFrame, window: Window) -> jax.Array:
-        """Compute the radiance of both parts at the nodes times their weights, (2, v, u)."""
+        """Compute the radiance of lobe and diffuse part at the nodes, times the weights of the nodes, (2, v, u)."""
         u, v = window.u[None, :], window.v[:, None]
         along, across = _along(window), jnp.sin(v) + 0 * u
         cos, sin = jnp.cos(window.tilt), jnp.sin(window.tilt)
@@ -209,7 +211,7 @@ class PictureModel(eqx.Module):
     def _projection(
         self, kernel: jax.Array, window: Window, frame: LampFrame
     ) -> tuple[list[KernelSlopes], list[KernelSlopes], Callable[[ShownLight, jax.Array], jax.Array]]:
-        """Compute the kernel of each term from nodes to pixels along u and v, and theta_d of the pixels as a function."""
+        """Compute the kernels from nodes to pixels along u and v, one for each term of the blur, and a function for theta_d."""
         lens, radius, column, row = kernel
         turned = window.turned > 0
         # columns are parallel to x, rows are antiparallel to y
@@ -274,7 +276,7 @@ class PictureModel(eqx.Module):
     def _radiance(
         self, light: ShownLight, frame: LampFrame, p_x: jax.Array, p_y: jax.Array, depth: jax.Array
     ) -> tuple[jax.Array, jax.Array]:
-        """Average the radiance of both parts at positions of the disc over the source disc."""
+        """Average the radiance of lobe and diffuse part at positions of the outline's disc over the source disc."""
         ndf, (camera, lamp, a, b), terms = self.kind.ndf(light.lobe), light.pose, light.shape
         normal = normal_at(p_x, p_y, depth, camera)
 
@@ -295,12 +297,15 @@ class PictureModel(eqx.Module):
         return jax.lax.scan(add, start, (jnp.asarray(self.positions), jnp.asarray(self.weights)))[0]
 
     def _in_order(self, light: ShownSlopes, kernel: jax.Array) -> jax.Array:
-        """Order derivatives as the parameters of an image: lobe, scene, diffuse part, own."""
+        """Arrange derivatives in the order of the parameters of an image: lobe, scene, diffuse part, own parameters."""
         parts = [light.lobe, kernel[..., :2], light.pose[..., :2], light.shape, kernel[..., 2:], light.pose[..., 2:]]
         return jnp.concatenate(parts, axis=-1)
 
     def _theta_d(self, light: ShownLight, frame: LampFrame, p_x: jax.Array, p_y: jax.Array) -> jax.Array:
-        """Compute theta_d where the line of sight through the centre of a pixel meets or approaches the sphere."""
+        """Compute theta_d on the line of sight through the centre of a pixel.
+
+        Outside the outline, the nearest position inside the outline is used.
+        """
         camera, lamp, a, b = light.pose
         beyond = jnp.sqrt(jnp.maximum(p_x**2 + p_y**2, 1e-12)) / 0.9999
         shrink = 1 / jnp.maximum(beyond, 1.0)
@@ -314,8 +319,9 @@ class PictureModel(eqx.Module):
 
 
 def _by_each(function: Callable[[ShownLight], Any], light: ShownLight) -> ShownSlopes:
-    """Differentiate a function of the light along each part separately, so that unaffected intermediate values are not
-    recomputed.
+    """Differentiate a function of the light with respect to each part separately.
+
+    Intermediate values that do not depend on a part are therefore not differentiated.
     """
 
     def of_lobe(lobe: jax.Array, table: jax.Array | None) -> Any:
@@ -351,7 +357,7 @@ def _table_of(kind: LobeKind, q: AnyArray, slopes: bool) -> tuple[jax.Array | No
 
 @cache
 def _compiled(method: str) -> Callable[..., tuple[Recorded, Recorded | None]]:
-    """Compile a method of `PictureModel` once for all scenes of one shape."""
+    """Compile a method of `PictureModel` once for all scenes with arrays of the same shapes."""
     return jit_plainly(getattr(PictureModel, method), runs="many")
 
 
@@ -365,8 +371,9 @@ def _along(window: Window) -> jax.Array:
 
 
 def _seen_disc(window: Window) -> tuple[jax.Array, jax.Array]:
-    """Compute the image positions of the nodes along u, (v, u), and along v, (v,); rows are antiparallel to the y of
-    the disc.
+    """Compute the image positions of the nodes along u, (v, u), and along v, (v,), in radii of the outline.
+
+    The signs take into account that rows are antiparallel to the y axis of the disc.
     """
     (uu, uv), (vu, vv) = window.stretch
     cos, sin = jnp.cos(window.tilt), jnp.sin(window.tilt)

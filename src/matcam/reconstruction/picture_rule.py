@@ -1,8 +1,8 @@
 """Integration nodes in an image of a sphere, dense about a sharp highlight.
 
-Positions on the disc of the outline are p = (cos v sin u, sin v). In u and v the width of a lobe along the plane of
-incidence and across it is similar, independent of foreshortening, and all functions are smooth at the outline, u = pi /
-2. A product of nodes in u and v therefore suits a highlight at any position. Their spacing follows the lobe near its
+Positions on the disc of the outline are p = (cos v sin u, sin v). In u and v a lobe has similar widths along the plane
+of incidence and across it, independent of foreshortening, and all functions are smooth at the outline (u = pi / 2). A
+product of nodes in u and v therefore suits a highlight at any position. Their spacing follows the lobe near its
 peak, and is half a pixel elsewhere.
 """
 
@@ -29,23 +29,23 @@ _NO_DISC = 0.1  # share of the width of the lobe: a lamp with a smaller disc is 
 
 
 class Window(NamedTuple):
-    """Nodes of one highlight's window, and the pixels about it.
+    """Integration nodes and pixels of the window about one highlight.
 
-    The first axis of the product, u, runs along `pixel_u`: columns, or rows where `turned`. A lens with distortion maps
-    a position to stretch @ position + shift, both along (u, v). The disc of the nodes is turned by `tilt`, so that the
-    images of all nodes of one v lie in one line of pixels.
+    The u axis is parallel to `pixel_u`: columns, or rows if `turned`. A lens with distortion maps a position to
+    stretch @ position + shift, with positions along (u, v). The disc of nodes is rotated by `tilt`, so that the images of
+    nodes of equal v lie on one line of pixels.
 
     Attributes:
         u: nodes, rad, (NODES,).
         v: nodes, rad, (NODES,).
         weight: weights of the nodes on the disc of the outline, of radius 1, (NODES, NODES), v before u.
-        pixel_u: column of each pixel, or its row where turned, px, (WINDOW,).
-        pixel_v: row, or column where turned, px, (WINDOW,).
-        turned: 1.0 if u runs along the rows' axis, else 0.0.
-        stretch: derivatives of the image position, (2, 2).
-        shift: shift of the image position, px, (2,).
-        tilt: turn of the disc of the nodes, rad.
-        widened: width of the lens at the highlight over that of its profile, no unit.
+        pixel_u: column of each pixel, or its row if `turned`, px, (WINDOW,).
+        pixel_v: row of each pixel, or its column if `turned`, px, (WINDOW,).
+        turned: 1.0 if u is parallel to the axis of the row index, else 0.0.
+        stretch: derivatives of the distorted position with respect to the undistorted position, (2, 2).
+        shift: constant part of the distorted position, px, (2,).
+        tilt: rotation of the disc of nodes, rad.
+        widened: width of the lens at the highlight, relative to that of its profile, no unit.
     """
 
     u: np.ndarray
@@ -76,8 +76,8 @@ def window_about(
         centre: column and row of the outline's centre, px.
         radius: radius of the outline, px.
         position: p_x and p_y of the highlight on the disc of the outline.
-        scale: angle on which the lobe changes at its peak, rad.
-        plateau: angle about the peak within which it may lie, rad: half a lamp's radius. Default: 0.
+        scale: angle over which the lobe changes near its peak, rad.
+        plateau: angle over which a source disc spreads the peak, half the angular radius of the lamp, rad. Default: 0.
         keep: earlier window, whose pixels are kept if the highlight has moved by at most a pixel. Default: None.
         field: distortion and blur of the lens over the field. Default: None, uniform.
 
@@ -106,7 +106,7 @@ def window_about(
     peak_v = np.arcsin(np.clip(across, -1, 1))
     peak_u = np.arcsin(np.clip(along / max(np.cos(peak_v), 1e-6), -1, 1))
     low_v, high_v = (np.arcsin(np.clip(across + side * reach, -1, 1)) for side in (-1, 1))
-    # rows of the window are chords of different length: the longest decides
+    # rows of the window are chords of different length, and the longest row determines the range of u
     chord = np.cos([low_v, peak_v, high_v])
     chord = np.maximum(chord, 1e-3)
     low_u = np.arcsin(np.clip((along - reach) / chord, -1, 1)).min()
@@ -121,7 +121,7 @@ def window_about(
 
 
 def through_lens(window: Window, field: LensField, highlight: tuple[float, float]) -> Window:
-    """Apply a lens, as an affine map about a highlight, to a window.
+    """Apply the affine map of a lens near a highlight to a window.
 
     Args:
         window: window whose nodes and pixels are kept.
@@ -151,7 +151,7 @@ def _tilt(field: LensField, highlight: tuple[float, float], turned: bool) -> flo
 def graded_nodes(
     low: float, high: float, peak: float, scale: float, plateau: float, radius: float, nodes: int = NODES
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Compute nodes and weights in [low, high], in Gauss-Legendre panels with equal shares of a density."""
+    """Compute nodes and weights in [low, high], from Gauss-Legendre panels with equal integrals of a node density."""
 
     def share(t: np.ndarray) -> np.ndarray:
         aside = t - peak
@@ -160,7 +160,7 @@ def graded_nodes(
         limb = np.clip(np.abs(t) - (np.pi / 2 - _LIMB), 0, None) * np.sign(t) / _LIMB_STEP
         return beyond + within + limb + radius * np.sin(t) / _PIXEL_STEP
 
-    # inverse of the cumulative share, from a table that is dense where it is steep
+    # inverse of the cumulative share, from a table that is dense where the share is steep
     near = scale * np.sinh(np.linspace(0, np.arcsinh(np.pi / scale), 400))
     offsets = np.concatenate([-near[:0:-1], near])
     table = np.concatenate(
@@ -176,7 +176,7 @@ def graded_nodes(
 
 
 def lamp_disc(points: int) -> tuple[np.ndarray, np.ndarray]:
-    """Compute positions on the unit disc and their weights: the centre, or rings of a rule exact to degree 5 or more.
+    """Compute positions on the unit disc and their weights: the centre, or the rings of a quadrature rule of degree 5 or more.
 
     Args:
         points: number of positions: 1, or at least 7 for rings of 6, 12, ... positions.
@@ -196,10 +196,10 @@ def lamp_disc(points: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 class LampPositions(NamedTuple):
-    """Positions on a source disc that represent it.
+    """Positions that represent a source disc.
 
     Attributes:
-        turns: turns of the lamp towards each position, rad, (points, 2).
+        turns: rotations of the direction to the lamp that give each position, rad, (points, 2).
         weights: weights of the positions, (points,); their sum is 1.
         plateau: angle over which the disc spreads the peak of a lobe, rad.
     """

@@ -19,10 +19,10 @@ def pinhole_reading(pictures: Iterable[MergedPicture], fit: SphereFit, units: np
     Args:
         pictures: images in the order of the fit.
         fit: fit with outline, lamps, distances and the gain of each image.
-        units: unit of each channel, value per radiance under unit irradiance at the sphere's centre.
+        units: unit of each channel: value per radiance under unit irradiance at the centre of the sphere.
 
     Returns:
-        Table on the MERL grid, 1/sr, NaN without pixels.
+        Table on the MERL grid, 1/sr; NaN in cells without pixels.
     """
     p, layout = fit.solution.p, fit.layout
     _, radius, camera, lamp = p[layout.scene]

@@ -53,13 +53,13 @@ class Reconstruction(Summarised):
     """Material from photographs, with its accuracy.
 
     Attributes:
-        table: Dataset with `brdf` and `brdf_std` (1/sr), `supported`: over the MERL grid; of an anisotropic material over
+        table: Dataset with `brdf`, `brdf_std` (1/sr) and `supported` over the MERL grid; for an anisotropic material, over
             theta_h, phi_h, theta_d and phi_d.
         pinhole: table from binning the same images as a perfect camera, 1/sr; None: not computed.
         fit: joint fit of all images.
         curves: F of each channel over theta_d.
-        units: unit of each channel, value of the images per radiance under unit irradiance, and its relative standard
-            deviation. Without a reference the latter is NaN, and F is relative.
+        units: unit of each channel: value of the images per radiance under unit irradiance, with its relative standard
+            deviation. Without a reference, the standard deviation is NaN, and F is relative.
         budget: source -> result -> standard deviation.
         not_determined: parameters that the images alone do not distinguish.
         tried: unexplained share of the light by lobe.
@@ -94,7 +94,8 @@ class Reconstruction(Summarised):
     def parameters(self) -> dict[str, tuple[float, float]]:
         """Value and standard deviation of each parameter, by name.
 
-        Lobe, lens, n and k, diffuse part. A spline-modified lobe has only a half width, a tail exponent and a haze share.
+        The parameters describe lobe, lens, F (n and k) and diffuse part. Those of a spline-modified lobe are a half width, a
+        tail exponent and a haze share.
         """
         covariance = self.fit.solution.covariance
         found = parameter_readings(self.fit, self.curves, self.units)
@@ -119,7 +120,7 @@ class Reconstruction(Summarised):
         """
         known = self._readings
         if name not in known:
-            raise ArgumentError(f"the reconstruction has no result {name!r}; it has {', '.join(known)}")
+            raise ArgumentError(f"the reconstruction has no result {name!r}: give one of {', '.join(known)}")
         return reading_budget(self.fit, name, known[name])
 
     def uncertainty_budgets(self) -> list[UncertaintyBudget]:
@@ -206,9 +207,9 @@ class Reconstruction(Summarised):
 
     @property
     def length_quantities(self) -> list[Quantity]:
-        """Outline and distances as text.
+        """Outline and distances for a summary.
 
-        A distance that may be infinite is replaced by its limit of two standard deviations.
+        A distance that may be infinite is replaced by its lower limit of two standard deviations.
         """
         return [
             Quantity(name, _least_distance(value, std))
@@ -261,7 +262,9 @@ class Reconstruction(Summarised):
                 f"The images alone do not separate {', nor '.join(pairs)}: the result depends on their specified values."
             )
         if not self.absolute:
-            words.append("There was no reference of known reflectance: F is relative, scaled to 1 at most.")
+            words.append(
+                "F is relative, with a maximum of 1, because the capture has no reference of known reflectance."
+            )
         return " ".join(words)
 
     @property
@@ -365,14 +368,15 @@ def reconstructed(
     Args:
         pictures: merged images, one per lamp position.
         scene: prior knowledge of camera, outline, lamps and distances.
-        lamps: directions to the lamps from the highlights, (pictures, 3).
-        units: unit of each channel, value per radiance under unit irradiance, with its relative standard deviation.
+        lamps: directions to the lamps, derived from the highlights, (pictures, 3).
+        units: unit of each channel: value per radiance under unit irradiance, with its relative standard deviation.
             Default: None, unknown.
         family: family of the lobe. Default: "auto".
         masking: masking G of the lobe. Default: "smith".
         diffuse: True to include a Lambertian part. Default: True.
-        remarks: remarks of the steps before. Default: ().
-        pinhole: function that computes the pinhole table from the fitted geometry and the unit. Default: None.
+        remarks: remarks of the preceding steps. Default: ().
+        pinhole: function that computes the pinhole table from the fit and the units. Default: None,
+            this table is omitted.
         progress: function that is called with a line about each step. Default: None.
         fit_pictures: function that fits one family, for samples other than a sphere. Default: `fit_sphere`.
     """
@@ -409,7 +413,8 @@ def reconstructed(
     every.extend(
         Remark(
             "not-determined",
-            f"the images alone do not separate {one.names[0]} from {one.names[1]}: correlation {one.correlation:.3f}",
+            f"the images alone do not separate {one.names[0]} from {one.names[1]} (correlation {one.correlation:.3f}): "
+            "the result depends on their specified values",
         )
         for one in pairs
     )
@@ -417,7 +422,8 @@ def reconstructed(
         every.append(
             Remark(
                 "unexplained",
-                f"{fit.solution.unexplained:.1%} of the light is not explained by lobe, lens and geometry; errors include it",
+                f"lobe, lens and geometry do not explain {fit.solution.unexplained:.1%} of the light, which increases "
+                "every error: check the residual images",
             )
         )
     return Reconstruction(
@@ -434,5 +440,5 @@ def reconstructed(
 
 
 def _least_distance(value: float, std: float) -> str:
-    """State a distance whose reciprocal may be 0 within two of its standard deviations."""
+    """Format the lower limit of a distance that may be infinite within two standard deviations."""
     return "not determined" if np.isinf(value) else f"at least {value / (1 + 2 * std / value):.3g}"

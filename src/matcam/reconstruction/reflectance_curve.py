@@ -1,6 +1,6 @@
-"""F over theta_d from the strengths of all images: a curve of n and k if it explains them, otherwise a smooth curve.
+"""F over theta_d, fitted to the strengths of all images: a curve of n and k if it explains the strengths, or a smooth curve.
 
-The strengths have independent and common errors. The curve interpolates F between them.
+The strengths have independent and common errors. The curve interpolates F between the angles of the images.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from matcam.numerics.linalg import scaled_inverse
 from matcam.reconstruction.sphere_scene import Known
 
 _WORST = 2.5
-"""Mean squared residual, in standard deviations, up to which a curve of n and k explains strengths."""
+"""Mean squared residual, relative to the variance, up to which a curve of n and k explains the strengths."""
 _ANYTHING = 3.0  # standard deviation of ln of an unknown scale
 Whitener = Callable[[np.ndarray], np.ndarray]
 _LOG_BOUNDS = ((-5.0, 4.0), (-9.0, 4.0))
@@ -35,8 +35,7 @@ class ReflectanceCurve:
         gain: derivatives of the coefficients with respect to the strengths, (coefficients, pictures).
         by_scale: covariance of the coefficients from the prior of the scale.
         by_misfit: covariance of the coefficients from the unexplained residual.
-        misfit: mean squared residual, in standard deviations.
-        scale: strength of F = 1, in the unit of the curve.
+        misfit: mean squared residual, relative to the variance.
     """
 
     model: str
@@ -60,7 +59,7 @@ class ReflectanceCurve:
         return _slopes(self.model, self.coefficients, theta)
 
     def parameters(self) -> dict[str, tuple[float, np.ndarray]]:
-        """Return n and k with their derivatives with respect to the coefficients; empty for a smooth curve."""
+        """Return n and k with their derivatives with respect to the coefficients. A smooth curve has neither."""
         if self.model != "conductor":
             return {}
         found = {}
@@ -79,9 +78,9 @@ def reflectance_curve(
 
     Args:
         theta: angles of the strengths, rad, (pictures,).
-        strengths: F as measured, (pictures,).
+        strengths: measured F, in any unit, (pictures,).
         covariance: covariance of the strengths, (pictures, pictures).
-        unit: strength of F = 1, with its relative standard deviation; None: unknown.
+        unit: strength that corresponds to F = 1, with its relative standard deviation; None: unknown.
 
     Returns:
         Fitted curve.

@@ -38,8 +38,8 @@ _POWERS = {"epd": (0.5, 0.8, 1.2), "sgd": (0.3, 0.8)}
 _ROUNDS = 4
 _ROUGHLY, _NEARLY, _ENOUGH = 3.0, 1.0, 0.1  # of the cost
 _SYSTEMATIC = 0.01
-"""Unexplained share above which residuals are correlated between neighbouring pixels, so that a cost of 1 is not one
-standard deviation.
+"""Unexplained share above which residuals are correlated between neighbouring pixels, so that a change of the cost by
+1 does not correspond to one standard deviation.
 """
 _HOPELESS = 20.0
 """Mean squared residual of an image, absolute and relative to other images, above which the image is unexplained."""
@@ -66,7 +66,7 @@ class LayProblem(Protocol):
         disc: bool = True,
         keep: Sequence[ObservedPixels] | None = None,
     ) -> JointProblem:
-        """Build the problem at the parameters p: the prior of `scene`, with the lamps of `known` as base."""
+        """Build the problem at the parameters p, with the prior of `scene` and the lamps of `known` as base directions."""
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,7 @@ class SphereFit:
         solution: parameters and covariance.
         channels: names of the colours.
         names: names of the images.
-        stuck: unexplained share after each round, if the rounds were ended because it increased. Default: ().
+        stuck: unexplained share after each round, if the rounds were ended because the share did not decrease. Default: ().
     """
 
     scene: SphereScene
@@ -119,13 +119,13 @@ class SphereFit:
         return np.sqrt(np.maximum(np.diag(self.strengths_covariance()), 0)).reshape(self.strengths.shape)
 
     def strengths_covariance(self, covariance: np.ndarray | None = None) -> np.ndarray:
-        """Compute the covariance of the strengths, of shape (pictures x channels,) twice.
+        """Compute the covariance of the strengths, (strengths, strengths), with strengths = pictures x channels.
 
         The uncertainty of the angle of each strength is included: the slope of F times the error of the angle, with all
         correlations.
 
         Args:
-            covariance: covariance of all parameters. Default: the fit's own.
+            covariance: covariance of all parameters. Default: None, that of the fit.
         """
         rows = self.strengths_rows()
         return rows @ (self.solution.covariance if covariance is None else covariance) @ rows.T
@@ -170,13 +170,13 @@ def fit_sphere(
         masking: masking G of the lobe. Default: "smith".
         diffuse: True to include a Lambertian part. Default: True.
         spline: prior standard deviation of the departure of ln D from its family (no unit). Default: 0, no departure.
-        lamps: directions to the lamps from the highlights, (pictures, 3), as the start of the search. Default: those of
-            the scene.
-        start: fit of these images, or of some of them, with any lobe, as the start. Default: None.
+        lamps: directions to the lamps, derived from the highlights, (pictures, 3), with which the search starts. Default:
+            None, those of the scene.
+        start: earlier fit of all or some of these images, with any lobe, from which this fit starts. Default: None.
         widths: lattice of widths (first parameter of the lobe) for a search without a start.
         rounds: largest number of rounds of refinement. Default: 4.
         progress: function that is called with a line about each round. Default: None.
-        lay: function that sets up the problem of another sample than a sphere. Default: None, a sphere.
+        lay: function that sets up the problem for a sample other than a sphere. Default: None, a sphere.
         stretched: True for a lobe with two roughnesses, "ggx" only. Default: False.
         shaped: True if the diffuse part of a sphere may depart from Lambert's law. Default: False.
         rivals: families that replace `family` if their lattice gives a smaller residual. Default: ().
@@ -261,7 +261,7 @@ def fit_sphere(
 
 
 def with_correlated_residuals(fit: SphereFit) -> SphereFit:
-    """Refine a fit with fully correlated pixels treated as one.
+    """Refine a fit with weights that take the correlation of residuals between pixels into account.
 
     A search must not start with these weights, because far from the optimum all residuals are correlated and the search
     would not converge.
@@ -288,7 +288,7 @@ def _searched(
     widths: np.ndarray,
     lay: LayProblem,
 ) -> tuple[float, np.ndarray]:
-    """Search a lattice for the best lobe of few images, with strengths solved for; return cost and lobe."""
+    """Find the lobe of a lattice that fits few images best, with strengths solved for. Returns: cost and lobe."""
     few = np.unique(np.linspace(0, len(pictures) - 1, min(_FEW, len(pictures))).round().astype(int))
     some = [pictures[k] for k in few]
     part = part_of(scene, few.tolist())
@@ -312,7 +312,7 @@ def _searched(
 
 
 def _lattice(kind: LobeKind, widths: np.ndarray) -> list[tuple[float, ...]]:
-    """Build the lattice of lobes; with two roughnesses, every second width."""
+    """Build the lattice of lobes. For two roughnesses, only every second width is used."""
     if kind.stretched:
         return [(along, across) for along in widths[::2] for across in widths[::2]]
     if kind.family in WITH_POWER:
@@ -358,7 +358,10 @@ def sphere_problem(
     disc: bool = True,
     keep: Sequence[ObservedPixels] | None = None,
 ) -> JointProblem:
-    """Place the windows about the highlights at p, with the lamps of `known` as base, and build the prior of `scene`."""
+    """Build the problem of a sphere at the parameters p: windows about the highlights, and the prior of `scene`.
+
+    The base directions of the lamps are those of `known`.
+    """
     width = float(np.exp(p[0]))
     _, radius, camera, lamp = p[layout.scene]
     lit = lamp_positions(scene.lamp_radius if disc else 0.0, width)
@@ -398,7 +401,7 @@ def sphere_problem(
 
 
 def _lamps_again(fit: SphereFit, pictures: Sequence[MergedPicture]) -> np.ndarray:
-    """Return the fitted lamps; for an unexplained image, the lamp that its brightest pixel mirrors."""
+    """Return the fitted directions to the lamps. In an unexplained image, the brightest pixel determines the direction."""
     lamps = fit.lamps
     _, radius, camera, lamp = fit.solution.p[fit.layout.scene]
     for k in fit.unexplained_pictures:
@@ -425,7 +428,7 @@ def _slopes(fit: SphereFit) -> np.ndarray:
         return slope
     covariance = fit.strengths_covariance()
     std = np.sqrt(np.maximum(np.diag(covariance), 1e-30)).reshape(strengths.shape)
-    # 1, Schlick's (1 - cos)^5 and a similar function approximate metals and dielectrics to a per cent
+    # these powers of 1 - cos, with Schlick's fifth, approximate F of metals and dielectrics to one per cent
     c = 1 - np.cos(theta)
     basis = np.column_stack([np.ones_like(c), c, c**5, c**9])
     by_theta = np.column_stack([np.zeros_like(c), np.sin(theta), 5 * c**4 * np.sin(theta), 9 * c**8 * np.sin(theta)])

@@ -2,7 +2,7 @@
 
 All quantities are functions of the position p = (p_x, p_y) on the unit disc of the outline: x right, y up. The sphere
 has radius 1, the camera is at 1 / camera_nearness on the z axis, and the lamp at 1 / lamp_nearness in direction `lamp`.
-Both nearnesses may be 0.
+Both inverse distances may be 0.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from matcam.material.masking import Masking, g2
 from matcam.material.material import theta_h_of
 from matcam.material.ndf.distribution import NDF, SlopeDistribution
 
-_LEAST = 1e-9  # cosine to the line of sight: there is no surface on the outline itself
+_LEAST = 1e-9  # smallest cosine of the angles of incidence and view: on the outline itself there is no surface
 
 
 def normal_at(p_x: jax.Array, p_y: jax.Array, depth: jax.Array, camera_nearness: jax.Array) -> Vector:
@@ -28,7 +28,8 @@ def normal_at(p_x: jax.Array, p_y: jax.Array, depth: jax.Array, camera_nearness:
     Args:
         p_x: position on the disc of the outline, to the right, no unit.
         p_y: position on the disc of the outline, upwards, no unit.
-        depth: sqrt(1 - p_x^2 - p_y^2), a separate argument because it loses digits at the outline.
+        depth: sqrt(1 - p_x^2 - p_y^2), a separate argument because its computation from p_x and p_y loses digits near the
+            outline.
         camera_nearness: w, inverse of the camera's distance, 1/radii, [0, 1).
     """
     w = camera_nearness
@@ -60,10 +61,12 @@ def light_and_view(
 def sphere_shading(
     normal: Vector, lamp: Vector, camera_nearness: jax.Array, lamp_nearness: jax.Array
 ) -> tuple[Shading, jax.Array]:
-    """Compute the shading of points of the sphere, and the irradiance there over that at the centre, without the cosine."""
+    """Compute the shading of points of the sphere, and their irradiance relative to the centre, without the cosine."""
     light, view, closeness = light_and_view(normal, lamp, camera_nearness, lamp_nearness)
     x, _, z = normal
-    across = jnp.sqrt(x**2 + z**2)  # visible points have z > 0, or lie at the start of a row, so never both are 0
+    across = jnp.sqrt(
+        x**2 + z**2
+    )  # visible points have z > 0, or lie at the start of a row, so x and z are never both 0
     tangent = z / across, jnp.zeros(()), -x / across
     return shading(normal, tangent, light, view), closeness
 
@@ -78,9 +81,10 @@ def radiance(
 ) -> tuple[jax.Array, jax.Array]:
     """Compute the radiance of a lobe with F = 1, and of a diffuse surface of albedo 1, under unit irradiance at the centre.
 
-    It is `Microfacet.reflected` over cos_o, with Smith's Lambda from a small table where it is an integral.
+    The radiance of the lobe is `Microfacet.reflected` divided by cos_o, with Smith's Lambda from a small table if Lambda is an
+    integral.
 
-    table: table of Lambda, if it is available. Default: None.
+    table: table of Lambda. Default: None, it is computed if needed.
     """
     seen = (at.cos_o > _LEAST) & (at.cos_i > _LEAST)
     cos_i, cos_o = jnp.where(seen, at.cos_i, 1.0), jnp.where(seen, at.cos_o, 1.0)
@@ -101,7 +105,7 @@ def radiance(
 
 
 def _towards(source: Vector, point: Vector, nearness: jax.Array) -> tuple[Vector, jax.Array]:
-    """Compute the direction from points to a source, and (its distance from the centre / from the point)^2."""
+    """Compute the directions from points to a source, and the squared ratio of its distances from the centre and the points."""
     x, y, z = (s - nearness * p for s, p in zip(source, point, strict=True))
     square = x**2 + y**2 + z**2
     length = jnp.sqrt(square)

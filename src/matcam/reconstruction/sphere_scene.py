@@ -21,7 +21,7 @@ from matcam.reconstruction.rig.earlier_rig import KnownRig
 from matcam.reconstruction.rig.field_change import FIELD, FieldChange, outline_slopes
 
 _UNSTATED_DISTORTION = 5e-4
-"""Standard deviation of an unstated distortion at the limb of the sphere, as a share of the radius."""
+"""Standard deviation of an unspecified distortion at the limb of the sphere, as a share of the radius."""
 
 
 _LARGEST_CHANGE = 1.0
@@ -54,15 +54,15 @@ class SphereScene:
         lamp_std: standard deviation of each direction along each tangent, rad, () or (pictures,).
         lamp_radius: angular radius of the source disc, seen from the sphere's centre, rad.
         gain_std: standard deviation of ln of the gain of each image, () or (pictures,).
-        gain: light of each image relative to their mean, from a reference, (pictures,). Default: None, 1 each.
-        gain_correlation: correlation of the errors of ln gain between images, (pictures, pictures): the position of a
-            reference is a common error. Default: None, independent errors.
+        gain: irradiance in each image relative to the mean, from a reference, (pictures,). Default: None, 1 in each image.
+        gain_correlation: correlation of the errors of ln gain between images, (pictures, pictures). An error of the position
+            of a reference is common to all images. Default: None, independent errors.
         rig: rig of an earlier reconstruction, which replaces the specified lens, distances, lamps and distortion.
             Default: None.
-        unstated_field: spread of an unstated distortion, which is not fitted, but increases the errors. Default: None,
-            no distortion beyond the profile.
-        sample_radius: specified radius of the sample with its standard deviation, mm. Both nearnesses are this radius
-            over a distance in mm, and share its error. Default: None, unknown.
+        unstated_field: prior of an unspecified distortion, which is not fitted, but increases the errors. Default: None,
+            only the distortion of the profile.
+        sample_radius: specified radius of the sample with its standard deviation, mm. Both inverse distances
+            are this radius divided by a distance in mm, and share its error. Default: None, unknown.
     """
 
     camera: Camera
@@ -85,7 +85,7 @@ class SphereScene:
 
     @property
     def field(self) -> LensField | None:
-        """Distortion and blur over the field: that of the profile, otherwise the unstated distortion."""
+        """Distortion and blur over the field: those of the profile, otherwise the unspecified distortion."""
         return self.camera.field or self.unstated_field
 
 
@@ -105,14 +105,14 @@ def part_of(scene: SphereScene, pictures: Sequence[int]) -> SphereScene:
 
 
 def unstated_distortion(ball: MirrorBall) -> LensField:
-    """Return the assumed spread of distortion about a sphere if none is specified."""
+    """Build the prior of the distortion near a sphere for a capture that does not specify the distortion."""
     return LensField((ball.column, ball.row), ball.radius, Coefficient(0.0, _UNSTATED_DISTORTION))
 
 
 def prior_of(
     layout: JointLayout, scene: SphereScene, frames: Sequence[LampFrame], spline: float, own: int
 ) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
-    """Build rows, values and sources of the prior: linear combinations of parameters with mean and unit variance."""
+    """Build the prior: linear combinations of the parameters (rows) with unit variance, their means, and their sources."""
     rows: list[np.ndarray] = []
     values: list[float] = []
     sources: list[str] = []
@@ -228,8 +228,8 @@ def joint_problem(
         slope: d ln F / d theta_d of each image and channel, 1/rad.
         diffuse: True to include a Lambertian part.
         spline: prior standard deviation of the departure of ln D from its family.
-        changes: effect of a change of the lens field on each image. Default: none, the field is not fitted.
-        unstated: effect of an unstated distortion on each image. Default: none.
+        changes: effect of a change of the lens field on each image. Default: (), the field is not fitted.
+        unstated: effect of an unspecified distortion on each image. Default: (), it is neglected.
     """
     low, high = _bounds(layout, kind, scene)
     fixed = low == high
@@ -264,7 +264,7 @@ def _bounds(layout: JointLayout, kind: LobeKind, scene: SphereScene) -> tuple[np
 
 
 def lens_std(camera: Camera) -> float:
-    """Return the relative standard deviation of the width of a lens, from its profile or as assumed; 0: exact."""
+    """Compute the relative standard deviation of the lens width, from the profile or as assumed; 0: exact."""
     known = known_lens(camera)
     if known.uncertainty is None:
         return 0.0

@@ -64,7 +64,7 @@ class Sphere(Curved):
     def surface(self, u: jax.Array, v: jax.Array) -> Element:
         """Return the surface element at longitude u and latitude v.
 
-        x = radius sqrt(d^2 - 1) n_x / (d - n_z), and y likewise (docs/model.md 3).
+        x = radius sqrt(d^2 - 1) n_x / (d - n_z), and the same for y with n_y (docs/model.md 3).
         """
         cos_v, sin_u = xp.cos(v), sine(u)
         cos_u = xp.sqrt((1 - sin_u) * (1 + sin_u))  # visible points have |u| < pi / 2; a cosine takes much longer
@@ -109,7 +109,7 @@ class Sphere(Curved):
         ), visible
 
     def _tangent(self, normal: Vector) -> Vector:
-        """Return the first tangent, along the latitude's circle."""
+        """Return the first tangent, along the circle of latitude."""
         section = xp.sqrt(normal[0] ** 2 + normal[2] ** 2)
         section = xp.where(section > 0, section, 1.0)
         return normal[2] / section, xp.zeros(()), -normal[0] / section
@@ -124,8 +124,8 @@ class Sphere(Curved):
     ) -> Position:
         """Compute the position and the lamp for half and difference angles.
 
-        The half vector lies at azimuth psi = pi - phi_d on the normal's sphere, as seen from it (docs/model.md 3); for
-        a near camera, about the line of sight.
+        The azimuth of the normal about the half vector, from the side of the lamp, is psi = pi - phi_d (docs/model.md
+        3). If the camera is near, the angles refer to the line of sight.
         """
         theta_h, theta_d, phi_d = (xp.asarray(a, dtype=xp.float64) for a in (theta_h, theta_d, phi_d))
         # light, view and normal about the half vector, which is the z axis; light at +x
@@ -146,7 +146,7 @@ class Sphere(Curved):
         if lamp_nearness is not None:  # from the centre of the sample to the lamp, along the light from this normal
             w, cos_i = xp.asarray(lamp_nearness), xp.sum(normal * light, axis=0)
             light = w * normal + (xp.sqrt(xp.maximum(1 - w**2 * (1 - cos_i**2), 0.0)) - w * cos_i) * light
-        # x axis: direction of the lamp across the optical axis; if lamp and camera coincide, the x axis of the frame
+        # x axis: direction of the lamp perpendicular to the optical axis; if both coincide, the x axis of the frame
         frame = xp.stack([view[2], 0 * view[2], -view[0]])
         x_axis = light - xp.sum(light * axis, axis=0) * axis
         size = xp.sqrt(xp.sum(x_axis**2, axis=0))
@@ -183,8 +183,8 @@ class Sphere(Curved):
 class Cylinder(Curved):
     """Cylinder about the y axis, seen perpendicular to its axis.
 
-    It extends beyond the image. v is the position along the axis, in radii. The first tangent of an anisotropic
-    material runs around the cylinder.
+    The cylinder extends beyond the image. v is the position along the axis, in radii. The first tangent of an
+    anisotropic material is the direction around the cylinder.
 
     Args:
         radius: half the width of its image, in (0, 1e100] px.
@@ -213,7 +213,7 @@ class Cylinder(Curved):
         self.distant = is_infinite(distance)
 
     def surface(self, u: jax.Array, v: jax.Array) -> Element:
-        """Return the surface element: a circle across the axis, constant along it."""
+        """Return the surface element at angle u and axial position v."""
         element, _ = self._element(xp.sin(u), xp.cos(u), v)
         return element
 
@@ -226,7 +226,7 @@ class Cylinder(Curved):
         return element._replace(x=x, y=y, area=1 / xp.where(visible, cos_o, 1.0)), visible
 
     def coordinates(self, element: Element) -> tuple[jax.Array, jax.Array]:
-        """Return angle of the normal, rad, and position along the axis, radii."""
+        """Return the angle of the normal, rad, and the axial position, radii."""
         return xp.arctan2(element.normal[0], element.normal[2]), self.height(element)
 
     def height(self, element: Element) -> jax.Array:
@@ -269,8 +269,8 @@ class Cylinder(Curved):
         ), (n_z - self.nearness) / length
 
     def _turn_across(self, half_vector: jax.Array) -> jax.Array:
-        # the normal is constant along the axis, but the half vector of a near camera is not; for a distant one both are
-        # constant, and 1 / 0 is the infinity that px_per_rad returns
+        # the normal is constant along the axis, but the half vector of a near camera is not; for a distant camera both
+        # are constant, and 1 / 0 is the infinity that px_per_rad returns
         return half_vector
 
     def __repr__(self) -> str:

@@ -2,7 +2,7 @@
 
 The x axis of the image lies in the plane of camera and lamp, the y axis is perpendicular to it; both are in px from
 the optical axis through the centre of the sample. The lamp is in the plane of x and the optical axis, towards +x;
-another azimuth turns these axes relative to the sensor. Distances are in radii of the sample. The nearness of a lamp
+another azimuth rotates these axes relative to the sensor. Distances are in radii of the sample. The nearness of a lamp
 is the inverse of its distance; None means a distant lamp.
 
 A flat sample has one normal; the image of a curved sample (`Sphere`, `Cylinder`) contains many.
@@ -36,8 +36,9 @@ class Element(NamedTuple):
         view: direction to the camera.
         x: position in the image, px.
         y: position in the image, px.
-        area: area in the image over the cosine of the viewing angle. This cosine cancels in the light towards the camera,
-            so the product is regular at the limb. px^2 per du dv for an element at (u, v), per px^2 for one at (x, y).
+        area: area in the image divided by the cosine of the viewing angle, px^2 per du dv for an element at (u, v), per
+            px^2 for an element at (x, y). The light towards the camera is proportional to this cosine, so the product
+            of light and area is regular at the limb.
     """
 
     normal: Vector
@@ -49,7 +50,7 @@ class Element(NamedTuple):
 
 
 class Position(NamedTuple):
-    """Image position of a pair of half and difference angles, with its lamp.
+    """Image position and lamp angle for half and difference angles.
 
     Attributes:
         x: position, px.
@@ -110,7 +111,7 @@ class Flat(Sample):
         The texture varies along the direction of the tilt, which foreshortens it (paper (4)).
 
         Args:
-            frequency: frequency of the texture seen head-on, cycles/px.
+            frequency: frequency of the texture without tilt, cycles/px.
             theta_o: tilt, rad, [0, pi/2); broadcasts with frequency.
 
         Raises:
@@ -132,7 +133,7 @@ class Curved(Sample):
 
     Attributes:
         radius: radius of the limb in the image, px.
-        distance: distance from the sample's centre to the camera, in radii of the sample; infinite if orthographic.
+        distance: distance of the camera from the sample's centre, in radii of the sample; infinite: orthographic.
         distant: True if the distance is infinite. The view direction is then constant.
     """
 
@@ -148,10 +149,10 @@ class Curved(Sample):
 
     @abstractmethod
     def surface(self, u: jax.Array, v: jax.Array) -> Element:
-        """Return the surface element at (u, v), which broadcast.
+        """Return the surface element at (u, v).
 
         Args:
-            u: angle of the normal in the plane of camera and lamp, rad.
+            u: angle of the normal in the plane of camera and lamp, rad; broadcasts with v.
             v: second coordinate of the surface, out of that plane.
         """
 
@@ -178,7 +179,7 @@ class Curved(Sample):
     ) -> Position:
         """Compute the position and the lamp for half and difference angles.
 
-        They are meaningless below the horizon.
+        The results are meaningless if light or view is below the horizon.
 
         Args:
             theta_h: angle between half vector and normal, rad; the angles broadcast.
@@ -217,7 +218,7 @@ class Curved(Sample):
         return self.radius * xp.sqrt(1 - self.nearness**2)
 
     def visible(self, v: jax.Array) -> jax.Array:
-        """Return the largest visible |u|, rad; 0 if there is none.
+        """Return the largest visible |u|, rad; 0 if no u is visible.
 
         Args:
             v: second coordinate of the surface.
@@ -235,7 +236,7 @@ class Curved(Sample):
     ) -> tuple[jax.Array, jax.Array]:
         """Return the interval of u that is visible and lit, rad.
 
-        It is empty (low = high) if there is none.
+        The interval is empty (low = high) if no u is both visible and lit.
 
         Args:
             v: second coordinate of the surface.
@@ -251,7 +252,7 @@ class Curved(Sample):
     def across(self, x: jax.Array, v: jax.Array) -> jax.Array:
         """Return the visible u at a column of the image, rad.
 
-        If there is none, return the nearest visible u.
+        If no u is visible at the column, the nearest visible u is returned.
 
         Args:
             x: position in the image, px.
@@ -303,10 +304,10 @@ class Curved(Sample):
         return aside if lamp_nearness is None else aside + _parallax(aside, lamp_nearness)[0]
 
     def px_per_rad(self, theta_o: jax.Array, lamp_nearness: ArrayLike | None = None) -> tuple[jax.Array, jax.Array]:
-        """Return the shift of the image per turn of the normal, px/rad.
+        """Return the shift of the image per rotation of the normal, px/rad.
 
-        With camera and lamp distant it is (radius cos theta_o, radius), because x = radius sin theta_o (paper (5)). In
-        a near rig the half vector turns, too, by half the turn of the line to camera or lamp.
+        For a distant camera and lamp it is (radius cos theta_o, radius), because x = radius sin theta_o (paper (5)). In
+        a near rig the half vector also rotates, by half the rotation of the line to camera or lamp.
         """
         q = self.nearness
         turn_along, turn_across = self._half_vector_turn(theta_o, lamp_nearness)
@@ -338,9 +339,10 @@ class Curved(Sample):
         """
 
     def line_of_sight(self, normal: Vector, y: jax.Array) -> tuple[Vector, jax.Array, jax.Array]:
-        """Return direction to the camera, its length, and depth of the points.
+        """Return direction, distance and depth from points to the camera.
 
-        Length and depth (along the optical axis) are divided by the camera's distance; scalars for a distant camera.
+        Distance and depth (along the optical axis) are divided by the camera's distance from the centre. They are
+        scalars for a distant camera.
 
         Args:
             normal: surface normal at the points.
@@ -378,12 +380,12 @@ def highlight_between(lamp_angle: jax.Array, camera: ArrayLike, lamp: ArrayLike)
         return xp.where(inside, step, (low + high) / 2), low, high
 
     ends = xp.minimum(0.0, lamp_angle), xp.maximum(0.0, lamp_angle)
-    start = lamp_angle / 2 + 0 * (xp.asarray(camera) + lamp)  # an array of JAX where one of the three is
+    start = lamp_angle / 2 + 0 * (xp.asarray(camera) + lamp)  # a JAX array if one of the three is a JAX array
     return repeated(24, newton, (start, *(end + 0 * start for end in ends)))[0]
 
 
 def _parallax(aside: jax.Array, nearness: ArrayLike) -> tuple[jax.Array, jax.Array]:
-    """Compute the parallax of a near point between surface and centre, and its slope.
+    """Compute the parallax of a near point between surface and centre, rad, and its derivative.
 
     Args:
         aside: angle of the point from the normal, seen from the centre of the sample, rad.
@@ -395,9 +397,9 @@ def _parallax(aside: jax.Array, nearness: ArrayLike) -> tuple[jax.Array, jax.Arr
 
 
 def angle_on_circle(slope: jax.Array, tilt: jax.Array) -> jax.Array:
-    """Solve sin u + tilt cos u = slope for the u nearest to 0; +-pi/2 if there is none.
+    """Solve sin u + tilt cos u = slope for the u nearest to 0; +-pi/2 without a solution.
 
-    It is the intersection of a line of sight with a circle.
+    The solution is the intersection of a line of sight with a circle.
     """
     lean = xp.arctan(tilt)
     sine = slope * xp.cos(lean)
@@ -414,7 +416,7 @@ def depth_of(slope: jax.Array, q: jax.Array) -> tuple[jax.Array, jax.Array]:
 
 
 def checked_distance(distance: ArrayLike) -> jax.Array:
-    """Check a distance from the centre of the sample in its radii, above 1; infinity is allowed."""
+    """Check the distance of a camera from the centre of the sample, radii, above 1; infinity is allowed."""
     what = "radii of the sample (the camera is outside it)"
     return checks.scalar("distance", checks.within("distance", distance, 1, np.inf, what, open_low=True))
 

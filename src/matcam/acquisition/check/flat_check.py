@@ -15,7 +15,8 @@ _SPREAD = 10.0
 """Range of half angles, degrees, below which the roughness is not determined."""
 NOT_CHECKED = Remark(
     "not-checked",
-    "a flat sample shows neither outline nor highlight: lamp directions and tilts are not compared with the images",
+    "a flat sample shows neither outline nor highlight, so lamp directions and tilts are not compared with the images: "
+    "measure them carefully",
 )
 
 
@@ -36,19 +37,23 @@ def flat_remarks(capture: Capture) -> list[Remark]:
         found.append(
             Remark(
                 "not-grey",
-                "a flat sample needs grey images: each colour of a mosaic covers only a quarter of the pixels",
+                "a flat sample requires grey images, because each colour of a mosaic covers only part of the pixels: give "
+                "images with one channel",
             )
         )
     names = list(capture.lamps)
     if len(names) < _FEWEST:
-        found.append(Remark("too-few", f"{len(names)} images of the flat sample; at least {_FEWEST} are needed"))
+        text = (
+            f"the capture has only {len(names)} images of the flat sample, but at least {_FEWEST} are needed: add some"
+        )
+        found.append(Remark("too-few", text))
     lost = [name for name in names if not np.isfinite(capture.lamps[name].direction).all()]
     if lost:
-        text = f"lamp {some_of(lost)}: frames.csv has no angle_deg and azimuth_deg, and nothing else indicates them: add them"
+        text = f"lamp {some_of(lost)}: the direction is not specified: add angle_deg and azimuth_deg to frames.csv"
         found.append(Remark("no-direction", text))
     tilts = capture.settings["sample"]["tilt_deg"] or [0.0]
     if len(tilts) not in (1, len(names)):
-        text = f"sample.tilt_deg has {len(tilts)} angles for {len(names)} lamp positions: give one, or one for each"
+        text = f"sample.tilt_deg has {len(tilts)} angles for {len(names)} lamp positions: give one, or one for each position"
         found.append(Remark("tilts-differ", text))
     elif not lost and len(names) >= _FEWEST:
         found += _half_angles(capture, np.radians(tilts * len(names) if len(tilts) == 1 else tilts))

@@ -25,10 +25,11 @@ _SPOT_STD, _LEAST_STD = 0.3, 0.5
 lobe shifts towards the limb.
 """
 _LINE_STD = 0.15
-"""Standard deviation of the centroid of the bright line of a cylinder, as a share of its half width; it is the mean of
-many rows.
+"""Standard deviation of the centroid of the bright line of a cylinder, relative to the half width of the line. It is small
+because the profile is the mean of many rows.
 """
-_BLUR = 0.6  # px, standard deviation of lens and pixel together, as in `find_highlight`
+_BLUR = 0.6
+"""Standard deviation of the blur of lens and pixel together, px, as in `find_highlight`."""
 
 
 class Seen(NamedTuple):
@@ -50,8 +51,8 @@ class QuickHighlights:
     """Highlights and clipped pixels of all lamp positions.
 
     Attributes:
-        seen: highlight of each lamp position that shows one.
-        remarks: lamp positions without a highlight, and clipped ones.
+        seen: highlight by lamp position, only for lamp positions that show a highlight.
+        remarks: remarks on lamp positions without a highlight or with clipped pixels.
     """
 
     seen: dict[str, Seen] = field(default_factory=dict)
@@ -66,12 +67,12 @@ def quick_highlights(
 ) -> QuickHighlights:
     """Read the shortest frame of every lamp position, find its highlight and count its clipped pixels.
 
-    Where a frame is too dark for a highlight, the next exposure is read. On a flat sample only clipping is checked.
+    If a frame shows no highlight, the next exposure is read. For a flat sample only clipping is checked.
 
     Args:
         capture: the capture.
         radiometry: radiometric calibration from a few lamp positions; None if unknown.
-        outline: outline of the sample; None: a highlight is the centroid of the bright spot.
+        outline: outline of the sample; None: unknown, and a highlight is the centroid of the bright spot.
         camera: distance of the camera, radii. Default: infinite.
     """
     reader = MosaicReader(capture)
@@ -111,14 +112,16 @@ def quick_highlights(
     for k, (lamp, (frame, above)) in enumerate(shortest.items()):
         count = above or piled.get(k, 0)
         if count:
-            text = f"lamp {lamp}: {count} pixels are clipped in the shortest exposure, {frame.exposure}"
+            text = (
+                f"lamp {lamp}: {count} pixels are clipped in the shortest exposure, {frame.exposure}: add a shorter one"
+            )
             peaks.append((lamp, Remark("peak-clipped", text)))
     found.remarks += gathered(peaks)
     return found
 
 
 def _codes(capture: Capture, reader: MosaicReader, frame: CaptureFrame) -> np.ndarray:
-    """Read the codes of a frame; codes of a reference in it are replaced by the median."""
+    """Read the codes of a frame, and replace those of the reference region by the median."""
     codes = reader.read(frame, capture.region)
     if capture.reference_region is not None:
         top, left = (0, 0) if capture.region is None else (capture.region[1], capture.region[0])
@@ -130,14 +133,14 @@ def _codes(capture: Capture, reader: MosaicReader, frame: CaptureFrame) -> np.nd
 
 
 def _clip_threshold(reader: MosaicReader, radiometry: Radiometry | None) -> float:
-    """Return the code above which a pixel is clipped: that of the file format, or a lower one from the frames, DN."""
+    """Return the smallest code of a clipped pixel, DN: that of the file format, or the clip level of the frames if lower."""
     if radiometry is None or not radiometry.clip.pixels:
         return reader.saturation
     return min(reader.saturation, radiometry.clip.threshold)
 
 
 def _top_codes(codes: np.ndarray, frame: CaptureFrame, reader: MosaicReader, radiometry: Radiometry) -> TopCodes:
-    """Measure the brightest pixels of a frame, for a clip level that the complete brackets do not show."""
+    """Collect the largest codes of a frame, for a clip level that the complete brackets do not reveal."""
     dark = radiometry.darkness.get(frame.exposure)
     hot = np.zeros(codes.shape, bool)
     if dark is not None and isinstance(dark.hot, np.ndarray) and dark.hot.shape == hot.shape:
@@ -163,7 +166,7 @@ def _position(
     outline: QuickOutline | None,
     camera: float,
 ) -> Seen | None:
-    """Find the highlight of one frame; None: no bright spot."""
+    """Find the highlight of one frame; None if there is no bright spot."""
     origin = (0, 0) if capture.region is None else (capture.region[1], capture.region[0])
     if capture.settings["sample"]["kind"] == "cylinder":
         return _bright_line(codes, origin[1], outline)
@@ -192,7 +195,7 @@ def _position(
 
 
 def black_level(radiometry: Radiometry | None) -> float:
-    """Return the mean code without light, DN; 0: unknown."""
+    """Return the mean code without light, DN; 0 if it is unknown."""
     if radiometry is None or not radiometry.darkness:
         return 0.0
     return float(np.mean([np.mean(one.level) for one in radiometry.darkness.values()]))

@@ -1,6 +1,6 @@
 """Quick outline of a sphere or cylinder, and check for motion of the sample.
 
-The outline is the specified one, or comes from a mask or from frames, to a few tenths of a pixel.
+The outline is specified, or it is measured from a mask or from frames to a few tenths of a pixel.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _MOVED = 1.0
 px.
 """
 _DISC_STD = 0.4
-"""Standard deviation of centre and radius of the disc by moments, px: measured on simulated frames, rounded up."""
+"""Standard deviation of centre and radius from the moments of the disc, px: measured on simulated frames, rounded up."""
 _STATED_STD = 0.5
 """Standard deviation of an axis or radius of a cylinder that is specified without a standard deviation, px."""
 
@@ -37,7 +37,7 @@ class QuickOutline(NamedTuple):
     Attributes:
         column: column of the centre of a sphere or the axis of a cylinder, px.
         row: row of the centre, px; NaN for a cylinder.
-        radius: radius of the limb, or half the distance of the edges, px.
+        radius: radius of the limb, or half the distance between the edges, px.
         std: standard deviations of column, row and radius, px (3,).
     """
 
@@ -48,10 +48,10 @@ class QuickOutline(NamedTuple):
 
 
 def quick_outline(capture: Capture, black: float, sigma: float) -> tuple[QuickOutline | None, list[Remark]]:
-    """Find the outline of a sphere or cylinder from the sources of a reconstruction, and measure every outline frame.
+    """Find the outline of a sphere or cylinder, and measure every outline frame.
 
-    For a sphere the order of preference is a specified circle, a mask, outline frames; for a cylinder outline frames,
-    the specified outline.
+    The sources are those of a reconstruction. For a sphere they are, in order of preference, a specified circle, a mask
+    and outline frames; for a cylinder, outline frames and the specified outline.
 
     Args:
         capture: capture of a sphere or a cylinder.
@@ -82,7 +82,7 @@ def quick_outline(capture: Capture, black: float, sigma: float) -> tuple[QuickOu
         moved = float(np.hypot(position.column - first.column, 0.0 if cylinder else position.row - first.row))
         if moved > _MOVED or abs(position.radius - first.radius) > _MOVED:
             path = capture.folder / frame.file
-            text = f"{path}: the {what} is {moved:.1f} px from its position in {positions[0][0].file}"
+            text = f"{path}: the {what} is {moved:.1f} px from its position in {positions[0][0].file}: fasten it, and repeat"
             found.append(Remark(f"{what}-moved", text))
     if positions and (cylinder or given is None):
         return positions[0][1], found
@@ -121,7 +121,8 @@ def _measured(
         return QuickOutline(stripe.column, math.nan, stripe.radius + hidden, std), [*found, *stripe.remarks]
     column, row, radius = dark_disc(codes)
     if not math.isfinite(radius):
-        return None, [*found, Remark("no-disc", f"{path}: shows no dark disc inside a bright field")]
+        text = f"{path}: the frame shows no dark disc inside a bright field: photograph the sphere before a bright background"
+        return None, [*found, Remark("no-disc", text)]
     mirrored, spread = grazing_reflection(radius, reach)
     std = np.array([_DISC_STD, _DISC_STD, math.hypot(_DISC_STD, spread, hidden)])
     return QuickOutline(column + origin[1], row + origin[0], radius + mirrored + hidden, std), found
@@ -152,24 +153,25 @@ def _stated(capture: Capture) -> QuickOutline | None:
 
 
 def _missing_sphere() -> Remark:
-    text = "there is no outline frame: the sphere's radius comes from lit limbs or highlights alone"
+    text = "there is no outline frame, so lit limbs or highlights determine the radius of the sphere: add a frame to outline/"
     return Remark("no-outline", text)
 
 
 def _missing_cylinder() -> Remark:
-    text = "give a frame of the cylinder before a bright field, in outline/, or specify sample.outline_radius_px and "
-    return Remark("no-outline", f"{text}sample.axis_column_px: `reconstruct` needs one of them")
+    text = "the cylinder has no outline, which `reconstruct` requires: add a frame of it before a bright field to outline/, "
+    return Remark("no-outline", f"{text}or specify sample.outline_radius_px and sample.axis_column_px")
 
 
 def dark_disc(codes: np.ndarray) -> tuple[float, float, float]:
-    """Estimate column, row and radius, px, of a dark disc in front of a bright field, to a few tenths of a pixel.
+    """Estimate column, row and radius of a dark disc, px.
 
-    They follow from the area and the first moments of the missing light. NaN: there is no disc, or the frame cuts it.
+    The area and the first moments of the light that is missing from a bright field determine them to a few tenths of a
+    pixel. They are NaN if there is no disc, or the border of the frame cuts it.
 
     Args:
         codes: frame, (height, width).
     """
-    # bins of 2 x 2 px: all colours of a mosaic
+    # bins of 2 x 2 px contain all colours of a mosaic
     height, width = (n // 2 * 2 for n in codes.shape)
     cells = codes[:height, :width].reshape(height // 2, 2, width // 2, 2).mean((1, 3), dtype=np.float64)
     dark, bright = np.quantile(cells, [0.01, 0.99])

@@ -1,8 +1,9 @@
 """Comparison of the lamp table with the highlights: a rotated table, a wrong radius, single wrong lamps.
 
 The unknowns are a rotation of the axes of the table relative to the camera, and the outline of the sample in the frame.
-Where an outline was measured, its centre and radius are known and the rotation is free. Without it, a shifted sphere
-explains a rotation about an axis in the image plane, so only a rotation about the optical axis is fitted.
+If an outline was measured, its centre and radius are known and the rotation is free. Without an outline, a rotation about
+an axis in the image plane is indistinguishable from a shift of the sphere, so only the rotation about the optical axis is
+fitted.
 """
 
 from __future__ import annotations
@@ -35,8 +36,8 @@ Centroids have errors of 1 to 2 px.
 _SIGNIFICANT = 4.0
 """Number of standard deviations above which a rotation or a radius is reported: one false alarm in 16,000 captures."""
 _LEAST_TURN = math.radians(0.5)
-"""Rotation, rad, below which there is no report: the tables of careful set-ups are rotated by some tenths of a degree,
-which `reconstruct` fits.
+"""Rotation, rad, below which there is no report: even in careful set-ups tables are rotated by some tenths of a degree,
+and `reconstruct` fits this rotation.
 """
 _LEAST_GROWTH = 0.01
 """Relative difference of radii below which there is no report, because `reconstruct` fits it."""
@@ -45,13 +46,13 @@ _NEARNESS = (0.02, 0.02)
 
 
 class TableCheck(NamedTuple):
-    """Result of the comparison.
+    """Result of the comparison of a lamp table with the highlights.
 
     Attributes:
         centre: column, row and radius of the sample from highlights, table and outline, px; NaN if unknown.
         turn: rotation vector from the table to the highlights, about x (right), y (up) and z (to the camera), rad (3,).
-        turn_std: standard deviations of `turn`, rad (3,); NaN where it was not fitted.
-        remarks: contradictions.
+        turn_std: standard deviations of `turn`, rad (3,); NaN for an axis whose rotation was not fitted.
+        remarks: contradictions between table, highlights and outline.
     """
 
     centre: tuple[float, float, float]
@@ -71,9 +72,7 @@ class _Fit(NamedTuple):
 
 
 class _Rig(NamedTuple):
-    """Distances of camera and lamp, radii, and the relative uncertainty of the radius from highlights that they
-    cause.
-    """
+    """Distances of camera and lamp, radii, and the relative error that they cause in a radius from highlights."""
 
     camera: float
     lamp: float
@@ -133,7 +132,9 @@ def _of_sphere(
     spread = float(np.ptp(directions[:, 1]))
     apart, other = float(np.median(right.off)), float(np.median(flipped.off))
     if spread > 0.2 and other < 0.2 * apart and apart > 2:
-        text = "the highlights move opposite to the specified lamp directions: azimuths count from +x (right) towards +y (up)"
+        text = (
+            "the highlights move opposite to the specified lamp directions: measure azimuths from +x (right) to +y (up)"
+        )
         return TableCheck(_sphere(right), np.zeros(3), np.full(3, math.nan), (Remark("table-flipped", text),))
     if outline is not None:
         ball = MirrorBall(outline.row, outline.column, outline.radius, rig.camera)
@@ -156,7 +157,7 @@ def _of_sphere(
 def _of_cylinder(
     capture: Capture, names: list[str], directions: np.ndarray, seen: list[Seen], outline: QuickOutline
 ) -> TableCheck:
-    """Compare the columns of the bright lines: they indicate only the rotation about the axis of the cylinder."""
+    """Compare the columns of the bright lines, which determine only the rotation about the axis of the cylinder."""
     rig = _rig(capture)
     columns = np.array([[one.column] for one in seen])
 
@@ -191,7 +192,7 @@ def _fitted(
     positions: np.ndarray,
     errors: np.ndarray,
 ) -> _Fit:
-    """Fit the parameters with a standard deviation above 0, robustly against single wrong lamps."""
+    """Fit the parameters whose prior standard deviation is above 0, robustly against single wrong lamps."""
     free = np.flatnonzero(std > 0)
     known = free[np.isfinite(std[free])]
     center = start.copy()
@@ -244,8 +245,8 @@ def _radius_remarks(fit: _Fit, outline: QuickOutline, std: float) -> list[Remark
     known = math.sqrt(max(std**2 - float(fit.covariance[5, 5]), 1e-12))
     if abs(change) < max(_SIGNIFICANT * known, _LEAST_GROWTH * outline.radius):
         return []
-    text = f"the highlights indicate a radius of {fit.p[5]:.1f} +- {math.sqrt(fit.covariance[5, 5]):.1f} px, the outline has "
-    text += f"{outline.radius:.1f} px: check sample.radius_mm, the distances and the angles of frames.csv"
+    text = f"the highlights indicate a radius of {fit.p[5]:.1f} +- {math.sqrt(fit.covariance[5, 5]):.1f} px, but the "
+    text += f"outline has {outline.radius:.1f} px: check sample.radius_mm, the distances and the angles of frames.csv"
     return [Remark("radius-mismatch", text)]
 
 
@@ -256,7 +257,7 @@ def _single_remarks(capture: Capture, names: list[str], fit: _Fit) -> list[Remar
     return [
         Remark(
             "table-contradicts",
-            f"lamp {name}: its highlight is {off:.0f} px from the position that its direction predicts",
+            f"lamp {name}: its highlight is {off:.0f} px from the position that its direction predicts: check frames.csv",
         )
         for name, off in zip(names, fit.off, strict=True)
         if off > allowed
@@ -264,7 +265,7 @@ def _single_remarks(capture: Capture, names: list[str], fit: _Fit) -> list[Remar
 
 
 def cylinder_line(direction: np.ndarray, camera: float, lamp: float) -> float:
-    """Compute the column of the brightest line on an upright cylinder, in radii right of its axis.
+    """Compute the distance of the brightest line on an upright cylinder to the right of its axis, radii.
 
     Args:
         direction: unit vector from the axis to the lamp (3,).

@@ -6,8 +6,8 @@ from matcam.camera.camera import Camera
 from matcam.files.capture import Stated
 
 GUESSED_LENS = Stated(0.5, 0.35)
-"""Assumed standard deviation of the blur of a lens without a profile, and its error, px: two errors include lenses of
-up to 1.2 px.
+"""Assumed standard deviation of the blur of a lens without a profile, and its standard error, px. Two standard errors
+include lenses of up to 1.2 px.
 """
 BY_SHAPE = 0.01
 """Unexplained share of the light above which the blurs of lens and lobe, which differ in shape only, are not
@@ -18,8 +18,9 @@ separated.
 def unmeasured_lens() -> str:
     """Describe the treatment of a lens without a profile in a reconstruction."""
     return (
-        f"the lens is assumed to be {GUESSED_LENS.value:g} +- {GUESSED_LENS.std:g} px and is fitted; if no lobe explains the "
-        f"images to {BY_SHAPE:.0%}, it keeps this error, which adds to that of the roughness"
+        f"the blur of the lens is assumed to be {GUESSED_LENS.value:g} +- {GUESSED_LENS.std:g} px and is fitted; if no lobe "
+        f"explains the images to {BY_SHAPE:.0%}, the blur keeps this error, which adds to that of the roughness; to avoid it, "
+        "measure a profile with `matcam calibrate`"
     )
 
 

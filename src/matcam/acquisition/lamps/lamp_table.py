@@ -1,6 +1,6 @@
 """Comparison of highlights with a table of lamps: radius, arc, common mistakes.
 
-Axes: x right, y up, z to the camera. Directions go from the sphere's centre to the lamp.
+Axes: x right, y up, z to the camera. Directions point from the sphere's centre to the lamp.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from matcam.core.errors import ArgumentError, FitError
 from matcam.core.remark import Remark
 
 _LIKELY = 0.5
-"""A mistake explains a table if the remaining angles are at most this share of the original ones."""
+"""Largest ratio of the residual to the original angles at which a mistake is taken to explain a table."""
 _WRONG = np.radians(1.5)
-"""Angles up to which no mistake is assumed, rad."""
+"""Rms angle between highlights and table below which no mistake is assumed, rad."""
 
 
 class RadiusByHighlights(NamedTuple):
@@ -32,7 +32,7 @@ class RadiusByHighlights(NamedTuple):
         radius: radius from the highlights if lamps and camera are distant, px.
         std: standard deviations of row, column and radius, px (3,).
         rms: rms distance of the highlights from their expected positions, px.
-        mismatch: radius over that of the outline, less 1.
+        mismatch: ratio of the radius to that of the outline, minus 1.
         mismatch_std: standard deviation of `mismatch`, including that of the outline.
         inverse_distances: 1 / camera distance + 1 / lamp distance that would explain the mismatch, 1/radii.
         inverse_distances_std: standard deviation of `inverse_distances`, 1/radii.
@@ -59,22 +59,22 @@ def radius_by_highlights(
 ) -> RadiusByHighlights:
     """Compare the radius from the highlights of known lamps with that of the outline.
 
-    In a near rig highlights are further apart than in a distant one, by (1 / camera distance + 1 / lamp distance) / 2
-    of their distance from the centre. Highlights alone do not distinguish this from a larger sphere, or from directions
-    that are too narrow; the outline does.
+    A near camera and near lamps move the highlights outwards, by (1 / camera distance + 1 / lamp distance) / 2 of their
+    distance from the centre. Highlights alone do not distinguish this from a larger sphere, which the outline excludes,
+    or from directions that are too narrow.
 
     Args:
         rows: rows of the mirror points of the highlights, px (n,).
         columns: columns of the mirror points, px (n,).
         lamps: known directions (n, 3).
         ball: the sphere from its outline.
-        ball_std: standard deviations of its row, column and radius, px (3,). Default: 0.
+        ball_std: standard deviations of row, column and radius of `ball`, px (3,). Default: 0.
 
     Returns:
         The radius, and possible causes of a difference.
 
     Raises:
-        FitError: fewer than four highlights.
+        FitError: there are fewer than four highlights.
     """
     rows, columns, lamps = np.asarray(rows, float), np.asarray(columns, float), unit(np.asarray(lamps, float))
     if len(rows) < 4:
@@ -92,20 +92,21 @@ def radius_by_highlights(
     ratio = float(found.x[2] / ball.radius)
     ratio_std = float(ratio * np.hypot(std[2] / found.x[2], by_outline[2] / ball.radius))
     inverse, inverse_std = 2 * (ratio - 1), 2 * ratio_std
-    # the axes of the table may be turned relative to the camera: residual after the distances
+    # rotation of the table's axes relative to the camera, after the correction of the radius
     near = MirrorBall(ball.row, ball.column, ball.radius * ratio)
     turn = _turn(near.lamp_seen_at(near.normals(rows, columns)), lamps)
     remarks = []
     if abs(ratio - 1) > 2 * ratio_std:
         cause = (
-            f"1/D + 1/Q = 1/{1 / inverse:.0f} of camera and lamp distance in radii, or directions {ratio - 1:.1%} too narrow"
+            f"check the distances D of camera and Q of lamp in radii (1/D + 1/Q = 1/{1 / inverse:.0f} explains it), or whether "
+            f"the directions are {ratio - 1:.1%} too narrow"
             if inverse > 0
-            else f"directions {1 - ratio:.1%} too wide, or an outline too large"
+            else f"check whether the directions are {1 - ratio:.1%} too wide, or the outline is too large"
         )
         remarks.append(
             Remark(
                 "radius-mismatch",
-                f"the highlights indicate a radius of {found.x[2]:.2f} px, the outline has {ball.radius:.2f} px: {cause}",
+                f"the highlights indicate a radius of {found.x[2]:.2f} px, but the outline has {ball.radius:.2f} px: {cause}",
             )
         )
     size = float(np.linalg.norm(turn))
@@ -113,7 +114,7 @@ def radius_by_highlights(
         remarks.append(
             Remark(
                 "table-turned",
-                f"the table's axes are turned by {np.degrees(size):.2f} degrees relative to the camera's",
+                f"the axes of the lamp table are rotated by {np.degrees(size):.2f} degrees relative to the camera: check them",
             )
         )
     row, column, radius = map(float, found.x)
@@ -139,15 +140,15 @@ def _turn(lamps: np.ndarray, table: np.ndarray) -> np.ndarray:
 
 
 class LampArc(NamedTuple):
-    """Lamps on an arc: directions at one angle from an axis.
+    """Lamps on an arc: directions at equal angles from an axis.
 
     Attributes:
         axis: unit vector about which the arm turns (3,).
         opening: angle between axis and lamps, rad; pi/2 if the arm turns in a plane through the sphere's centre.
         angles: angle of each lamp about the axis, rad (n,), from the first lamp.
         directions: directions of the lamps on the arc, unit vectors (n, 3).
-        rms: angle between given directions and the arc, rad.
-        axis_std: standard deviation of the axis' direction and of the opening, rad (3,).
+        rms: rms angle between given directions and the arc, rad.
+        axis_std: standard deviations of the axis in two directions, and of the opening, rad (3,).
     """
 
     axis: np.ndarray
@@ -159,7 +160,7 @@ class LampArc(NamedTuple):
 
 
 def fit_arc(lamps: np.ndarray, *, std: float = np.radians(0.2), opening_std: float = np.radians(3.0)) -> LampArc:
-    """Fit an arc to lamps' directions.
+    """Fit an arc to the directions of lamps.
 
     Args:
         lamps: directions (n, 3).
@@ -202,7 +203,7 @@ def fit_arc(lamps: np.ndarray, *, std: float = np.radians(0.2), opening_std: flo
     on = np.cos(opening) * about + np.sin(opening) * on
     rms = float(np.sqrt(np.mean(lamp_angles_apart(on, lamps) ** 2)))
     if rms > max(5 * std, np.radians(2.0)):
-        raise FitError(f"the lamps lie {np.degrees(rms):.1f} degrees rms off one arc; give motion = 'free'")
+        raise FitError(f"the lamps deviate from one arc by {np.degrees(rms):.1f} degrees rms: specify motion = 'free'")
     freedom = max(len(lamps) - 2, 1)
     spread = np.linalg.inv(found.jac.T @ found.jac) * max(1.0, 2 * found.cost / freedom)
     return LampArc(about, opening, angles, on, rms, np.sqrt(np.diag(spread)))
@@ -213,7 +214,7 @@ class TableVerdict(NamedTuple):
 
     Attributes:
         mistake: "none", "unexplained", or the name of the mistake.
-        rms: angles between the highlights' lamps and the table as given, rad.
+        rms: rms angle between the lamps from the highlights and the table as given, rad.
         rms_explained: `rms` after correction of the mistake, rad.
         remarks: description of a disagreement.
     """
@@ -228,24 +229,24 @@ _WORDS = {
     "y-flipped": "its y axis points down; y must point up",
     "x-flipped": "its x axis points left; x must point right",
     "z-flipped": "its z axis points away from the camera; z must point to it",
-    "xy-swapped": "x and y are exchanged",
-    "xy-flipped": "x and y both point the other way: the image is turned by 180 degrees",
+    "xy-swapped": "its x and y are exchanged; x must point right, y up",
+    "xy-flipped": "its x and y axes point left and down; x must point right, y up, unless the image is rotated by 180 degrees",
     "light-reversed": "its vectors point from the lamp to the sample; they must point to the lamp",
     "normals": "its vectors are the normals at the highlights; they must point to the lamps",
-    "halved": "its vectors lie at twice the angle: they were reflected twice",
-    "degrees-as-radians": "its angles are degrees, read as radians",
-    "radians-as-degrees": "its angles are radians, read as degrees",
-    "order-reversed": "its rows are in the reverse order of the images",
+    "halved": "its vectors have twice the angle, because they were reflected twice; reflect them once",
+    "degrees-as-radians": "its angles are degrees that were read as radians; correct the unit",
+    "radians-as-degrees": "its angles are radians that were read as degrees; correct the unit",
+    "order-reversed": "its rows are in the reverse order of the images; reverse them",
 }
 
 
 def explain_lamp_table(lamps: np.ndarray, table: np.ndarray) -> TableVerdict:
-    """Find the common mistake that explains a lamp table that contradicts the highlights.
+    """Find the common mistake that explains a wrong lamp table.
 
-    Each mistake is applied to the lamps from the highlights; the one whose result matches the table is named.
+    Each mistake is applied to the lamps from the highlights. The mistake whose result matches the table is named.
 
     Args:
-        lamps: directions from the highlights (n, 3); NaN without a highlight.
+        lamps: directions from the highlights (n, 3); NaN for a lamp without a highlight.
         table: directions as given (n, 3).
 
     Returns:
@@ -270,17 +271,17 @@ def explain_lamp_table(lamps: np.ndarray, table: np.ndarray) -> TableVerdict:
     rms = _rms(lamps, table)
     if rms < _WRONG:
         return TableVerdict("none", rms, rms, ())
-    # remaining angles, in units of the error of the lamps after the mistake
+    # residual angles, divided by the factor by which the mistake stretches angles
     left: dict[str, float] = {}
     for name, made, stretch in _mistakes(lamps):
-        # for a mistake that stretches errors, azimuths of lamps near the axis are meaningless
+        # the median, because a mistake that stretches errors makes azimuths of lamps near the axis meaningless
         apart = float(np.median(lamp_angles_apart(made, table))) if stretch > 2 else _rms(made, table)
         left[name] = min(apart / stretch, left.get(name, np.inf))
     best = min(left, key=lambda name: left[name])
     if left[best] < _LIKELY * rms and left[best] < 2 * _WRONG:
-        text = f"the lamp table is {np.degrees(rms):.1f} degrees rms off the highlights: {_WORDS[best]}"
+        text = f"the lamp table deviates from the highlights by {np.degrees(rms):.1f} degrees rms: {_WORDS[best]}"
         return TableVerdict(best, rms, left[best], (Remark(f"table-{best}", text),))
-    text = f"the lamp table is {np.degrees(rms):.1f} degrees rms off the highlights, and no common mistake explains it"
+    text = f"the lamp table deviates from the highlights by {np.degrees(rms):.1f} degrees rms: check its directions"
     return TableVerdict("unexplained", rms, rms, (Remark("table-contradicts", text),))
 
 
@@ -289,7 +290,7 @@ def _rms(lamps: np.ndarray, table: np.ndarray) -> float:
 
 
 def _mistakes(lamps: np.ndarray) -> Iterator[tuple[str, np.ndarray, float]]:
-    """Yield each mistake, the table that it would produce, and its factor of angles."""
+    """Yield each mistake, the table that it would produce, and the factor by which it stretches angles."""
     z = np.array([0.0, 0.0, 1.0])
     yield "y-flipped", lamps * [1, -1, 1], 1.0
     yield "x-flipped", lamps * [-1, 1, 1], 1.0

@@ -11,10 +11,11 @@ from matcam.core.errors import ArgumentError
 from matcam.core.remark import Remark
 
 _EXPLAINED = np.radians(0.3)
+"""Rms angle below which two probes agree, rad."""
 
 
 class ProbeComparison(NamedTuple):
-    """Comparison of two probes, with the distance of the lamps as explanation.
+    """Comparison of two probes, with possible explanations of their differences.
 
     Attributes:
         apart: angle between both probes' directions of each lamp, rad (n,).
@@ -23,7 +24,7 @@ class ProbeComparison(NamedTuple):
             (3,): x right, y up, z to the camera.
         left: rms of the residual angles with one distance for all lamps, rad.
         left_by_turn: rms of the residual angles with a rotation of the axes of one probe instead, rad.
-        remarks: verdict as text.
+        remarks: explanation of a disagreement.
     """
 
     apart: np.ndarray
@@ -37,8 +38,9 @@ class ProbeComparison(NamedTuple):
 def compare_probes(first: np.ndarray, second: np.ndarray) -> ProbeComparison:
     """Compare the directions of the same lamps from two mirror balls.
 
-    If a probe is displaced by d, the direction l of a lamp at distance Q changes by -(d - (d l) l) / Q. One distance
-    for all lamps has three unknowns, d / Q; so does a rotation of the axes of one probe, the other common cause.
+    If a probe is displaced by d, the direction l of a lamp at distance Q changes by -(d - (d l) l) / Q. If all lamps
+    have the same distance, there are three unknowns, d / Q. The other common cause, a rotation of the axes of one
+    probe, also has three unknowns.
 
     Args:
         first: directions from one probe (n, 3).
@@ -68,12 +70,14 @@ def compare_probes(first: np.ndarray, second: np.ndarray) -> ProbeComparison:
     if rms < _EXPLAINED:
         remarks: tuple[Remark, ...] = ()
     elif left < _EXPLAINED and left < 0.5 * rms:
-        text = f"{begin}: lamps at {1 / size:.0f} times the probes' distance from each other explain it"
+        text = (
+            f"{begin}: specify the distance of the lamps, because {1 / size:.0f} times that of the probes explains it"
+        )
         remarks = (Remark("probes-near-lamps", text),)
     else:
         text = (
-            f"{begin}; one finite distance of all lamps leaves {np.degrees(left):.2f}, a turn of the axes "
-            f"{np.degrees(left_by_turn):.2f}: neither explains it"
+            f"{begin}: check the directions, because neither a finite distance of all lamps (residual "
+            f"{np.degrees(left):.2f} degrees) nor a rotation of the axes ({np.degrees(left_by_turn):.2f} degrees) explains it"
         )
         remarks = (Remark("probes-disagree", text),)
     return ProbeComparison(apart, rms, displacement, left, left_by_turn, remarks)

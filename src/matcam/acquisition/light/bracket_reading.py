@@ -30,8 +30,8 @@ class ReadBracket(NamedTuple):
         used: frames that can be used, in the order of the exposures.
         lacking: exposures without a usable frame.
         sample: selected pixels; None without a usable frame.
-        largest: largest code of all its frames, DN.
-        smallest: smallest code of all its frames, DN.
+        largest: largest code of all frames of the lamp position, DN.
+        smallest: smallest code of all frames of the lamp position, DN.
         remarks: warnings and limitations, with the names of the frames.
     """
 
@@ -79,7 +79,7 @@ class BracketReading:
         self._about = "" if self.kept is None else fingerprint(*about, *levels)
 
     def read(self, numbered: tuple[int, str]) -> ReadBracket:
-        """Read a lamp position, given its number and name."""
+        """Read the frames of a lamp position, given its index and name."""
         if self.kept is None:
             return self._read(numbered)
         frames = self.capture.of("frames", lamp=numbered[1])
@@ -90,7 +90,7 @@ class BracketReading:
         def made() -> dict[str, np.ndarray]:
             found = self._read(numbered)
             if any(remark.code == "bad-frame" for remark in found.remarks):
-                failed.append(found)  # a slow disk or little memory may be temporary
+                failed.append(found)  # not stored, because a slow disk or little memory may be temporary
                 return {}
             return _packed(found, self._shape)
 
@@ -125,7 +125,7 @@ class BracketReading:
         for frame in self.capture.of("frames", lamp=lamp):
             path = self.capture.folder / frame.file
             if frame.exposure in found:
-                text = f"{path}: is a second frame of lamp {lamp}, exposure {frame.exposure}; it was left out"
+                text = f"{path}: this second frame of lamp {lamp}, exposure {frame.exposure}, was omitted: remove one of them"
                 remarks.append(Remark("extra-frame", text))
                 continue
             try:
@@ -135,11 +135,12 @@ class BracketReading:
                 continue
             shape = self._shape = self._shape or codes.shape
             if codes.shape != shape:
-                text = f"{path}: has {codes.shape[1]} x {codes.shape[0]} px, the first frames {shape[1]} x {shape[0]}"
-                remarks.append(Remark("other-size", f"{text}; it was left out"))
+                text = f"{path}: has {codes.shape[1]} x {codes.shape[0]} px, but the first frames have {shape[1]} x {shape[0]}"
+                remarks.append(Remark("other-size", f"{text} px, so it was omitted: give frames of one size"))
                 continue
             if not np.isfinite(codes).all():
-                remarks.append(Remark("bad-frame", f"{path}: contains values that are not finite; it was left out"))
+                text = f"{path}: contains values that are not finite, so it was omitted: repeat the frame, or remove it"
+                remarks.append(Remark("bad-frame", text))
                 continue
             found[frame.exposure] = frame, codes
         return [found[name] for name in self.names if name in found]

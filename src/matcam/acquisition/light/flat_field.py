@@ -29,10 +29,11 @@ _DARK = 100.0
 _CLIPPED = 1e-3
 """Share of clipped pixels above which a flat frame is left out."""
 _SMOOTH = 33
-"""Width of the square of the moving average that is applied twice for the smooth field, px."""
+"""Width of the square moving average that is applied twice for the smooth field, px."""
 _LEAST = 0.1
 """Response below which a pixel is left out, because a correction would amplify its noise more than tenfold."""
 _ROBUST = 1.4826
+"""Ratio of the standard deviation of a Gaussian to its median absolute deviation."""
 
 
 @dataclass(frozen=True)
@@ -40,12 +41,12 @@ class FlatField:
     """Response of the pixels, about 1 in the middle of the frames.
 
     Attributes:
-        response: response of each pixel relative to the typical one of its colour, float32 (height, width); NaN if it
-            is too small to be corrected.
+        response: response of each pixel relative to the mean of its colour in the middle of the frame, float32
+            (height, width); NaN if it is too small to be corrected.
         std: relative standard deviation of `response`, one for all pixels of a colour, (channels,).
-        reference: mean response over the reference region, by channel; 1 without one, (channels,).
+        reference: mean response over the reference region in each channel, (channels,); 1 without a reference.
         prnu: relative scatter of the pixels about the smooth field, no unit.
-        frames: number of frames.
+        frames: number of flat frames that were used.
     """
 
     response: np.ndarray
@@ -72,12 +73,12 @@ def measure_flat(
         capture: the capture.
         region: part of the frames that is used; None: the whole frame.
         darkness: dark signal of the exposures of the sample.
-        clip: code above which a pixel is clipped, DN.
+        clip: smallest code of a clipped pixel, DN.
         gain: DN per electron.
         noise: read noise, DN.
 
     Returns:
-        The flat field; None without a usable flat frame.
+        The flat field, or None without a usable flat frame, and the remarks.
     """
     total: np.ndarray | None = None
     patch: np.ndarray | None = None
@@ -90,13 +91,15 @@ def measure_flat(
             beside = _beside(reader, capture, frame, darkness)
         except (FileFormatError, ValueError) as error:
             text = (
-                str(error) if isinstance(error, FileFormatError) else f"{path}: is of another size than its dark frames"
+                str(error)
+                if isinstance(error, FileFormatError)
+                else f"{path}: differs in size from its dark frames: repeat them with its settings"
             )
             remarks.append(Remark("bad-flat", text))
             continue
         wrong = _wrong(capture, frame, codes, light, clip, noise, None if total is None else total.shape)
         if wrong:
-            remarks.append(Remark("bad-flat", f"{path}: {wrong}; it was left out"))
+            remarks.append(Remark("bad-flat", f"{path}: {wrong}; the frame was omitted"))
             continue
         total = light.astype(np.float64) if total is None else total + light
         patch = beside if patch is None or beside is None else patch + beside
@@ -143,7 +146,7 @@ def smooth_field(total: np.ndarray, of: np.ndarray) -> tuple[np.ndarray, float]:
     coefficients = np.zeros((5, 5))
     coefficients[tuple(np.transpose(pairs))] = found
     trend = np.maximum(powers[0] @ coefficients @ powers[1].T, 1e-9)
-    # local residual: dust, and structure beyond a polynomial
+    # the local residual contains dust, and structure that a polynomial does not describe
     local, weight = np.where(of, total / trend, 0.0), of.astype(float)
     for _ in range(2):
         local, weight = (uniform_filter(one, _SMOOTH, mode="constant") for one in (local, weight))
@@ -190,10 +193,10 @@ def _wrong(
     """Describe the fault of a flat frame; empty if it is usable."""
     sizes = [read_exif(capture.folder / one.file).size for one in (frame, capture.of("frames")[0])]
     if shape not in (None, codes.shape) or (None not in sizes and sizes[0] != sizes[1]):
-        return "a flat frame of another size than the frames of the sample"
+        return "the flat frame differs in size from the frames of the sample: repeat it with their settings"
     if np.mean(codes >= clip) > _CLIPPED:
         return f"{np.mean(codes >= clip):.1%} of the flat frame's pixels are clipped: expose it less"
     level = float(np.median(light))
     if level < _DARK * max(noise, 0.3):
-        return f"a flat frame of {level:.0f} DN above dark is too dark: expose it more"
+        return f"the flat frame is too dark, only {level:.0f} DN above the dark level: expose it more"
     return ""

@@ -18,9 +18,9 @@ import numpy as np
 from matcam.core.sealed import remove_sealed, sealed_files
 from matcam.core.workspace import Workspace, kept_file
 
-_PIECE = 1 << 16  # bytes at either end of a frame
-_OLD = 14 * 86400.0  # s
-_MOST = 100_000  # unlimited number of files; age decides on removal
+_PIECE = 1 << 16  # number of bytes at either end of a frame that its fingerprint includes
+_OLD = 14 * 86400.0  # age at which files of other runs are removed, s
+_MOST = 100_000  # number of files in the folder, in effect unlimited, because files are removed by their age
 
 
 @dataclass

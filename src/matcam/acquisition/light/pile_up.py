@@ -1,15 +1,15 @@
 """Pixels that pile up at the largest code of a frame: clipping below the largest code that the file can hold.
 
 Noise spreads the codes of equally bright pixels. Let sigma be the noise of a pixel at the largest code. A normal
-variable that exceeds a code exceeds it by less than w with probability 1 - exp(-z w / sigma) at most, where z is the
-number of standard deviations between its mean and the code (hazard of the normal distribution; z below `_HAZARD` in
-frames of 10^7 pixels). The n largest pixels of a frame therefore lie within w of each other with probability
+variable that exceeds a code exceeds it by less than w with a probability of at most 1 - exp(-z w / sigma), where z is
+the hazard rate of the normal distribution, in inverse standard deviations (at most `_HAZARD` in frames of 10^7 pixels).
+The n largest pixels of a frame therefore lie within w of each other with probability
 
     p <= (1 - exp(-z w / sigma))^(n - 1),
 
-however bright, flat or structured the scene is: structure only spreads the codes further. Pixels are clipped where p is
-negligible. The bound needs a sigma that is not overestimated: it is measured in the frames, and where codes do not
-resolve the noise (renders without noise, images of 8 bits), p is close to 1 and nothing is concluded.
+for any brightness and structure of the scene, because structure only spreads the codes further. Pixels are clipped if p
+is negligible. The bound requires a sigma that is not overestimated, so sigma is measured in the frames. If codes do not
+resolve the noise (renders without noise, images of 8 bits), p is close to 1 and no conclusion is drawn.
 """
 
 from __future__ import annotations
@@ -29,14 +29,17 @@ _IMPROBABLE = -9.0
 """log10 of the probability below which a pile-up is clipping: one false alarm in 10^9 frames, so that a sigma
 overestimated twofold is still harmless."""
 _SPREAD = 8.0
-"""Width of a pile-up in read noises: noise that is added after the clipping spreads a thousand pixels over 7."""
+"""Width of a pile-up, in read noises: noise that is added after the clipping spreads a thousand pixels over 7 of them."""
 _FEW = 3
-"""Smallest number of pixels of one code in an examined frame: for fewer, no probability bound falls below
+"""Smallest number of pixels with one code in an examined frame: with fewer pixels, no probability bound falls below
 `_IMPROBABLE`.
 """
 _BINS, _IN_BIN = 12, 200
-"""Number of brightness bins in which noise is measured, and smallest number of pixels of a bin: an accuracy of 6 %."""
+"""Number of brightness bins in which noise is measured, and smallest number of pixels in a bin, which gives an accuracy
+of 6 %.
+"""
 _ROBUST = 1.4826
+"""Ratio of the standard deviation of a Gaussian to its median absolute deviation."""
 _LARGEST_SIDE = 1500
 """Largest side of the part of a frame in which noise is measured, px; it bounds the time for frames of many
 megapixels.
@@ -51,10 +54,10 @@ class TopCodes(NamedTuple):
     Attributes:
         level: largest code, DN.
         same: number of pixels with this code.
-        near: number of pixels within the spread of a pile-up below it.
-        median: median code of these, DN.
+        near: number of pixels within the width of a pile-up below `level`.
+        median: median code of the pixels that `near` counts, DN.
         height: `level` above dark, DN.
-        gain: photon noise variance over light, DN per electron: a lower bound; NaN: not determined.
+        gain: lower bound of the ratio of photon noise variance to light, DN per electron; NaN: not determined.
         unit: difference of neighbouring codes, DN.
         least: code that 1 % of the frame's pixels do not exceed, DN.
     """
@@ -74,7 +77,7 @@ class PileUp(NamedTuple):
 
     Attributes:
         clip: the common clip level.
-        frames: indices of the frames that show it.
+        frames: indices of the frames whose pixels pile up at the common level.
         apart: indices of the frames whose pixels pile up at another code.
     """
 
@@ -88,8 +91,8 @@ def top_codes(codes: np.ndarray, dark: np.ndarray | float, hot: np.ndarray, step
 
     Args:
         codes: frame as read, (height, width), DN.
-        dark: dark code of each pixel, or one number, DN.
-        hot: pixels that are left out, (height, width).
+        dark: dark code of each pixel, or one value for all pixels, DN.
+        hot: pixels that are omitted, (height, width).
         step: distance of the nearest pixel of the same colour, px.
         noise: read noise, DN.
     """
@@ -117,7 +120,9 @@ def top_codes(codes: np.ndarray, dark: np.ndarray | float, hot: np.ndarray, step
 
 
 def find_pile_up(tops: Sequence[TopCodes], noise: float, gain: float) -> PileUp | None:
-    """Find the code at which the brightest pixels of many frames pile up; None: noise explains all of them.
+    """Find the code at which the brightest pixels of many frames pile up.
+
+    The result is None if noise explains the brightest pixels of all frames.
 
     Args:
         tops: brightest pixels of all frames.
@@ -170,7 +175,7 @@ def _least_gain(light: np.ndarray, below: float, step: int, noise: float) -> flo
 
     Args:
         light: part of a dark-subtracted frame, DN.
-        below: brightness above which pixels are left out, DN.
+        below: brightness of the largest codes, DN; only darker pixels are used.
         step: distance of the nearest pixel of the same colour, px.
         noise: read noise, DN.
     """

@@ -41,10 +41,10 @@ class SeenReference(NamedTuple):
 
     Attributes:
         lamp: name of the lamp position.
-        exposures: index of each frame's exposure among all, (k,); repeated where frames are.
-        light: mean over the reference in each frame and channel, less the dark signal, (k, channels), DN; NaN if it is
-            absent or clipped.
-        pixels: number of pixels of each channel in that mean, (channels,).
+        exposures: index of each frame's exposure among all exposures, (k,).
+        light: mean over the reference in each frame and channel, less the dark signal, (k, channels), DN; NaN if the
+            reference is absent or clipped.
+        pixels: number of pixels of the reference in each channel, (channels,).
     """
 
     lamp: str
@@ -70,7 +70,7 @@ def in_own_frames(
     darkness: Mapping[str, Darkness],
     threshold: float,
 ) -> tuple[list[SeenReference], list[Remark]]:
-    """Measure the reference in its own images, and list unusable ones.
+    """Measure the reference in its own images, and list unusable images.
 
     Args:
         reader: the reader of frames.
@@ -78,11 +78,11 @@ def in_own_frames(
         lamps: names of the required lamp positions.
         exposures: names of the sample's exposures, the shortest first.
         darkness: dark signal of each exposure.
-        threshold: code above which a pixel is clipped, DN.
+        threshold: smallest code of a clipped pixel, DN.
     """
     region, remarks = capture.reference_position, list[Remark]()
     if region is None:
-        text = "reference.region_px is not specified: the images in reference/ were not read"
+        text = "reference.region_px is not specified, so the images in reference/ were not read: add it to capture.toml"
         return [_unseen(lamp, len(reader.channels)) for lamp in lamps], [Remark("no-reference", text)]
     wrong: dict[str, list[str]] = {}
     found: dict[str, list[tuple[int, np.ndarray]]] = {lamp: [] for lamp in lamps}
@@ -109,7 +109,7 @@ def in_own_frames(
         of = reader.channel_map((codes.shape[0], codes.shape[1]), (region[1], region[0])).ravel()
         pixels = np.bincount(of, minlength=len(pixels))
         if not pixels.all() or not np.isfinite(codes).all():
-            wrong.setdefault("the region has no pixel of some colour, or no valid value", []).append(frame.file)
+            wrong.setdefault("the region lacks a colour, or contains values that are not finite", []).append(frame.file)
         elif codes.max() >= threshold:
             wrong.setdefault("the reference is clipped", []).append(frame.file)
         else:
@@ -119,13 +119,16 @@ def in_own_frames(
             if not grazing[frame.lamp]:
                 remarks += _uneven(capture, frame, codes - level, region)
     remarks += [
-        Remark("reference-left-out", f"{capture.folder}: {why}: {some_of(files, 3)}; left out")
+        Remark(
+            "reference-left-out",
+            f"{capture.folder}: {why}: {some_of(files, 3)}; correct or repeat these omitted images",
+        )
         for why, files in wrong.items()
     ]
     lacking = [lamp for lamp, seen in found.items() if not seen and not grazing[lamp]]
     if lacking:
         text = f"lamp{'s' * (len(lacking) > 1)} {some_of(lacking)}: no usable image in reference/"
-        remarks.append(Remark("reference-missing", f"{text}; the value of lamp.gain_std is used"))
+        remarks.append(Remark("reference-missing", f"{text}, so the value of lamp.gain_std is used: add one"))
     return [
         SeenReference(lamp, np.array([k for k, _ in seen]), np.array([light for _, light in seen]), pixels)
         if seen
@@ -141,18 +144,18 @@ def scatter_between(
 
     Args:
         seen: the reference of each lamp position, in the order in which they were taken.
-        exposures: light of each exposure, relative.
+        exposures: relative light of each exposure.
         gain: DN per electron.
         noise: read noise, DN.
-        output: light of each lamp position by the reference, with its uncertainty without such changes.
+        output: light of each lamp position from the reference, with an uncertainty that excludes such changes.
 
     Returns:
         The standard deviation; NaN with too few images.
 
     Source:
-        Twice the variance of repeats, each lamp position and exposure with its own mean; otherwise the mean square of
-        the steps between successive lamp positions (von Neumann 1941), which includes drift. Both are widened by
-        Student's distribution.
+        With repeated images, the variance of the change is twice that of the repeats, about the means of lamp position
+        and exposure. Otherwise it is the mean square of the steps between successive lamp positions (von Neumann 1941),
+        which includes drift. Both are increased according to Student's distribution.
     """
     rows, values, variances = [], [], []
     lamps = [one for one in seen if len(one.exposures) > 1]
@@ -194,5 +197,7 @@ def _uneven(capture: Capture, frame: CaptureFrame, light: np.ndarray, region: Re
     chance = 10 * float(light.std()) / np.sqrt(light.size / 2)
     if high < _UNEVEN * max(low, 0.0) or high - low < chance:
         return []
-    text = f"{capture.folder / frame.file}: one half of reference.region_px is {low:.0f} DN bright, the other {high:.0f} DN"
+    text = (
+        f"{capture.folder / frame.file}: one half of reference.region_px has {low:.0f} DN, and the other {high:.0f} DN"
+    )
     return [Remark("reference-uneven", f"{text}: check that {list(region)} lies within the reference")]

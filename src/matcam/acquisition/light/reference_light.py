@@ -1,4 +1,4 @@
-"""Merged value of the reference in every lamp position, and the light of the lamps from it."""
+"""Merged value of the reference at every lamp position, and the resulting output of the lamps."""
 
 from __future__ import annotations
 
@@ -21,15 +21,17 @@ def reference_light(
     noise: float,
     response: np.ndarray,
 ) -> dict[str, tuple[Stated, ...]]:
-    """Merge the value of the reference in every lamp position, by channel, with its noise.
+    """Merge the values of the reference at every lamp position, with their noise.
 
     Args:
         seen: the reference in the frames of each lamp position.
         exposures: light of each exposure relative to the one that defines the unit of merged values.
         gain: DN per electron; not finite: merged values are DN.
         noise: read noise, DN.
-        response: response of the pixels of the reference relative to the mean, by channel, from flat frames,
-            (channels,).
+        response: response of the pixels of the reference in each channel, from flat frames, (channels,).
+
+    Returns:
+        Value of each channel with its standard deviation, by lamp position.
     """
     scale = gain.value if math.isfinite(gain.value) else 1.0
     found = {}
@@ -55,7 +57,7 @@ def lamp_output(
     noise: float,
     between: float = 0.0,
 ) -> dict[str, Stated]:
-    """Compute the light of the lamps from the reference, relative to its mean.
+    """Compute the light of the lamps from the reference, relative to the mean of all lamps.
 
     For a diffuse reference the lamp is assumed to be distant.
 

@@ -1,12 +1,12 @@
 """Unit of merged values, and the light of each image, from a white patch that faces the camera.
 
-It is beside the sphere, or in separate images.
+The patch is beside the sphere, or in separate images.
 
-A patch of reflectance R at p, with normal n, sends the radiance R/pi E g under a lamp with the irradiance E at the
-centre of the sphere: g = n.w / |w|^3 with w = l - p/Q, where l is the direction of the lamp and Q its distance
-(docs/model.md 10). Its recorded value is U G R/pi g, where U is the value per radiance under unit irradiance, and G the
-light of the image over the mean. All ln G are 0 within the specified stability of the lamp. Position and tilt of the
-patch are common errors of all images; the directions of the lamps have independent ones.
+A patch of reflectance R at p, with normal n, has the radiance R/pi E g under a lamp with the irradiance E at the centre
+of the sphere: g = n.w / |w|^3 with w = l - p/Q, where l is the direction of the lamp and Q its distance (docs/model.md
+10). The recorded value is U G R/pi g, where U is the value per radiance under unit irradiance, and G the light of the
+image relative to the mean. The prior of ln G is 0, with the specified stability of the lamp. The errors of position and
+tilt of the patch are common to all images; those of the directions of the lamps are independent.
 """
 
 from __future__ import annotations
@@ -20,10 +20,11 @@ from matcam.acquisition.mirror_ball import MirrorBall
 from matcam.files.capture import Region, Stated
 
 GRAZING = 0.2
-"""Cosine of incidence on the patch below which it is not used: it does not determine the light of a lamp at grazing
+"""Cosine of incidence below which the patch is not used, because it does not determine the light of a lamp at grazing
 incidence.
 """
 _STEP = 1e-5
+"""Step of numerical derivatives, radii or rad."""
 _UNKNOWN_DEPTH = Stated(0.0, 0.5)
 """Distance of the patch in front of the centre of the sphere, radii, if the capture does not specify it."""
 
@@ -35,8 +36,8 @@ class ReferencePatch(NamedTuple):
         region: first column, first row, width, height in the whole frame, px.
         reflectance: reflectance of the patch, no unit; None if unknown.
         depth: distance in front of the centre of the sphere, towards the camera, radii. Default: 0 +- 0.5.
-        tilt_std: standard deviation of its normal from the camera's axis, along each of two axes, rad. Default: 1
-            degree.
+        tilt_std: standard deviation of the angle of its normal to the camera's axis, about each of two axes, rad.
+            Default: 1 degree.
     """
 
     region: Region
@@ -45,7 +46,7 @@ class ReferencePatch(NamedTuple):
     tilt_std: float = float(np.radians(1.0))
 
     def position(self, ball: MirrorBall, depth: float) -> np.ndarray:
-        """Compute its position from the centre of the sphere, radii (3,): x right, y up, z to the camera."""
+        """Compute the position of the patch relative to the sphere, radii (3,): x right, y up, z to the camera."""
         column, row, width, height = self.region
         across = np.array([column + (width - 1) / 2 - ball.column, ball.row - row - (height - 1) / 2]) / ball.radius
         q = 1 / ball.distance
@@ -56,11 +57,11 @@ class PatchLight(NamedTuple):
     """Light of images from a white patch.
 
     Attributes:
-        gain: light of each image over the mean, (pictures,).
+        gain: light of each image relative to the mean, (pictures,).
         covariance: covariance of ln gain, (pictures, pictures).
         units: units of each channel, merged value per radiance under unit irradiance at the sphere's centre, with
             relative standard deviation; None if the reflectance of the patch is unknown.
-        used: whether it is usable in each image, (pictures,).
+        used: whether the patch is usable in each image, (pictures,).
     """
 
     gain: np.ndarray
@@ -72,15 +73,15 @@ class PatchLight(NamedTuple):
 def patch_geometry(
     lamps: np.ndarray, nearness: float, position: np.ndarray, tilt: tuple[float, float] = (0.0, 0.0)
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Compute the relative irradiance on a patch, and the cosine of its incidence.
+    """Compute the relative irradiance of a patch, and the cosine of incidence.
 
-    The irradiance is relative to that at the centre of the sphere across the light.
+    The irradiance is relative to that of a surface at the centre of the sphere that faces the lamp.
 
     Args:
         lamps: unit vectors from the sphere's centre, (n, 3).
         nearness: inverse distance of the lamp, 1/radii; 0 for a distant lamp.
         position: position of the patch, radii, (3,).
-        tilt: x and y of its normal over z, no unit. Default: it faces the camera.
+        tilt: x and y of the normal divided by z, no unit. Default: the patch faces the camera.
 
     Example:
         >>> patch_geometry(np.array([[0.0, 0.0, 1.0]]), 0.0, np.array([1.5, 0.0, 0.0]))
@@ -105,7 +106,7 @@ def patch_light(
     exposure_std: float = 0.0,
     between: float = 0.0,
 ) -> PatchLight | None:
-    """Estimate the light of the images and the unit of their values from the patch in them.
+    """Estimate the light of images and the unit of their values from a patch.
 
     Args:
         patch: the patch.

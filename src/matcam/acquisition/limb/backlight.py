@@ -5,14 +5,15 @@ import numpy as np
 _GRAZING = (4.0, 2.5)
 """Mean and spread of c for metals and glasses, whose Fresnel reflectance at a grazing angle g is exp(-c g)."""
 _REACH_UNKNOWN = np.radians(3.0)
-"""Extent of a backlight of unknown size, rad: its reflection is not subtracted, but included in the error."""
+"""Assumed extent of a backlight of unknown size, rad. Its reflection is not subtracted, but included in the error."""
 
 
 def grazing_reflection(radius: float, reach: tuple[float, float] | None) -> tuple[float, float]:
     """Compute the shrinkage of a dark disc by the mirrored backlight, and its standard deviation, px.
 
-    A ray that grazes the limb at a distance t inside it is turned by 2 sqrt(2 t / radius). The sphere mirrors a field
-    that extends E beyond the limb down to t = radius (1 - cos(E / 2)), there weighted with the Fresnel reflectance.
+    A ray that meets the sphere at a distance t inside the limb is deflected by 2 sqrt(2 t / radius). A field that
+    extends E beyond the limb is therefore mirrored up to t = radius (1 - cos(E / 2)), weighted with the Fresnel
+    reflectance.
 
     Args:
         radius: radius of the limb, px.
@@ -28,7 +29,7 @@ def grazing_reflection(radius: float, reach: tuple[float, float] | None) -> tupl
     angle, angle_std = reach
 
     def shrunk(edge: float, slope: float) -> float:
-        # grazing angle g = sqrt(2 t / radius), even in t: the mean of F over t is that over g with weight g
+        # t = radius (1 - cos(g)), where g is the grazing angle, so dt = radius sin(g) dg
         g = np.linspace(0, edge / 2, 201)
         return float(radius * np.trapezoid(np.sin(g) * np.exp(-slope * g), g))
 

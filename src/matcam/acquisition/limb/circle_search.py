@@ -1,6 +1,4 @@
-"""Search for the circle of the limb of a sphere without initial values: pairs of edges whose normals meet in one
-centre.
-"""
+"""Search for the limb of a sphere without initial values: the normals of two edges of a circle meet in its centre."""
 
 from __future__ import annotations
 
@@ -11,22 +9,22 @@ from scipy import ndimage
 
 _LARGEST = 320
 """Longest side of the searched image, px; larger images are binned to bound the time."""
-_EDGES = 2500
-_PAIRS = 40000
-_TRIED = 600
-_BINS = 72
-_NEAR = 1.6  # px of the binned image
-_STRAIGHT = 0.9  # cosine between an edge's normal and the circle's
+_EDGES = 2500  # largest number of edges, which bounds the time
+_PAIRS = 40000  # number of random pairs of edges
+_TRIED = 600  # largest number of circles that are evaluated
+_BINS = 72  # number of bins along the circumference
+_NEAR = 1.6  # largest distance of an edge from its circle, px of the binned image
+_STRAIGHT = 0.9  # smallest cosine between the normals of an edge and of its circle
 
 
 class FoundCircle(NamedTuple):
-    """Circle that edges lie on.
+    """Circle through the edges of an image.
 
     Attributes:
         row: row of the centre, px.
         column: column of the centre, px.
-        radius: px.
-        coverage: share of its circumference with an edge.
+        radius: radius, px.
+        coverage: share of the circumference with an edge.
     """
 
     row: float
@@ -46,11 +44,11 @@ def find_circles(values: np.ndarray, std: np.ndarray, *, bright_inside: bool, mo
     Args:
         values: linear radiance (height, width); NaN for missing values.
         std: standard deviation of `values`.
-        bright_inside: True for a lit sphere, False for a dark one before a bright field.
+        bright_inside: True for a lit sphere, False for a dark sphere in front of a bright field.
         mosaic: whether neighbouring pixels have different colours.
 
     Returns:
-        Circles, px of the image, with edges along at least 0.15 of their circumference.
+        Circles in px of the image, with edges along at least 0.15 of their circumference.
     """
     bin_ = int(np.ceil(max(values.shape) / _LARGEST))
     bin_ += bin_ % 2 if mosaic else 0
@@ -78,7 +76,7 @@ def find_circles(values: np.ndarray, std: np.ndarray, *, bright_inside: bool, mo
 
 
 def _binned(values: np.ndarray, std: np.ndarray, bin_: int) -> tuple[np.ndarray, float]:
-    """Bin the image in steps of its noise, compressed so that a highlight does not dominate."""
+    """Bin an image, compress it so that a highlight does not dominate, and compute the noise in the same unit."""
     height, width = (n // bin_ * bin_ for n in values.shape)
     blocks = values[:height, :width].reshape(height // bin_, bin_, width // bin_, bin_)
     good = np.isfinite(blocks)
@@ -96,7 +94,7 @@ def _edges(picture: np.ndarray, noise: float, bright_inside: bool) -> tuple[np.n
     rows = ndimage.gaussian_filter(picture, 1.0, order=(1, 0))
     columns = ndimage.gaussian_filter(picture, 1.0, order=(0, 1))
     size = np.hypot(rows, columns)
-    # a Gaussian derivative of std 1 passes 0.2 of white noise
+    # a Gaussian derivative with a standard deviation of 1 px reduces white noise to 0.2 of its standard deviation
     threshold = max(5 * 0.2 * noise, 0.1 * float(np.percentile(size, 99.5)))
     with np.errstate(invalid="ignore", divide="ignore"):
         u, v = rows / size, columns / size
@@ -157,7 +155,7 @@ def _best(position: np.ndarray, inwards: np.ndarray, rng: np.random.Generator, l
 def _coverage(
     position: np.ndarray, inwards: np.ndarray, row: float, column: float, radius: float
 ) -> tuple[float, np.ndarray]:
-    """Compute the share of the circumference of a circle with an edge, and those edges."""
+    """Compute the share of the circumference of a circle with an edge, and the mask of its edges."""
     y, x = row - position[:, 0], column - position[:, 1]
     distance = np.hypot(y, x)
     near = (np.abs(distance - radius) < _NEAR) & (y * inwards[:, 0] + x * inwards[:, 1] > _STRAIGHT * distance)

@@ -9,17 +9,18 @@ import numpy as np
 from matcam.core.remark import Remark
 
 _EVEN = 0.05
-"""Share of the pixels at the largest code above which a field may be clipped; noise puts a few pixels of a frame
-there.
+"""Share of the pixels at the largest code above which a field may be clipped. Without clipping, noise brings only a few
+pixels of a frame to that code.
 """
 _PIXEL = 0.29
 """Standard deviation of the response of a full pixel, px: 1 / sqrt(12)."""
 
 
 def field_is_clipped(codes: np.ndarray, saturation: float) -> bool:
-    """Detect a field whose pixels have the largest code of a file, or of a frame whose dark pixels show noise.
+    """Detect a clipped bright field.
 
-    A frame without noise anywhere is a render, whose uniform field has one code without clipping.
+    Many pixels of a clipped field have the largest code of the frame, and this is the largest code of the file, or the
+    dark pixels of the frame show noise. A frame without noise is a render, whose uniform field has a single code.
 
     Args:
         codes: frame of the sample before a bright field, (height, width).
@@ -34,11 +35,12 @@ def field_is_clipped(codes: np.ndarray, saturation: float) -> bool:
 
 
 def hidden_by_clipping(path: Path, sigma: float) -> tuple[float, Remark]:
-    """Compute the apparent shrinkage of the sample by a clipped bright field, px, which is also its standard deviation.
+    """Compute the apparent shrinkage of the sample by a clipped field, px.
 
-    The blurred edge of a field B is a step of half height at the edge. Clipped at C it appears where the light is C /
-    2: s z inside the edge, where s is the standard deviation of lens and pixel and z the normal quantile of 1 - C / (2
-    B), 0 to 1.6 for fields of 1 to 10 times C.
+    The blurred edge of a field B has the value B / 2 at the true edge. If it is clipped at C, the edge appears where the
+    value is C / 2. This is a distance s z inside the true edge, where s is the standard deviation of the blur of lens and
+    pixel and z the normal quantile of 1 - C / (2 B), 0 to 1.6 for fields of 1 to 10 times C. The standard deviation of
+    the shrinkage is assumed to be equal to the shrinkage.
 
     Args:
         path: path of the frame or the frames, for the remark.

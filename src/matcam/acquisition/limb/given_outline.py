@@ -12,7 +12,7 @@ from matcam.core.errors import FitError
 from matcam.files.photographs import open_photograph
 
 _STATED_STD = 0.5
-"""Standard deviation of a circle without a specified one, px: such a circle is usually read from a screen."""
+"""Standard deviation of a circle that is specified without one, px: such a circle is usually read from a screen."""
 _FEWEST = 100
 """Smallest number of pixels of a sphere in a mask."""
 _ROUND = 0.02
@@ -26,7 +26,7 @@ def stated_circle(centre: tuple[float, float], radius: float, std: float, sighti
 
     Args:
         centre: column and row, px.
-        radius: px.
+        radius: radius of the limb, px.
         std: standard deviation of radius, column and row, px; 0: unknown.
         sighting: geometry of the camera.
         sigma: standard deviation of the lens's blur, px.
@@ -37,19 +37,21 @@ def stated_circle(centre: tuple[float, float], radius: float, std: float, sighti
 def mask_outline(
     path: Path, std: float, sighting: Sighting, sigma: float, shape: tuple[int, int] | None = None
 ) -> Outline:
-    """Measure the outline of the disc in a mask, by its area and first moments.
+    """Measure the outline of the disc in a mask.
+
+    The area determines the radius, and the first moments the centre.
 
     Args:
-        path: image of two values; the one at the border is outside the sphere.
+        path: image of two values; the value at the border is outside the sphere.
         std: standard deviation of the radius, px. An offset of the edge of the mask changes the radius and not the
-            centre, whose standard deviation is half of it.
+            centre, whose standard deviation is half that of the radius.
         sighting: geometry of the camera.
         sigma: standard deviation of the lens's blur, px.
         shape: width and height of the frames, px. Default: None, not checked.
 
     Raises:
         FileFormatError: the image cannot be read.
-        FitError: it shows no disc, or its size is not that of the frames.
+        FitError: the image shows no disc, or its size is not that of the frames.
     """
     values = np.asarray(open_photograph(path).values, dtype=float)
     values = values.max(axis=2) if values.ndim == 3 else values

@@ -1,10 +1,10 @@
-"""Edges of a sphere's limb in an image, one for each sector of azimuth, each found through the lens.
+"""Edges of a sphere's limb in an image, one for each sector of azimuth, fitted with the blur of the lens.
 
 Just inside the limb the sphere is foreshortened: with t the distance from the limb, px, and r the limb's radius, the
-cosine of the viewing angle is sqrt(2 t / r) to first order. The light of a lit sphere there is therefore a series in
-powers of sqrt(t): a + b sqrt(t) + c t + ... inside, the background outside. A dark sphere in front of a bright field is
-a step. Both are blurred by the lens's and pixel's LSF, and fitted to the pixels of a sector with the position of the
-edge.
+cosine of the viewing angle is sqrt(2 t / r) to first order. The radiance of a lit sphere near the limb is therefore a
+series in powers of sqrt(t): a + b sqrt(t) + c t + ... inside, the background outside. A dark sphere in front of a bright
+field is a step. Both are blurred by the LSF of lens and pixel, and fitted to the pixels of a sector together with the
+position of the edge.
 """
 
 from __future__ import annotations
@@ -16,15 +16,15 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import erf
 
-_STEP = 0.05  # px, of the table of blurred powers
+_STEP = 0.05  # spacing of the table of blurred powers, px
 _GAUSS = np.polynomial.legendre.leggauss(80)
-_INDEX = 1.5  # of a clear coat
-_TURNS = 5
-_STILL = 1e-3  # px: convergence of a position
-_SINGULAR = 1e-9
+_INDEX = 1.5  # refractive index of a clear coat
+_TURNS = 5  # largest number of iterations
+_STILL = 1e-3  # largest change of a position at convergence, px
+_SINGULAR = 1e-9  # relative diagonal element of R below which the fit of a sector is singular
 _STEEPEST = 10.0
-"""Largest coefficient of light in powers of the cosine of the viewing angle, over the light in the band: a glass sphere
-has 6.
+"""Largest coefficient of the radiance in powers of the cosine of the viewing angle, relative to the radiance in the band:
+a glass sphere has 6.
 """
 _FAR = 0.5  # px: largest change of a position in one iteration
 
@@ -35,9 +35,9 @@ class LimbSectors(NamedTuple):
     Attributes:
         azimuth: azimuth of the middle of each sector, from +column towards +row, rad (n,).
         offset: distance of the edge outside the assumed curve, px (n,); NaN without an edge.
-        std: standard deviation of `offset` by noise, px (n,).
-        misfit: chi squared over degrees of freedom (n,).
-        contrast: light 2 px inside the limb over its standard deviation (n,).
+        std: standard deviation of `offset` due to noise, px (n,).
+        misfit: chi squared per degree of freedom (n,).
+        contrast: light 2 px inside the limb, divided by its standard deviation (n,).
         chi2: chi squared (n,).
         freedom: degrees of freedom of `chi2` (n,).
     """
@@ -58,9 +58,9 @@ class BlurredPowers:
         sigma: standard deviation of the lens, px.
         exponents: exponents of the powers; the first must be 0, the step of light at the edge.
         half_width: half width of the pixel, px. Default: 0.5.
-        reach: largest distance, px. Default: 24.
-        coated: radius of the limb, px, of a sphere under a clear coat, whose light falls towards the limb as the coat's
-            transmittance does. Default: None, no coat.
+        reach: largest distance inside the edge, px. Default: 24.
+        coated: radius of the limb, px, of a sphere under a clear coat, whose radiance is multiplied by the transmittance
+            of the coat. Default: None, no coat.
 
     Example:
         >>> powers = BlurredPowers(0.5, (0, 0.5))
@@ -111,12 +111,12 @@ class BlurredPowers:
 
 @lru_cache(maxsize=16)
 def blurred_powers(sigma: float, exponents: tuple[float, ...], coated: float | None) -> BlurredPowers:
-    """Return `BlurredPowers` from a cache, because a search repeats them."""
+    """Return `BlurredPowers` from a cache, because a search uses the same ones repeatedly."""
     return BlurredPowers(sigma, exponents, coated=coated)
 
 
 def _transmitted(cosine: np.ndarray) -> np.ndarray:
-    """Compute the transmittance of unpolarised light into glass of index 1.5, by the cosine of its angle."""
+    """Compute the transmittance of glass of index 1.5 for unpolarised light from the cosine of the angle of incidence."""
     refracted = np.sqrt(1 - (1 - cosine**2) / _INDEX**2)
     across = (cosine - _INDEX * refracted) / (cosine + _INDEX * refracted)
     along = (_INDEX * cosine - refracted) / (_INDEX * cosine + refracted)
@@ -144,9 +144,7 @@ class BandPixels(NamedTuple):
 
 
 def _channel_levels(pixels: BandPixels, channels: np.ndarray) -> np.ndarray:
-    """Compute the relative height of the step at the limb for the colour of each pixel, over that of the first
-    colour.
-    """
+    """Compute the height of the step at the limb in the colour of each pixel, relative to the first colour."""
     gain = np.ones(len(pixels.values))
     first = None
     for one in channels:
@@ -160,8 +158,9 @@ def _channel_levels(pixels: BandPixels, channels: np.ndarray) -> np.ndarray:
 
 
 def sector_edges(pixels: BandPixels, powers: BlurredPowers, count: int) -> LimbSectors:
-    """Fit the edge of every sector: Gauss-Newton for its position, with the coefficients of light solved for in each
-    iteration.
+    """Fit the edge of every sector.
+
+    Gauss-Newton iterations determine its position. Each iteration solves for the coefficients of the radiance.
 
     Args:
         pixels: pixels near the limb.
@@ -181,7 +180,7 @@ def sector_edges(pixels: BandPixels, powers: BlurredPowers, count: int) -> LimbS
     columns = powers_at + len(powers.columns) + 1
     number = np.bincount(sector, minlength=count)
     freedom = number - columns - 1
-    # the pixels of every sector in one row; padding has weight 0
+    # each row contains the pixels of one sector; padding has weight 0
     order = np.argsort(sector, kind="stable")
     rank = np.arange(len(order)) - np.repeat(np.cumsum(number) - number, number)
 
@@ -194,7 +193,7 @@ def sector_edges(pixels: BandPixels, powers: BlurredPowers, count: int) -> LimbS
     along, colour = rows((turned - middle[sector]) / width), rows(pixels.channel.astype(float))
     masks = [(colour == one) * weight for one in channels]
     target = values * weight
-    # bounded coefficients of light: otherwise a limb without a step of light may be at any position
+    # the prior bounds the coefficients of light; otherwise a limb without a step of light could be at any position
     bright = np.where(weight > 0, np.abs(values), 0.0)
     level = np.maximum(np.percentile(bright, 90, axis=1), 1e-300)
     prior = np.zeros((count, columns, columns))
@@ -219,7 +218,7 @@ def sector_edges(pixels: BandPixels, powers: BlurredPowers, count: int) -> LimbS
         r[~good] = np.eye(r.shape[1])
         solution = np.linalg.solve(r, np.einsum("spc,sp->sc", q, target)[..., None])[..., 0] / scale
         residual = target - np.einsum("spc,sc->sp", matrix, solution)
-        # derivative of the model by the position of the edge, with the coefficients of light free
+        # derivative of the model with respect to the position of the edge, with free coefficients of light
         moved = [(t < 0) / 10, *slopes, slopes[0] * along]
         slope = weight * sum(
             c[:, None] * column for c, column in zip(solution[:, len(channels) :].T, moved, strict=True)
@@ -233,7 +232,7 @@ def sector_edges(pixels: BandPixels, powers: BlurredPowers, count: int) -> LimbS
             break
         shift += np.clip(move, -_FAR, _FAR)
     chi2 = ((residual - slope * move[:, None]) ** 2).sum(1)
-    # light two pixels inside the limb, over that outside
+    # excess of light over the background two pixels inside the limb, divided by its standard deviation
     within = slice(powers_at, columns - 1)
     inverse = np.linalg.inv(r) / scale[:, :, None]
     at = 2.0 ** np.array(powers.exponents)

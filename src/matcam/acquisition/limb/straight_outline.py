@@ -16,11 +16,11 @@ from matcam.acquisition.limb.backlight import grazing_reflection
 from matcam.core.errors import FitError
 from matcam.core.remark import Remark
 
-_BLOCKS = 6
-_ABOUT = 9  # px on either side of an edge
-_LEAST_STD = 0.01  # px
-_LEANS = 0.3  # px by which the axis may move over the used rows
-_CONTRAST = 3.0  # ratio of the bright field to the dark sample
+_BLOCKS = 6  # largest number of blocks of rows
+_ABOUT = 9  # width of the fitted profile on either side of an edge, px
+_LEAST_STD = 0.01  # smallest standard deviation of an edge, px
+_LEANS = 0.3  # largest shift of the axis over all rows without a remark, px
+_CONTRAST = 3.0  # smallest ratio of the bright field to the dark sample
 
 
 class StraightOutline(NamedTuple):
@@ -28,9 +28,9 @@ class StraightOutline(NamedTuple):
 
     Attributes:
         column: column of the axis at the middle row, px.
-        radius: half the distance of its edges, px.
+        radius: half the distance between the edges, px.
         covariance: covariance of column and radius, px^2 (2, 2).
-        lean: shift of the axis per row, columns.
+        lean: shift of the axis per row, px.
         remarks: warnings and limitations.
     """
 
@@ -68,7 +68,9 @@ def straight_outline(
     dark = levels.mean(axis=0) < (low + high) / 2
     inside = np.flatnonzero(dark)
     if high < _CONTRAST * max(low, 1e-3 * high) or not inside.size or inside.size < inside[-1] - inside[0] + 1 - 4:
-        raise FitError("outline: no upright dark stripe before a bright field; give sample.outline_radius_px")
+        raise FitError(
+            "outline: the frame shows no upright dark stripe before a bright field; specify sample.outline_radius_px"
+        )
     left, right = inside[0] - 0.5, inside[-1] + 0.5
     if left < _ABOUT or right > width - 1 - _ABOUT or right - left < 4 * _ABOUT:
         raise FitError(
@@ -95,7 +97,7 @@ def straight_outline(
         remarks.append(
             Remark(
                 "cylinder-leans",
-                f"the axis moves by {abs(lean) * height:.1f} px over {height} rows: turn the camera until it is upright",
+                f"the axis moves by {abs(lean) * height:.1f} px over {height} rows: rotate the camera to make it upright",
             )
         )
     covariance = np.diag([noise**2 / 2, noise**2 / 2 + mirrored_std**2])

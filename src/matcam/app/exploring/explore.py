@@ -43,7 +43,7 @@ SETTINGS = (
 )
 _Listed = tuple[list[Openable], list[Capture], list[str], list[str]]
 _NONE = "(none)"
-_KEPT = 8  # tables in memory
+_KEPT = 8  # number of tables that stay in memory
 
 
 class ExploreView:
@@ -66,7 +66,7 @@ class ExploreView:
         self._controls = {one.name: NumberControl(one, self.refresh, lambda: None) for one in SETTINGS}
         self._chosen = [
             Select(title=title, value="", options=[], width=WIDTH - 16, margin=(2, 8, 2, 8), name=name)
-            for title, name in (("material", "material"), ("beside it", "beside"))
+            for title, name in (("material", "material"), ("second material", "beside"))
         ]
         for select in self._chosen:
             select.on_change("value", lambda attr, old, new: self._look())
@@ -80,7 +80,7 @@ class ExploreView:
         )
         self._looked_at.on_change("active", lambda attr, old, new: self._turn())
         self._photographs = PhotographsPanel(self._shots, complain)
-        self._upload = Upload("open: drop a table here", self._dropped, complain)
+        self._upload = Upload("to open a table, drop it here", self._dropped, complain)
         self._status = Div(text="", name="explore-status", height=18, sizing_mode="stretch_width")
         self._saved = Div(text="", name="explore-saved", width=WIDTH - 16)
         self.layout = row(self._knobs(), self._plots(), sizing_mode="stretch_width", spacing=8, name="explore")
@@ -160,13 +160,13 @@ class ExploreView:
                 line_width=2,
                 line_dash=dash,
                 source=self._besides,
-                legend_label=f"beside: {name}",
+                legend_label=f"second material: {name}",
             )
         hover(
             self._slice, lines, [("θ_h", "@theta_h°"), ("recorded", "@recorded 1/sr"), ("corrected", "@corrected 1/sr")]
         )
         self._fresnel = curve_figure(
-            "Peak × cos²θ_d, and F of a metal", "difference angle θ_d [degrees]", "over its mean, 10 to 45° [-]",
+            "Peak × cos²θ_d, and F of a metal", "difference angle θ_d [degrees]", "over the mean at 10 to 45° [-]",
             height=292, x_range=(0, 90), y_range=(0, 2),
         )  # fmt: skip
         self._terms = ColumnDataSource(
@@ -349,7 +349,7 @@ class ExploreView:
             if kind == "pbrt":
                 return self._downloads.offer(f"{name}.pbrt", as_pbrt(table))
             if data is None or shown["light"][0] is None:
-                raise ArgumentError(f"{table.name}: contains only a Fresnel term: only its CSV can be saved")
+                raise ArgumentError(f"{table.name}: contains only a Fresnel term, which can only be saved as CSV")
             if kind == "exr":
                 return self._downloads.offer(f"{name}-sphere.exr", as_exr(shown["light"][0]))
             return self._downloads.offer(f"{name}.bsdf", as_bsdf(data))
@@ -381,14 +381,14 @@ class _SpherePlot:
 
 
 def _chosen_table(table: OpenedTable, which: int) -> Any:
-    """Return the table of the sphere, recorded (0) or corrected (1), if it exists."""
+    """Select the recorded (which = 0) or the corrected table; the other one if that table is missing."""
     return table.best if which or table.recorded is None else table.recorded
 
 
 def _shown(
     tables: list[Any], angles: dict[str, float], channel: int, which: int, metal: tuple[str, tuple[float, float] | None]
 ) -> dict[str, Any]:
-    """Return the displayed data."""
+    """Compute the displayed data."""
     from matcam.inverse.peak_curve import conductor_curve, metal_curve
 
     table, beside = tables
@@ -411,5 +411,5 @@ def _shown(
     for one in tables:
         data = None if one is None else _chosen_table(one, which)
         found["light"].append(None if data is None else sphere_of(data, lamp, azimuth))
-        found["names"].append("beside it: none" if one is None else f"{one.name}: radiance, sRGB")
+        found["names"].append("no second material" if one is None else f"{one.name}: radiance, sRGB")
     return found

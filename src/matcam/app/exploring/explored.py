@@ -1,4 +1,4 @@
-"""Data of the explore view for a table, and its exported files."""
+"""Data of the explore view for a table, and exported files."""
 
 from __future__ import annotations
 
@@ -17,12 +17,14 @@ SIDE = 200
 
 
 def slice_of(table: OpenedTable, theta_d: float, channel: int) -> dict[str, np.ndarray]:
-    """Compute the curves of a slice over theta_h, across the plane of light and view (phi_d = 90 degrees).
+    """Compute the curves of a slice over theta_h.
+
+    The slice is across the plane of light and view (phi_d = 90 degrees).
 
     Args:
         table: the table.
-        theta_d: rad.
-        channel: index.
+        theta_d: difference angle of the slice, rad.
+        channel: index of the channel.
 
     Returns:
         `theta_h` in degrees; `recorded`, `corrected`, `low`, `high` (corrected less and plus its std), 1/sr;
@@ -32,7 +34,7 @@ def slice_of(table: OpenedTable, theta_d: float, channel: int) -> dict[str, np.n
 
     best = table.best
     if best is None:
-        raise ArgumentError(f"{table.name}: contains only a Fresnel term: it has no slices")
+        raise ArgumentError(f"{table.name}: contains only a Fresnel term, which has no slices: open a table")
     at = (*merl_grid(sampling_of(best)).index(theta_d=theta_d, phi_d=np.pi / 2), channel)
     count = best.sizes["theta_h"]
 
@@ -61,7 +63,10 @@ def slice_of(table: OpenedTable, theta_d: float, channel: int) -> dict[str, np.n
 
 
 def range_of(curves: dict[str, np.ndarray]) -> tuple[float, float]:
-    """Choose the range of BRDF values, 1/sr, for a slice: at most seven decades below its peak."""
+    """Choose the range of displayed BRDF values of a slice, 1/sr.
+
+    The range contains at most seven decades below the peak.
+    """
     values = np.concatenate([curves["recorded"], curves["corrected"]])
     known = values[np.isfinite(values)]
     if not known.size:
@@ -71,7 +76,10 @@ def range_of(curves: dict[str, np.ndarray]) -> tuple[float, float]:
 
 
 def sphere_of(data: xr.DataArray, lamp: float, azimuth: float, size: int = SIDE) -> np.ndarray:
-    """Compute the radiance of a sphere with this table, (size, size, channel), 1/sr; angles in rad."""
+    """Compute the radiance of a sphere, (size, size, channel), 1/sr.
+
+    data: table of the material. lamp: angle between lamp and camera, rad. azimuth: azimuth of the lamp, rad.
+    """
     from matcam.figures.spheres import table_sphere
 
     return table_sphere(data.values, size, lamp=lamp, azimuth=azimuth)
@@ -95,11 +103,13 @@ def on_screen(light: np.ndarray, exposure: float) -> np.ndarray:
 
 
 def fresnel_of(table: OpenedTable, channel: int) -> dict[str, np.ndarray]:
-    """Compute the curves of the Fresnel term over theta_d, each of mean 1 over 10 to 45 degrees.
+    """Compute the curves of the Fresnel term over theta_d.
+
+    Each curve has the mean 1 over 10 to 45 degrees.
 
     Returns:
-        `theta_d` in degrees, `recorded`, `corrected`, `low` and `high` (of a Fresnel term of `matcam fresnel`, its
-        std).
+        `theta_d` in degrees; `recorded`, `corrected`; `low`, `high`: corrected less and plus its std, for a result of
+        `matcam fresnel` only.
     """
     from matcam.inverse.peak_curve import peak_curve
 
@@ -124,7 +134,7 @@ def fresnel_of(table: OpenedTable, channel: int) -> dict[str, np.ndarray]:
 
 
 def as_csv(columns: dict[str, np.ndarray], first: str) -> bytes:
-    """Format columns as CSV in the form of `matcam`; `first` is the coordinate."""
+    """Format columns as CSV, as the commands do. first: the coordinate."""
     from matcam.core.io import write_columns
 
     data = xr.Dataset(
@@ -167,7 +177,7 @@ def as_pbrt(table: OpenedTable) -> bytes:
     n, k = ([params.get(f"{name}[{channel}]") for channel in "RGB"] for name in "nk")
     if fit.get("ndf") != "ggx" or fit.get("spline_modified") or None in (*n, *k):
         raise ArgumentError(
-            "pbrt takes a GGX lobe with n and k: this material has no such fit; save the .bsdf for Mitsuba"
+            "pbrt supports only a GGX lobe with n and k, and this material has no such fit: save the .bsdf for Mitsuba"
         )
     return pbrt_material(Microfacet(GGX(params["alpha"]), Conductor(np.array(n), np.array(k)))).encode()
 

@@ -25,8 +25,8 @@ _PLACES = (
     "picture_theta_d",
 )  # fmt: skip
 _ABOUT = 1.12
-"""Half the side of the displayed area about the outline, in its radii."""
-_MOST = 10_000  # images
+"""Half the side of the displayed area about the outline, in radii of the outline, which lies inside the area."""
+_MOST = 10_000  # largest number of images
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class FittedPicture:
     """Image of a reconstruction.
 
     Attributes:
-        name: name of its lamp position.
+        name: name of the lamp position.
         theta_d: difference angle at the highlight, rad.
         outline: column, row and radius of the fitted outline, px.
         highlight: column and row of the brightest fitted pixel, px.
@@ -51,14 +51,14 @@ class FittedPicture:
 
 
 def fitted_pictures(name: str, data: xr.Dataset) -> list[FittedPicture]:
-    """Return the images in the file of a reconstruction; none for other files.
+    """Return the images in the file of a reconstruction; empty for others.
 
     Args:
         name: name of the file, for messages.
         data: content of the file.
 
     Raises:
-        FileFormatError: its images are inconsistent.
+        FileFormatError: the images of the file are inconsistent.
     """
     if WINDOWS[0] not in data:
         return []
@@ -72,7 +72,7 @@ def fitted_pictures(name: str, data: xr.Dataset) -> list[FittedPicture]:
             and all(one.shape == (count,) and np.isfinite(one).all() for one in positions.values())
             and all(one.shape == (count, rows, columns) for one in windows.values())
         ):  # fmt: skip
-            raise ValueError("its images must have one outline, highlight and window each")
+            raise ValueError("each image must have one outline, one highlight and one window")
     except (KeyError, ValueError, TypeError) as error:
         raise FileFormatError(f"{name}: damaged: {error}") from None
     return [
@@ -98,7 +98,11 @@ def is_capture(path: Path) -> bool:
 
 
 def opened_captures(paths: Sequence[Path]) -> tuple[list[Capture], list[str]]:
-    """Read the captures among the opened folders, without decoding images, and explain unreadable ones."""
+    """Read the captures among the opened folders, without decoding images.
+
+    Returns:
+        Captures, and messages about the captures that cannot be read.
+    """
     found, failures = [], []
     for path in paths:
         if is_capture(path):
@@ -118,7 +122,10 @@ class Shot:
     frame: Any
 
     def about(self, outline: tuple[float, float, float]) -> tuple[np.ndarray, tuple[float, float, float, float]]:
-        """Read the surroundings of an outline, subsampled by `drawn_values`, with left, top, width and height, px.
+        """Read the part of the photograph about an outline.
+
+        Returns:
+            Image, subsampled by `drawn_values`, and its left, top, width and height, px.
 
         Raises:
             FileFormatError: the photograph is missing, damaged, or too small for the outline.
@@ -140,21 +147,23 @@ class Shot:
 
 
 def shots_of(picture: FittedPicture, captures: Sequence[Capture]) -> list[Shot]:
-    """Return the photographs of the lamp position of an image in the opened captures, the longest exposure first.
+    """Find the photographs of an image in the opened captures.
+
+    They have the lamp position of the image, and are sorted by exposure time, the longest first.
 
     Raises:
         ArgumentError: no capture is open.
-        FileFormatError: none contains this lamp position.
+        FileFormatError: no opened capture contains this lamp position.
     """
     if not captures:
         raise ArgumentError(
-            "the photographs are not open: give the capture's folder, too (`matcam app CAPTURE RESULT.nc`)"
+            "the photographs are not open: also give the folder of the capture (`matcam app CAPTURE RESULT.nc`)"
         )
     found = [Shot(frame.file, one, frame) for one in captures for frame in one.of("frames", lamp=picture.name)]
     found.sort(key=lambda shot: -np.nan_to_num(shot.frame.time))
     if not found:
         folders = ", ".join(one.folder.name for one in captures)
         raise FileFormatError(
-            f"{folders}: no photograph of lamp position {picture.name}: check whether the folder was moved or changed"
+            f"{folders}: contains no photograph of lamp position {picture.name}: check whether the folder was moved or changed"
         )
     return found

@@ -1,6 +1,7 @@
 """Opened tables, results, and materials of a run, each read on first display.
 
-Only paths from the user are read, and files in the folder of a run beside its records. Files do not refer to others.
+Only paths from the user are read, and files in the folder of a run beside its records. Opened files do not refer to
+other files.
 """
 
 from __future__ import annotations
@@ -31,11 +32,11 @@ class OpenedTable:
     Attributes:
         name: label.
         recorded: recorded table (theta_h, theta_d, phi_d, channel), 1/sr; None: unknown.
-        corrected: corrected table of the same shape, 1/sr; None: there is none.
-        std: standard deviation of `corrected`, 1/sr; None: there is none.
+        corrected: corrected table of the same shape, 1/sr; None: missing.
+        std: standard deviation of `corrected`, 1/sr; None: unknown.
         supported: mask of supported entries of `corrected`; None: unknown.
         record: record of a run; {}: not from a run.
-        curve: a Fresnel term from `matcam fresnel` over theta_d; None: there is none.
+        curve: Fresnel term over theta_d, from `matcam fresnel`; None: missing.
         pictures: images of a reconstruction, with outlines, highlights and windows.
     """
 
@@ -50,7 +51,7 @@ class OpenedTable:
 
     @property
     def best(self) -> xr.DataArray | None:
-        """Return the corrected table, or otherwise the recorded one."""
+        """Return the corrected table, or the recorded table if it is missing."""
         return self.recorded if self.corrected is None else self.corrected
 
 
@@ -68,14 +69,17 @@ class Openable:
 
 
 def entries_of(path: Path) -> list[Openable]:
-    """List the materials of a file, of the folder or the Zarr of a run, or beside a capture; only records are read.
+    """List the materials of a path; only their records are read.
+
+    Args:
+        path: file, folder or Zarr of a run, or folder of a capture, which may contain results.
 
     Raises:
         FileFormatError: a folder has no records of a run.
     """
     if not is_folder(path):
         table = path.with_suffix(".nc")
-        if path.suffix.lower() == ".json" and is_file(table):  # two halves of one result
+        if path.suffix.lower() == ".json" and is_file(table):  # record and table of one result
             check_within(table, path.parent)
             return [_of_run(table, path)]
         return [Openable(path.name, lambda: read_opened(path))]
@@ -92,7 +96,7 @@ def entries_of(path: Path) -> list[Openable]:
         if is_folder(path / "run.zarr"):
             return _rows(path / "run.zarr")
         raise FileFormatError(
-            f"{path}: has no record of a run (NAME.json with NAME.nc): open a file, or a run's folder"
+            f"{path}: contains no record of a run (NAME.json with NAME.nc): open a file, or the folder of a run"
         )
     return found
 
@@ -101,8 +105,8 @@ def read_opened(path: Path, record: dict[str, Any] | None = None) -> OpenedTable
     """Read a file with a material.
 
     Raises:
-        ArgumentError: it has other content.
-        FileFormatError: it is damaged, or its format is not supported.
+        ArgumentError: the content of the file cannot be displayed.
+        FileFormatError: the file is damaged, or its format is not supported.
     """
     from matcam.exchange.contents import material_of, read_contents
     from matcam.forward.measurement import true_table
@@ -119,7 +123,7 @@ def read_opened(path: Path, record: dict[str, Any] | None = None) -> OpenedTable
     if result is not None and {"raw", "corrected", "theta_d"} <= set(result.variables):
         return OpenedTable(name, curve=result)
     raise ArgumentError(
-        f"{name}: contains {contents.kind}: tables, corrections, RGL files and Fresnel terms can be shown"
+        f"{name}: contains {contents.kind}, which cannot be shown: open a table, a correction, an RGL file or a Fresnel term"
     )
 
 
@@ -132,7 +136,7 @@ def _of_correction(name: str, data: xr.Dataset, record: dict[str, Any]) -> Opene
         parts = {key: data[key] for key in ("brdf_std", "supported") if key in data}
         if any(part.shape != corrected.shape for part in parts.values()):
             raise ArgumentError("brdf_std and supported must have the shape of brdf")
-        if "pinhole" in data:  # a reconstruction: the apparent record of a camera without blur
+        if "pinhole" in data:  # a reconstruction, whose record without blur is shown as recorded
             pinhole = checked_table(data["pinhole"].assign_attrs(corrected.attrs))
             return OpenedTable(
                 name, pinhole, corrected, parts.get("brdf_std"), parts.get("supported"), record,
@@ -167,7 +171,9 @@ _LARGEST = 1e300
 def _label(name: str, record: dict[str, Any]) -> str:
     """Return the name of a material with a short summary of its result in a run."""
     fit = record.get("fit")
-    params = fit.get("params") if isinstance(fit, dict) else record.get("parameters")  # of a run; of a reconstruction
+    params = (
+        fit.get("params") if isinstance(fit, dict) else record.get("parameters")
+    )  # keys of a run and of a reconstruction
     numbers = (
         {key: one[0] if isinstance(one, list) and one else one for key, one in params.items()}
         if isinstance(params, dict)

@@ -21,7 +21,7 @@ from matcam.files.capture import Capture
 _SIDE = 400  # px of the screen
 _WINDOW_SIDE = 150
 _DECADES = 1e-3  # share of the peak of a window: the smallest radiance that differs from black
-_RESIDUAL = 5.0  # standard deviations
+_RESIDUAL = 5.0  # limit of the colour scale of the residual, standard deviations
 _TITLES = ("recorded", "fitted", "recorded - fitted [std]")
 
 
@@ -106,7 +106,7 @@ class PhotographsPanel:
                 title, _WINDOW_SIDE, "column [px]", "row [px]", tools="", toolbar_location=None, **self._ranges
             )  # fmt: skip
             drawn = plot.image(name, x="x", y="y", dw="dw", dh="dh", source=self._values, color_mapper=mapper)
-            unit = "standard deviations" if name == WINDOWS[2] else "of the merged images' unit"
+            unit = "standard deviations" if name == WINDOWS[2] else "in the unit of the merged images"
             hover(plot, [drawn], [("column, row", "$x{0}, $y{0} px"), ("value", f"@image {unit}")])
             if name != WINDOWS[0]:
                 plot.add_layout(ColorBar(color_mapper=mapper, width=10, major_label_text_font_size="9px"), "right")

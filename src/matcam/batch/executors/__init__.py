@@ -1,4 +1,4 @@
-"""Executors of the jobs of a run. Each takes jobs and yields their outcomes as they are finished."""
+"""Executors of the jobs of a run. Each executor runs jobs and yields their outcomes as they are finished."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _ONE_CORE = {**ONE_BLAS_THREAD, "NPROC": "1"}  # NPROC is the size of XLA's pool
 """Environment variables for the BLAS of NumPy and XLA, which read them on import."""
 _KEPT_MEMORY = {
     "MALLOC_ARENA_MAX": "1",
-    # the next table reuses the memory that this one has freed: new pages from the system are zeroed, a tenth of the
+    # a worker reuses freed memory for its next table, because the zeroing of new pages by the system takes a tenth of the
     # time of a worker
     "MALLOC_MMAP_THRESHOLD_": str(1 << 30),
     "MALLOC_TRIM_THRESHOLD_": str(1 << 32),
@@ -36,10 +36,9 @@ class Executor(ABC):
 
 
 def one_core_environment() -> dict[str, str]:
-    """Return environment variables that restrict a new process to one core, with settings of the user for XLA and
-    memory.
+    """Return environment variables that restrict a new process to one core.
 
-    Parallel workers must not each start a thread for every core.
+    Settings of the user for XLA and memory are kept. Parallel workers must not each start a thread for every core.
     """
     # workers compute on their cores; if the user selected a GPU, the first worker must not allocate all of it
     platforms = os.environ.get(_PLATFORMS, "cpu")

@@ -1,6 +1,6 @@
 """Executor on a Dask cluster: local workers, or a scheduler at an address. Requires the extra `matcam[scale]`.
 
-A task of a lost worker is given to another one; if three workers are lost with the same file, that file has failed.
+A task of a lost worker is given to another worker. If three workers are lost with the same file, that file has failed.
 
 Messages of Dask are pickles: access to a scheduler or a worker permits running code as the user who started it. Local
 workers listen on this machine alone; an address tls://... uses the certificates of Dask's configuration
@@ -43,14 +43,14 @@ _LOCAL = re.compile(r"local:([1-9][0-9]{0,3})")
 
 
 class ClusterError(MatcamError):
-    """Cluster that cannot be reached, or must not be used."""
+    """Failure to reach a cluster, or a cluster that must not be used."""
 
 
 @dataclass(frozen=True)
 class ClusterExecutor(Executor):
     """Executor on a Dask cluster.
 
-    ArgumentError if the address is neither local:N nor an address, or if Dask is not installed.
+    ArgumentError if the address is invalid, or Dask is not installed.
 
     Attributes:
         address: "local:N" for N workers on this machine, or a scheduler's address.
@@ -67,7 +67,7 @@ class ClusterExecutor(Executor):
 
     @property
     def is_open(self) -> bool:
-        """Check whether jobs would be sent unencrypted to another machine."""
+        """True if jobs would be sent unencrypted to another machine."""
         if _LOCAL.fullmatch(self.address):
             return False
         protocol, _, position = self.address.partition("://")
@@ -143,7 +143,7 @@ class ClusterExecutor(Executor):
         except (OSError, TimeoutError, ValueError, RuntimeError) as error:
             reason = " ".join(str(error).split())
             raise ClusterError(
-                f"scheduler {self.address} cannot be reached within {_PATIENCE:.0f} s: {reason:.120}"
+                f"scheduler {self.address} cannot be reached within {_PATIENCE:.0f} s (check the address): {reason:.120}"
             ) from None
 
 
@@ -155,7 +155,7 @@ def _is_loopback(host: str) -> bool:
 
 
 def versions() -> dict[str, str]:
-    """Return the versions that must agree."""
+    """Return the versions that must be the same on all machines, by name."""
     found = {"python": platform.python_version().rpartition(".")[0]}
     for name in _COMPARED:
         found[name] = metadata.version(name)
@@ -169,26 +169,30 @@ def _task_outcome(future: Any, job: Job) -> Outcome:
     try:
         return future.result()._replace(source=job.source)
     except KilledWorker as error:
-        return Outcome(job.source, 0.0, f"{job.source}: {error.allowed_failures + 1} workers died while they ran it")
+        return Outcome(
+            job.source, 0.0, f"{job.source}: {error.allowed_failures + 1} workers died while they ran this job"
+        )
     except CancelledError:
-        return Outcome(job.source, 0.0, f"{job.source}: the scheduler was lost, or cancelled the task; run again")
+        return Outcome(
+            job.source, 0.0, f"{job.source}: the scheduler was lost, or cancelled the task: start the run again"
+        )
     except Exception as error:  # a worker may even fail to read a task
         reason = " ".join(f"{type(error).__name__}: {error}".split())
         return Outcome(job.source, 0.0, f"{job.source}: the cluster failed: {reason}")
 
 
 def _check_workers(client: Any, folder: Path) -> int:
-    """Check that the workers can do the work, and return their number."""
+    """Check that the workers can run the jobs, and return the number of workers."""
     try:
         client.wait_for_workers(1, timeout=_PATIENCE)
     except TimeoutError:
-        raise ClusterError("the cluster has no worker: start some (dask worker ADDRESS --nthreads 1)") from None
+        raise ClusterError("the cluster has no worker: start at least one (dask worker ADDRESS --nthreads 1)") from None
     ours = versions()
     try:
         reports = client.run(_worker_report, str((folder / SETTINGS).absolute()))
     except Exception as error:  # a worker may even fail to import the function
         reason = " ".join(f"{type(error).__name__}: {error}".split())
-        raise ClusterError(f"the cluster's workers cannot run matcam: {reason:.120}") from None
+        raise ClusterError(f"the cluster's workers cannot run matcam (install matcam there): {reason:.120}") from None
     for address, report in reports.items():
         for name, version in ours.items():
             if report["versions"].get(name) != version:
@@ -197,15 +201,13 @@ def _check_workers(client: Any, folder: Path) -> int:
                     "the same version"
                 )
         if not report["sees"]:
-            raise ClusterError(
-                f"worker {address} cannot access {folder}: workers need the run's folder under the same name"
-            )
+            raise ClusterError(f"worker {address} cannot access {folder}: workers need this folder under the same name")
     threads = client.nthreads()
     for address, number in threads.items():
         if number != 1:
             raise ClusterError(
-                f"worker {address} has {number} threads: a material needs its own process (dask worker --nthreads 1 "
-                "--nworkers N)"
+                f"worker {address} has {number} threads, but each material needs its own process: start one-thread "
+                "workers (dask worker --nthreads 1 --nworkers N)"
             )
     return len(threads)
 
@@ -216,7 +218,7 @@ def _worker_report(path: str) -> dict[str, Any]:
 
 
 def _with_absolute_paths(job: Job) -> Job:
-    """Return the job with absolute paths, which hold in any working folder."""
+    """Return the job with absolute paths, which are valid in any working folder."""
     row = job.row and job.row._replace(store=job.row.store.absolute())
     return replace(job, source=job.source.absolute(), output=job.output.absolute(), row=row)
 

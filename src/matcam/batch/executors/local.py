@@ -24,7 +24,7 @@ from matcam.batch.job import Job, Outcome, attempt
 from matcam.core.errors import MatcamError
 from matcam.core.memory import free_for_the_next
 
-# not fork: JAX has threads, and a fork would copy their locks without them
+# not fork: JAX has threads, and a fork would copy the locks without the threads
 _SPAWN = multiprocessing.get_context("spawn")
 _READY = "ready"
 _STARTS = 4  # number of workers that may die in succession before they are ready
@@ -72,13 +72,13 @@ class ProcessExecutor(Executor):
                     failed_starts += not worker.ready
                     if failed_starts >= _STARTS:
                         raise WorkerError(
-                            f"a worker could not be started: {worker.death()} (in a script of your own, call under "
-                            '`if __name__ == "__main__":`, because workers read the script too)'
+                            f"a worker could not be started: {worker.death()}; in a script of your own, call "
+                            'the run under `if __name__ == "__main__":`, because workers import the script'
                         )
                     if waiting:
                         workers.append(_Worker())
                     if job is not None:
-                        yield Outcome(job.source, 0.0, f"{job.source}: its worker died ({worker.death()})")
+                        yield Outcome(job.source, 0.0, f"{job.source}: the worker died ({worker.death()})")
         finally:
             for worker in workers:
                 worker.end()
@@ -97,7 +97,7 @@ class ProcessExecutor(Executor):
         return [worker for worker in workers if worker.pipe in ready]
 
     def _limit_of(self, worker: _Worker) -> float | None:
-        """Return the time limit for messages of a worker: while it starts, and with a job; none for an idle worker."""
+        """Return the time limit for the next message of a worker, s; None: the worker is idle, or jobs have no limit."""
         return _START_LIMIT if not worker.ready else self.time_limit if worker.job is not None else None
 
 
@@ -116,13 +116,13 @@ class _Worker:
         self._why_killed = ""
 
     def send(self, job: Job | None) -> None:
-        """Send a job to the worker; None ends it."""
+        """Send a job to the worker; None ends the worker."""
         self.job, self.started = job, time.monotonic()
         with contextlib.suppress(OSError):  # it has died, and the end of its pipe reports it
             self.pipe.send(job)
 
     def receive(self) -> Any:
-        """Receive a message of the worker; None if it is gone."""
+        """Receive a message of the worker; None if the worker has ended."""
         try:
             return self.pipe.recv()
         except (EOFError, OSError):
@@ -135,7 +135,7 @@ class _Worker:
         self.process.kill()
 
     def end(self) -> None:
-        """Let the process remove its temporary files, then ensure that it has ended."""
+        """End the process, which removes its temporary files first if it can."""
         self.process.terminate()
         self.process.join(_PATIENCE)
         if self.process.is_alive():
@@ -150,7 +150,7 @@ class _Worker:
             return self._why_killed
         if code is not None and code < 0:  # POSIX only: on Windows a killed process has an ordinary exit code
             name = signal.Signals(-code).name
-            return f"killed by {name}" + (": out of memory?" if name == "SIGKILL" else "")
+            return f"killed by {name}" + (", possibly because memory was exhausted" if name == "SIGKILL" else "")
         return f"exit code {code}"
 
 
@@ -171,8 +171,8 @@ def _environment(variables: dict[str, str]) -> Iterator[None]:
 
 def _serve(pipe: connection.Connection) -> None:
     """Run jobs in a worker until there are no more."""
-    # Ctrl-C reaches the parent, too, which then ends its workers. Windows ends a process without a signal: there an
-    # ended worker leaves its temporary files to the sweep of the next run.
+    # Ctrl-C reaches the parent, too, which then ends its workers. Windows ends a process without a signal: there
+    # the sweep of the next run removes the temporary files of an ended worker.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))  # so that temporary files are removed
     threading.Thread(target=_end_with_parent, daemon=True).start()
@@ -199,8 +199,9 @@ def _serve(pipe: connection.Connection) -> None:
 
 
 def _end_with_parent() -> None:
-    """End this worker when its parent dies, because its result would be lost, and the next run may process the same
-    file.
+    """End this worker when its parent dies.
+
+    The result of the worker would be lost, and the next run may process the same file.
     """
     parent = multiprocessing.parent_process()
     if parent is not None:

@@ -49,8 +49,8 @@ class Calibration(Summarised):
         failed: reasons by name for images that could not be used.
         remarks: assumptions, and advice to the photographer.
         pictures: names of the images that were used.
-        lateral_colour: size of the red and of the blue image relative to green, by channel. Default: {}, not known.
-        shape: height and width of the images, px. Default: None, they differ, or there are none.
+        lateral_colour: size of the red and of the blue image relative to green, by channel. Default: {}, it is unknown.
+        shape: height and width of the images, px. Default: None, the images differ in shape, or there are no images.
 
     Example:
         >>> f = np.linspace(0.05, 0.5, 10)
@@ -103,7 +103,7 @@ class Calibration(Summarised):
             "x": "position of the middle of the edge [px]",
             "y": "position of the middle of the edge, downwards [px]",
             "angle": "direction of the normal towards the bright side [rad]",
-            "sigma": "standard deviation of the Gaussian lens of the edge [px]",
+            "sigma": "standard deviation of the Gaussian blur of the lens [px]",
             "mtf50": "frequency at which the MTF is one half [cycles/px]",
             "sigma_std": "standard deviation of sigma [px]",
             "mtf50_std": "standard deviation of mtf50 [cycles/px]",
@@ -177,14 +177,14 @@ def calibrate(
         model: lens model (no unit): "gaussian" (the sigma_mtf of the paper), "halo" (Gaussian core and veiling glare),
             "diffraction", "defocus" (diffraction and defocus), "measured" (mean MTF of the edges, divided by that of the
             pixel). Default: "gaussian".
-        half_width: half the side of the sensitive area of a pixel, in (0, 0.5] px. None fits it together with a Gaussian
-            core, which requires many edges, and fails if either is not determined to 10 %. Default: 0.5.
+        half_width: half the side of the sensitive area of a pixel, in (0, 0.5] px. None: it is fitted together with a
+            Gaussian core, which requires many edges, and fails if either is not determined to 10 %. Default: 0.5.
         wavelength: wavelength of the light, m, one value or a mapping by channel. It is required by "diffraction" and
-            "defocus". With `half_width=None`, diffraction is included if it is given. Default: None.
+            "defocus". With `half_width=None`, diffraction is included if a wavelength is given. Default: None.
         pixel_pitch: pixel pitch, m; required with `wavelength`. Default: None.
         f_numbers: f-number of each image, or one for all (no unit). Default: None, those of the files.
         tone: tone curve of images whose format is not linear (no unit): "linear", "srgb", a gamma, or a table of linear values
-            by code. Default: "auto": 8-bit files are assumed to be sRGB, others linear, which `remarks` reports.
+            by code. Default: "auto": 8-bit files are assumed to be sRGB, and others linear. `remarks` lists the assumptions.
         channels: channels out of "R", "G", "B", "Y" (luminance), "grey" (no unit). Default: None, all available ones.
         cfa: colours of the first 2 x 2 px, row by row, of mosaics whose files do not specify them: "RGGB", "BGGR", "GRBG" or
             "GBRG" (no unit). Mosaics are not demosaiced. Default: None, those of the files, or no mosaic.
@@ -252,7 +252,7 @@ def calibrate(
 
 
 def _lateral_colours(fits: Mapping[str, CameraFit], shape: tuple[int, int]) -> dict[str, LateralColour]:
-    """Compare the size of the other colours with green in images of one shape that have enough edges."""
+    """Compute the lateral colour of red and blue relative to green, for colours with enough edges."""
     green = fits[_REFERENCE].edges if _REFERENCE in fits else None
     if green is None:
         return {}
@@ -313,14 +313,16 @@ class _Pictures:
     def check(self) -> None:
         """Raise an error if the images do not determine one camera.
 
-        ArgumentError if they are of different cameras. If no image could be used, the error of the first is raised.
+        ArgumentError if they are of different cameras. If no image could be used, the error of the first image is raised.
         """
         if len(self.cameras) > 1:
             listed = ", ".join(f"{camera} ({file})" for camera, file in self.cameras.items())
-            raise ArgumentError(f"pictures are of different cameras: {listed}: calibrate one at a time")
+            raise ArgumentError(f"pictures are of different cameras: {listed}; calibrate one camera at a time")
         if self.errors and not self.used:
             count, first = len(self.errors), self.errors[0]
-            raise first if count == 1 else FitError(f"none of {count} images can be used; the first: {first}")
+            raise (
+                first if count == 1 else FitError(f"all {count} images are unusable; error of the first image: {first}")
+            )
 
     def provenance(self, summary: str) -> Provenance:
         """Create the provenance of a profile from these images."""
@@ -338,5 +340,5 @@ def _checked_f_numbers(f_numbers: Any, count: int) -> list[float | None]:
         return [None] * count
     numbers = np.asarray(checks.within("f_numbers", f_numbers, 0.3, 200.0), dtype=float)
     if numbers.shape not in ((), (count,)):
-        raise ArgumentError(f"f_numbers must be one, or one for each of the {count} images, got {numbers.size}")
+        raise ArgumentError(f"f_numbers must be one value, or one for each of the {count} images, got {numbers.size}")
     return list(np.broadcast_to(numbers, count).tolist())

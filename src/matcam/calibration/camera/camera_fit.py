@@ -60,7 +60,7 @@ _SAMPLES = 65
 
 @dataclass(frozen=True)
 class CameraRequest:
-    """Options of the fitted camera; fields as in `calibrate`."""
+    """Options of the fitted camera. The fields are arguments of `calibrate`."""
 
     model: str
     half_width: float | None
@@ -70,7 +70,7 @@ class CameraRequest:
     def lens_at(self, channel: str, f_numbers: list[float | None]) -> LensAt:
         """Return the lens model to be fitted, as a function of the f-number.
 
-        ArgumentError if an argument that it requires is missing.
+        ArgumentError if an argument that the model requires is missing.
         """
         wavelength = self.wavelength.get(channel) if isinstance(self.wavelength, Mapping) else self.wavelength
         both = wavelength is not None and self.pixel_pitch is not None
@@ -291,9 +291,9 @@ def fit_camera(evidence: Evidence, channel: str, request: CameraRequest) -> Came
 def _without_disagreeing(
     measurements: Measurements, fit: Callable[[Measurements], JointFit], channel: str
 ) -> tuple[JointFit, dict[str, float]]:
-    """Fit without the targets that contradict the edges of their chart, and list these with the difference of their blur.
+    """Fit without the targets that contradict the edges of their chart; list their names and the differences of their blur.
 
-    FitError for a contradiction without edges that determine which measurements are wrong. `channel`: name for the message.
+    FitError if measurements contradict one another, and no edges determine which are wrong. `channel`: name for the message.
     """
     groups, replaceable, disagreeing = measurements.groups, measurements.replaceable, dict[str, float]()
     while True:
@@ -310,7 +310,7 @@ def _without_disagreeing(
                 others = [other for other in off if other != name]
                 text = f"the blur of {name} differs by {difference:+.0%} from that of {', '.join(others[:2])}"
                 text += f" and {len(others) - 2} others" if len(others) > 2 else ""
-                raise FitError(f"contradictory measurements, channel {channel}: {text}")
+                raise FitError(f"contradictory measurements, channel {channel}: {text}; omit the wrong measurements")
             more = {name: difference}
         disagreeing |= more
 
@@ -369,7 +369,7 @@ def _mean_curve(found: _FittedLens, edges: EdgeMeasurements | None, table: EdgeT
     weight = table.weights
     mean, expected = (weight * table.mtf).sum(0), (weight * models).sum(0)
     count = table.x.size
-    # The scatter is that about the model, because the MTF of the pixel depends on the angle of an edge.
+    # The scatter is computed about the model, because the MTF of the pixel depends on the angle of an edge.
     apart = table.mtf - models - (mean - expected)
     scatter = np.sqrt((weight**2 * apart**2).sum(0) * count / max(count - 1, 1))
     stated = np.sqrt((weight**2 * table.mtf_std**2).sum(0))

@@ -1,4 +1,4 @@
-"""Selection of the edges that agree with each other, and the check that there are enough of them.
+"""Selection of the edges that agree with each other, and check of their number.
 
 Any image contains edges, for example of a printed page or a shadow. A single such edge does not determine a camera. Edges
 whose blur differs from that of the others, or whose levels are impossible, are excluded. Enough edges must remain to
@@ -18,7 +18,7 @@ from matcam.core.remark import Remark
 from matcam.numerics.normal import robust_std
 
 FEWEST_EDGES = 8
-"""Smallest number of edges for a camera. Fewer are not sufficient to verify that they agree."""
+"""Smallest number of edges for a camera. Fewer edges are not sufficient to verify that they agree."""
 _APART = np.radians(20.0)
 """Smallest angle between the directions of two edges of a camera, rad."""
 _PROCESSED = 0.3
@@ -55,7 +55,7 @@ def in_consensus(stacks: Sequence[EdgeStack]) -> list[EdgeStack]:
 def refuse_too_few(stacks: Sequence[EdgeStack], channel: str, *, accept_sharpened: bool) -> None:
     """Raise FitError if the edges are too few, too parallel, or often processed.
 
-    It applies if edges are the only measurements. `accept_sharpened`: whether sharpened edges are treated as good.
+    The check applies if edges are the only measurements. `accept_sharpened`: whether sharpened edges are treated as good.
     """
     codes = [problem.code if problem else "" for stack in stacks for problem in stack.problems]
     good, processed = codes.count(""), codes.count("saturated")
@@ -64,7 +64,7 @@ def refuse_too_few(stacks: Sequence[EdgeStack], channel: str, *, accept_sharpene
     if processed > _PROCESSED * (good + processed):
         raise FitError(
             f"channel {channel}: {processed} of {good + processed} edges are sharpened, crushed or saturated: this is a "
-            "processed or overexposed image, whose MTF is not that of the lens: use camera raw, and expose less"
+            "processed or overexposed image, whose MTF is not that of the lens; use camera raw, and expose less"
         )
     if good < FEWEST_EDGES:
         raise FitError(
@@ -83,7 +83,7 @@ def refuse_too_few(stacks: Sequence[EdgeStack], channel: str, *, accept_sharpene
 def widest_angle(angle: np.ndarray) -> float:
     """Compute the largest angle between any two of n axes, rad, at most pi / 2.
 
-    It is not necessary to compare all pairs: the axis at the largest angle to a given one is next to the perpendicular.
+    Not all pairs are compared, because the axis at the largest angle to a given axis is next to its perpendicular.
     """
     turned = np.sort(angle % np.pi)
     beyond = np.searchsorted(turned, (angle + np.pi / 2) % np.pi)

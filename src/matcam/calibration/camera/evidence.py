@@ -1,4 +1,4 @@
-"""Collection of the measurements for a camera: for each photograph by colour, and for one colour of all photographs."""
+"""Collection of the measurements for a camera: all colours of one photograph, and one colour of all photographs."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from matcam.core.remark import Remark
 from matcam.files.photographs import Photograph
 
 LensAt = Callable[[float | None], LensModel]
-"""Lens model of an image as a function of its f-number, which is None if it is not known."""
+"""Lens model of an image as a function of its f-number; None if the f-number is unknown."""
 
 _MARGIN = 6
 """Margin around a grating or star that includes its blur, px."""
@@ -78,7 +78,7 @@ class EdgeTable(NamedTuple):
         """Join the edges of several tables.
 
         Args:
-            tables: one or more.
+            tables: one or more tables.
         """
         return cls(*(np.concatenate(columns) for columns in zip(*tables, strict=True)))
 
@@ -167,8 +167,8 @@ class Finding(NamedTuple):
     Attributes:
         channel: "R", "G", "B", "Y" or "grey".
         source: name of the image.
-        f_number: f-number of the image; None if it is not known.
-        edges: measured edges; None if there are none.
+        f_number: f-number of the image; None if it is unknown.
+        edges: measured edges; None if no edges were measured.
         samples: MTF values of other targets.
         dots: positions of dots on the page and in the image.
         shape: height and width of the image, px; None if there is no image.
@@ -187,7 +187,7 @@ class Finding(NamedTuple):
 
 @dataclass(frozen=True)
 class PicturePlan:
-    """Options for measuring every photograph; fields as in `calibrate`."""
+    """Options for measuring every photograph. The fields are arguments of `calibrate`."""
 
     tone: Tone
     channels: Sequence[str] | None

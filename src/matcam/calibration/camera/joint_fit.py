@@ -48,7 +48,7 @@ class EdgeMeasurements(NamedTuple):
         angle: direction of the normal, rad.
         noise: noise of the pixels.
         excess: factor by which the fit of each edge has increased its variances (no unit).
-        linear: (n, LINEAR) levels, light and shift: `State.linear`.
+        linear: (n, LINEAR) levels, illumination and shift, as in `State.linear`.
         used: (n, LINEAR) 1 for free linear parameters, else 0.
         lens: lens model, whose arrays have a leading axis of n.
     """
@@ -86,8 +86,8 @@ class Measurements(NamedTuple):
     """All measurements of one colour.
 
     Attributes:
-        edges: edges; None if there are none.
-        values: MTF values of other targets; None if there are none.
+        edges: edges; None if there are no edges.
+        values: MTF values of other targets; None if there are no other targets.
         groups: image and kind of every measurement, edges first.
         replaceable: groups that may be excluded: targets of a described chart whose edges are also measured.
     """
@@ -152,8 +152,8 @@ class JointFit(NamedTuple):
     def observed_covariance(self) -> np.ndarray:
         """Compute the covariance of the parameters (k, k) from the scatter of the measurements.
 
-        If noise explains the scatter, it is the covariance from the noise. Otherwise the sandwich estimator is used, which
-        treats the measurements as independent draws.
+        If noise explains the scatter, the result is the covariance from the noise. Otherwise the sandwich estimator is used,
+        which treats the measurements as independent draws.
         """
         _, probability = self.excess()
         count = len(self.shares.score)
@@ -168,8 +168,9 @@ class JointFit(NamedTuple):
         return (grown + grown.T) / 2
 
     def differences(self, groups: Sequence[str], trusted: Collection[str]) -> dict[str, tuple[float, float]]:
-        """Compute the relative difference of the blur of each group from the other trusted ones, with standard deviation.
+        """Compute the relative difference of the blur of each group from the other trusted groups.
 
+        The result contains the difference and its standard deviation by the name of the group.
         `groups`: image and kind of every measurement. `trusted`: names of the groups to compare with.
         """
         names = list(dict.fromkeys(groups))
@@ -219,7 +220,7 @@ def fit_jointly(
             parts.append(jax.tree.map(np.asarray, _value_shares(values, theta, half)))
         shares = jax.tree.map(lambda *a: np.concatenate(a), *parts)
         misfit = shares.chi2.sum() + prior @ theta**2
-        if not misfit <= _WORSE * lowest:  # step too large: halve it
+        if not misfit <= _WORSE * lowest:  # the step was too large, and is halved
             step = step / 2
             theta, edges = _after_step(*best, step, best_response)
             continue
@@ -258,7 +259,7 @@ def edge_measurements(stacks: Sequence[tuple[EdgeStack, LensModel]]) -> EdgeMeas
 
 
 def value_measurements(sets: Sequence[tuple[MTFSamples, LensModel]]) -> ValueMeasurements | None:
-    """Combine sets of MTF values, each with its lens model; None if there are none."""
+    """Combine sets of MTF values, each with its lens model; None if there are no sets."""
     if not sets:
         return None
     most = program_size(max(samples.frequency.size for samples, _ in sets))
@@ -286,7 +287,7 @@ def _after_step(
 
 @kept_program(returns=tuple[Shares, tuple[jax.Array, jax.Array]])
 def _edge_shares(edges: EdgeMeasurements, theta: Any, half_width: Any) -> tuple[Shares, tuple[jax.Array, jax.Array]]:
-    """Compute the contributions of the edges, and the response of the parameters of each edge to the common ones."""
+    """Compute the contributions of the edges, and the response of the parameters of each edge to the common parameters."""
 
     def one(edge: EdgeMeasurements) -> Any:
         profile = edge.lens.profile(jnp.asarray(edge.angle), half_width)
@@ -330,21 +331,23 @@ def _value_shares(values: ValueMeasurements, theta: Any, half_width: Any) -> Sha
 def _inverse(information: np.ndarray) -> np.ndarray:
     """Invert an information matrix; FitError if it is singular."""
     if not np.isfinite(information).all() or (np.diag(information) <= 0).any():
-        raise FitError("the measurements do not determine the camera: one of its parameters has no effect on them")
+        raise FitError(
+            "the measurements do not determine the camera: one of its parameters has no effect on them; add targets"
+        )
     if least_eigenvalue(information) < FLOOR:
         raise FitError(
-            "the measurements do not determine the camera: two of its parameters have the same effect on them"
+            "the measurements do not determine the camera: two of its parameters have the same effect on them; add targets"
         )
     return scaled_inverse(information)
 
 
 def _stack_lenses(lenses: Sequence[LensModel]) -> LensModel:
-    """Stack lens models of one class to one model with a leading axis."""
+    """Stack lens models of one class into one model with a leading axis."""
     return jax.tree.map(lambda *a: np.stack([np.asarray(x) for x in a]), *lenses)
 
 
 def _with_empty_edges(edges: EdgeMeasurements) -> EdgeMeasurements:
-    """Pad with empty edges to one of few sizes, so that one compiled program serves many calls."""
+    """Add empty edges up to one of a few sizes, so that one compiled program serves many calls."""
     more = program_size(len(edges.angle)) - len(edges.angle)
     full = jax.tree.map(lambda a: np.concatenate([a, np.repeat(a[:1], more, axis=0)]), edges)
     if not more:

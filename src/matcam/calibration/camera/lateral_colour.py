@@ -49,7 +49,7 @@ class LateralColour(NamedTuple):
 
 
 def lateral_colour(of: EdgeTable, reference: EdgeTable, shape: tuple[int, int]) -> LateralColour | None:
-    """Compare the edges of one colour with those of another; None if too few were measured in both.
+    """Estimate the lateral colour from the edges of two colours; None if too few edges were measured in both.
 
     `shape`: height and width of the images, px.
     """

@@ -32,7 +32,7 @@ class BlurSamples(NamedTuple):
         seen: (n, 2) positions in the image, px.
         sigma: (n,) lens width, px.
         sigma_std: (n,) standard deviation of `sigma`, px.
-        printed: (n, 2) positions of dots on the page, in any unit. Default: None, the positions are not those of dots.
+        printed: (n, 2) positions of dots on the page, in any unit. Default: None, the samples are not dots.
     """
 
     seen: np.ndarray

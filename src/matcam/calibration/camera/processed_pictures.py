@@ -43,7 +43,7 @@ class Processed(NamedTuple):
     noise: FlatNoise | None
 
     def share(self, sigma: float) -> float:
-        """Estimate the relative standard deviation of the blur by the processing; `sigma`: lens width, px."""
+        """Estimate the relative standard deviation of the blur due to the processing; `sigma`: lens width, px."""
         if self.noise is None:
             return 0.0
         blur = np.hypot(sigma, np.sqrt(_PIXEL))
@@ -64,14 +64,17 @@ def processed(plane: LinearImage, *, accept: bool) -> Processed:
     noise = picture_noise(plane.values)
     if noise.denoised or noise.compressed:
         what = "compressed as JPEG, and may have been denoised" if noise.compressed else "denoised"
-        text = f"this is a processed image, whose MTF is not that of the lens: {noise.correlation}: it was {what}"
+        text = (
+            f"this is a processed image, whose MTF is not that of the lens: {noise.correlation}, because the image "
+            f"was {what}"
+        )
         if not accept:
             raise FitError(
                 f"{text}: use camera raw, or accept the MTF of lens and processing together (accept_sharpened)"
             )
         remark = Remark("processed", text)
     elif noise.smoothed:
-        remark = Remark("demosaiced", f"{noise.correlation}: demosaiced, which blurs; use camera raw")
+        remark = Remark("demosaiced", f"{noise.correlation}: the image was demosaiced, which blurs it; use camera raw")
     elif noise.tone_curve_suspected:
         text = f"the noise variance of dark pixels is {noise.tilt:.1f} times that of bright ones: "
         remark = Remark("tone-curve", f"{text}a tone curve may have been applied (--tone)")
@@ -94,6 +97,6 @@ def picture_noise(values: np.ndarray) -> FlatNoise:
 
 
 def processing_std(pictures: Iterable[Processed], sigma: float) -> float:
-    """Estimate the standard deviation of the lens width by the processing of the images, px; `sigma`: lens width, px."""
+    """Estimate the standard deviation of the lens width due to the processing of the images, px; `sigma`: lens width, px."""
     share = max((one.share(sigma) for one in pictures), default=0.0)
     return share * (sigma + _PIXEL / sigma)

@@ -22,11 +22,11 @@ PROFILES = ("sine", "bars", "lines")
 
 @dataclass(frozen=True)
 class Chart:
-    """Page and the elements that are printed on it.
+    """Page with printed elements.
 
     Attributes:
         page: width and height of the page, mm.
-        fiducials: marks for finding the chart in a photograph: none, or at least four. One of them has two rings.
+        fiducials: marks for finding the chart in a photograph; empty, or at least four, one of which has two rings.
         elements: targets, from upper left to lower right.
         ink: linear level of the fiducials, relative to the paper (no unit).
 
@@ -118,7 +118,7 @@ class Grating:
 
     @property
     def contrast(self) -> float:
-        """Return (bright - dark) / (bright + dark)."""
+        """Contrast (bright - dark) / (bright + dark), no unit."""
         return (self.bright - self.dark) / (self.bright + self.dark)
 
     def harmonic(self, order: int) -> float:
@@ -171,7 +171,7 @@ class Star:
 
     @property
     def contrast(self) -> float:
-        """Return (bright - dark) / (bright + dark)."""
+        """Contrast (bright - dark) / (bright + dark), no unit."""
         return (self.bright - self.dark) / (self.bright + self.dark)
 
 
@@ -252,9 +252,9 @@ def _problems(element: Element) -> Iterator[str]:
         if element.profile not in PROFILES:
             yield f"profile must be one of {', '.join(PROFILES)}, got {element.profile!r}"
         if not (element.period > 0 and min(element.size) > 0 and 0 < element.duty < 1):
-            yield "period and size must be positive, duty inside (0, 1)"
+            yield "period and size must be positive, and duty must lie in (0, 1)"
         if element.profile != "lines" and element.duty != 0.5:
-            yield f"duty is 0.5 for {element.profile}, got {element.duty:g}"
+            yield f"duty must be 0.5 for {element.profile}, got {element.duty:g}"
     if isinstance(element, Star) and not (0 <= element.inner < element.outer and element.cycles >= 8):
         yield "a star needs 0 <= inner < outer radius and at least 8 cycles"
     if isinstance(element, Dots) and not (0 < 2 * element.radius < element.pitch and element.centres):

@@ -46,7 +46,7 @@ _STEPS = (0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.6, 0.75, 0.9)
 _CYCLES = (144, 108, 72, 48, 36, 24)
 """Numbers of cycles of a star, in order of preference."""
 _LARGEST = 200_000
-"""Largest number of elements of a panel. A larger number is a mistake."""
+"""Largest number of elements of a panel. A larger number is assumed to be a mistake."""
 
 
 def design_chart(
@@ -64,7 +64,8 @@ def design_chart(
             0.45 cycles/px in two directions), "star" (a sinusoidal Siemens star), "dots".
             Default: squares, bars, star and dots.
         page: width and height, mm, or "a4", "a3", "letter" (landscape). Larger pages contain more elements. Default: "a4".
-        pixels_across: width of the page in the intended images, px. If it is wrong, the targets are too fine or too coarse.
+        pixels_across: width of the page in the intended images, px. If this width is wrong, the targets are too fine or
+            too coarse.
             Default: 3000.
 
     Returns:
@@ -84,7 +85,7 @@ def design_chart(
     for kind in kinds:
         checks.choice("kinds", kind, KINDS)
     if not len(kinds) or len(set(kinds)) != len(kinds):
-        raise ArgumentError(f"kinds must name at least one panel, each once, got {', '.join(kinds) or 'none'}")
+        raise ArgumentError(f"kinds must name at least one panel, without repetition, got {', '.join(kinds) or 'none'}")
     size = PAGES[checks.choice("page", page, tuple(PAGES))] if isinstance(page, str) else page
     if checks.plain_array("page", size).shape != (2,):
         raise ArgumentError(f"page must be one of {', '.join(PAGES)}, or (width, height) in mm, got {size!r:.60}")
@@ -108,7 +109,7 @@ def design_chart(
         found = list(_PANELS[kind](corner, (cell[0] - 2 * gap, cell[1] - 2 * gap), pixel))
         if not found:
             raise ArgumentError(
-                f"no {kind} fit into a panel of {cell[0] / pixel:.0f} x {cell[1] / pixel:.0f} px: "
+                f"a panel of {cell[0] / pixel:.0f} x {cell[1] / pixel:.0f} px is too small for {kind}: "
                 f"give fewer kinds, or pixels_across above {pixels_across:g}"
             )
         elements += found
@@ -124,7 +125,7 @@ def _shorter_side(columns: int, count: int, room: Point) -> float:
 def _fiducials(width: float, height: float, margin: float, radius: float) -> Iterator[Fiducial]:
     """Yield the fiducials along the border of the page.
 
-    The one with two rings is in the upper left corner. The positions between the corners are not symmetric, so that
+    The fiducial with two rings is in the upper left corner. The positions between the corners are not symmetric, so that
     mirrored and rotated views are not mistaken for a view in perspective.
     """
     near, far = (margin, margin), (width - margin, height - margin)
@@ -155,7 +156,7 @@ def _positions(corner: Point, size: Point, pitch: float) -> Iterator[tuple[int, 
 
 
 def _fitting_side(size: Point, usual: float, pitch: float, least: int) -> float:
-    """Compute the side of the squares in a panel: `usual` if at least `least` squares fit, else one with which two fit.
+    """Compute the side of the squares in a panel: `usual` if `least` squares fit, else a side with which two fit.
 
     `pitch`: distance between neighbours relative to the side.
     """

@@ -168,7 +168,8 @@ def match_marks(chart: Chart, marks: list[Mark], smooth: FloatArray) -> Match:
     tops = [i for i, j in enumerate(similar_marks[: _MOST_MARKS[0]]) if marks[j].rings == 2]
     first = next(i for i, fiducial in enumerate(chart.fiducials) if fiducial.rings == 2)
     best, top, marks_used = None, 0, list[int]()
-    # The mark with two rings is used first, if there is one. If that explains few marks, the search is repeated without it.
+    # The mark with two rings is used first, if there is one. If its views explain few marks, the search is
+    # repeated without this mark.
     for pinned in (True, False) if tops else (False,):
         marks_used = similar_marks[: _MOST_MARKS[0 if pinned else 1]]
         seen = np.array([marks[j][:2] for j in marks_used])

@@ -37,7 +37,7 @@ _UNEVEN = 0.05
 _OFF = 0.12
 """Largest deviation of ln(printed) from a straight line, relative to ln(printed), for a patch that is not covered."""
 _CONTRAST_STD = 0.004
-"""Relative standard deviation of a contrast, because the light differs between patch and paper."""
+"""Relative standard deviation of a contrast, because the illumination differs between patch and paper."""
 _MIDDLE, _REMARKABLE = 0.3, 0.05
 """Described level that is compared with the print, and change of its logarithm above which a remark is given."""
 _TURN = 2 * np.pi * np.arange(256) / 256
@@ -68,15 +68,15 @@ class PrintedLevels:
         return np.minimum(np.exp(inside + slope * np.minimum(wanted - at[0], 0.0)), 1.0)
 
     def remark(self, *, assumed: bool = False) -> Remark | None:
-        """Create a remark if the print differs from the description, else None.
+        """Create a remark if the print differs from the description, else return None.
 
-        `assumed`: whether the tone curve is an assumption, which may be wrong instead.
+        `assumed`: whether the tone curve is assumed. A wrong tone curve has the same effect as a different print.
         """
         was, became = _MIDDLE, float(self(_MIDDLE))
         if abs(np.log(became / was)) < _REMARKABLE:
             return None
         either = ", or the tone curve is not as assumed (--tone)" if assumed else ""
-        text = f"the print differs from the description{either}: level {was:g} became {became:.2f}; the contrasts were "
+        text = f"the print differs from the description{either}: level {was:g} is printed as {became:.2f}; the contrasts were "
         text += "measured with the tone patches"
         return Remark("printed-levels", text)
 
@@ -103,7 +103,7 @@ class PrintedLevels:
 def printed_levels(values: FloatArray, chart: Chart, projection: Projection) -> PrintedLevels | None:
     """Measure the levels of the patches of a chart, or return None if too few are visible.
 
-    `values`: (height, width) linear, NaN for missing data. `projection`: from the page, mm, to the image, px.
+    `values`: (height, width) linear, NaN for missing data. `projection`: map from the page, mm, to the image, px.
     """
     rows = []
     for patch in checks.instance("chart", chart, Chart).elements:
@@ -125,7 +125,7 @@ def printed_levels(values: FloatArray, chart: Chart, projection: Projection) -> 
 
 
 def _over_paper(values: FloatArray, patch: Patch, projection: Projection) -> tuple[float, float] | None:
-    """Measure the level of a patch relative to the paper, with its relative standard deviation; None if it is not even."""
+    """Measure the level of a patch relative to the paper, with its relative standard deviation; None if they are uneven."""
     corners = np.array(patch.corners)
     centre, across, along = corners.mean(0), (corners[1] - corners[0]) / 2, (corners[3] - corners[0]) / 2
     line = np.linspace(-1, 1, _GRID)

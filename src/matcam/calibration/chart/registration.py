@@ -32,7 +32,7 @@ _WORST = 3.0
 _MARK_STD, _SIDE_STD = 0.2, 0.3
 """Standard deviations of the positions of marks and of sides about the model of a curved page, px."""
 _MANY_SIDES = 100
-"""Number of side positions whose total weight is not exceeded, so that they do not outweigh the fiducials."""
+"""Largest total weight of the side positions, as a number of positions, so that they do not outweigh the fiducials."""
 _CURL = 0.02
 """Prior standard deviation of the curvature: height relative to the camera distance, typical of pages on a table."""
 _FEWEST_SIDES = 0.3
@@ -45,7 +45,8 @@ _ROUNDS = 2
 class Registration:
     """Map from points of a chart's page to positions in a photograph.
 
-    Calling it with points (n, 2) on the page returns their positions (n, 2), with pixel centres on whole numbers.
+    A call with points (n, 2) on the page, mm, returns their positions (n, 2) in the image, px. Pixel centres have integer
+    coordinates.
 
     Attributes:
         homography: (3, 3) matrix from mm to px from the middle of the image, before distortion.
@@ -54,7 +55,8 @@ class Registration:
         residual: root mean square residual of the fiducials, px.
         found: number of fiducials found.
         curl: shape of a curved page: coefficients of x^2, xy and y^2 for the height relative to that of the camera, and
-            the foot point (x, y) of the camera, all in widths of the page from its middle (no unit). Default: plane.
+            the foot point (x, y) of the camera, all in widths of the page from its middle (no unit). Default: zeros,
+            a plane page.
         page: width and height of the page, mm. Default: (1, 1), not required for a plane page.
 
     Example:
@@ -130,21 +132,22 @@ def register_chart(image: ArrayLike | LinearImage, chart: Chart, *, mosaic: bool
         (8, [143, 75])
     """
     if len(checks.instance("chart", chart, Chart).fiducials) < 4:
-        raise ArgumentError("this chart has no fiducials: it cannot be found in a photograph")
+        raise ArgumentError("this chart has no fiducials: add at least four, so that it can be found in a photograph")
     checks.flag("mosaic", mosaic)
     picture = LinearImage.of(image).values
     picture = balanced(picture) if mosaic else picture
     marks = find_marks(picture, len(chart.fiducials))
     if len(marks) < 4:
         raise FitError(
-            f"no chart of this description in the image: {len(marks)} of its {len(chart.fiducials)} fiducials found; 4 are "
-            "needed"
+            f"no chart of this description was found in the image: only {len(marks)} of its {len(chart.fiducials)} fiducials "
+            "are visible, but 4 are needed"
         )
     smooth = smoothed(picture)
     match = match_marks(chart, marks, smooth)
     if not match.sure:
         raise FitError(
-            f"no chart of this description in the image: {len(marks)} fiducials found, but at other positions"
+            f"no chart of this description was found in the image: {len(marks)} fiducials are visible, but not at the "
+            "described positions"
         )
     positions = np.array([chart.fiducials[i].centre for i, _ in match.pairs])
     seen = np.array([marks[j][:2] for _, j in match.pairs])
@@ -160,7 +163,7 @@ def register_chart(image: ArrayLike | LinearImage, chart: Chart, *, mosaic: bool
 
 
 def radial_distortion(positions: FloatArray, seen: FloatArray, shape: tuple[int, ...]) -> tuple[float, float]:
-    """Fit the coefficient a of the distorted radius r (1 + a r^2), with the standard deviation from the scatter.
+    """Fit the coefficient a of the distorted radius r (1 + a r^2), with its standard deviation from the scatter.
 
     Args:
         positions: (n, 2) positions on a plane page, any unit.
@@ -180,7 +183,9 @@ def radial_distortion(positions: FloatArray, seen: FloatArray, shape: tuple[int,
         try:
             start = np.append(_homography(at[used], _from_middle(seen[used], shape)).ravel()[:8], 0.0)
         except np.linalg.LinAlgError:
-            raise FitError("the positions do not determine the pose of the page: give dots that span it") from None
+            raise FitError(
+                "the positions do not determine the pose of the page: give dots that span the page"
+            ) from None
         size = np.append(np.maximum(np.abs(start[:8]), 1e-6), 0.01)
 
         def off(p: FloatArray, at: FloatArray = at, size: FloatArray = size) -> FloatArray:
@@ -222,7 +227,7 @@ def _registration_through(
 ) -> Registration:
     """Fit the camera and the curvature of the page to the positions of points, mm and px.
 
-    `sides`: further positions with a known component across the side only. FitError if the fit is not consistent.
+    `sides`: further positions, of which only the component across the side is known. FitError if the residuals are too large.
     """
     start = np.append(_homography(positions, _from_middle(seen, shape)).ravel()[:8], np.zeros(7))
     # Priors keep undetermined parameters near 0: distortion, curvature, and the foot point of the camera.
@@ -249,7 +254,7 @@ def _registration_through(
     rms = float(np.sqrt((left**2).mean()))
     if rms > _WORST * max(1.0, max(shape) / 1000):
         raise FitError(
-            f"the fiducials deviate by {rms:.1f} px from the chart: check that the description is the right one"
+            f"the fiducials deviate by {rms:.1f} px from the chart: check that the description belongs to this chart"
         )
     return Registration(
         np.append(whole[:8], 1.0).reshape(3, 3), (float(whole[8]), float(whole[9])), (shape[0], shape[1]), rms,

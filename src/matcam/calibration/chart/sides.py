@@ -18,7 +18,7 @@ _SEARCH_RANGE, _FARTHEST = 0.22, 30
 _STEP = 0.5
 """Distance of the samples of a profile, px."""
 _LEAST = 0.35
-"""Smallest step relative to the described one. Print and light may reduce it."""
+"""Smallest step of a side relative to the described step. Print and illumination may reduce the step."""
 _CORE = 3.0
 """Distance from the steepest point within which the gradient determines the position, px."""
 
@@ -45,9 +45,9 @@ class Sides(NamedTuple):
 
 
 def seen_sides(smooth: FloatArray, chart: Chart, projection: Callable[[FloatArray], FloatArray]) -> Sides | None:
-    """Find the sides of all squares; None for a chart without squares.
+    """Find the sides of all squares; None if the chart has no squares.
 
-    `smooth`: (height, width) image from `smoothed`. `projection`: from the page, mm, to the image, px.
+    `smooth`: (height, width) image from `smoothed`. `projection`: map from the page, mm, to the image, px.
     """
     squares = [element for element in chart.elements if isinstance(element, Square)]
     if not squares:

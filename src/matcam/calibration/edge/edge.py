@@ -1,6 +1,6 @@
 """Slanted edges (ISO 12233): the MTF of a camera from one edge or from many edges, with standard deviations.
 
-Fewer than 500 edges are measured one by one. More edges are measured by a compiled program, ten at a time.
+Fewer than 500 edges are measured one by one. A compiled program measures 500 or more edges, ten at a time.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from matcam.files.photographs import Photograph
 AT_ONCE = 10
 """Number of edges that are processed together. Their data fit into the cache of the processor."""
 _MANY = 500
-"""Number of edges from which the compiled program is used. For fewer edges, its compile time exceeds its gain."""
+"""Smallest number of edges for which the compiled program is used. For fewer edges, compiling takes longer than it saves."""
 Fit = Callable[[EdgeRegions], EdgeFits]
 """Function that fits the edges of n regions. The arrays of its result have a leading axis of n."""
 _WIDEST = 0.1
@@ -45,7 +45,7 @@ _WIDEST = 0.1
 With a wider blur, too little of the two flat sides remains.
 """
 _BRIGHTEST = 0.2
-"""Relative standard deviation of the estimated light above which it is attributed to a pattern of the scene."""
+"""Relative standard deviation of the estimated light above which the variation is attributed to a pattern of the scene."""
 _WHOLE = 0.5
 """Half width of a pixel that is sensitive over its whole area, px."""
 
@@ -56,7 +56,7 @@ class EdgeSettings:
 
     Attributes:
         lens: lens model of the parametric estimate.
-        noise: noise of the pixels; NaN if it is estimated from the image.
+        noise: noise of the pixels; its parameters are NaN if they are estimated from the image.
         half_width: half width of the pixel, px.
         accept_sharpened: whether sharpened images are measured.
     """
@@ -94,8 +94,8 @@ def edge_mtf(
             pixels.
         roi: region (x, y, width, height) that contains one edge, px. The minimum is 16 x 16 px; 80 px across the edge and
             160 px along it are recommended. Default: None, the whole image.
-        model: lens model of the parametric estimate (no unit): "gaussian"; "diffraction"; "defocus", diffraction and defocus;
-            or "halo", a Gaussian with veiling glare. Choose another model if the result reports that it does not explain the
+        model: lens model of the parametric estimate (no unit): "gaussian"; "diffraction"; "defocus" (with diffraction);
+            or "halo" (a Gaussian with veiling glare). Choose another model if the result reports that it does not explain the
             edge. Default: "gaussian".
         wavelength: wavelength of the light, m; required by "diffraction" and "defocus". Default: None.
         pixel_pitch: pixel pitch, m; required by "diffraction" and "defocus". Default: None.
@@ -108,12 +108,13 @@ def edge_mtf(
             8 bits are assumed to be sRGB, which `remarks` reports; arrays, 16-bit files and camera raw are assumed to be
             linear.
         gain: system gain: the variance of a pixel is gain * value + read_noise^2, in the units of the linear image (counts of
-            photo-electrons have gain 1). Default: None, both are estimated.
-        read_noise: standard deviation of the read noise, in the units of the linear image. Default: None, both are estimated.
+            photo-electrons have gain 1). Default: None, gain and read_noise are estimated.
+        read_noise: standard deviation of the read noise, in the units of the linear image. Default: None, gain and
+            read_noise are estimated.
         accept_sharpened: measure a sharpened image; the result is the MTF of lens and sharpening (no unit). Default: False.
 
     Returns:
-        Both estimates with their standard deviations.
+        The model-free and the parametric estimate, with their standard deviations.
 
     Raises:
         ArgumentError: an argument is invalid.
@@ -195,7 +196,8 @@ def edge_mtf_stack(
         regions.append((rows, [flaw(one) for one in some]))
         if rows.frame.transposed != regions[0][0].frame.transposed:
             raise ArgumentError(
-                f"images must have edges in similar directions: those from number {i} on are perpendicular to the first ones"
+                f"images must have edges in similar directions, but those from index {i} on are perpendicular to the first "
+                "ones: measure them separately"
             )
     return edge_stack(regions, settings, even_light=True)
 
@@ -206,7 +208,7 @@ def edge_stack(
     """Measure the edges in regions of one shape.
 
     Args:
-        regions: at most `AT_ONCE` regions in each item, and for each of them a problem that is already known, or None.
+        regions: groups of at most `AT_ONCE` regions, each with a list of the known problem of each region, or None.
         settings: settings of the measurement.
         even_light: divide uneven light out of the regions, and search for traces of image processing. Default: False.
     """
@@ -250,7 +252,7 @@ def _changed(where: np.ndarray, array: np.ndarray, values: np.ndarray) -> np.nda
 
 
 def _of_each(count: int, function: Callable[..., Any], *edges: Any) -> Any:
-    """Apply a function to each of `count` edges, arrays with a leading axis, and stack the results."""
+    """Apply a function to each of `count` edges, and stack the results. `edges`: arrays with a leading axis of `count`."""
     found = [function(*tuple_map(lambda a: a[i], edges)) for i in range(count)]  # noqa: B023
     return tuple_map(lambda *a: np.stack(a), *found)
 
@@ -282,7 +284,7 @@ def _in_even_light(rows: EdgeRegions, fits: EdgeFits) -> tuple[EdgeRegions, list
         fits: their edges, NumPy arrays with a leading axis of n.
 
     Returns:
-        The regions in even light, and the light of each region; None if two levels in light of third order explain it.
+        The regions in even light, and the light of each region; None if light of third order explains the region.
     """
     value, fields = np.array(rows.value), list[LightField | None]()
     widths = np.asarray(line_width(fits.free.shape))
@@ -309,20 +311,20 @@ def _in_even_light(rows: EdgeRegions, fits: EdgeFits) -> tuple[EdgeRegions, list
 
 
 def _stacked(images: ArrayLike | Sequence[LinearImage]) -> tuple[np.ndarray, np.ndarray]:
-    """Return regions (n, height, width) and the positions (n, 2) of their first pixels in the photograph, px."""
+    """Stack images to regions (n, height, width), with the positions (n, 2) of their first pixels in the photograph, px."""
     planes = list(images) if isinstance(images, list | tuple) else []
     if planes and all(isinstance(plane, LinearImage) for plane in planes):
         if len({plane.shape for plane in planes}) > 1 or any(plane.cfa is not None for plane in planes):
             shapes = ", ".join(f"{plane.shape}{' of a mosaic' if plane.cfa else ''}" for plane in planes)
-            raise ArgumentError(f"images must be regions of one shape, none of them of a mosaic, got {shapes:.100}")
+            raise ArgumentError(f"images must be regions of one shape without a mosaic, got {shapes:.100}")
         values, corners = np.stack([plane.values for plane in planes]), np.array([plane.corner for plane in planes])
     else:
         values = checks.plain_array("images", images)
         corners = np.zeros((len(values) if values.ndim else 0, 2), int)
     if values.dtype.kind not in "uif" or values.ndim != 3 or min(values.shape[1:]) < SMALLEST or not len(values):
         raise ArgumentError(
-            f"images must be numbers of shape (n, height, width), n >= 1, sides >= {SMALLEST}, got {values.dtype} "
-            f"{values.shape}"
+            f"images must be an array of numbers of shape (n, height, width) with n >= 1 and sides of at least {SMALLEST} px, "
+            f"got {values.dtype} {values.shape}"
         )
     return values, corners
 
@@ -342,12 +344,14 @@ def _settings(
     if not (isinstance(half_width, float) and half_width == _WHOLE):
         checks.scalar("half_width", checks.within("half_width", half_width, 0, 0.5, "px", open_low=True))
     if (gain is None) != (read_noise is None):
-        raise ArgumentError("gain and read_noise must be given together, or neither: then both are estimated")
+        raise ArgumentError("gain and read_noise must be given together: give both, or omit both to estimate them")
     noise = UNKNOWN_NOISE
     if gain is not None and read_noise is not None:
         for name, number in (("gain", gain), ("read_noise", read_noise)):
             checks.scalar(name, checks.within(name, number, 0, np.inf, open_high=True))
         if not (gain > 0 or read_noise > 0):
-            raise ArgumentError("gain and read_noise must not both be 0: no image is without noise")
+            raise ArgumentError(
+                "gain and read_noise must not both be 0, because every image has noise: omit both to estimate them"
+            )
         noise = Noise(np.float64(gain), np.float64(read_noise))
     return EdgeSettings(lens_model(model, wavelength, pixel_pitch), noise, float(half_width), accept_sharpened)

@@ -1,4 +1,4 @@
-"""Results of slanted edges: both estimates of one edge or of a stack, with standard deviations."""
+"""Results of slanted edges: model-free and parametric estimates of one edge or of a stack, with standard deviations."""
 
 from __future__ import annotations
 
@@ -48,14 +48,14 @@ _ROUGH = 0.03
 class EdgeMTF(Summarised, EdgeValues[float]):
     """MTF of lens and pixel across one edge.
 
-    It is estimated without a model and with a lens model (`parametric`). The standard deviations describe the scatter of
-    repeated images with the same noise, and the remaining systematic effects that `remarks` lists.
+    The MTF is estimated without a model and with a lens model (`parametric`). The standard deviations describe the scatter
+    of repeated images with the same noise, and the remaining systematic effects that `remarks` lists.
 
     Attributes:
         frequency: frequencies (81,) along the normal, 0 to 1.25 cycles/px.
         mtf: MTF of lens and pixel (81,), without a model (no unit).
         mtf_std: standard deviation of `mtf` (81,).
-        mtf50: lowest frequency at which the MTF is one half, cycles/px; NaN if there is none.
+        mtf50: lowest frequency at which the MTF is one half, cycles/px; NaN if the MTF does not fall to one half.
         mtf50_std: standard deviation of `mtf50`, cycles/px.
         core_mtf: MTF without glare (81,); equal to `mtf` if no glare was found (no unit).
         core_mtf_std: standard deviation of `core_mtf` (81,).
@@ -63,18 +63,18 @@ class EdgeMTF(Summarised, EdgeValues[float]):
         core_mtf50_std: standard deviation of `core_mtf50`, cycles/px.
         glare_fraction: share of the light in glare; 0 if no glare was found at 5 sigma (no unit).
         glare_fraction_std: standard deviation of `glare_fraction` (no unit).
-        glare_radius: standard deviation of the glare, modelled as a Gaussian, px; NaN if none was found.
-        angle: angle from the rows of the image to the normal of the edge, which points to the bright side, rad; x right,
-            y down, (-pi, pi].
+        glare_radius: standard deviation of the glare, modelled as a Gaussian, px; NaN if no glare was found.
+        angle: angle from the rows of the image to the normal of the edge, which points to the bright side, rad, in
+            (-pi, pi]; x points right, and y points down.
         angle_std: standard deviation of `angle`, rad.
-        bow: distance of the middle of the edge from the chord of its ends, towards the bright side, px.
-        position: (x, y) of the middle of the edge, px; pixel centres of the image are whole numbers.
+        bow: distance of the middle of the edge from the chord between its ends, positive towards the bright side, px.
+        position: (x, y) of the middle of the edge, px; pixel centres of the image have whole-number coordinates.
         dark: level of the dark side, in the (linear) units of the image.
         bright: level of the bright side, in the units of the image.
         light: relative change of the light along the rows and columns of the image, 1/px.
         gain: system gain, given or estimated: the variance of a pixel is gain * value + read_noise^2.
         read_noise: standard deviation of the read noise, given or estimated, in the units of the image.
-        excess: factor by which variances were increased because the pixels scatter more than their noise; otherwise 1.
+        excess: factor by which variances were increased because the scatter of the pixels exceeds their noise; otherwise 1.
         outliers: number of pixels that were excluded as outliers (no unit).
         roughness: standard deviation of the position of the edge in single rows beyond noise, px; `mtf_std` includes its
             blur.
@@ -84,7 +84,7 @@ class EdgeMTF(Summarised, EdgeValues[float]):
         overshoot_std: standard deviation of `overshoot` (no unit).
         parametric: fit of a lens model, a `ParametricEdge`.
         fits: all fitted quantities, relative to the middle of the region.
-        given: remarks on the image, for example on its tone curve (no unit). Default: (), none.
+        given: remarks on the image, for example on its tone curve (no unit). Default: (), no remarks.
 
     Example:
         >>> y, x = np.mgrid[-80:80, -40:40]
@@ -139,23 +139,25 @@ class EdgeMTF(Summarised, EdgeValues[float]):
             remarks.append(Remark("sharpened", text))
         if self.excess > 1:
             raised = np.sqrt(self.excess)
-            text = f"the pixels scatter more than their noise: standard deviations were increased by a factor of {raised:.1f}"
+            text = f"the scatter of the pixels exceeds their noise: standard deviations were multiplied by {raised:.1f}"
             remarks.append(Remark("scatter", text))
         if self.misfit > MISFIT:
             text = f"neither a lens nor smooth light explains {self.misfit:.2%} of the step: there may be a ghost, a shadow or "
             remarks.append(Remark("unexplained", f"{text}dirt; standard deviations were increased"))
         if self.roughness > _ROUGH:
-            text = f"the edge itself is rough by {self.roughness:.2f} px, which blurs it: standard deviations were increased"
+            text = f"the edge has a roughness of {self.roughness:.2f} px, which blurs it: standard deviations were increased"
             remarks.append(Remark("rough-edge", text))
         if self.outliers:
-            remarks.append(Remark("outliers", f"{self.outliers} outlying pixels (hot, dead, dust) were excluded"))
+            remarks.append(
+                Remark("outliers", f"{self.outliers} outlying pixels (hot or dead pixels, dust) were excluded")
+            )
         return tuple(remarks)
 
     def dataset(self) -> xr.Dataset:
         """Convert the MTFs to a data set over `frequency`.
 
         Returns:
-            A Dataset with units, and the other values as attributes.
+            A Dataset with units, and with the other values as attributes.
         """
         import xarray as xr
 
@@ -279,7 +281,7 @@ class EdgeMTF(Summarised, EdgeValues[float]):
 class EdgeStack(Summarised, EdgeValues[np.ndarray]):
     """Results of n edges.
 
-    Values of an edge that cannot be measured are NaN. `stack[i]` is the `EdgeMTF` of one edge, which explains every attribute.
+    Values of an edge that cannot be measured are NaN. `stack[i]` is the `EdgeMTF` of one edge.
 
     Attributes:
         frequency: frequencies (81,) along the normal, cycles/px; the same for all edges.
@@ -296,7 +298,7 @@ class EdgeStack(Summarised, EdgeValues[np.ndarray]):
         glare_radius: standard deviation of the glare, modelled as a Gaussian (n,), px.
         angle: angle from the rows of the image to the normal of the edge (n,), rad.
         angle_std: standard deviation of `angle` (n,), rad.
-        bow: distance of the middle of the edge from the chord of its ends (n,), px.
+        bow: distance of the middle of the edge from the chord between its ends (n,), px.
         position: (x, y) of the middle of the edge, (n,) each, px.
         dark: level of the dark side (n,), in the units of the image.
         bright: level of the bright side (n,), in the units of the image.
@@ -309,10 +311,11 @@ class EdgeStack(Summarised, EdgeValues[np.ndarray]):
         misfit: residual near the edge that neither lens nor light explains, in units of the step (n,).
         overshoot: overshoot of the ESF, relative to the step (n,) (no unit).
         overshoot_std: standard deviation of `overshoot` (n,).
-        problems: for each edge the reason why it cannot be measured, or None.
+        problems: for each edge, the reason why it cannot be measured, or None.
         parametric: fits of a lens model, a `ParametricStack`.
         fits: all fitted quantities, in the form that the joint fit of many edges requires.
-        given: for each edge remarks on processing: denoising, a tone curve, crushed blacks. Default: (), none.
+        given: for each edge, remarks on processing such as denoising, a tone curve or crushed blacks. Default: (), no
+            remarks.
 
     Example:
         >>> y, x = np.mgrid[-80:80, -40:40]
@@ -351,7 +354,7 @@ class EdgeStack(Summarised, EdgeValues[np.ndarray]):
         """Return the results as a JSON object.
 
         Returns:
-            "edges": `EdgeMTF.to_dict` of each edge; "problems": the reason why each cannot be measured, or null.
+            "edges": `EdgeMTF.to_dict` of each edge; "problems": for each edge, the reason why it cannot be measured, or null.
         """
         return {
             "edges": [edge.to_dict() for edge in self],

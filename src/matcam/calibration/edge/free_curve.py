@@ -2,14 +2,15 @@
 
     E(d) = P(d) + sum of c_k [B_k(d) - P(d)] + sum of o_k O_k(d)
 
-P, the pilot, is the best Gaussian lens combined with the exact pixel response; the deviation from it is free. Lengths
-are in units of s, the standard deviation of the line spread function of P, so that one setting serves every blur:
+d is the distance from the edge, and c_k and o_k are fitted coefficients. P, the pilot, is the edge response of the best
+Gaussian lens and the exact pixel; the deviation of E from P is free. Lengths are in units of s, the standard deviation
+of the line spread function of P, so that the same settings apply to every blur:
 
-- core: pairs of Gaussian basis functions of the line spread function, 0.6 s wide and 0.6 s apart, up to 3.9 s on both
-  sides. Their even combinations B_k determine the MTF, and their odd ones O_k the asymmetry of the lens (coma). The
-  last O_k shifts the edge.
-- ghosts: three more pairs of basis functions, 0.7 s wide and 0.6 s apart, at a distance that is searched. They are used
-  only if a ghost is found.
+- core: pairs of Gaussian basis functions of the line spread function, with a standard deviation and a spacing of 0.6 s,
+  up to 3.9 s on both sides. Their even combinations B_k determine the MTF, and their odd combinations O_k determine the
+  asymmetry of the lens (coma). The last O_k shifts the edge.
+- ghosts: three more pairs of basis functions, with a standard deviation of 0.7 s and a spacing of 0.6 s. A search
+  determines their distance from the edge. They are used only if a ghost is found.
 - tail: a Cauchy line spread function, which decreases as 1/d^2, as for every lens with a sharply bounded pupil.
 - glare: a wide Gaussian, used only if glare is found.
 
@@ -31,23 +32,23 @@ if TYPE_CHECKING:
     from matcam.core.jax import AnyArray, jax
 
 PAIRS = 7
-"""Number of pairs of basis functions in the core. With a spacing of 0.6 s they extend to 3.9 s on both sides."""
+"""Number of pairs of basis functions in the core. With a spacing of 0.6 s, their centres extend to 3.9 s on both sides."""
 CENTRES = 0.6 * (np.arange(PAIRS) + 0.5)
 """Centres of the basis functions of the core, in units of s."""
 GHOSTS = np.arange(PAIRS, PAIRS + 3)
 """Indices of the ghost coefficients, both among the even and among the odd coefficients."""
 GHOST_STEP, GHOST_WIDTH = 0.6, 0.7
-"""Distance and standard deviation of the basis functions of a ghost, in units of s."""
+"""Spacing and standard deviation of the basis functions of a ghost, in units of s. They are similar to those of the core."""
 EVEN = PAIRS + GHOSTS.size + 2
-"""Number of even coefficients, which determine the MTF: those of core, ghosts, tail and glare."""
+"""Number of even coefficients, which determine the MTF: those of the core, the ghosts, the tail and the glare."""
 GLARE = EVEN - 1
 """Index of the glare among the even coefficients."""
 ODD = PAIRS + GHOSTS.size + 1
-"""Number of odd coefficients: those of core and ghosts, and the shift of the edge."""
+"""Number of odd coefficients: those of the core and the ghosts, and the shift of the edge."""
 FREQUENCIES = np.arange(81) / 64
 """Frequencies at which an MTF is tabulated, cycles/px."""
 _WIDTH = 0.6
-"""Standard deviation of the basis functions of the core, in units of s. It equals their distance."""
+"""Standard deviation of the basis functions of the core, in units of s. It equals the spacing of their centres."""
 _TAIL = 1.5
 """Half width at half maximum of the Cauchy line spread function of the tail, in units of s."""
 _FINE = 11
@@ -82,14 +83,14 @@ class EdgeSamples(NamedTuple):
 
 
 class CoreShape(NamedTuple):
-    """Parameters of the basis: scalars.
+    """Parameters of the basis functions, all scalar.
 
     Attributes:
         sigma: lens width of the pilot P, px.
         angle: angle between the edge normal and the grid, rad.
         half_width: half width of the pixel, px.
         radius: standard deviation of the glare, px.
-        apart: distance of the nearest ghost basis function from the edge, px.
+        apart: distance of the centre of the nearest ghost basis function from the edge, px.
     """
 
     sigma: jax.Array
@@ -100,7 +101,7 @@ class CoreShape(NamedTuple):
 
 
 class Basis(NamedTuple):
-    """Basis: P (n,), B_k (EVEN, n), O_k (ODD, n)."""
+    """Values of the basis functions: P (n,), B_k (EVEN, n), O_k (ODD, n)."""
 
     pilot: jax.Array
     even: jax.Array
@@ -112,10 +113,10 @@ class FreeCurve(NamedTuple):
 
     Attributes:
         shape: parameters of the basis.
-        even: (EVEN,) even coefficients, relative to the step; those of ghosts and glare are 0 if none was found.
+        even: (EVEN,) even coefficients, relative to the step; 0 for a ghost or glare that was not found.
         odd: (ODD,) odd coefficients, relative to the step.
-        levels: (SHIFT,) dark and bright level, and the light: `State.linear` of the fit.
-        covariance: square matrix of size EVEN + ODD + 1 for the even and odd coefficients and ln of the glare radius.
+        levels: (SHIFT,) dark level, bright level and coefficients of the light, as in `State.linear`.
+        covariance: covariance matrix of the even coefficients, the odd coefficients and ln of the glare radius.
     """
 
     shape: CoreShape
@@ -133,9 +134,9 @@ class SampledCurve(NamedTuple):
 
 
 def line_width(shape: CoreShape) -> jax.Array:
-    """Compute the unit of length s, px: the standard deviation of the line spread function of the pilot.
+    """Compute the standard deviation s of the line spread function of the pilot, px.
 
-    The variance of a square is the same in all directions.
+    The angle of the edge is not required, because the variance of a square pixel is the same in all directions.
     """
     return xp.sqrt(shape.sigma**2 + shape.half_width**2 / 3)
 
@@ -151,7 +152,7 @@ def edge_basis(shape: CoreShape, distance: jax.Array, spread: jax.Array) -> Basi
     wide = xp.sqrt(width[:, None] ** 2 + spread)
     right, left = (_step((distance - sign * positions[:, None]) / wide) for sign in (1, -1))
     tail_width = _TAIL * line_width(shape)
-    # The Cauchy function is not Gaussian: the variance of the distances enters through its second derivative.
+    # The Cauchy function is not Gaussian, so the variance of the distances multiplies half the second derivative of the ESF.
     curvature = -2 * distance * tail_width / (xp.pi * (distance**2 + tail_width**2) ** 2)
     tail = 0.5 + xp.arctan(distance / tail_width) / xp.pi + spread / 2 * curvature
     moved = line_width(shape) * line
@@ -165,7 +166,10 @@ def glare_edge(radius: jax.Array, distance: jax.Array, spread: jax.Array) -> jax
 
 
 def transfer_basis(shape: CoreShape, f: jax.Array) -> Basis:
-    """Evaluate the Fourier transforms of the basis at f cycles/px: the real parts of P and B_k, the imaginary part of O_k."""
+    """Evaluate the Fourier transforms of the basis functions at f cycles/px.
+
+    The transforms of P and B_k are real. Those of O_k are imaginary, and their imaginary parts are returned.
+    """
     positions, width = _bumps(shape)
     gauss = lambda std: xp.exp(-2 * (xp.pi * std * f) ** 2)  # noqa: E731
     box = 2 * shape.half_width * f
@@ -178,7 +182,7 @@ def transfer_basis(shape: CoreShape, f: jax.Array) -> Basis:
 
 
 def edge_response(curve: FreeCurve, distance: jax.Array) -> SampledCurve:
-    """Evaluate the ESF at a distance in px: from 0 on the dark side to 1 on the bright side."""
+    """Evaluate the ESF, 0 on the dark side and 1 on the bright side, at a distance in px."""
     basis = edge_basis(curve.shape, distance, xp.zeros(()))
     return _combined(curve, basis.pilot, basis.even - basis.pilot, basis.odd)
 
@@ -194,13 +198,13 @@ def line_response(curve: FreeCurve, distance: jax.Array) -> SampledCurve:
 def transfer(curve: FreeCurve, f: jax.Array) -> tuple[SampledCurve, SampledCurve]:
     """Evaluate the MTF along the normal, with and without glare.
 
-    `f`: cycles/px. Noise increases the modulus of a complex number; therefore the noise power is subtracted.
+    `f`: frequencies, cycles/px. Noise increases the modulus of a complex number. Therefore the noise power is subtracted.
     """
     basis = transfer_basis(curve.shape, f)
     towards = basis.even - basis.pilot
     total = _combined(curve, basis.pilot, towards, xp.zeros((ODD, f.size)))
     glare, share = basis.even[GLARE], curve.even[GLARE]
-    # (M - g M_glare) / (1 - g)
+    # The MTF without glare is (M - g M_glare) / (1 - g), where g is the share of glare.
     core_value = (total.value - share * glare) / (1 - share)
     slopes = changed(towards, GLARE, core_value - basis.pilot) / (1 - share)
     core = SampledCurve(core_value, _std(curve, xp.concatenate([slopes, xp.zeros((ODD + 1, f.size))])))
@@ -209,10 +213,10 @@ def transfer(curve: FreeCurve, f: jax.Array) -> tuple[SampledCurve, SampledCurve
 
 
 class Ghost(NamedTuple):
-    """Ghost: a second, weaker step on one side of an edge. Values of one edge, or (n,).
+    """Ghost of one edge, or of n edges (n,): a second, weaker step on one side of the edge.
 
     Attributes:
-        share: height relative to the step of the edge.
+        share: height of the second step relative to the step of the edge.
         std: standard deviation of `share`.
         position: distance from the edge, px.
         bright: whether the ghost lies on the bright side.
@@ -225,7 +229,10 @@ class Ghost(NamedTuple):
 
 
 def ghost_of(curve: FreeCurve) -> Ghost:
-    """Compute the ghost of a fitted curve or of n curves; its share is 0 if none was found."""
+    """Compute the ghost of a fitted curve or of n curves.
+
+    Its share is 0 if no ghost was found.
+    """
     odd, at = -np.asarray(curve.odd)[..., GHOSTS], EVEN + GHOSTS
     share, covariance = odd.sum(-1), np.asarray(curve.covariance)[..., at[:, None], at]
     step = GHOST_STEP * np.asarray(line_width(curve.shape))[..., None] * np.arange(GHOSTS.size)
@@ -235,10 +242,11 @@ def ghost_of(curve: FreeCurve) -> Ghost:
 
 
 def half_frequency(value: AnyArray, response: Callable[[jax.Array], SampledCurve]) -> SampledCurve:
-    """Find the lowest frequency at which an MTF is one half, cycles/px; NaN if there is none.
+    """Find the lowest frequency at which an MTF is one half, cycles/px.
 
-    `value`: MTF at `FREQUENCIES`. `response`: function that evaluates the MTF and its standard deviation at any
-    frequencies. The interval that contains the crossing is sampled more finely, and interpolated linearly.
+    The result is NaN if the MTF does not fall to one half. `value`: MTF at `FREQUENCIES`. `response`: function that
+    evaluates the MTF and its standard deviation at any frequencies. The interval that contains the crossing is sampled
+    more finely, and interpolated linearly.
     """
     below = changed(value < 0.5, 0, False)
     i = xp.argmax(below)
@@ -261,12 +269,12 @@ def _bumps(shape: CoreShape) -> tuple[jax.Array, jax.Array]:
 
 
 def _step(t: jax.Array) -> jax.Array:
-    """Evaluate the normal distribution function."""
+    """Evaluate the cumulative distribution function of the standard normal distribution."""
     return (1 + special.erf(t / xp.sqrt(2.0))) / 2
 
 
 def _combined(curve: FreeCurve, pilot: jax.Array, even: jax.Array, odd: jax.Array) -> SampledCurve:
-    """Combine the columns of a curve, and compute the standard deviation."""
+    """Combine the basis functions with the coefficients of a curve, and compute the standard deviation."""
     columns = xp.concatenate([even, odd, xp.zeros((1, pilot.size))])
     return SampledCurve(pilot + curve.even @ even + curve.odd @ odd, _std(curve, columns))
 

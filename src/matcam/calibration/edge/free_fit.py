@@ -3,7 +3,7 @@
 Normal priors keep coefficients that the cells do not determine near the pilot. The prior standard deviation is 10 % of
 the step for the centre of the core, and decreases with the distance, because lenses deviate most from Gaussians in the
 core. The covariance is that of the estimator under noise, A^-1 X W V W X' A^-1 with A = X W X' + prior. It describes the
-scatter of repeated images, and is smaller than the posterior covariance. docs/edge.md gives the measured bias of the
+scatter of repeated images, and it is smaller than the posterior covariance. docs/edge.md gives the measured bias of the
 priors.
 
 A ghost is a second, weaker edge. Its basis functions are tested at several distances on the residual of the free curve.
@@ -45,11 +45,12 @@ if TYPE_CHECKING:
 FOUND = 25.0
 """Increase of 2 ln likelihood above which glare is accepted: 5 sigma for one parameter."""
 GHOST_FOUND = 24.0
-"""Increase of 2 ln likelihood above which a ghost is accepted. By chance it occurs once in 2,000 at one position."""
+"""Increase of 2 ln likelihood above which a ghost is accepted. At one position, noise exceeds it with probability 1/2,000."""
 _PRIOR, _PRIOR_RANGE = 0.1, 1.6
-"""Prior standard deviation of the coefficients of the core, relative to the step, and its decrease with distance.
+"""Prior standard deviation of the coefficients of the core at the edge, relative to the step, and range of its decrease.
 
-The prior decreases as a Gaussian with a standard deviation of 1.6 s, because lenses deviate most from Gaussians in the core.
+The prior decreases with the distance as a Gaussian with a standard deviation of 1.6 s, because lenses deviate most from
+Gaussians in the core.
 """
 _PRIOR_ODD = 0.03
 """Largest prior standard deviation of the odd coefficients of the core, relative to the step."""
@@ -60,23 +61,23 @@ _PRIOR_GLARE = 0.1
 _PRIOR_GHOST = 0.3
 """Prior standard deviation of the coefficients of a ghost, relative to the step."""
 _FIRST_GHOST, _LAST_GHOST, _FURTHEST = 2.2, 6.0, 8.0
-"""Range of distances in which ghosts are searched: from 2.2 s to 6 s or 8 px, whichever is larger."""
+"""Range of distances of the search for ghosts: from 2.2 s to 6 s or 8 px, whichever is larger."""
 _GHOST_DISTANCES, _GHOST_ROOM = 24, 0.3
 """Number of distances at which a ghost is tested, and the largest distance relative to the width of the region."""
 _MISFIT = 2e-4
-"""Standard deviation of the approximation by basis functions of 0.6 s, relative to the step.
+"""Standard deviation of the error of an approximation by basis functions 0.6 s wide, relative to the step.
 
-It affects only images with less noise.
+It affects only images whose noise is smaller.
 """
 VEIL = 0.25
 """Radius, relative to the width of a region, beyond which glare resembles uneven light or another edge."""
 _VEIL_COST = 4.0
 """Additional increase of 2 ln likelihood that glare with a radius beyond `VEIL` requires.
 
-Uneven light, which it resembles, is more frequent.
+Such glare resembles uneven light, which is more frequent.
 """
 _LEAST_COST = 10.8
-"""Smallest increase of 2 ln likelihood that a parameter of the light requires. By chance it occurs once in 1,000."""
+"""Smallest increase of 2 ln likelihood that a parameter of the light requires. Noise exceeds it with probability 1e-3."""
 _LEVELS = SHIFT
 """Number of columns for the levels and the light."""
 _COLUMN = _LEVELS + GLARE
@@ -84,13 +85,13 @@ _COLUMN = _LEVELS + GLARE
 _PRIOR_RADIUS = 1.0
 """Prior standard deviation of ln of the glare radius."""
 _NARROWEST, _NARROWEST_OF_SCALE, _WIDEST = 4.0, 3.0, 110.0
-"""Range of the radii that are tested: from 4 px or 3 s, whichever is larger, to 110 px."""
+"""Range of the glare radii that are tested: from 4 px or 3 s, whichever is larger, to 110 px."""
 _CANDIDATES, _REFINEMENTS = 9, 3
-"""Number of radii that are tested, and number of refinements of the best one, each halving the interval."""
+"""Number of glare radii that are tested, and number of refinements of the best one, each of which halves the interval."""
 
 
 class LinearFit(NamedTuple):
-    """Linear problem at given levels, without glare, and its solution: n cells, p columns.
+    """Linear problem at given levels, without glare, and its solution, for n cells and p columns.
 
     Attributes:
         shape: parameters of the basis.
@@ -102,9 +103,9 @@ class LinearFit(NamedTuple):
         weight: (n,) weights.
         variance: (n,) variance of a pixel.
         residual: (n,) residual before the fit.
-        columns: (p, n) columns of levels and light, even and odd coefficients; 0 for parameters that are not free.
+        columns: (p, n) columns of the levels, the light, and the even and odd coefficients; 0 for fixed parameters.
         normal: (p, p) normal matrix of the cells, without the prior.
-        inverse: (p, p) A^-1.
+        inverse: (p, p) inverse A^-1 of the normal matrix with the prior.
         strength: (p,) fitted coefficients.
     """
 
@@ -151,7 +152,7 @@ class LinearFit(NamedTuple):
 
 
 class Structure(NamedTuple):
-    """Test of another model by the free curve, which is applied to the residuals of that model.
+    """Test of another model by a fit of the free curve to the residuals of that model.
 
     Attributes:
         found: increase of 2 ln likelihood.
@@ -169,7 +170,8 @@ def linear_fit(
 ) -> LinearFit:
     """Fit the free curve, and select the polynomial orders of the light.
 
-    `at`: Gaussian model at which the problem is linearised, in light of all orders. `ghost`: 1 with a ghost, else 0.
+    `at`: Gaussian model, with light of all orders, at which the problem is linearised. `ghost`: 1 if the fit includes a
+    ghost, else 0.
     """
     state, unknown = at.state, xp.zeros(())
     cells = cells._replace(distance=cells.distance + state.linear[SHIFT])
@@ -198,15 +200,15 @@ def linear_fit(
         fit = fit.solved(fit.columns)
         return changed(linear, slice(_LEVELS), linear[:_LEVELS] + fit.strength[:_LEVELS]), fit
 
-    # The light is a factor: the second pass starts from the light that the first pass has corrected.
+    # The light multiplies the curve, so the second pass starts from the light that the first pass has corrected.
     return last_of(corrected, state.linear * used, np.arange(2))
 
 
 def ghost_found(fit: LinearFit, known: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Test for a ghost, and find its most probable distance from the edge, px.
 
-    `known`: whether the noise is known; else it follows from the residual. Glare is fitted first, so that it is not
-    mistaken for a ghost.
+    `known`: whether the noise is known; otherwise it is estimated from the residual. Glare is fitted first, so that it is
+    not mistaken for a ghost.
     """
     log_radius, rise = glare_candidate(fit)
     beside = fit.solved(changed(fit.columns, _COLUMN, xp.where(rise > FOUND, _column(fit, log_radius), 0.0)))
@@ -226,7 +228,7 @@ def ghost_found(fit: LinearFit, known: jax.Array) -> tuple[jax.Array, jax.Array]
 
 
 def _ghosts(fit: LinearFit, positions: jax.Array) -> jax.Array:
-    """Compute the columns of ghosts with coefficient 1, even and odd pairs, at each distance (distances, 6, n)."""
+    """Compute the even and odd columns of ghosts with coefficient 1 at each distance, (distances, 6, n)."""
     s = line_width(fit.shape)
     at = (positions[:, None] + GHOST_STEP * s * xp.arange(GHOSTS.size))[..., None]
     right, left = (glare_edge(GHOST_WIDTH * s, fit.cells.distance - sign * at, fit.cells.spread) for sign in (1, -1))
@@ -240,9 +242,10 @@ def _width(cells: EdgeCells) -> jax.Array:
 
 
 def structure(fit: LinearFit, tested: EdgeModel) -> Structure:
-    """Apply the free curve to the residuals of another model: the quadratic form s' A^-1 s of the scores and its moments.
+    """Test another model by a fit of the free curve to its residuals.
 
-    Under noise, the covariance of the scores is the information minus the part that the tested fit has absorbed.
+    The test statistic is the quadratic form s' A^-1 s of the scores s. If the tested model is correct, the covariance of
+    the scores is the information minus the part that the tested fit has absorbed.
     """
     score = fit.columns @ (fit.weight * (fit.cells.value - tested.value))
     shared = (fit.columns * fit.weight) @ tested.design.T
@@ -272,7 +275,7 @@ def _chosen_light(full: LinearFit) -> jax.Array:
     unit = xp.where(size > 0, 1 / xp.sqrt(xp.where(size > 0, size, 1.0)), 0.0)
 
     def judged(used: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Compute chi-square, and its decrease by glare."""
+        """Compute chi-square, and the decrease that glare causes."""
         free = xp.concatenate([used[:_LEVELS], xp.ones(EVEN + ODD)])
         # Parameters that are not free are 0, which changes the residual linearly.
         given = xp.concatenate([(full.levels * (1 - used))[:_LEVELS], xp.zeros(EVEN + ODD)])
@@ -289,7 +292,7 @@ def _chosen_light(full: LinearFit) -> jax.Array:
         rise = xp.max(xp.maximum(left, 0.0) ** 2 / (alone - (shared**2).sum(0)) - unlikely)
         return chi2, xp.maximum(rise, 0.0)
 
-    lights = xp.asarray(LIGHTS) + 0 * before  # an array of JAX if the cells are
+    lights = xp.asarray(LIGHTS) + 0 * before  # a JAX array if the cells are JAX arrays
     chi2, rise = each(judged, lights)
     # Structure that neither light nor glare explains is treated as noise.
     scatter = xp.maximum(xp.min(chi2 - rise) / degrees, 1.0)
@@ -317,7 +320,7 @@ def glare_candidate(fit: LinearFit) -> tuple[jax.Array, jax.Array]:
 
 
 def curve_with_glare(fit: LinearFit, log_radius: jax.Array) -> FreeCurve:
-    """Fit the curve with glare, starting from a candidate radius that becomes a further parameter."""
+    """Fit the curve with glare, whose radius is a further parameter. `log_radius`: ln of the initial radius in px."""
 
     def refine(at: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
         middle, width = at
@@ -342,9 +345,9 @@ def curve_with_glare(fit: LinearFit, log_radius: jax.Array) -> FreeCurve:
 
 
 def _per_step(fit: LinearFit, strength: jax.Array, covariance: jax.Array, radius: jax.Array) -> FreeCurve:
-    """Convert fitted coefficients to a curve relative to the fitted step, whose uncertainty is included.
+    """Convert fitted coefficients to a curve relative to the fitted step, and include the uncertainty of the step.
 
-    `covariance`: square matrix of size p + 1; ln of the glare radius is last.
+    `covariance`: covariance matrix of size p + 1, whose last parameter is ln of the glare radius.
     """
     before = fit.levels[1] - fit.levels[0]
     now = before + strength[1] - strength[0]
@@ -385,8 +388,8 @@ def _radii(shape: CoreShape) -> jax.Array:
 def _lights() -> np.ndarray:
     """List the models of the light in ascending order of their number of parameters (6, LINEAR).
 
-    The multiplying light has order 1, 2 or 3, and the added light order 0, 1 or 2. The two levels and the shift of the
-    edge are always free.
+    The multiplicative light has order 1, 2 or 3, and the additive light has order 0, 1 or 2. The two levels and the shift of
+    the edge are always free.
     """
     factor, addend = {1: 2, 2: 4, 3: 7}, {0: 0, 1: 2, 2: 4}
     lights = []
@@ -401,7 +404,7 @@ LIGHTS = _lights()
 
 
 def _precisions() -> np.ndarray:
-    """Compute the precisions of the priors (p,); levels, light and the position of the edge have no prior."""
+    """Compute the precisions of the priors (p,). The precision is 0 for the levels, the light and the position of the edge."""
     core, ghosts = _PRIOR * np.exp(-((CENTRES / _PRIOR_RANGE) ** 2) / 2), np.full(GHOSTS.size, _PRIOR_GHOST)
     odd = np.minimum(core, _PRIOR_ODD)
     even = np.concatenate([core, ghosts, [_PRIOR_TAIL, _PRIOR_GLARE]])

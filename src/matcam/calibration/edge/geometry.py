@@ -3,10 +3,10 @@
 The edge is a curve x0(y), a polynomial of order 5, in the coordinates of the region: px from its centre, x along the
 rows, y down. The bright side lies at larger x.
 
-A cell contains the pixels of one aligned column in whose rows the edge crosses the same eighth of a px. It stores their
-mean distance and the variance of their distances, so that no correction for a bin width is needed. The mean of a model
-over the cell is the model at the mean distance, blurred by this variance (with an error of 1e-6 of the step). Far from
-the edge the response varies slowly, and half a column is one cell.
+A cell contains the pixels of one column of the aligned rows for which the edge lies in the same eighth of a px. It stores
+their mean distance and the variance of their distances, so that a correction for a bin width is not needed. The mean of a
+model over the cell is the model at the mean distance, blurred by this variance (with an error of 1e-6 of the step). Far
+from the edge, the response varies slowly, and half a column is one cell.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ class AlignedRows(NamedTuple):
         x: (rows, columns) positions, px.
         y: (rows,) positions, px.
         step: distance of neighbouring samples of a row, px.
-        light: (rows,) divisors of the rows: the light relative to a straight line over the rows.
+        light: (rows,) light of each row relative to its linear trend over the rows; the rows were divided by it.
     """
 
     value: jax.Array
@@ -75,14 +75,14 @@ class AlignedRows(NamedTuple):
 
     @property
     def length(self) -> jax.Array:
-        """Unit of length of the light terms, px: the largest |y|, empty rows included."""
+        """Unit of length of the light terms, px: the largest |y|, including that of empty rows."""
         return xp.maximum(xp.max(xp.abs(self.y)), 1.0)
 
 
 class PhasedRows(NamedTuple):
     """Aligned rows with distances to a curve, and phases.
 
-    The phase of a row is the position of the edge between two samples.
+    The phase of a row is the position of the edge between two samples, in eighths of a px.
 
     Attributes:
         rows: the aligned rows.
@@ -107,7 +107,7 @@ class EdgeCells(NamedTuple):
         value: (n,) mean value.
         distance: (n,) mean distance from the edge along its normal, px.
         spread: (n,) variance of the distances in the cell, px^2.
-        dim: (n,) mean of the inverse divisors of the rows.
+        dim: (n,) mean of the inverse of `AlignedRows.light`.
         terms: (TERMS, n) light terms, as in `light_terms`.
     """
 
@@ -130,11 +130,11 @@ def edge_slope(curve: jax.Array, y: AnyArray) -> jax.Array:
 
 
 def edge_distance(curve: jax.Array, x: AnyArray, y: AnyArray) -> jax.Array:
-    """Compute the distance to the curve, px, to second order.
+    """Compute the distance from the curve, px, to second order.
 
-    It is positive on the bright side. Consider a parabola with second derivative k and local slope t, and let e be the
-    distance along the row. The distance is that of a straight edge, e c with c = 1 / sqrt(1 + t^2), minus the
-    correction for curvature k e^2 t^2 c^5 / 2.
+    The distance is positive on the bright side. For a parabola with second derivative k and local slope t, and a distance
+    e along the row, it is e c - k e^2 t^2 c^5 / 2, where c = 1 / sqrt(1 + t^2). The first term is the distance from a
+    straight edge. The second term corrects for curvature.
     """
     slope = edge_slope(curve, y)
     curvature = edge_position(curve[2:] * xp.array([k * (k - 1) for k in range(2, CURVE)]), y)
@@ -149,7 +149,7 @@ def half_length(rows: Rows) -> jax.Array:
 
 
 def to_mean_slope(length: jax.Array) -> jax.Array:
-    """Return the vector (CURVE,) whose product with the coefficients of a curve is its mean slope.
+    """Return the vector (CURVE,) whose product with the coefficients of a curve is the mean slope of the curve.
 
     The mean slope is that of the least-squares line from -length to length.
     """
@@ -176,7 +176,7 @@ def aligned_rows(rows: Rows, curve: jax.Array) -> AlignedRows:
 
 
 def phased_rows(rows: AlignedRows, curve: jax.Array) -> PhasedRows:
-    """Return the distances of all pixels from a curve, and the phases of all rows."""
+    """Compute the distances of all pixels from a curve, and the phases of all rows."""
     middle = rows.value.shape[1] // 2
     offset = (rows.x[:, middle] - edge_position(curve, rows.y)) / rows.step + 0.5
     count = _PHASES * rows.step
@@ -186,7 +186,7 @@ def phased_rows(rows: AlignedRows, curve: jax.Array) -> PhasedRows:
 
 
 def edge_cells(phased: PhasedRows) -> EdgeCells:
-    """Return the cells of aligned rows."""
+    """Compute the cells of aligned rows."""
     aligned = phased.rows
     near = aligned.near
 
@@ -200,7 +200,7 @@ def edge_cells(phased: PhasedRows) -> EdgeCells:
     width = near.stop - near.start
     inside = channels(near)
     summed = (phased.member @ xp.concatenate(inside, 1)).reshape(-1, len(inside), width).swapaxes(0, 1)
-    # Far from the edge, a column has one cell for the upper and one for the lower rows, to resolve light along the edge.
+    # Far from the edge, a column has one cell for the upper and one for the lower rows, to resolve changes of the light.
     half = aligned.y.size // 2
     far = zip(channels(slice(None, near.start)), channels(slice(near.stop, None)), strict=True)
     outside = [[part.sum(0) for side in both for part in (side[:half], side[half:])] for both in far]
@@ -216,7 +216,7 @@ def light_terms(x: AnyArray, y: AnyArray, distance: AnyArray, length: AnyArray) 
     """Compute the polynomial terms of the light in a region: TERMS arrays.
 
     They are x and y (px), then products of the distance d from the edge and y, each in units of `length`, up to third
-    order. Terms in y alone have been divided out of the rows, or are negligible.
+    order. Higher orders of y alone have been divided out of the rows, or are negligible.
     """
     d, v = distance / length, y / length
     return [xp.broadcast_to(t, distance.shape) for t in (x, y, d * d, d * v, d * d * d, d * d * v, d * v * v)]

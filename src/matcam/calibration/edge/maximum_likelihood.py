@@ -3,12 +3,12 @@
 A pixel is modelled as  [dark (1 - E(d)) + bright E(d)] (1 + sum of m_k t_k) + sum of a_k t_k.  E is the edge response at
 distance d, and t_k are the polynomial terms of the light in two dimensions. The coefficients m_k describe light that
 multiplies the scene (uneven illumination, vignetting), and a_k light that is added (flare, haze). `State.used` marks the
-free coefficients. The variance of a pixel is gain * value + read^2 with the value of the model. It is held fixed within
-a step (iteratively reweighted least squares). For Poisson noise the fixed point is the maximum of the likelihood, and
-noise in the weights causes no bias (docs/model.md 8).
+free coefficients. The variance of a pixel is gain * value + read^2, where the value is that of the model. The variance is
+held fixed within a step (iteratively reweighted least squares). For Poisson noise, the fixed point is the maximum of the
+likelihood, and noise in the weights does not cause a bias (docs/model.md 8).
 
 Fisher scoring uses a fixed number of steps. Every step is the same small program, so that many edges run in parallel
-under `vmap`; with a stopping rule, all would wait for the slowest edge. Profile and levels are fitted to the cells, and
+under `vmap`; with a stopping rule, all edges would wait for the slowest one. Profile and levels are fitted to the cells, and
 the curve to the pixels near the edge. The shift of the curve is fitted together with the profile. By symmetry, its slope
 and bow are uncorrelated with all other parameters, so that the two fits can alternate.
 """
@@ -37,14 +37,14 @@ if TYPE_CHECKING:
     from matcam.core.jax import AnyArray, jax
 
 ADDED = 4
-"""Number of light terms that may be added to the scene. They are the first of the `TERMS` terms."""
+"""Number of terms of the additive light. They are the first of the `TERMS` light terms."""
 SHIFT = 2 + TERMS + ADDED
 """Index of the shift of the edge, the last of the linear parameters."""
 LINEAR = SHIFT + 1
-"""Number of linear parameters: dark and bright level, multiplying light, added light, shift."""
+"""Number of linear parameters: the two levels, the coefficients of multiplicative and additive light, and the shift."""
 
 Profile = Callable[[EdgeCells, "jax.Array"], tuple["jax.Array", "jax.Array", "jax.Array"]]
-"""Edge profile: (cells, parameters (k,)) -> means over the cells of E, of dE/dd, and of dE/dparameters (k, n)."""
+"""Function of cells and parameters (k,) that computes the means of E, dE/dd and dE/dparameters (k, n) over the cells."""
 
 
 class Noise(NamedTuple):
@@ -74,7 +74,8 @@ class State(NamedTuple):
     """Parameters of the fit.
 
     Attributes:
-        linear: (LINEAR,) dark, bright, m_k (of x and y in 1/px), a_k, shift in px (added to every distance).
+        linear: (LINEAR,) dark level, bright level, m_k (1/px for the terms x and y), a_k, and the shift that is added to
+            every distance, px.
         profile: (k,) parameters of the profile.
         used: (LINEAR,) 1 for free linear parameters, 0 for fixed ones.
     """
@@ -110,7 +111,7 @@ class Light(NamedTuple):
 
 
 def light_of(linear: jax.Array, terms: jax.Array) -> Light:
-    """Evaluate the light from its terms `terms` (TERMS, ...) and the parameters `linear` of `State`."""
+    """Evaluate the light from its polynomial terms (TERMS, ...) and the parameters `State.linear`."""
     factor = 1 + xp.tensordot(linear[2 : 2 + TERMS], terms, 1)
     return Light(factor, xp.tensordot(linear[2 + TERMS : SHIFT], terms[:ADDED], 1))
 
@@ -131,7 +132,7 @@ def edge_model(cells: EdgeCells, state: State, profile: Profile) -> EdgeModel:
 def scoring_step(cells: EdgeCells, state: State, profile: Profile, noise: Noise, longest: jax.Array) -> State:
     """Update the parameters by a step of Fisher scoring.
 
-    `longest`: (k,) largest change of the parameters of the profile.
+    `longest`: (k,) largest change of each parameter of the profile.
     """
     at = edge_model(cells, state, profile)
     weight = cells.pixels / noise.variance(at.value, cells.dim)
@@ -150,7 +151,7 @@ class CurveStep(NamedTuple):
     Attributes:
         curve: (CURVE,) coefficients.
         covariance: (CURVE, CURVE) covariance of `curve` at fixed levels and profile.
-        residual: standard deviation of the pixels about their model.
+        residual: root mean square of the residuals of the pixels.
         roughness: standard deviation of the position of the edge in single rows beyond the noise, px; 0 if it is not
             significant.
     """
@@ -162,13 +163,13 @@ class CurveStep(NamedTuple):
 
 
 _CLEAR = 4.0
-"""Significance above which an edge is reported as rough, standard deviations."""
+"""Significance above which an edge is reported as rough, in standard deviations."""
 _STIFF = 0.3
 """Prior standard deviation of a change of the higher orders of a curve, px."""
 _BOWS = 3
-"""Number of coefficients of a straight edge with a bow. Higher orders describe an S shape, dirt or a torn border."""
+"""Number of coefficients of an edge that is straight or bowed. Higher orders describe an S shape, dirt or a torn border."""
 _HIGHER_ORDERS = 16.3
-"""Smallest increase of 2 ln likelihood by the three higher orders together. By chance it occurs once in 1,000."""
+"""Increase of 2 ln likelihood above which the three higher orders are free. Noise exceeds it with probability 1e-3."""
 
 
 def curve_step(phased: PhasedRows, cells: EdgeCells, at: EdgeModel, noise: Noise, length: jax.Array) -> CurveStep:
@@ -192,7 +193,7 @@ def curve_step(phased: PhasedRows, cells: EdgeCells, at: EdgeModel, noise: Noise
     scene = of_row((at.value - of_cell.addend) / at.light)
     expected = scene * light.factor + light.addend + slope * (distance - of_row(cells.distance))
     weight = aligned.valid[:, near] / noise.variance(expected, 1 / aligned.light[:, None])
-    # A shift of the curve by 1 px along x changes the distance by c px.
+    # A shift of the curve by 1 px along x changes the distance by `tilt` px.
     tilt = 1 / xp.sqrt(1 + edge_slope(curve, aligned.y) ** 2)
     by_row = -slope * tilt[:, None]
     information = (weight * by_row**2).sum(1)
@@ -219,16 +220,16 @@ def curve_step(phased: PhasedRows, cells: EdgeCells, at: EdgeModel, noise: Noise
 def _of_seen_orders(
     normal: jax.Array, score: jax.Array, strengths: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Compute the covariance of the Legendre coefficients of a curve, their change, and the number of free ones.
+    """Compute the covariance and the change of the Legendre coefficients of a curve, and the number of free coefficients.
 
-    The coefficients beyond the bow are 0 if noise explains them. `normal`: (CURVE, CURVE) information. `score`: (CURVE,)
-    score at the present coefficients `strengths`.
+    The coefficients beyond the bow are set to 0 if noise explains them. `normal`: (CURVE, CURVE) information. `score`:
+    (CURVE,) score at the current coefficients `strengths`.
     """
     free = linalg.inv(normal)
     change = free @ score
     beyond = (strengths + change)[_BOWS:]
     seen = beyond @ linalg.solve(free[_BOWS:, _BOWS:], beyond) > _HIGHER_ORDERS
-    # Change towards a curve without the higher orders.
+    # Change of the coefficients that sets the higher orders to 0.
     without = xp.where(xp.arange(CURVE) < _BOWS, 0.0, -strengths)
     bow = xp.pad(linalg.inv(normal[:_BOWS, :_BOWS]), (0, CURVE - _BOWS))
     bowed = without + bow @ (score - normal @ without)

@@ -1,4 +1,4 @@
-"""The measurement of an edge: model-free and parametric estimate from rows of samples, for one edge or for many."""
+"""Model-free and parametric estimates of one edge or of many edges from rows of samples."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 _START = -0.5
 """Initial ln of the lens width in px: a lens width of 0.6 px."""
 _STEPS, _MODEL_STEPS = 3, 12
-"""Number of steps of Fisher scoring for the Gaussian lens in each turn, and for another lens model."""
+"""Number of steps of Fisher scoring: for the Gaussian lens in each turn, and for another lens model."""
 _LAST_LIGHT = 3
 """Index in `LIGHTS` of the light model in the last turn of the fits of profile and position."""
 _EXPECTED = 1.4
@@ -56,7 +56,7 @@ class LensFit(NamedTuple):
 
     Attributes:
         state: fitted parameters.
-        covariance: square matrix of size LINEAR + k.
+        covariance: covariance matrix of size LINEAR + k.
         chi2: chi-square of the cells for the given noise.
         degrees: degrees of freedom: number of cells minus number of parameters.
         structure: test of the residuals by the free curve.
@@ -80,7 +80,7 @@ class LensFit(NamedTuple):
 
 
 class EdgeFits(NamedTuple):
-    """Both estimates of one edge.
+    """Model-free and parametric estimate of one edge.
 
     Positions are in px from the centre of the region, values in the units of the image.
 
@@ -101,7 +101,7 @@ class EdgeFits(NamedTuple):
         overshoot: largest excess of the ESF over its levels.
         cells: means of the pixels.
         state: parameters of the Gaussian fit, at which the free curve is linearised.
-        excess: factor by which variances were increased, because cells scatter more than the noise.
+        excess: factor by which variances were increased, because the scatter of the cells exceeds the noise.
         outliers: number of pixels that were excluded.
         roughness: standard deviation of the position of the edge in single rows beyond the noise, px.
         misfit: standard deviation of cells about the free curve beyond the noise, in units of the step.
@@ -140,10 +140,10 @@ def edge_fits(
     step: int,
     turns: int,
 ) -> EdgeFits:
-    """Compute both estimates for the edge in one region.
+    """Compute the model-free and the parametric estimate of the edge in one region.
 
-    `value`, `y`, `start`, `step`: as in `geometry.Rows`. The parametric estimate uses a Gaussian lens. `noise`: NaN where
-    it is to be estimated. `turns`: number of alternating fits of the profile and of the curve.
+    `value`, `y`, `start`, `step`: as in `geometry.Rows`. The parametric estimate uses a Gaussian lens. `noise`: its unknown
+    parameters are NaN, and are estimated. `turns`: number of alternating fits of the profile and of the curve.
     """
     rows, half = Rows(value, y, start, step), xp.asarray(half_width)
     length = geometry.half_length(rows)
@@ -194,7 +194,7 @@ def edge_fits(
     glares = rise > free_fit.FOUND * xp.where(known, 1.0, xp.maximum(left / linear.degrees, 1.0))
     plain = lambda fit, _: free_fit.curve_without_glare(fit)  # noqa: E731
     free = either(glares, free_fit.curve_with_glare, plain, linear, log_radius)
-    # Noise that was estimated from neighbours may be incomplete: the scatter about the free curve then scales the variances.
+    # An estimate of the noise from neighbours may be incomplete: the scatter about the free curve then scales the variances.
     scatter = (linear.chi2 - xp.where(glares, rise, 0.0)) / linear.degrees
     excess = xp.where(scatter < _EXPECTED, 1.0, scatter)
     free = free._replace(covariance=free.covariance * excess)
@@ -247,7 +247,7 @@ def lens_fit(found: EdgeFits, half_width: AnyArray | np.float64, lens: LensModel
 
 @cache
 def fits_program() -> Callable[..., EdgeFits]:
-    """Return `edge_fits` for many regions in parallel, as a compiled program.
+    """Compile `edge_fits` for many regions in parallel.
 
     Its arguments are those of `edge_fits`, with regions (n, rows, columns), and y and start (n, rows). A command caches the
     program on disk, because tracing takes seconds.

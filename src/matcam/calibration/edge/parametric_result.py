@@ -29,7 +29,7 @@ Number = TypeVar("Number", float, np.ndarray)
 
 @dataclass(frozen=True, eq=False)
 class EdgeValues(Generic[Number]):
-    """Values of one edge or of a stack of edges; `EdgeMTF` explains each."""
+    """Values of one edge or of a stack of edges. The docstring of `EdgeMTF` describes them."""
 
     frequency: np.ndarray
     mtf: np.ndarray
@@ -86,10 +86,10 @@ class ParametricEdge(Summarised, _LensNumbers[float]):
 
     Attributes:
         model: name of the lens model (no unit).
-        names: names of the fitted parameters in camera profiles: "optics.sigma_px" (no unit).
+        names: names of the fitted parameters in camera profiles, such as "optics.sigma_px" (no unit).
         values: fitted parameters (k,), in the units of their names.
         covariance: covariance of `values` (k, k).
-        mtf: total MTF (81,) at the `frequency` of the result, signed (no unit).
+        mtf: signed total MTF (81,) at the `frequency` of the result (no unit).
         mtf_std: standard deviation of `mtf` (81,).
         mtf50: lowest frequency at which `mtf` is one half, cycles/px.
         mtf50_std: standard deviation of `mtf50`, cycles/px.
@@ -110,7 +110,7 @@ class ParametricEdge(Summarised, _LensNumbers[float]):
 
     @property
     def consistent(self) -> bool:
-        """Check that the model explains the edge.
+        """Check whether the model explains the edge.
 
         The significance level is 0.1 %.
         """
@@ -170,14 +170,14 @@ class ParametricEdge(Summarised, _LensNumbers[float]):
 
 @dataclass(frozen=True, eq=False)
 class ParametricStack(_LensNumbers[np.ndarray]):
-    """Parametric estimates of a stack.
+    """Parametric estimates of a stack of edges.
 
     Attributes:
         model: name of the lens model (no unit).
         names: names of the fitted parameters (no unit).
         values: fitted parameters (n, k), in the units of their names.
         covariance: covariances of `values` (n, k, k).
-        mtf: total MTF (n, 81), signed (no unit).
+        mtf: signed total MTF (n, 81) (no unit).
         mtf_std: standard deviation of `mtf` (n, 81).
         mtf50: lowest frequency at which `mtf` is one half (n,), cycles/px.
         mtf50_std: standard deviation of `mtf50` (n,), cycles/px.
@@ -208,10 +208,11 @@ class ParametricStack(_LensNumbers[np.ndarray]):
 def parametric_stack(
     fit: LensFit, free: tuple[SampledCurve, SampledCurve], bad: np.ndarray, lens: LensModel, half_width: float
 ) -> ParametricStack:
-    """Convert the fits of a stack to results.
+    """Convert the fits of a stack of edges to results.
 
-    All arrays are NumPy arrays. `bad`: mask (n,) of edges whose values become NaN. `free`: MTF and MTF50 without a model.
-    If the model is rejected, its difference from them is added to its standard deviations.
+    All arrays are NumPy arrays. `free`: MTF and MTF50 without a model. If the model is rejected, the differences between
+    its results and `free` are added in quadrature to its standard deviations. `bad`: mask (n,) of edges whose values become
+    NaN.
     """
     probability = _misfit_probability(*map(np.asarray, fit.structure))
     wrong = ~(probability > _WRONG)
@@ -242,7 +243,7 @@ def parametric_stack(
 
 
 def with_nan(values: AnyArray | np.float64, bad: np.ndarray) -> np.ndarray:
-    """Replace the values of bad edges (n,) by NaN."""
+    """Replace the values of the edges in the mask `bad` (n,) by NaN."""
     return np.where(bad.reshape(-1, *[1] * (np.ndim(values) - 1)), np.nan, values)
 
 

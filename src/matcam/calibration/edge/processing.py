@@ -2,8 +2,8 @@
 
 A lens cannot be measured in a denoised image, but the processing leaves traces: in the noise of the flat sides
 (`flat_noise.py`), in values that many pixels share, and in an overshoot. Each trace is reported with its possible effect
-on the MTF. It increases the standard deviations, in the form of an unknown relative scale of frequency, which leaves the
-MTF of 1 at frequency 0 unchanged.
+on the MTF. The effect increases the standard deviations, in the form of an unknown relative scale of frequency, which
+leaves the MTF of 1 at frequency 0 unchanged.
 """
 
 from __future__ import annotations
@@ -49,16 +49,16 @@ from matcam.core.remark import Remark
 from matcam.numerics.crossing import first_fall
 
 _FLAT_WIDTHS, _FLAT_MARGIN = 3.0, 2.0
-"""Distance from the edge beyond which a side is assumed to be flat: multiple of the blur, plus px."""
+"""Distance from the edge beyond which a side is assumed to be flat: a multiple of the blur, plus a number of px."""
 _GAMMA = 2.2
-"""Exponent of the tone curve that is assumed if dark pixels are too noisy. It approximates sRGB (IEC 61966-2-1)."""
+"""Exponent of the tone curve that is assumed if dark pixels are too noisy. It approximates that of sRGB (IEC 61966-2-1)."""
 _SIDE, _SAMPLES = 40.0, 801
 """Largest distance from the edge at which its response is sampled, px; number of samples, 0.1 px apart."""
 _TRANSFORM = 4096
 """Number of samples of the Fourier transform of a line spread function. The frequencies are 2.4e-3 cycles/px apart."""
 _TONE_CURVATURE, _TONE_PROBABILITIES, _RAISED = 0.3, (0.02, 0.5), 1.15
-"""Prior of a tone curve: standard deviation of its curvature; its probabilities if the noise of the dark side is photon
-noise, and if it is higher; factor above photon noise from which it is higher."""
+"""Prior of a tone curve: standard deviation of its curvature; its probabilities if the noise variance of the dark side is that
+of photon noise, and if it is larger; ratio to photon noise above which the variance is larger."""
 _SURE_TONE, _NO_TONE = 0.99, 0.01
 """Probabilities of a tone curve above which it is reported, and below which its effect is not computed."""
 _PER_OVERSHOOT = 12.0
@@ -66,20 +66,20 @@ _PER_OVERSHOOT = 12.0
 _OVERSHOOT, _SURE = 0.003, 3.5
 """Thresholds of sharpening: overshoot relative to the step; combined significance of overshoot and noise, in sigma."""
 _CRUSHED, _LEAST_REPORTED, _SURE_GLARE = 0.01, 1e-3, 0.005
-"""Relative errors of MTF50: smallest one by crushed blacks; smallest that is reported; smallest reported for glare."""
+"""Relative errors of MTF50: smallest error by crushed blacks; smallest reported error; smallest reported error by glare."""
 _PER_LEVEL = 0.2
-"""Relative error of MTF50 per distance of two levels in units of the step: rms of 12 to 512 levels without noise."""
+"""Relative error of MTF50 per distance of two levels in units of the step: rms over 12 to 512 levels without noise."""
 _MOST_LEVELS, _NEAR_LEVELS = 2000, 4
-"""Number of different values above which codes are not coarse; number of levels on both sides of that of a flat side that
-are searched for the smallest distance, because an image without noise lacks some levels."""
+"""Number of different values above which codes are not coarse; number of levels on both sides of the level of a flat side that
+are searched for the smallest distance of levels, because an image without noise lacks some levels."""
 _TAILS, _FADING = 0.08, 0.6
-"""Blur that extends to the border of the region: relative error of MTF50; widths of the blur over which it vanishes."""
+"""Blur that extends to the border of the region: largest error of MTF50; blur widths over which the error decreases to 0."""
 _SURER = 0.1
-"""Error of the parametric estimate relative to that of the model-free one. A lens model determines the tails."""
+"""Ratio of the errors of the parametric and the model-free estimate. It is small, because a lens model determines the tails."""
 _PER_STEP, _BY_GLARE = 1.5, 0.72
 """Relative error of MTF50 per step of the light across the edge (penumbrae of tests/oracle), and per share of glare."""
 _PER_BORDER, _HARMLESS, _MOST_BY_BLOCKS = 0.006, 3.0, 0.05
-"""JPEG block borders: relative error of MTF50 per strength; strength without effect; largest relative error."""
+"""JPEG block borders: relative error of MTF50 per strength; largest strength without effect; largest relative error."""
 _GHOST, _SURE_GHOST = 0.01, 4.0
 """Height relative to the step, and number of standard deviations, above which a ghost is reported."""
 
@@ -88,7 +88,7 @@ class Trace(NamedTuple):
     """Trace of image processing or uneven light, and its effect on the MTF.
 
     Attributes:
-        share: relative standard deviation of MTF50 that it causes.
+        share: relative standard deviation of MTF50 that the trace causes.
         remark: description of the trace; None if it is too small to be reported.
         of: affected estimates: "lens", all; "free", the model-free ones; "glare", those that include glare.
     """
@@ -108,7 +108,7 @@ class _EdgeRegion:
         distance: (rows, columns) distances from the edge, px.
         mosaic: whether the pixels are the sites of one colour.
         clear: distance of the edge from the borders, in standard deviations of its blur.
-        light: uneven light that was found; None if there is none.
+        light: uneven light; None if light of third order explains the region.
     """
 
     edge: EdgeMTF
@@ -135,7 +135,7 @@ class _EdgeRegion:
 
     @cached_property
     def correlations(self) -> Correlations | None:
-        """Correlations of the noise; None if they are unknown. A mosaic has not been filtered yet."""
+        """Correlations of the noise; None if they are unknown, or for a mosaic, which has not been filtered yet."""
         if self.mosaic or not np.isfinite(self.noise.neighbour_ratio_std):
             return None
         return correlations(np.where(np.isfinite(self.value), self.value, 0.0), self.sides)
@@ -174,7 +174,7 @@ class _EdgeRegion:
 
 
 def with_traces(stack: EdgeStack, regions: Iterable[EdgeRegions], lights: Sequence[LightField | None]) -> EdgeStack:
-    """Add the effects of uneven light and processing to the results of a stack: remarks and larger standard deviations.
+    """Add remarks and uncertainties from uneven light and processing to a stack.
 
     If glare and uneven light cannot be distinguished, the MTF is that of the lens without glare. `stack`: results of n
     edges. `regions`: their rows, corrected for uneven light. `lights`: uneven light of each edge, or None.
@@ -213,13 +213,13 @@ def _narrow(region: _EdgeRegion) -> list[Trace]:
 
 
 def _veiled(region: _EdgeRegion) -> list[Trace]:
-    """Estimate the error of MTF50 by uneven light that resembles glare."""
+    """Estimate the error of MTF50 that uneven light causes if it resembles glare."""
     edge, light = region.edge, region.light
     glare, seen = edge.glare_fraction, f"glare of {edge.glare_fraction:.1%} over {edge.glare_radius:.0f} px may be"
     if light is not None and light.amplitude > 0:
-        text = f"uneven light of {light.amplitude:.1%}, beyond light of third order, was removed"
+        text = f"uneven light of {light.amplitude:.1%} beyond the terms up to third order was removed"
         if glare > 0:
-            text += f"; {seen} its remainder: the MTF is that without glare"
+            text += f"; {seen} a remainder of it: the MTF excludes the glare"
         return [Trace(0.0, Remark("uneven-light", text), "glare")]
     width = (2 if region.mosaic else 1) * (region.value.shape[1] - 1)
     possible = 1.0 if edge.glare_radius > VEIL * width else 0.0 if light is None else light.possible
@@ -235,33 +235,36 @@ def _ghost(region: _EdgeRegion) -> list[Trace]:
     if ghost.share < max(_GHOST, _SURE_GHOST * ghost.std):
         return []
     side = "bright" if ghost.bright else "dark"
-    text = f"a second edge of {ghost.share:.1%} of the step lies {ghost.position:.1f} px away, on the {side} side"
-    return [Trace(0.0, Remark("ghost", f"{text}: a ghost; it is part of the MTF"))]
+    text = f"a ghost with {ghost.share:.1%} of the step lies {ghost.position:.1f} px from the edge, on the {side} side"
+    return [Trace(0.0, Remark("ghost", f"{text}: the MTF includes it"))]
 
 
 def _smoothed(region: _EdgeRegion) -> list[Trace]:
-    """Detect correlated noise, and estimate the error of MTF50 by smoothing. It decreases with the blur."""
+    """Detect correlated noise, and estimate the error of MTF50 by smoothing, which is smaller for a wider blur."""
     noise = region.noise
     if not noise.smoothed:
         return []
     seen = noise.correlation
     if noise.compressed and not noise.denoised:
         text = (
-            f"{seen} and there are borders every 8 px: JPEG; it is unknown whether it was denoised or sharpened before"
+            f"{seen}, and there are JPEG block borders every 8 px: the image may have been denoised or sharpened before"
         )
         share = float(np.clip(_PER_BORDER * (noise.grid - _HARMLESS), 0.0, _MOST_BY_BLOCKS))
         more = f"; MTF50 may be wrong by {share:.1%}" if share else ""
         return [Trace(share, Remark("compressed", text + more))]
     if not noise.denoised:
-        text = f"{seen}: a demosaiced, resampled or smoothed image, whose MTF is not that of the lens"
+        text = f"{seen}: the image was demosaiced, resampled or smoothed, and its MTF is not that of the lens"
         return [Trace(0.0, Remark("demosaiced", text))]
     share = smoothing_uncertainty(region.blur, denoised=True)
-    text = f"{seen} over several px: a denoised image, whose MTF is not that of the lens; MTF50 may be wrong by {share:.0%}"
+    text = (
+        f"{seen} over several px: the image was denoised, and its MTF is not that of the lens; "
+        f"MTF50 may be wrong by {share:.0%}"
+    )
     return [Trace(share, Remark("denoised", text))]
 
 
 def _tone_curve(region: _EdgeRegion) -> list[Trace]:
-    """Detect noise that is larger on the dark side, as behind a tone curve."""
+    """Detect noise that is larger on the dark side, as after a tone curve."""
     if not region.noise.tone_curve_suspected:
         return []
     edge = region.edge
@@ -270,7 +273,7 @@ def _tone_curve(region: _EdgeRegion) -> list[Trace]:
         TONE_CURVE_UNCERTAINTY, _effect_of_tone(edge, lambda seen: np.maximum(edge.dark + step * seen, 0) ** _GAMMA)
     )
     text = f"the noise variance of dark pixels is {region.noise.tilt:.1f} times that of bright ones: a tone curve may have "
-    text += f"been applied (--tone); MTF50 may be wrong by {share:.0%}"
+    text += f"been applied, and MTF50 may be wrong by {share:.0%}: specify the tone curve (--tone)"
     return [Trace(share, Remark("tone-curve", text))]
 
 
@@ -288,7 +291,7 @@ def _sharpened(region: _EdgeRegion) -> list[Trace]:
 
 
 def _slightly_sharpened(region: _EdgeRegion) -> list[Trace]:
-    """Detect a weak unsharp mask that explains edge and noise together, although no overshoot is significant."""
+    """Detect a weak unsharp mask that explains edge and noise together, although the overshoot is not significant."""
     seen = region.correlations
     # For most images the noise already excludes the mask, and the fits of the edge are skipped.
     if seen is None or region.noise.smoothed or (gain := mask_gain(seen)) < 0:
@@ -321,7 +324,7 @@ def _filtered(region: _EdgeRegion, smoothed: list[Trace], raised: list[Trace]) -
 
 
 def _crushed(region: _EdgeRegion) -> list[Trace]:
-    """Detect a dark side whose pixels pile up at the lowest value."""
+    """Detect a dark side in which many pixels have the lowest value."""
     piled = crushed_share(*(region.value[side] for side in region.sides))
     if not piled:
         return []
@@ -333,7 +336,7 @@ def _crushed(region: _EdgeRegion) -> list[Trace]:
 
 
 def _coarse(region: _EdgeRegion) -> list[Trace]:
-    """Estimate the error of MTF50 by rounding to coarse levels.
+    """Estimate the error of MTF50 that rounding to coarse levels causes.
 
     The mean of rounded values errs by at most (level / pi) exp(-2 pi^2 noise^2 / level^2) (Widrow & Kollar, Quantization
     Noise, 2008, ch. 9).
@@ -353,9 +356,7 @@ def _coarse(region: _EdgeRegion) -> list[Trace]:
         errors.append(apart * np.exp(-2 * np.pi**2 * noisy / apart**2))
     step = region.edge.bright - region.edge.dark
     share = _PER_LEVEL * float(np.hypot(*errors)) / step
-    text = (
-        f"levels are coarse: {step / max(gaps.min(), 1e-300):.0f} of them from dark to bright, and less noise than one"
-    )
+    text = f"codes are coarse: only {step / max(gaps.min(), 1e-300):.0f} levels are resolved, and the noise is below one level"
     return [
         Trace(
             share,
@@ -367,7 +368,7 @@ def _coarse(region: _EdgeRegion) -> list[Trace]:
 def _asymmetric(region: _EdgeRegion) -> list[Trace]:
     """Estimate the error of MTF50 if a tone curve, and not the lens, causes an asymmetric edge response.
 
-    A tone curve v + q v (1 - v) between the levels adds q E (1 - E) to a response E, which a symmetric lens does not. The
+    A tone curve v + q v (1 - v) between the levels adds q E (1 - E) to a response E; a symmetric lens does not. The
     variance of photon noise is proportional to the light. A larger variance of the dark side makes a tone curve more
     probable.
     """
@@ -396,9 +397,7 @@ def _asymmetric(region: _EdgeRegion) -> list[Trace]:
         return []
     lowest = float(np.clip(edge.dark / edge.bright, 0.0, 0.9))
     share = float(np.sqrt(probability)) * _effect_of_tone(edge, lambda seen: _shoulder_undone(seen, lowest, curvature))
-    text = (
-        "the edge response is not symmetric: coma of the lens, or a nonlinear tone curve, such as a highlight shoulder"
-    )
+    text = "the edge response is not symmetric, because of coma of the lens or a nonlinear tone curve (a highlight shoulder)"
     remark = Remark("asymmetric", f"{text}; MTF50 may be wrong by {share:.1%}")
     return [Trace(share, remark if probability >= _SURE_TONE and share >= _LEAST_REPORTED else None)]
 
@@ -419,7 +418,7 @@ def _shoulder_undone(response: FloatArray, lowest: float, curvature: float) -> F
 
 
 def _effect_of_tone(edge: EdgeMTF, undone: Callable[[FloatArray], FloatArray]) -> float:
-    """Compute the relative change of MTF50 by a tone curve, without sign.
+    """Compute the absolute relative change of MTF50 that a tone curve causes.
 
     `undone`: function that converts an edge response (0 to 1) after the tone curve to light.
     """
@@ -435,7 +434,7 @@ def _effect_of_tone(edge: EdgeMTF, undone: Callable[[FloatArray], FloatArray]) -
 
 
 def _effect_of_crushing(region: _EdgeRegion) -> float:
-    """Compute the relative decrease of the edge width by crushed blacks, from Gaussian fits with and without clipping."""
+    """Compute the relative decrease of the width of a fitted Gaussian edge that crushed blacks cause."""
     cells, blur = region.edge.samples, region.blur
     used = np.abs(cells.distance) < 6 * blur + 2
     d, value, weight = cells.distance[used], cells.value[used], 1 / np.maximum(cells.std[used], 1e-3)

@@ -1,7 +1,7 @@
-"""Lens models, and their edge profiles for the fit: means over cells of E, its slope and its derivatives.
+"""Lens models, and their edge profiles for the fit: edge response E, its slope and its derivatives, averaged over cells.
 
-The edge response is that of the camera model. Gaussian lenses have closed forms. For other lenses, it follows from a
-fast Fourier transform of the total MTF, and is interpolated at the cells.
+The edge response is that of the camera model. Gaussian lenses have closed forms. For other lenses, the edge response is
+computed by a fast Fourier transform of the total MTF, and interpolated at the cells.
 
 `Separable` is a lens combined with a pixel of unknown size: diffraction x Gaussian core x square pixel (docs/model.md 7).
 Core and pixel can only be distinguished by the shape of their transforms, that is, by the fourth cumulant of the
@@ -46,7 +46,7 @@ class LensModel(Module):
 
     Attributes:
         name: name of the model, as in `edge_mtf`.
-        names: names of the parameters in the camera profile: "optics.sigma_px".
+        names: names of the parameters in the camera profile, such as "optics.sigma_px".
         longest: largest step of each parameter in the fit.
     """
 
@@ -56,22 +56,25 @@ class LensModel(Module):
 
     @abstractmethod
     def start(self, log_sigma: jax.Array) -> jax.Array:
-        """Compute initial parameters (k,) from the lens width of a Gaussian lens; `log_sigma`: ln of the width in px."""
+        """Compute initial parameters (k,) from the width of a Gaussian lens. `log_sigma`: ln of the width in px."""
 
     @abstractmethod
     def optics(self, parameters: jax.Array) -> Optics:
-        """Return the lens."""
+        """Create the optics with fitted parameters (k,)."""
 
     @abstractmethod
     def numbers(self, parameters: jax.Array) -> jax.Array:
         """Convert the parameters (k,) to the units of their names."""
 
     def profile(self, angle: jax.Array, half_width: jax.Array) -> Profile:
-        """Return the edge profile for an angle between normal and grid, rad, and a half width of the pixel, px."""
+        """Return the edge profile of the lens.
+
+        `angle`: angle between the edge normal and the grid, rad. `half_width`: half width of the pixel, px.
+        """
         return lambda cells, parameters: _tabulated(self, angle, half_width, cells, parameters)
 
     def mtf(self, parameters: jax.Array, f: jax.Array, angle: jax.Array, half_width: jax.Array) -> jax.Array:
-        """Return the total MTF at f cycles/px, signed."""
+        """Compute the signed total MTF at f cycles/px."""
         return Camera(self.optics(parameters), BoxPixel(half_width)).mtf(f, angle)
 
 
@@ -94,7 +97,7 @@ class LensAtEdge(NamedTuple):
         return self.lens.profile(self.angle, self.half_width)
 
     def mtf(self, parameters: jax.Array, f: jax.Array) -> jax.Array:
-        """Return the total MTF at f cycles/px, signed."""
+        """Compute the signed total MTF at f cycles/px."""
         return self.lens.mtf(parameters, f, self.angle, self.half_width)
 
 
@@ -224,7 +227,7 @@ class Separable(LensModel):
     width of the pixel (px); excess kurtosis of the core.
 
     Attributes:
-        f_number: f-number of the image; 0 for no diffraction.
+        f_number: f-number of the lens during the exposure; 0 to neglect diffraction.
         wavelength: wavelength, m.
         pixel_pitch: pixel pitch, m.
     """
@@ -238,7 +241,7 @@ class Separable(LensModel):
     longest: ClassVar[tuple[float, ...]] = (0.3, 0.08, 0.05)
 
     def start(self, log_sigma: jax.Array) -> jax.Array:
-        """Return initial parameters of a nearly full pixel and a Gaussian core."""
+        """Return initial parameters of a Gaussian core and a pixel that is sensitive over nearly its whole area."""
         half = xp.full_like(log_sigma, 0.42)
         return xp.stack([xp.log(xp.exp(2 * log_sigma) + half**2 / 3) / 2, half, xp.zeros_like(half)])
 
@@ -251,9 +254,9 @@ class Separable(LensModel):
         return GaussianOptics(xp.sqrt(_variance(parameters)))
 
     def mtf(self, parameters: jax.Array, f: jax.Array, angle: jax.Array, half_width: jax.Array) -> jax.Array:
-        """Return the total MTF at f cycles/px, signed.
+        """Compute the signed total MTF at f cycles/px.
 
-        The half width is the fitted one; the argument is ignored.
+        The half width of the pixel is a fitted parameter; the argument `half_width` is ignored.
         """
         s2 = (2 * xp.pi * f) ** 2 * _variance(parameters)
         # First term of the Gram-Charlier series. A fourth cumulant in the exponent would be unbounded.
@@ -315,7 +318,7 @@ def _tabulated(
     left, right = left % count, (left + 1) % count
 
     def over_cells(values: jax.Array, slopes: jax.Array) -> jax.Array:
-        """Average over the two points of each cell, by cubic Hermite interpolation."""
+        """Interpolate at the two points of each cell by cubic Hermite polynomials, and average."""
         slopes = slopes / _PER_PX
         a, b = values[left], values[right]
         cubic = a + (b - a) * t**2 * (3 - 2 * t) + t * (1 - t) * (slopes[left] * (1 - t) - slopes[right] * t)
@@ -330,5 +333,8 @@ def _tabulated(
 
 
 def _variance(parameters: jax.Array) -> jax.Array:
-    """Compute the variance of the core, px^2. That of the pixel, half_width^2 / 3 in all directions, is subtracted."""
+    """Compute the variance of the core, px^2.
+
+    It is the total variance minus that of the pixel, which is half_width^2 / 3 in all directions.
+    """
     return xp.maximum(xp.exp(2 * parameters[0]) - parameters[1] ** 2 / 3, _NARROWEST**2)

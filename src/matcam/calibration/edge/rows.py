@@ -23,9 +23,9 @@ if TYPE_CHECKING:
     from matcam.core.jax import AnyArray
 
 _FEW_TURNS, _MANY_TURNS = 2, 8
-"""Number of alternating fits of profile and position, if the rows sample all phases often, and if they do not."""
+"""Number of alternating fits of profile and position, if the rows sample the phases often enough, and otherwise."""
 _ENOUGH_CYCLES = 4.0
-"""Number of times that the rows must sample every phase for `_FEW_TURNS`. With fewer, the fits converge slowly."""
+"""Number of times that the rows must sample every phase for `_FEW_TURNS`. Otherwise the fits converge slowly."""
 _LEAST_ROWS = 10
 """Smallest number of rows that an edge must cross."""
 _LEAST_CONTRAST = 3.0
@@ -35,25 +35,29 @@ _WIDEST_GAP = 0.55
 SHARPENED = 0.02
 """Overshoot, relative to the step, above which an edge is assumed to be sharpened."""
 MISFIT = 0.002
-"""Misfit near the edge, relative to the step, above which a remark is given. No lens causes it."""
+"""Misfit near the edge, relative to the step, above which a remark is given. A lens does not cause such a misfit."""
 _SIGNIFICANT = 5.0
 """Number of standard deviations that a significant overshoot exceeds."""
-_ANYTHING = "it may contain a ghost, a second edge, the border of a shadow or dirt"
+_ANYTHING = "the region may contain a ghost, a second edge, the border of a shadow or dirt"
 """Possible causes of a misfit, for a message about an edge whose content is unknown."""
 _BY, _STEEP, _ABOVE = 1.0, 0.3, 4.0
-"""Search for steps: smoothing, px; smallest slope relative to the steepest one, and in standard deviations."""
+"""Parameters of the search for steps: standard deviation of the smoothing, px; smallest slope relative to the steepest slope;
+smallest slope in standard deviations."""
 _UNLIKE, _ENDS = 1.5, 0.05
-"""Standard deviation of the number of steps per row above which rows differ; share of rows without the edge at a corner."""
+"""Standard deviation of the number of steps per row above which the rows show text or a pattern; share of rows without an
+edge above which the edge ends at a corner."""
 _REPEATED, _SURE = 1.5, 5.0
-"""Halftone pattern: ratio of the variances of pixels 1 px and 2 px apart, above that of sharpening; significance, sigma."""
+"""Thresholds for a halftone pattern: ratio of the noise variances from pixels 1 px and 2 px apart, which sharpening does not
+reach; significance of the ratio in standard deviations."""
 _SECOND = 0.3
 """Height of a second edge, relative to the step, above which it is not a ghost of the lens."""
 _UNEXPLAINED = 0.015
 """Misfit near the edge, relative to the step, above which an edge is rejected."""
 CLEAR = 4.6
-"""Smallest distance of an edge from the borders of the region, in widths of its blur; below it the levels are uncertain."""
+"""Distance of an edge from the borders of the region below which the levels are uncertain, in standard deviations of its
+blur."""
 _SOME = 0.1
-"""Share of the rows in which an edge may be nearer to a border."""
+"""Share of the rows in which an edge may be nearer to a border than its `clearance`."""
 _VEILED = 0.15
 """Share of glare above which, together with a misfit, the glare is not attributed to the lens."""
 _BLUR = 0.2
@@ -86,7 +90,7 @@ class RegionFrame(NamedTuple):
 class EdgeRegions(NamedTuple):
     """Rows of samples of n regions.
 
-    They are transposed and mirrored so that edges are nearly vertical, with the bright side on the right.
+    The regions are transposed and mirrored so that edges are nearly vertical, with the bright side on the right.
 
     Attributes:
         value: (n, rows, columns) linear values; NaN for missing samples.
@@ -160,9 +164,9 @@ def turns_for(cycles: float) -> int:
 
 
 def program_size(size: int) -> int:
-    """Round a size up to the next one for which a program is compiled.
+    """Round a size up to the next size for which a program is compiled.
 
-    It is 8, 10, 12 or 14 times a power of two, so that similar sizes share one program.
+    Such a size is 8, 10, 12 or 14 times a power of two, so that similar sizes share one program.
     """
     power = 1
     while True:
@@ -189,44 +193,47 @@ def refusals(found: EdgeFits, region: EdgeRegions, *, accept_sharpened: bool) ->
 
     def refusal(i: int) -> Remark | None:
         if lost[i]:
-            return Remark("no-edge", "no edge was found that crosses the region from one side to the other")
+            return Remark("no-edge", "no edge crosses the region from one side to the other: choose another region")
         if contrast[i] < _LEAST_CONTRAST:
-            text = f"no edge was found in the region: its step is {contrast[i]:.1f} times the scatter of the pixels about it"
+            text = f"no edge was found, because the step is only {contrast[i]:.1f} times the scatter of the pixels"
             seen = describe_content(region.value[i])
-            return Remark("no-edge", f"{text}; {seen}: choose another region" if seen else text)
+            return Remark(
+                "no-edge", f"{text}; {seen}: choose another region" if seen else f"{text}: choose another region"
+            )
         if gap[i] > _WIDEST_GAP:
             return Remark(
                 "phases-missing",
-                f"phases are missing: an edge at {np.degrees(abs(found.angle[i])):.1f} degrees to the grid "
+                f"phases are missing, because an edge at {np.degrees(abs(found.angle[i])):.1f} degrees to the grid "
                 f"samples too few phases of the pixels ({gap[i]:.2f} px apart): rotate the target by a few degrees",
             )
         if blur[i] > _BLUR * width:
             return Remark(
                 "too-narrow",
-                f"region of {width:.0f} px is too narrow for an edge whose blur has a standard deviation of {blur[i]:.1f} px",
+                f"the region of {width:.0f} px is too narrow for an edge whose blur has a standard deviation of "
+                f"{blur[i]:.1f} px: choose a wider region",
             )
         if accept_sharpened:
             return None
         if over[i] > least[i] and clear[i] > CLEAR:
             return Remark(
                 "sharpened",
-                f"image is sharpened: the edge overshoots its levels by {over[i]:.1%}, which no lens does; use the raw "
-                "image, or accept the MTF of lens and sharpening together (accept_sharpened=True)",
+                f"the image is sharpened: the edge overshoots its levels by {over[i]:.1%}, which a lens does not cause; use "
+                "the raw image, or accept the MTF of lens and sharpening together (accept_sharpened=True)",
             )
         if veiled[i]:
-            text = f"no lens has glare of {glare[i]:.0%}, as wide as the region, with a misfit of {found.misfit[i]:.1%} of "
-            text += "the step"
+            text = f"glare of {glare[i]:.0%}, as wide as the region, with a misfit of {found.misfit[i]:.1%} of the step is not "
+            text += "caused by a lens"
             why = describe_content(region.value[i]) or "the region may contain a ghost, a second edge or dirt"
-            return Remark("unexplained", f"{text}: {why}: choose another region")
+            return Remark("unexplained", f"{text}; {why}: choose another region")
         second = bool(ghost.share[i] > _SECOND)
         seen = describe_content(region.value[i]) if second or found.misfit[i] > MISFIT else ""
         if second:
-            text = seen or f"there are 2 edges in it, {ghost.position[i]:.1f} px apart"
-            return Remark("unexplained", f"the region contains no single edge: {text}: choose another region")
+            text = seen or f"the region contains 2 edges, {ghost.position[i]:.1f} px apart"
+            return Remark("unexplained", f"a single edge is required, but {text}: choose another region")
         if seen or found.misfit[i] > _UNEXPLAINED:
             return Remark(
                 "unexplained",
-                f"neither a lens nor smooth light explains the region: {found.misfit[i]:.1%} of the step remains; "
+                f"neither a lens nor smooth light explains {found.misfit[i]:.1%} of the step; "
                 f"{seen or _ANYTHING}: choose another region",
             )
         return None
@@ -235,13 +242,16 @@ def refusals(found: EdgeFits, region: EdgeRegions, *, accept_sharpened: bool) ->
 
 
 def describe_content(value: np.ndarray) -> str:
-    """Describe the content of a region (rows, columns) that does not have a single edge; empty if it is unknown."""
+    """Describe the content of a region (rows, columns) that does not have a single edge.
+
+    The description is empty if the content is unknown.
+    """
     value = value[np.isfinite(value).any(1)][:, np.isfinite(value).any(0)]
     known = np.isfinite(value)
     middle = float(np.median(value[known]))
     noise = flat_noise(value, known & (value < middle), known & (value >= middle))
     if noise.neighbour_ratio > _REPEATED and noise.apart > _SURE:
-        return "it contains a pattern with a period of few px: a screen, or a halftone"
+        return "the region contains a pattern with a period of a few px, such as a screen or a halftone"
     slope = np.gradient(ndimage.gaussian_filter(np.where(known, value, middle), _BY), axis=1)[:, 2:-2]
     slope = np.where(known[:, 2:-2], slope, 0.0)
     size = np.abs(slope)
@@ -251,11 +261,11 @@ def describe_content(value: np.ndarray) -> str:
     )
     steps = up + down
     if steps.std() > _UNLIKE:
-        return "rows differ from one another: text, or a pattern"
+        return "the rows of the region differ from one another, as in text or a pattern"
     if np.median(steps) > 1:
-        return f"there are {np.median(steps):.0f} edges in it"
+        return f"the region contains {np.median(steps):.0f} edges"
     if np.median(steps) == 1 and (steps == 0).mean() > _ENDS:
-        return f"the edge ends in it, {(steps == 0).mean():.0%} of the rows have none: a corner"
+        return f"the edge ends at a corner, because {(steps == 0).mean():.0%} of the rows have no edge"
     return ""
 
 

@@ -1,7 +1,8 @@
 """First estimate of the curve of an edge and of the light of its rows, without a model of the light.
 
-In each row, the edge is at the largest difference between the means of some px on both sides. The levels are independent
-between rows. Therefore light that decreases by half along the edge, or a shadow across it, does not shift the edge.
+In each row, the edge is located where the means of a few pixels on both sides differ most. The levels of each row are
+estimated independently. Therefore light that decreases by half along the edge, or a shadow across the edge, does not
+shift the estimate.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
     from matcam.core.jax import AnyArray, jax
 
 _HALF_WINDOW = 8
-"""Distance on both sides of the edge that is used for its position in a row, px."""
+"""Distance from the edge within which the samples of a row determine the position of the edge, px."""
 _MARGIN = 3
 """Distance to the border of the region within which the edge of a row is ignored, in samples.
 
@@ -37,21 +38,22 @@ _WEAK = 0.4
 _ROUNDS = 4
 """Number of iterations of the robust fit of a straight line to the edge."""
 _OUTLIER = 3.0
-"""Distance from the line beyond the mean distance above which a row is an outlier, px."""
+"""Excess of the distance of a row from the line over the mean distance above which the row is an outlier, px."""
 _LIGHT = 10
 """Highest order of the polynomial that models the light of the rows."""
 _STIFF = 0.02
-"""Precision of the prior for the curve orders above 2 (its bow), relative to the weight of one row."""
+"""Precision of the prior for the orders of the curve above 2 (the bow), relative to the weight of one row."""
 _FAINTEST = 0.2
-"""Smallest relative light of a row. The largest is its inverse."""
+"""Smallest light of a row relative to the linear part of the light. The largest relative light is the inverse."""
 
 
 def find_curve(rows: Rows) -> tuple[jax.Array, jax.Array]:
-    """Estimate a first curve, and count the rows that it crosses.
+    """Estimate a first curve, and count the rows that the edge crosses.
 
-    The error of the curve is a few hundredths of a px, and no model of the blur is needed. The edge of a row is at the
-    position of a sharp edge with the same sum of light. Unlike the centroid of the derivative, this position does not
-    amplify noise. A straight line through the largest steps is fitted first; then the positions near it are refined.
+    The error of the curve is a few hundredths of a px, and a model of the blur is not needed. The edge of a row is placed
+    where an ideal step would have the same sum of pixel values. Unlike the centroid of the derivative, this position does
+    not amplify noise. A straight line through the largest steps is fitted first. Then the positions near this line are
+    refined.
     """
     length = half_length(rows)
     found, weight = _largest_steps(rows)
@@ -98,10 +100,11 @@ def side_levels(aligned: AlignedRows) -> tuple[jax.Array, jax.Array]:
 
 
 def in_even_rows(aligned: AlignedRows, length: jax.Array) -> AlignedRows:
-    """Divide the rows by the nonlinear part of their light. The linear part belongs to the later fit.
+    """Divide the rows by the nonlinear part of their light.
 
-    The light is a polynomial over the rows, through the means of both sides. Its order, up to 10, minimises the Bayesian
-    information criterion (Schwarz 1978). If the order is 1, the rows are unchanged.
+    The later fit includes the linear part. The light is modelled as a polynomial in y that is fitted to the means of both
+    sides. Its order, up to 10, minimises the Bayesian information criterion (Schwarz 1978). If the order is 1, the rows are
+    unchanged.
     """
     (low, dark), (high, bright) = _sides(aligned)
     weight = ((dark > 0) & (bright > 0)).astype(float)
@@ -125,7 +128,7 @@ def in_even_rows(aligned: AlignedRows, length: jax.Array) -> AlignedRows:
 
 
 def _sides(aligned: AlignedRows) -> tuple[tuple[jax.Array, jax.Array], tuple[jax.Array, jax.Array]]:
-    """Compute the means (rows,) on both sides, and their numbers of samples."""
+    """Compute the mean (rows,) and the number of samples (rows,) on each side of the edge."""
     middle, half_window = aligned.value.shape[1] // 2, _HALF_WINDOW // aligned.step
     outer = 2 * half_window
 
@@ -145,7 +148,8 @@ def _largest_steps(rows: Rows) -> tuple[jax.Array, jax.Array]:
     width = rows.value.shape[1]
     half_window = max(min(_HALF_WINDOW // rows.step, width // 4), _MARGIN)
     there = xp.isfinite(rows.value)
-    # The step between columns k - 1 and k is the window on the right minus that on the left, clipped at the borders.
+    # The step between columns k - 1 and k is the mean of the window on the right minus the mean of the window on the left.
+    # The windows are clipped at the borders.
 
     def windows(a: jax.Array) -> tuple[jax.Array, jax.Array]:
         padded = xp.pad(a, ((0, 0), (half_window, half_window)))
@@ -172,7 +176,7 @@ def _largest_steps(rows: Rows) -> tuple[jax.Array, jax.Array]:
 
 
 def _polynomial(y: AnyArray, x: AnyArray, weight: jax.Array, terms: int, length: jax.Array) -> jax.Array:
-    """Fit a polynomial x(y) by weighted least squares; return its coefficients (CURVE,), those beyond `terms` being 0."""
+    """Fit a polynomial x(y) by weighted least squares. Its coefficients (CURVE,) beyond `terms` are 0."""
     powers = legendre(y / length, terms)
     stiff = xp.where(xp.arange(terms) < 3, 1e-9, _STIFF)
     found = linalg.solve((powers * weight) @ powers.T + xp.diag(stiff), (powers * weight) @ x)

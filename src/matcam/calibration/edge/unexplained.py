@@ -1,9 +1,9 @@
 """Noise, outlying pixels and unexplained residuals of an edge.
 
 Pixels of one aligned column that sample the edge at the same phase should have equal values. A pixel is excluded (a hot
-or dead pixel, dust) if it deviates from the other pixels of its group by much more than their scatter and the noise. No
-model of the edge is needed for this test. A ghost, the border of a shadow or dirt causes residuals in a few of many
-cells, and a rough edge causes blur. Both increase the standard deviation of an MTF.
+or dead pixel, dust) if it deviates from the other pixels of its group by much more than their scatter and the noise. This
+test does not require a model of the edge. A ghost, the border of a shadow or dirt causes residuals in a few of many
+cells, and a rough edge causes blur. Both effects increase the standard deviation of an MTF.
 """
 
 from __future__ import annotations
@@ -23,17 +23,17 @@ if TYPE_CHECKING:
     from matcam.core.jax import jax
 
 _FAR = 6.0
-"""Deviation above which a pixel is an outlier, standard deviations. By chance it occurs once in 5e8 pixels."""
+"""Deviation above which a pixel is an outlier, in standard deviations. Noise exceeds it in one of 5e8 pixels."""
 _ROUNDS = 2
-"""Number of iterations of the search for outliers: the first outliers found may hide others in their group."""
+"""Number of iterations of the search for outliers. A large outlier may hide others in its group."""
 _LEVEL_DISTANCE = 6.0
 """Distance from the edge beyond which pixels are used to estimate the noise, px."""
 _LEAST_NOISE = 1e-4
 """Smallest noise relative to the step. It represents rounding and the errors of any model."""
 _SAME, _COARSEST = 1e-9, 0.1
-"""Difference of neighbours, relative to the step, up to which they have the same code; largest distance of codes."""
+"""Difference of neighbours up to which their codes are assumed equal, and largest distance of codes, relative to the step."""
 _ROBUST, _LARGE = 4, 20.0
-"""Number of iterations of the robust variance; multiple of the mean square to which a squared difference is clipped."""
+"""Number of iterations of the robust variance; multiple of the mean square at which a squared difference is clipped."""
 _OTHERS = 3
 """Number of pixels that a group must exceed for the outlier test."""
 
@@ -73,9 +73,10 @@ def without_outliers(aligned: AlignedRows, curve: jax.Array, noise: Noise) -> Al
 
 
 def estimated_noise(known: Noise, aligned: AlignedRows, distance: jax.Array) -> Noise:
-    """Estimate the unknown parts of the noise.
+    """Estimate the unknown parameters of the noise.
 
-    The estimate uses differences of samples 2 apart on both sides of the edge, which have the same colour in a mosaic.
+    The estimate uses second differences of samples on both sides of the edge. The samples are 2 columns apart, so that they
+    have the same colour in a mosaic.
     """
     # Second differences remove light that changes linearly across the edge.
     difference = aligned.value[:, 4:] - 2 * aligned.value[:, 2:-2] + aligned.value[:, :-4]
@@ -108,13 +109,15 @@ def estimated_noise(known: Noise, aligned: AlignedRows, distance: jax.Array) -> 
 _CORE = 7.0
 """Distance from the edge within which the misfit of the cells is computed, px."""
 _WINDOW, _FEWEST, _TOGETHER = 2.0, 6, 6.0
-"""Local misfit test: width of a window, px; smallest number of cells in it; standard deviations above which it counts."""
+"""Test for a local misfit: width of a window, px; smallest number of cells in a window; significance above which a window
+contributes to the misfit, in standard deviations."""
 _WINDOWS = np.arange(-10.0, 9.0)
 """Distances from the edge at which the windows begin, px."""
 _PER_MISFIT = 5.0
-"""Standard deviation of an MTF per misfit of the cells, from the ghosts and shadows of tests/oracle/real_edges.py."""
+"""Ratio of the standard deviation of an MTF to the misfit, from the ghosts and shadows of tests/oracle/real_edges.py."""
 _LOW = 0.1
-"""Frequency below which the standard deviation by the misfit decreases, cycles/px: at frequency 0 the MTF is always 1."""
+"""Frequency below which the standard deviation caused by the misfit decreases, cycles/px. At frequency 0, the MTF is
+always 1."""
 
 
 class Unexplained(NamedTuple):
@@ -138,7 +141,7 @@ class Unexplained(NamedTuple):
 def misfit_of(fit: LinearFit, curve: FreeCurve, excess: jax.Array) -> jax.Array:
     """Compute the standard deviation of cells near the edge about the free curve, beyond the noise, in units of the step.
 
-    `curve`: free curve, with glare if there is any. `fit`: fit without glare. `excess`: factor that was applied to all
+    `curve`: free curve, with glare if it was found. `fit`: fit without glare. `excess`: factor that was applied to all
     variances; 1 if the noise explains the total scatter of the cells.
     """
     distance, there = fit.cells.distance, fit.cells.pixels > 0
@@ -149,7 +152,8 @@ def misfit_of(fit: LinearFit, curve: FreeCurve, excess: jax.Array) -> jax.Array:
     left = fit.cells.value - light.addend - light.factor * (dark + (bright - dark) * response)
     core = there & (xp.abs(distance) < _CORE)
     everywhere = (1 - 1 / excess) * xp.where(core, (left / fit.step) ** 2, 0.0).sum()
-    # A ghost affects few cells: a window of 2 px counts if its chi-square exceeds its expectation by 6 standard deviations.
+    # A ghost affects few cells. A window of 2 px contributes if its chi-square exceeds the expectation by 6 standard
+    # deviations.
     variance = excess / fit.weight
     window = there & (distance >= _WINDOWS[:, None]) & (distance < _WINDOWS[:, None] + _WINDOW)
     count = window.sum(1)

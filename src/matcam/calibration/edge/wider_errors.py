@@ -17,7 +17,7 @@ _LOWEST_BY_GHOST, _FLATTEST = 0.05, 1e-3
 The frequency is that of a ghost at a distance of 10 px. The smallest slope prevents a division by zero.
 """
 _JUMP = 1.5
-"""Number of standard deviations of MTF50 above which its change with a shifted MTF replaces its standard deviation."""
+"""Change of MTF50 with a shifted MTF above which the change replaces the standard deviation, in standard deviations."""
 
 
 def with_core_as_total(stack: EdgeStack, which: np.ndarray) -> EdgeStack:
@@ -36,11 +36,11 @@ def with_core_as_total(stack: EdgeStack, which: np.ndarray) -> EdgeStack:
 
 
 def widened(stack: EdgeStack, by_part: Mapping[str, np.ndarray], ghosts: np.ndarray) -> EdgeStack:
-    """Increase the standard deviations by an uncertain scale of frequency and by possible ghosts.
+    """Include an uncertain frequency scale and possible ghosts in standard deviations.
 
     Args:
         stack: results of n edges.
-        by_part: relative standard deviations (n,) of the scale of frequency: "lens" for all estimates, "free" in addition
+        by_part: relative standard deviations (n,) of the frequency scale: "lens" for all estimates, "free" in addition
             for the model-free estimates, and "glare" in addition for those with glare.
         ghosts: shares (n,) of distant ghosts that may have been fitted as uneven light.
     """
@@ -59,15 +59,16 @@ def widened(stack: EdgeStack, by_part: Mapping[str, np.ndarray], ghosts: np.ndar
 
 
 def _by_scale(frequency: np.ndarray, mtf: np.ndarray) -> np.ndarray:
-    """Compute the derivative of an MTF with respect to the logarithm of the frequency, without sign."""
+    """Compute the absolute derivative of an MTF with respect to the logarithm of the frequency."""
     return np.asarray(frequency * np.abs(np.gradient(mtf, frequency, axis=-1)))
 
 
 def _errors(stack: EdgeStack, name: str, share: np.ndarray, ghosts: np.ndarray) -> dict[str, Any]:
     """Compute the standard deviations of an MTF and of its MTF50.
 
-    That of MTF50 covers the frequencies at which the MTF plus and minus one standard deviation is one half. A ghost makes
-    the MTF oscillate; if it is close to one half at two frequencies, MTF50 may change discontinuously.
+    The standard deviation of MTF50 covers the frequencies at which the MTF plus or minus one standard deviation is one
+    half. A ghost makes the MTF oscillate. If the MTF is close to one half at two frequencies, MTF50 may change
+    discontinuously.
     """
     f, mtf, half = stack.frequency, getattr(stack, name), getattr(stack, f"{name}50")
     by_scale = _by_scale(f, mtf)

@@ -1,9 +1,9 @@
 """Noise of even areas, as a test for denoising, compression, sharpening or a tone curve.
 
 The noise of a sensor is independent between pixels, and increases with brightness. Denoising, demosaicing and JPEG
-correlate the noise of neighbours, sharpening anticorrelates it, and JPEG causes block borders every 8 px. A tone curve
-makes the noise of dark pixels larger than that of bright ones. Second differences of neighbours remove light that
-changes smoothly.
+correlate the noise of neighbours, sharpening makes the correlation negative, and JPEG causes block borders every 8 px. A
+tone curve makes the noise of dark pixels larger than that of bright pixels. Second differences of neighbours remove light
+that changes smoothly.
 """
 
 from __future__ import annotations
@@ -19,42 +19,50 @@ BLOCK = 8
 _ROUNDS, _LARGEST = 5, 9.0
 """Robust variance: number of iterations; multiple of the mean square to which a squared difference is clipped."""
 _LOSS = 4.0
-"""Factor by which shared pixels increase the variance of a variance: its relative value for n differences is 4 / n."""
+"""Relative variance of a noise variance, times the number of differences. It exceeds 2, because differences share pixels."""
 _FEWEST = 100
 """Smallest number of differences for an estimate of the noise."""
 _CORRELATED, _SURE = 0.75, 5.0
-"""Ratio of the variances of pixels 1 px and 2 px apart below which the noise is correlated; standard deviations."""
+"""Ratio of the variances of pixels 1 px and 2 px apart below which the noise is correlated; significance, standard
+deviations.
+"""
 _WIDE, _WIDE_IN_BLOCKS = 0.8, 0.65
 """Ratio of the variances of pixels 2 px and 3 px apart below which an image was denoised, without and with JPEG blocks.
 
 Demosaicing and JPEG correlate pixels over a shorter range.
 """
 _TONE_RATIO, _SURE_TONE = 1.08, 4.0
-"""Ratio of the noise variances of dark and bright pixels above which a tone curve is suspected; standard deviations."""
+"""Ratio of the noise variances of dark and bright pixels above which a tone curve is suspected; significance, standard
+deviations.
+"""
 _EQUAL, _REVERSALS = 0.5, 0.35
 """Thresholds of a side without noise: smallest share of equal neighbours; largest share of changes of opposite sign.
 
-Rounded codes of smooth light change along contours, and a change is followed by one of the same sign. Independent noise of
-0.1 levels reverses 30 to 98 % of its changes, and of 0.2 levels 59 % or more, for light that changes by at most 0.1 levels/px.
+Rounded codes of smooth light change along contours, and successive changes have the same sign. With independent noise of
+0.1 levels, 30 to 98 % of the changes are followed by one of opposite sign, and with 0.2 levels at least 59 %, for light that
+changes by at most 0.1 levels/px.
 """
 _GRID = 1.4
 """Ratio of the squared differences across and within blocks of 8 px above which an image was compressed as JPEG."""
 _BLOCKS_ALONE = 4.0
-"""The same ratio above which JPEG alone explains the correlation. Denoised images have weaker block borders."""
+"""Value of the ratio of `_GRID` above which JPEG alone explains the correlation. Denoised images have weaker block borders."""
 _DENOISED, _DEMOSAICED = 0.2, 0.15
-"""Relative error of MTF50 times the blur, px, and times its square, px^2, from tests/oracle/processed_pictures.py."""
+"""Relative errors of MTF50: by denoising, times the blur, px; by demosaicing, times the squared blur, px^2.
+
+Both were measured with tests/oracle/processed_pictures.py.
+"""
 _MOST = 0.4
-"""Largest relative error of MTF50 by smoothing."""
+"""Largest relative error of MTF50 that smoothing causes."""
 _PILED, _LEAST_PILE = 2.0, 0.05
 """Crushed blacks: share of the lowest level relative to that of the next level; smallest share of the dark side."""
 LEAST_NOISE = 2e-4
-"""Smallest noise of a photograph relative to the step of its light. Only rendered images have less."""
+"""Smallest noise of a photograph relative to the step of an edge. Only rendered images have less noise."""
 TONE_CURVE_UNCERTAINTY = 0.03
 """Smallest relative standard deviation of a blur that was measured without inverting a tone curve."""
 
 
 def smoothing_uncertainty(blur: float, *, denoised: bool) -> float:
-    """Estimate the relative standard deviation of a blur by smoothing in software.
+    """Estimate the relative standard deviation of a blur due to smoothing in software.
 
     Args:
         blur: standard deviation of the blur of lens and pixel, px. Smoothing has less effect on a wider blur.
@@ -108,7 +116,9 @@ class FlatNoise(NamedTuple):
     @property
     def correlation(self) -> str:
         """Description of the correlation of neighbours."""
-        return f"the noise of neighbouring pixels is correlated ({self.neighbour_ratio:.2f} of independent noise)"
+        return (
+            f"the noise of neighbouring pixels is correlated (variance ratio {self.neighbour_ratio:.2f}, instead of 1)"
+        )
 
     @property
     def apart(self) -> float:
@@ -121,8 +131,8 @@ def flat_noise(
 ) -> FlatNoise:
     """Measure the noise of an image (height, width).
 
-    `dark`, `bright`: masks of its flat areas. `lines`: whether all pixels are present, so that differences along columns
-    are used as well. `least`: standard deviation below which the image is assumed to have no noise.
+    `dark`, `bright`: masks of the dark and bright flat areas. `lines`: whether all pixels are present, so that differences
+    along columns are used as well. `least`: standard deviation below which the image is assumed to have no noise.
     """
     sides = [dark & np.isfinite(value), bright & np.isfinite(value)]
     value = np.where(sides[0] | sides[1], value, 0.0)
@@ -166,7 +176,7 @@ def flat_noise(
 def crushed_share(dark: FloatArray, bright: FloatArray) -> float:
     """Compute the share of a dark side at its lowest value; 0 if noise explains it.
 
-    Noise has equal values only at the end of a range; without noise the bright side is as flat.
+    Noisy pixels have equal values only at the end of a range. Without noise, the bright side is equally uniform.
     """
     if dark.size < 2 or bright.size < 2:
         return 0.0
@@ -189,7 +199,7 @@ def _variance(value: FloatArray, there: np.ndarray, lag: int) -> tuple[float, fl
 
 
 def _is_rounded_light(value: FloatArray, there: np.ndarray) -> bool:
-    """Decide whether the codes of a side change only along the contours of smooth light, without noise."""
+    """Check whether the codes of a side change only along the contours of smooth light, without noise."""
     change = np.sign(np.diff(value, axis=1)) * (there[:, 1:] & there[:, :-1])
     rows, columns = np.nonzero(change)
     if rows.size < 2 or rows.size > (1 - _EQUAL) * (there[:, 1:] & there[:, :-1]).sum():

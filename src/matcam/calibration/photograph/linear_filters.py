@@ -1,7 +1,7 @@
 """Linear filters that were applied to an image, from the correlation of its noise, and their effect on its MTF.
 
-The noise of a sensor is independent between pixels. A linear filter of transfer function K gives their noise the power
-spectrum |K|^2, and multiplies the MTF of the image by K. Smoothing, sharpening, deconvolution and resampling are
+The noise of a sensor is independent between pixels. After a linear filter of transfer function K, the power spectrum of
+the noise is |K|^2, and the MTF of the image is multiplied by K. Smoothing, sharpening, deconvolution and resampling are
 compared with the absence of a filter by their posterior probabilities. The uncertainty therefore increases continuously
 with the correlation, without a threshold.
 
@@ -32,13 +32,13 @@ LAGS = ((0, 1), (1, 0), (1, 1), (1, -1), (0, 2), (2, 0), (1, 2), (2, 1), (1, -2)
 _FAR_LAGS = ((0, 5), (5, 0), (4, 4), (4, -4), (0, 6), (6, 0))
 """Offsets of pixels that no filter correlates, px. Uneven light causes their correlation."""
 _LIGHT, _LENGTHS = 0.03, (8.0, 20.0, 1e3)
-"""Prior standard deviation of correlations by uneven light, and the distances over which they decrease, px."""
+"""Prior standard deviation of correlations that uneven light causes, and the distances over which they decrease, px."""
 _NO_FILTER = 0.95
 """Prior probability that no filter was applied to an image."""
 _LARGEST = 4.0
-"""Number of standard deviations to which deviations are clipped. Larger ones are not noise."""
+"""Number of standard deviations to which deviations are clipped. Larger deviations are not noise."""
 _ORDER = 3
-"""Order of the polynomial that models the light on a side."""
+"""Order of the polynomial that models the light on a side of the edge."""
 _FEWEST = 500
 """Smallest number of pixels on a side for an estimate of correlations."""
 _PATCH, _STRUCTURE = 5, 5.0
@@ -64,13 +64,13 @@ _FOUND, _SHARPER, _SOFT = (
 )
 """Threshold of 2 ln likelihood for weak sharpening, as explained in `needed_gain`.
 
-The numbers are the threshold for wide blurs, its increase with the inverse of the blur, px, and the blur below which it
+The values are the threshold for wide blurs, its increase with the inverse of the blur, px, and the blur below which it
 increases, px.
 """
 _LEAST_WIDTH, _WIDTH, _CORE, _COARSER = 0.2, 0.3, 6.0, 0.25
 """Basis functions of a line spread function.
 
-The numbers are their smallest width, px; their width and the extent of the core, in units of the blur; and their width
+The values are their smallest width, px; their width and the extent of the core, in units of the blur; and their width
 outside the core, relative to the distance.
 """
 _ROOM = 0.8
@@ -93,7 +93,7 @@ class BareEdge(NamedTuple):
         value: (n,) value minus the light that is added to the scene.
         std: (n,) standard deviation of the noise.
         step: (n,) bright minus dark level in the light of each mean.
-        light: (k, n) columns of levels and light, with free coefficients.
+        light: (k, n) functions of the levels and of uneven light, with free coefficients.
         blur: standard deviation of the line spread function, px.
     """
 
@@ -107,7 +107,7 @@ class BareEdge(NamedTuple):
 
 
 class FilterUncertainty(NamedTuple):
-    """Uncertainty of an MTF by filters that may have been applied.
+    """Uncertainty of an MTF due to filters that may have been applied.
 
     Attributes:
         share: relative error of MTF50: probability of any filter times the rms error over all filters.
@@ -182,14 +182,14 @@ def _log_likelihoods(seen: Correlations) -> FloatArray:
 
 
 def mask_gain(seen: Correlations) -> float:
-    """Compute the increase of 2 ln likelihood of the noise by the unsharp mask, assuming even light."""
+    """Compute the increase of 2 ln likelihood of the noise due to the unsharp mask, assuming even light."""
     expected = _filters().correlation[1 + len(_WIDTHS) + _MASKS.index((AMOUNT, RADIUS))]
     value, pairs = seen.value[: len(LAGS)], seen.pairs[: len(LAGS)]
     return float(pairs @ (value**2 - (value - expected) ** 2))
 
 
 def edge_gain(edge: BareEdge) -> float:
-    """Compute the decrease of chi-square of an edge by the unsharp mask, for any non-negative line spread function."""
+    """Compute the decrease of chi-square of an edge due to the unsharp mask, for any non-negative line spread function."""
     weight = 1 / np.hypot(edge.std, LEAST_NOISE * edge.step)
     given = edge.light * weight
     # The unbounded coefficients are eliminated by projection.
@@ -226,7 +226,7 @@ def needed_gain(blur: float) -> float:
 
 
 def effect_on_half(frequency: FloatArray, mtf: FloatArray) -> float:
-    """Compute the relative increase of MTF50 by the unsharp mask; 0 if there is no MTF50.
+    """Compute the relative increase of MTF50 due to the unsharp mask; 0 if there is no MTF50.
 
     Args:
         frequency: frequencies, cycles/px.

@@ -1,6 +1,6 @@
 """Linear colour plane of a photograph: the input of every estimator of this package.
 
-The sites of a mosaic keep their positions, with NaN between them; nothing is demosaiced. A colour image provides one
+A mosaic is not demosaiced: the sites of a colour keep their positions, with NaN between them. A colour image provides one
 channel or its luminance. All estimators convert their argument `image` to such a plane with `region_of`, and `flaw` tests
 whether the region can be measured.
 """
@@ -59,16 +59,17 @@ class LinearImage:
     several estimators on the same image, or to store aperture and file name with it.
 
     Attributes:
-        values: linear light (height, width), any unit. NaN marks missing pixels and the sites of other colours of a mosaic.
+        values: linear pixel values (height, width), any unit. NaN marks missing pixels and the sites of other colours of a
+            mosaic.
         channel: "R", "G", "B", "Y" (luminance) or "grey" (no unit). Default: "grey".
         cfa: colours of the first 2 x 2 px of `values`, row by row ("RGGB", ...), of a mosaic (no unit). Default: None, no
             mosaic.
         tone: tone curve that was inverted: "linear", "srgb", a gamma or a table (no unit). Default: "linear".
-        f_number: f-number of the photograph (no unit). Default: None, not known.
+        f_number: f-number of the photograph (no unit). Default: None, it is unknown.
         source: file name, for messages and provenance (no unit). Default: "".
         corner: (x, y) of the first pixel in the whole photograph, px. Default: (0, 0).
-        saturated: mask of the saturated pixels (height, width). Default: None, not known.
-        saturation: code of a saturated pixel, in the units of the photograph. Default: infinite, not known.
+        saturated: mask of the saturated pixels (height, width). Default: None, it is unknown.
+        saturation: code of a saturated pixel, in the units of the photograph. Default: infinite, it is unknown.
         remarks: assumptions about the photograph (no unit). Default: ().
 
     Raises:
@@ -100,7 +101,8 @@ class LinearImage:
             values = np.asarray(self.values)
         except ValueError:
             raise ArgumentError(
-                f"values must be numbers of shape (height, width), got a {type(self.values).__name__} of uneven rows"
+                f"values must be numbers of shape (height, width), got a {type(self.values).__name__} of rows of "
+                "different lengths"
             ) from None
         if values.ndim != 2 or values.dtype.kind not in "uif":
             raise ArgumentError(f"values must be numbers of shape (height, width), got {values.dtype} {values.shape}")
@@ -149,7 +151,7 @@ class LinearImage:
             The plane; `remarks` lists the assumptions of "auto".
 
         Raises:
-            ArgumentError: the image is not an image or does not have this channel, or the region is not inside it.
+            ArgumentError: `image` is not an image or does not have this channel, or the region is not inside the image.
 
         Source:
             Luminance: IEC 61966-2-1.
@@ -204,9 +206,9 @@ class LinearImage:
 
     @property
     def sites(self) -> np.ndarray:
-        """Mask of the sites of this colour in the first cell.
+        """Mask (2, 2) of the sites of this colour.
 
-        The mask (2, 2) covers 2 x 2 px. Without a mosaic, it is true everywhere.
+        The mask covers the first 2 x 2 px. Without a mosaic, it is true everywhere.
         """
         return np.ones((2, 2), bool) if self.cfa is None else sites_of(self.cfa, self.channel)
 
@@ -244,11 +246,13 @@ def region_of(
     image: ArrayLike | Photograph | LinearImage, roi: Sequence[int] | None = None, *, channel: str | None = None,
     cfa: str | None = None, tone: Tone = "linear",
 ) -> LinearImage:  # fmt: skip
-    """Convert the region of an image to a linear plane; arguments as in `LinearImage.of`.
+    """Convert the region of an image to a linear plane.
+
+    The arguments are those of `LinearImage.of`.
 
     Raises:
         ArgumentError: as in `LinearImage.of`, or the region is smaller than 16 x 16 px.
-        FitError: more than 2 % of its samples are saturated.
+        FitError: more than 2 % of the samples of the region are saturated.
     """
     region = LinearImage.of(image, channel, cfa, tone, roi)
     height, width = region.shape
@@ -258,7 +262,8 @@ def region_of(
         share = region.saturated.sum() / max(np.isfinite(region.values).sum(), 1)
         if share > _SATURATED:
             raise FitError(
-                f"region is saturated: {share:.0%} of its samples are at {region.saturation:g}, the end of their range"
+                f"region is saturated: {share:.0%} of its samples are at {region.saturation:g}, the end of their range; "
+                "reduce the exposure"
             )
     return region
 
@@ -280,7 +285,7 @@ def flaw(values: np.ndarray) -> Remark | None:
         below = index[used <= middle]
         spread = robust_std(below - np.median(below))
         if count[dark].max() / count[dark].sum() < flat / 2 and spread > _SPREAD:
-            text = f"region is saturated: {flat:.0%} of its bright samples have the same value, {high:g}"
+            text = f"region is saturated: {flat:.0%} of its bright samples have the same value, {high:g}; reduce the exposure"
             return Remark("saturated", text)
     return None
 
@@ -341,7 +346,7 @@ def as_photograph(
 
 
 def sites_of(cfa: str, channel: str | None) -> np.ndarray:
-    """Return the sites of a colour in the first 2 x 2 px of a mosaic."""
+    """Compute the mask (2, 2) of the sites of a colour in the first 2 x 2 px of a mosaic."""
     checks.choice("cfa", cfa, CFAS)
     if channel not in ("R", "G", "B"):
         raise ArgumentError(f"channel must be one of 'R', 'G', 'B' with a mosaic, got {channel!r}")

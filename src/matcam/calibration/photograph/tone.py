@@ -1,4 +1,4 @@
-"""Tone curves: conversion of the codes of an image to light. An MTF is defined for linear values only (docs/model.md 7)."""
+"""Tone curves: conversion of the codes of an image to linear values, which an MTF requires (docs/model.md 7)."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ linear values by code, (codes,) or (codes, 3); "auto": selected by `assumed_tone
 """
 
 _GAMMAS = (0.2, 5.0)
-"""Smallest and largest gamma that is accepted. Values outside this range are mistakes."""
+"""Smallest and largest gamma that is accepted. Values outside this range are assumed to be mistakes."""
 
 
 def is_linear(tone: Tone) -> bool:
@@ -31,13 +31,13 @@ def is_linear(tone: Tone) -> bool:
 def assumed_tone(photograph: Photograph, *, mosaic: bool = False) -> tuple[str, tuple[Remark, ...]]:
     """Select the tone curve for "auto", with a remark that states the assumption.
 
-    `mosaic`: whether the image is a mosaic. Tone curves are applied after demosaicing.
+    `mosaic`: whether the image is a mosaic, which is linear, because tone curves are applied after demosaicing.
     """
     if photograph.linear or mosaic:
         return "linear", ()
     bits = 8 * photograph.values.dtype.itemsize
     tone, name = ("srgb", "sRGB") if bits == 8 else ("linear", "linear")
-    return tone, (Remark("tone-assumed", f"{bits} bits and no tone curve specified: {name} assumed (--tone)"),)
+    return tone, (Remark("tone-assumed", f"no tone curve is specified: {name} is assumed for {bits} bits (--tone)"),)
 
 
 def linear_values(codes: np.ndarray, tone: Tone, channel: int | None = None) -> np.ndarray:
@@ -86,11 +86,11 @@ def _by_code(codes: np.ndarray, curve: Callable[[np.ndarray], np.ndarray]) -> np
 def tone_from_patches(
     image: ArrayLike, patches: Sequence[Sequence[int]], light: ArrayLike, channel: int | None = None
 ) -> np.ndarray:
-    """Measure a tone curve from patches of known light (ISO 14524).
+    """Measure a tone curve from patches of known linear values (ISO 14524).
 
     The result contains linear values by code, (codes,). `image`: integers, (height, width) or (height, width, 3).
     `channel`: channel of a colour image; None for the mean of all. `patches`: (x, y, width, height) each, px, at least 3.
-    `light`: (n,) linear light of the patches, any unit.
+    `light`: (n,) linear values of the patches, any unit.
 
     The curve passes through the mean codes of the patches without overshoot, and is extrapolated linearly above the
     brightest patch. ArgumentError if the curve is not monotone.
@@ -102,7 +102,7 @@ def tone_from_patches(
         )
     if len(patches) < 3 or values.shape != (len(patches),):
         raise ArgumentError(
-            f"a tone curve needs at least 3 patches with one light each, got {len(patches)}, {values.shape}"
+            f"a tone curve needs at least 3 patches and a light for each, got {len(patches)} patches and shape {values.shape}"
         )
     if not np.isfinite(values).all() or (values < 0).any():
         raise ArgumentError("light of the patches must be finite and not negative")
@@ -118,7 +118,7 @@ def tone_from_patches(
     code, value = np.array(means)[order], values[order]
     if (np.diff(code) < 0.5).any():
         first = int(np.argmax(np.diff(code) < 0.5))
-        raise ArgumentError(f"two patches have the same code, {code[first]:.1f}: each must have its own")
+        raise ArgumentError(f"two patches have the same code, {code[first]:.1f}: give patches of different codes")
     full = np.iinfo(codes.dtype).max
     slope = (value[-1] - value[-2]) / (code[-1] - code[-2])
     if code[-1] < full:
@@ -136,7 +136,7 @@ def patch_tone_curve(picture: str | Path, patches: str | Path) -> np.ndarray:
     image = read_photograph(picture)
     if not np.isfinite(rows).all() or (rows[:, :4] % 1 != 0).any():
         raise FileFormatError(
-            f"{patches}: x, y, width and height of a patch must be whole numbers of px, its light a number"
+            f"{patches}: x, y, width and height of a patch must be whole numbers of px, and its light a finite number"
         )
     positions = rows[:, :4].astype(int).tolist()
     try:

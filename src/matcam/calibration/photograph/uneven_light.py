@@ -1,10 +1,10 @@
 """Gaussian process model of uneven light over the flat sides of an edge, and its comparison with glare.
 
-It describes light that is not a polynomial of low order. Each side of the edge is averaged over bins of several px. The
-deviation of the bins from two levels in light of third order is modelled as light that multiplies the scene (banding, a
-penumbra, a near lamp), light that is added to it (a glint), or glare of the lens, which depends on the distance from the
-edge only. All are terms of one Gaussian model. Their scales and the probability of glare follow from its marginal
-likelihood (Rasmussen & Williams, Gaussian Processes for Machine Learning, 2006, ch. 5).
+The model describes light that is not a polynomial of low order. Each side of the edge is averaged over bins of several px.
+The deviation of the bins from two levels times a polynomial of third order is modelled as light that multiplies the scene
+(banding, a penumbra, a near lamp), light that is added to the scene (a glint), or glare of the lens, which depends on the
+distance from the edge only. All are terms of one Gaussian model. Their scales and the probability of glare follow from its
+marginal likelihood (Rasmussen & Williams, Gaussian Processes for Machine Learning, 2006, ch. 5).
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _GLARE_PROBABILITY = 0.1
 _RADII = 4.0 * 1.5 ** np.arange(9)
 """Standard deviations of the glare that are tested, px."""
 _NOISES = (1.0, 1.5, 2.5, 4.0)
-"""Variances of the bins that are tested, relative to independent noise. They exceed 1 if a filter has correlated it."""
+"""Variances of the bins that are tested, relative to independent noise. They exceed 1 if a filter has correlated the noise."""
 _SUSPECT = 3.0
 """Number of standard deviations by which chi-square of the bins must exceed its expectation to estimate the light."""
 _MISFIT = 5e-4
@@ -50,15 +50,16 @@ _FEWEST_BINS = 24
 
 
 class LightField(NamedTuple):
-    """Uneven light of a region that two levels in light of third order do not explain.
+    """Uneven light of a region that two levels times a polynomial of third order do not explain.
 
     Attributes:
         factor: factor of each pixel (rows, columns).
         addend: addend of each pixel (rows, columns), in the units of the image.
-        amplitude: standard deviation of the light over the region, relative to the scene, or to the step if it is added.
-        possible: the same, rms over all models of the light, weighted by their probabilities.
+        amplitude: standard deviation of the light over the region, relative to the scene, or to the step if the light is
+            added.
+        possible: rms of `amplitude` over all models of the light, weighted by their probabilities.
         ghost: share of a ghost that may have been fitted as light.
-        unknown: standard deviation of the step across the edge by the interpolated light, in units of the step.
+        unknown: standard deviation of the step of the interpolated light across the edge, in units of the step of the image.
     """
 
     factor: FloatArray
@@ -81,7 +82,7 @@ class _Bins(NamedTuple):
 
 
 class _Family(NamedTuple):
-    """Models of the light with one correlation length, of several amplitudes.
+    """Models of the light with one correlation length and several amplitudes.
 
     Attributes:
         length: correlation length, px.
@@ -91,7 +92,7 @@ class _Family(NamedTuple):
         power: eigenvalues of the covariance of the data by light of amplitude 1 (p,).
         vectors: eigenvectors (p, p).
         data: residuals of the bins after levels and polynomials, in the basis of the eigenvectors (p,).
-        glares: the same for glare with a share of 1, for every radius (radii, p).
+        glares: residuals of glare with a share of 1, in the same basis, for every radius (radii, p).
     """
 
     length: float
@@ -140,7 +141,7 @@ def light_field(
     blur: float,
     glare: bool,
 ) -> LightField | None:
-    """Estimate the light of a region, or return None for smooth light.
+    """Estimate the light of a region, or return None if the light is smooth.
 
     Args:
         value: region (rows, columns), linear, any unit; NaN for missing pixels.

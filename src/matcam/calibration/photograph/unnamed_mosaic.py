@@ -1,7 +1,7 @@
 """Detection of mosaics that are declared as grey images.
 
-The columns and rows of a mosaic alternate, because the light of one colour is brighter than that of another. No other
-cause makes every second pixel of a whole image differ.
+The columns and rows of a mosaic alternate, because the pixels of one colour are brighter than those of another. In other
+images, alternate pixels do not differ systematically over the whole image.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ from matcam.numerics.normal import robust_std
 _LARGEST = 1024
 """Largest side of the central area that is tested, px. It limits the computing time."""
 _DARK = 0.2
-"""Light relative to the bright parts of the image below which pixels are ignored, because noise dominates."""
+"""Level relative to the bright parts of the image below which pixels are ignored, because noise dominates."""
 _ALTERNATING, _SIGNIFICANT = 0.03, 6.0
-"""Relative difference of alternating pixels above which an image is a mosaic; standard deviations."""
+"""Relative difference of alternating pixels above which an image is a mosaic; significance, standard deviations."""
 _FEWEST = 30
 """Smallest number of pixels for a median."""
 
@@ -27,15 +27,15 @@ def refuse_unnamed_mosaic(plane: LinearImage) -> None:
     """Raise FitError for a grey plane whose pixels alternate as in a mosaic."""
     if plane.channel == "grey" and plane.cfa is None and (share := alternation(plane.values)) > 0:
         raise FitError(
-            f"every second pixel differs by {share:.0%} of the light: a mosaic of colours that is read as grey: "
-            "give cfa if it is one, the colours of its first 2 x 2 px"
+            f"every second pixel differs by {share:.0%}, as in a mosaic of colours that is read as grey: "
+            "give cfa if the image is a mosaic (the colours of its first 2 x 2 px)"
         )
 
 
 def alternation(values: FloatArray) -> float:
     """Measure the relative difference of alternating pixels over an image (height, width); 0 if it is not significant.
 
-    Second differences of neighbours are 0 in light that is constant or changes linearly. Their medians at every second
+    Second differences of neighbours are 0 where the values are constant or change linearly. Their medians at every second
     pixel of every second line measure the periodic part, independently of edges.
     """
     height, width = values.shape

@@ -1,4 +1,4 @@
-"""Single values of a measured edge: frequency at a given MTF, MTF at a given frequency, rise distance."""
+"""Single values of a measured edge: frequency at a given MTF, MTF at a given frequency, and rise distance."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ def mtf_at(edge: EdgeMTF, frequency: ArrayLike) -> SampledCurve:
 
 
 def rise_distance(edge: EdgeMTF) -> EdgeNumber:
-    """Measure the 10 % to 90 % rise of an edge.
+    """Measure the 10 % to 90 % rise distance of an edge.
 
     Args:
         edge: result of `edge_mtf`.
@@ -122,10 +122,10 @@ def rise_distance(edge: EdgeMTF) -> EdgeNumber:
 
 
 def _passage(position: FloatArray, response: SampledCurve, level: float, side: int) -> EdgeNumber:
-    """Find the position at which an edge response crosses a level, by linear interpolation; NaN if it does not.
+    """Find the position at which an edge response crosses a level, by linear interpolation.
 
-    The search starts at the middle of the edge. `position`: (n,) ascending. `response`: 0 to 1, (n,). `side`: -1 for the
-    dark side, 1 for the bright side.
+    The result is NaN if the response does not cross the level. The search starts at the middle of the edge. `position`:
+    (n,) ascending. `response`: 0 to 1, (n,). `side`: -1 for the dark side, 1 for the bright side.
     """
     value = np.asarray(response.value)
     outwards = np.arange(int(np.argmin(np.abs(value - 0.5))), value.size if side > 0 else -1, side)
@@ -139,7 +139,9 @@ def _passage(position: FloatArray, response: SampledCurve, level: float, side: i
 
 
 def rise(position: FloatArray, response: SampledCurve) -> EdgeNumber:
-    """Measure the 10 % to 90 % rise of an edge response, in the unit of its positions; NaN if a level is not reached.
+    """Measure the 10 % to 90 % rise distance of an edge response.
+
+    The result is in the unit of the positions. It is NaN if a level is not reached.
 
     Args:
         position: positions (n,), ascending.
@@ -154,10 +156,11 @@ def readings(edge: EdgeMTF, frequencies: FloatArray | tuple[float, ...] = ()) ->
 
     Args:
         edge: result of `edge_mtf`.
-        frequencies: frequencies at which the MTF is computed, cycles/px. Default: none.
+        frequencies: frequencies at which the MTF is computed, cycles/px. Default: (), no frequencies.
 
     Returns:
-        Values by name, with units in the names: frequencies of MTF50, 30, 20 and 10, rise, MTF at `frequencies`.
+        Values by name, with units in the names: frequencies of MTF50, MTF30, MTF20 and MTF10, rise distance, and MTF at
+        `frequencies`, each with its standard deviation.
     """
     found: dict[str, Any] = {}
     for level in LEVELS:

@@ -1,4 +1,4 @@
-"""Measurement of many edges in one run: several photographs, regions and channels, with one table row each."""
+"""Measurement of many edges in one run: several photographs, regions and channels, with one table row for each edge."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class SeriesEdge(NamedTuple):
         region: name of the region.
         channel: "R", "G", "B", "Y" or "grey".
         found: values by name; empty if the edge could not be measured.
-        problem: reason why it could not be measured; empty if it could.
+        problem: reason why the edge could not be measured; empty if it was measured.
     """
 
     file: str
@@ -38,7 +38,7 @@ class SeriesEdge(NamedTuple):
 
 
 def channels_of(photograph: Photograph, channel: str | None, cfa: str | None) -> list[str | None]:
-    """List the channels of a photograph to be measured. `channel`: one channel, "all", or None for the default one."""
+    """List the channels of a photograph that are measured. `channel`: one channel, "all", or None for the default channel."""
     if channel != "all":
         return [channel]
     if (cfa or photograph.cfa) is not None:
@@ -53,13 +53,15 @@ def measure_series(
     cfa: str | None,
     measure: Callable[[Photograph, Region | None, str | None], dict[str, Any]],
 ) -> list[SeriesEdge]:
-    """Measure all regions of all photographs in all channels. Edges that fail are listed with the reason.
+    """Measure all regions of all photographs in all channels.
+
+    Edges that cannot be measured are listed with the reason.
 
     Args:
         photographs: names, and functions that read the photographs.
         regions: regions (x, y, width, height) in px by name; None for the whole photograph.
         channel: a colour, "all", or None for luminance or a grey photograph.
-        cfa: colours of the first 2 x 2 px of mosaics whose files do not specify them; None for no mosaic.
+        cfa: colours of the first 2 x 2 px of mosaics whose files do not specify them; None for other photographs.
         measure: function that measures one edge.
 
     Returns:
@@ -108,7 +110,9 @@ def read_regions(path: Path) -> dict[str, Region | None]:
     lines = list(csv.reader(read_lines(path, "a list of regions")))
     header = [cell.strip().lower() for cell in lines[0]] if lines else []
     if missing := [name for name in _COLUMNS if name not in header]:
-        raise FileFormatError(f"{path}: no column {missing[0]}: the first line must name x, y, width, height")
+        raise FileFormatError(
+            f"{path}: column {missing[0]} is missing: the first line must name x, y, width and height"
+        )
     regions: dict[str, Region | None] = {}
     for number, line in enumerate(lines[1:], start=2):
         if not any(cell.strip() for cell in line):
@@ -120,10 +124,10 @@ def read_regions(path: Path) -> dict[str, Region | None]:
             raise FileFormatError(f"{path}: line {number} is not a region: four whole numbers are needed") from None
         name = cells.get("name") or f"{x},{y},{width},{height}"
         if name in regions:
-            raise FileFormatError(f"{path}: line {number}: the name {name} occurs twice")
+            raise FileFormatError(f"{path}: line {number}: the name {name} occurs twice; give each region its own name")
         regions[name] = (x, y, width, height)
     if not regions:
-        raise FileFormatError(f"{path}: it contains no region")
+        raise FileFormatError(f"{path}: the file contains no region: add a line with x, y, width and height")
     return regions
 
 

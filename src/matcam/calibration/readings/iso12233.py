@@ -1,7 +1,7 @@
 """Edge-based spatial frequency response (e-SFR), computed in the steps of ISO 12233:2023.
 
-The method gives no standard deviations, has no model of the light, and is biased by its bins and windows, in contrast to
-`edge_mtf`. Its purpose is the comparison with other programs.
+In contrast to `edge_mtf`, the method does not provide standard deviations, does not model uneven light, and is biased by its
+bins and windows. Its purpose is the comparison with other programs.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from matcam.files.photographs import Photograph
 from matcam.numerics.crossing import first_fall
 
 _BINS = 4
-"""Bins of the edge spread function per sample (ISO 12233:2023)."""
+"""Number of bins of the edge spread function per sample (ISO 12233:2023)."""
 _FLOOR = 0.05
 """Smallest weight of the window. It makes the second search for the edge stable."""
 _LARGEST_CORRECTION = 10.0
@@ -39,14 +39,14 @@ _LEAST_TURNS = 1.0
 
 @dataclass(frozen=True, eq=False)
 class ISOEdge:
-    """Spatial frequency response of one edge by ISO 12233:2023.
+    """Spatial frequency response of one edge according to ISO 12233:2023.
 
     Attributes:
         frequency: frequencies (n,) along the normal of the edge, cycles/px.
         sfr: spatial frequency response (n,) (no unit).
-        sfr50: lowest frequency at which it is one half, cycles/px; NaN if there is none.
-        sfr10: lowest frequency at which it is one tenth, cycles/px; NaN if there is none.
-        slope: mean angle of the edge to the columns, or to the rows if it is nearer to them, rad.
+        sfr50: lowest frequency at which `sfr` is one half, cycles/px; NaN if `sfr` does not fall to one half.
+        sfr10: lowest frequency at which `sfr` is one tenth, cycles/px; NaN if `sfr` does not fall to one tenth.
+        slope: mean angle between the edge and the columns, or the rows if the edge is nearer to horizontal, rad.
         esf: edge spread function (m,), in the linear units of the image.
         spacing: distance between the samples of `esf` along the normal, px.
 
@@ -69,7 +69,7 @@ class ISOEdge:
         """Compute the common single values of the response.
 
         Args:
-            frequencies: frequencies at which the response is computed, cycles/px. Default: (), none.
+            frequencies: frequencies at which the response is computed, cycles/px. Default: (), no frequencies.
 
         Returns:
             Values by name, with units in the names, as `matcam edge` prints them.
@@ -164,7 +164,7 @@ def iso12233_sfr(
     start = rows.start[0, : len(value)] / rows.step
     number = np.arange(len(value), dtype=float)
     if value.shape[1] < 8:
-        raise FitError("the region has missing pixels: the method of ISO 12233 requires all of them")
+        raise FitError("the region has missing pixels, but ISO 12233 requires all of them: choose another region")
     place = _edge_positions(value, start, number, order)
     straight = np.polynomial.Polynomial.fit(number, place, 1).convert().coef[1]
     if abs(straight) * len(value) < _LEAST_TURNS:
@@ -186,7 +186,7 @@ def iso12233_sfr(
 def _edge_positions(value: FloatArray, start: FloatArray, number: FloatArray, order: int) -> FloatArray:
     """Find the position of the edge in every row, in samples, from a polynomial through centroids of the derivative.
 
-    `start`: position of the first sample of each row, in samples. `number`: number of each row.
+    `start`: position of the first sample of each row, in samples. `number`: index of each row.
     """
     columns = value.shape[1]
     # The difference of two neighbours belongs to the point between them.
@@ -196,7 +196,7 @@ def _edge_positions(value: FloatArray, start: FloatArray, number: FloatArray, or
         weight = slope * window
         total = weight.sum(1)
         if not (total > 0).all():
-            raise FitError("no edge was found: it must cross the region from one side to the other")
+            raise FitError("no edge was found: choose a region that an edge crosses from one side to the other")
         middle = np.polynomial.Polynomial.fit(number, (weight * at).sum(1) / total, order)(number)
         window = (1 - _FLOOR) * _hann(at - middle[:, None], columns) + _FLOOR
     return np.asarray(middle)
@@ -209,9 +209,9 @@ def _hann(distance: FloatArray, width: float) -> FloatArray:
 
 
 def _edge_spread(value: FloatArray, distance: FloatArray) -> FloatArray:
-    """Average samples over bins of a quarter of a sample; empty bins are interpolated."""
+    """Average samples over bins with a width of a quarter of a sample, and interpolate empty bins."""
     bins = np.floor(distance * _BINS).astype(int)
-    # Only the bins in the length of one row about the centre are used, because not all rows contribute to the outer ones.
+    # Only bins within half a row length of the centre are used, because not all rows contribute to the outer bins.
     middle, half = int(np.round((bins[:, 0] + bins[:, -1]).mean() / 2)), _BINS * value.shape[1] // 2
     first, last = max(middle - half, int(bins.min())), min(middle + half - 1, int(bins.max()))
     inside = (bins >= first) & (bins <= last)

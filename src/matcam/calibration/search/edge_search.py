@@ -5,8 +5,8 @@ gradients in similar directions form an edge. Its position and direction are the
 gradient. An edge ends at a corner, where the direction of the gradient changes; the shape need not be a square. An edge is
 kept if the areas on both sides are even, and wide enough to be measured. The image is reduced to a few megapixels.
 
-Gratings, stars, dots and printed tables have hundreds of edges. Therefore, in a chart, only the sides of squares are
-searched, at their registered positions. Sides that are partly covered are excluded.
+Gratings, stars, dots and printed tables have hundreds of edges. Therefore, in a chart, the search is limited to the sides
+of squares, at their registered positions. Sides that are partly covered are excluded.
 """
 
 from __future__ import annotations
@@ -45,19 +45,19 @@ _UNEVEN, _SLOPE = 0.06, 0.002
 _SPOT = 0.4
 """Largest variation along an edge at one distance from it, relative to the step."""
 _ENOUGH = 4
-"""Number of edges from which a search at a finer scale is unnecessary."""
+"""Smallest number of edges that makes a search at a finer scale unnecessary."""
 _SIDE_CORNER = 3.5
 """Length that is removed from both ends of a side of a square, px. It excludes the blurred corners."""
 _FEWEST = 5
-"""Smallest number of positions along a side at which it must be found."""
+"""Smallest number of positions along a side at which the side must be found."""
 _STRAIGHT = 0.7
-"""Largest standard deviation of these positions from a straight line, px."""
+"""Largest standard deviation of the positions found along a side from a straight line, px."""
 
 
 class EdgePositions(NamedTuple):
     """Set of n edges in descending order of length times step.
 
-    Positions are in px of the image; pixel centres are whole numbers, x points right, and y down.
+    Positions are in px of the image. Pixel centres have whole-number coordinates; x points right, and y points down.
 
     Attributes:
         x: (n,) x of the middle, px.
@@ -75,10 +75,10 @@ class EdgePositions(NamedTuple):
 
 
 def find_edges(picture: np.ndarray, *, mosaic: bool = False) -> EdgePositions:
-    """Find straight edges in an image with any monotone codes.
+    """Find straight edges in an image.
 
-    `picture`: (height, width) or (height, width, 3). `mosaic`: whether it is a colour mosaic, which is reduced in cells of
-    2 x 2 px.
+    `picture`: codes that are any monotone function of the light, (height, width) or (height, width, 3). `mosaic`: whether
+    the image is a colour mosaic, which is reduced in cells of 2 x 2 px.
     """
     least = 2 if mosaic else 1
     factor = max(int(np.ceil(np.sqrt(picture.shape[0] * picture.shape[1] / _PIXELS) / least)) * least, least)
@@ -91,10 +91,11 @@ def find_edges(picture: np.ndarray, *, mosaic: bool = False) -> EdgePositions:
 
 
 def described_edges(values: FloatArray, chart: Chart, projection: Projection) -> EdgePositions | None:
-    """Find the sides of the squares of a chart that can be measured; None for a chart without squares.
+    """Find the measurable sides of the squares of a chart.
 
-    `values`: (height, width) any monotone codes, mosaics balanced; NaN for missing pixels. `projection`: from the page, mm,
-    to the image, px.
+    The result is None for a chart without squares. `values`: codes that are any monotone function of the light, (height,
+    width); the colours of a mosaic are balanced, and missing pixels are NaN. `projection`: projection from the page, mm, to
+    the image, px.
     """
     smooth = smoothed(values)
     sides = seen_sides(smooth, chart, projection)
@@ -120,7 +121,7 @@ def _at_scale(picture: np.ndarray, factor: int) -> EdgePositions:
 
 
 def _reduced(picture: np.ndarray, factor: int) -> np.ndarray:
-    """Compute sums over squares of `factor` px and over colours. The scale is arbitrary, because only ratios are used."""
+    """Sum over squares of `factor` x `factor` px and over colours. The scale is arbitrary, because only ratios are used."""
     height, width = (size // factor * factor for size in picture.shape[:2])
     total = np.zeros((height // factor, width), np.float32)
     for row in range(factor):
@@ -130,7 +131,7 @@ def _reduced(picture: np.ndarray, factor: int) -> np.ndarray:
 
 
 def _ribbons(small: np.ndarray) -> np.ndarray:
-    """Find connected pixels with gradients in similar directions: (n, 4) x, y, angle of the normal, length."""
+    """Find sets of connected pixels with similar gradient directions: x, y, angle of the normal and length, (n, 4)."""
     gx, gy = (ndimage.gaussian_filter(small, _SMOOTH, order=order, mode="nearest") for order in ((0, 1), (1, 0)))
     size = np.hypot(gx, gy)
     floor = max(_NOISE * float(np.median(size)), _WEAK * float(np.quantile(size[::3, ::3], 0.995)), 1e-30)

@@ -1,12 +1,12 @@
 """Measurement of the slanted edges of a photograph in strips along the edges, and remarks on the image.
 
-The rows of a strip follow the edge, so that an edge may have any angle. A row is a row of the image, or a column if
-columns cross the edge at a larger angle. Nothing is resampled. All strips of an image have the same shape, so that one
-compiled program measures them; missing pixels of shorter or narrower strips are NaN.
+The rows of a strip follow the edge, so that an edge may have any angle. A row of a strip is part of a row of the image, or
+of a column if columns cross the edge at a larger angle. Nothing is resampled. All strips of an image have the same shape,
+so that one compiled program measures them; missing pixels of shorter or narrower strips are NaN.
 
-The fit of an edge includes light that changes linearly. The nonlinear part of the vignetting in a strip is divided out. It
-is estimated from the bright sides of the edges in the image, because most of them are the same paper. An error of the level or
-of the slope of this light has no effect.
+The fit of an edge includes light that changes linearly. The nonlinear part of the vignetting in a strip is divided out. This
+part is estimated from the bright sides of the edges in the image, because most of them show the same paper. An error of the
+level or of the slope of the estimated light has no effect.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ from matcam.numerics.normal import robust_fit
 from matcam.numerics.polynomials import plane_powers
 
 _ROWS = (48, 64, 96, 128, 192)
-"""Numbers of rows of a strip, px. Few different shapes limit the number of compiled programs."""
+"""Possible lengths of a strip across its rows, px. A small set of shapes limits the number of compiled programs."""
 _COLUMNS = (32, 48)
-"""Numbers of columns of a strip, px."""
+"""Possible lengths of the rows of a strip, px."""
 _USUAL = 0.8
-"""Quantile of the lengths of the edges that determines the number of rows."""
+"""Quantile of the lengths of the edges that determines the number of rows of a strip."""
 _LEAST_ROWS, _LEAST_WIDTH = 20, 16
 """Smallest number of rows and smallest width of a strip, px."""
 _MARGIN = 1.0
@@ -51,7 +51,7 @@ _SATURATED = 0.02
 _CONTRAST = 0.2
 """Contrast (bright - dark) / (bright + dark) below which a remark is given."""
 _DIRECTIONAL, _SIGNIFICANT = 0.15, 5.0
-"""Directional blur that is reported: amplitude relative to the mean variance of the blur; standard deviations."""
+"""Smallest directional blur that is reported: amplitude relative to the mean variance of the blur; significance, sigma."""
 _RESOLVED = 0.03
 """Singular value, relative to the largest one, below which a combination of harmonics is not determined."""
 _FEW = 6
@@ -89,8 +89,10 @@ def plane_edge_stack(
 ) -> EdgeStack:
     """Measure edges in one colour plane.
 
-    Long edges are divided into several strips. `half_width`: half width of the pixel, px. FitError if no edge can be
-    measured, with the most frequent reason.
+    Long edges are divided into several strips. `half_width`: half width of the pixel, px.
+
+    Raises:
+        FitError: no edge can be measured; the message gives the most frequent reason.
     """
     strips = strips_along(edges, plane.shape)
     if not strips.u.size:
@@ -101,7 +103,7 @@ def plane_edge_stack(
     regions, saturated = zip(*strip_regions(strips, plane, AT_ONCE), strict=True)
     known = [
         [
-            Remark("saturated", f"saturated: {share:.0%} of its samples")
+            Remark("saturated", f"{share:.0%} of the samples are saturated: expose less")
             if share > _SATURATED
             else flaw(value) or _crushed(value)
             for share, value in zip(shares, rows.value, strict=True)
@@ -114,17 +116,17 @@ def plane_edge_stack(
     if len(problems) == len(result):
         code, count = Counter(problem.code for problem in problems).most_common(1)[0]
         example = next(problem for problem in problems if problem.code == code)
-        raise FitError(f"none of its {len(result)} edges can be measured; {count} of them because: {example}")
+        raise FitError(f"none of its {len(result)} edges can be measured; the reason for {count} of them: {example}")
     return result
 
 
 def _crushed(value: np.ndarray) -> Remark | None:
-    """Describe the crushed dark side of a strip, or return None."""
+    """Describe crushed blacks of a strip; None if the blacks are not crushed."""
     used = value[np.isfinite(value)]
     bright = used > (used.min() + used.max()) / 2
     share = crushed_share(used[~bright], used[bright])
     return (
-        Remark("crushed", f"blacks are crushed: {share:.0%} of its dark side has the lowest value") if share else None
+        Remark("crushed", f"blacks are crushed: {share:.0%} of the dark side has the lowest value") if share else None
     )
 
 
@@ -135,7 +137,7 @@ def edge_remarks(result: EdgeStack, channel: str) -> list[Remark]:
     remarks = []
     for code, text in (
         ("saturated", "are saturated and were excluded: expose less"),
-        ("sharpened", "overshoot, as after sharpening, and were excluded"),
+        ("sharpened", "overshoot, as after sharpening, and were excluded: use camera raw"),
         ("crushed", "have crushed blacks and were excluded: expose more, or use camera raw"),
     ):
         if codes[code]:
@@ -143,7 +145,7 @@ def edge_remarks(result: EdgeStack, channel: str) -> list[Remark]:
     dark, bright = result.dark[good], result.bright[good]
     contrast = float(np.median((bright - dark) / (np.abs(bright) + np.abs(dark))))
     if contrast < _CONTRAST:
-        text = f"contrast is only {contrast:.0%}: standard deviations are large; use a darker print or less stray light"
+        text = f"the contrast is only {contrast:.0%}: standard deviations are large; use a darker print or less stray light"
         remarks.append(Remark("low-contrast", f"{channel}: {text}"))
     if text := _directional_blur(result):
         remarks.append(Remark("directional-blur", f"{channel}: {text}"))
@@ -161,7 +163,7 @@ def strips_along(edges: EdgePositions, shape: tuple[int, int]) -> Strips:
     u, v = np.where(transposed, edges.y, edges.x), np.where(transposed, edges.x, edges.y)
     tilt, steep = -along / across, np.abs(across)
     half = np.minimum(np.floor(edges.clear / steep - _MARGIN), _COLUMNS[-1] // 2)
-    # The ends of a row lie beside positions further along the edge than its centre.
+    # The points of the edge nearest to the ends of a row are further along the edge than the point nearest to its centre.
     rows = np.floor(edges.length * steep - 2 * half * np.abs(along) * steep)
     usual = np.quantile(rows, _USUAL) if rows.size else 0.0
     longest = next((n for n in _ROWS if n >= usual), _ROWS[-1])
@@ -223,9 +225,9 @@ def regions_in_even_light(regions: Sequence[EdgeRegions]) -> list[EdgeRegions]:
 def _region(
     strips: Strips, plane: LinearImage, step: int, by_row: int, shape: tuple[int, int]
 ) -> tuple[EdgeRegions, np.ndarray]:
-    """Read the pixels of strips in regions of one shape (rows, columns).
+    """Read the pixels of strips as regions of one shape (rows, columns).
 
-    `by_row`, `step`: distances of rows and of samples, px.
+    `by_row`: distance of neighbouring rows, px. `step`: distance of neighbouring samples of a row, px.
     """
     (rows, columns), sites = shape, plane.sites
     first = np.ceil(strips.v - strips.rows / 2).astype(int)
@@ -277,7 +279,7 @@ def _bright(value: np.ndarray) -> np.ndarray:
 
 
 def _directional_blur(result: EdgeStack) -> str:
-    """Describe a dependence of the blur on direction, as caused by motion; empty if it is not significant."""
+    """Describe a dependence of the blur on direction, as caused by motion; empty if the dependence is not significant."""
     good = result.good
     if good.size < _FEW:
         return ""
@@ -294,5 +296,5 @@ def _directional_blur(result: EdgeStack) -> str:
         return ""
     most, least = np.sqrt(found[0] + size), np.sqrt(max(found[0] - size, 0.0))
     along = np.degrees(np.arctan2(found[2], found[1]) / 2) % 180
-    blur = f"blur is {most:.2f} px along {along:.0f} degrees and {least:.2f} px across"
+    blur = f"the blur is {most:.2f} px along {along:.0f} degrees and {least:.2f} px perpendicular to this direction"
     return f"{blur}: the camera moved, or the lens is astigmatic"

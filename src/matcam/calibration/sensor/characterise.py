@@ -30,7 +30,7 @@ _HIDDEN = 0.24
 _MANY = 2.0
 """Multiple of the median number of frames above which an exposure is used for the fixed patterns only (EMVA 1288, 8.2).
 
-Its light need not belong to the series.
+Such an exposure may have been taken under a different illumination from the series.
 """
 _TIMES = 3
 """Smallest number of exposure times for a dark current (EMVA 1288, 7.2)."""
@@ -52,7 +52,8 @@ def characterise_sensor(
         source: folder of the frames, or a descriptor of the EMVA 1288 reference data sets. In a folder, the frames are in
             the subfolders dark/ and flat/, or their names begin with these words. Exposure times are part of the names
             ("flat_20ms_1.tif") or of the metadata.
-        bits: bit depth of the codes. Default: None, that of the descriptor, or the smallest that holds the largest code.
+        bits: bit depth of the codes. Default: None, that of the descriptor, or the smallest bit depth for the largest
+            code.
         cfa: colours of the first 2 x 2 px, such as "RGGB". Default: None, those of the files, or no mosaic.
         progress: function that is called with the name of a step, the number of finished parts, and the number of all parts.
             Default: None.
@@ -61,7 +62,7 @@ def characterise_sensor(
         The characteristics; the remarks list the exposures that were not used.
 
     Raises:
-        FileFormatError: there is no series, or a frame is damaged, or its shape or data type differs from the others.
+        FileFormatError: the source contains no series, a frame is damaged, or frames differ in shape or data type.
         ArgumentError: no exposure has two frames, or an argument is invalid.
         FitError: too few exposures are linear.
 
@@ -93,11 +94,16 @@ def characterise_sensor(
     gain = fit_gain(planes)
     read_noise, hidden = _read_noise(dark, gain)
     if hidden:
-        text = f"rounding hides the read noise: it is at most {read_noise.value:.3g} e-"
+        text = f"rounding hides the read noise, which is at most {read_noise.value:.3g} e-"
         remarks.append(Remark("read-noise-hidden", text))
     saturation, saturated = _saturation(planes, gain)
     if not saturated:
-        remarks.append(Remark("not-saturated", "no exposure saturates: the saturation capacity is a lower limit"))
+        remarks.append(
+            Remark(
+                "not-saturated",
+                "no exposure saturates: the saturation capacity is a lower limit; add a longer exposure",
+            )
+        )
     bright = _chosen(stacks, planes) or _chosen(lit, planes) or lit[0]
     shade = max(dark, key=lambda one: (-abs(one.exposure.time - bright.exposure.time), len(one.exposure.files)))
     patterns = _Patterns(reader, bright, shade)
@@ -144,7 +150,10 @@ def _dark_times(lit: Sequence[ExposureStatistics], dark: Sequence[ExposureStatis
     ]
     if not lacking:
         return []
-    text = f"{len(lacking)} exposure times, {min(lacking):g} to {max(lacking):g} s, have no dark frames: the nearest are used"
+    text = (
+        f"{len(lacking)} exposure times, {min(lacking):g} to {max(lacking):g} s, have no dark frames of their own: "
+        "those of the nearest time are used"
+    )
     return [Remark("dark-missing", text)]
 
 
@@ -190,7 +199,7 @@ def _per_gain(value: Stated, gain: Stated, power: int = 1) -> Stated:
 
 
 def _saturation(planes: Sequence[Transfer], gain: Stated) -> tuple[Stated, bool]:
-    """Determine the saturation capacity, e-, of the plane that saturates first, and check for a saturated exposure.
+    """Determine the saturation capacity, e-, of the plane that saturates first, and whether an exposure is beyond saturation.
 
     Its standard deviation includes the step between neighbouring exposures, because the true value may be anywhere
     between them.
@@ -205,7 +214,7 @@ def _saturation(planes: Sequence[Transfer], gain: Stated) -> tuple[Stated, bool]
 
 
 def _chosen(lit: Sequence[ExposureStatistics], planes: Sequence[Transfer]) -> ExposureStatistics | None:
-    """Select the exposure for the response of the pixels: first the most frames, then the nearest to half saturation."""
+    """Select the unclipped exposure with the most frames, and among equals the one nearest to half of saturation."""
 
     def share(one: ExposureStatistics) -> float:
         return max((one.mean[k] - p.dark[0]) / p.signal[p.saturation] for k, p in enumerate(planes))
@@ -218,7 +227,7 @@ def _dark_nonuniformity(reader: FrameReader, dark: Sequence[ExposureStatistics],
     """Estimate the relative standard deviation of the dark currents of pixels, from two independent differences of long
     and short exposures.
 
-    The covariance of the differences is that of their common part: the dark current of the pixels, without noise.
+    The temporal noise of the differences is independent. Their covariance is therefore the variance of the dark signals.
     """
     short, long = (pick(dark, key=lambda one: one.exposure.time) for pick in (min, max))
     current = _growth(dark, gain, lambda one: one.mean, 1)
@@ -259,7 +268,7 @@ class _Patterns:
         return [float(plane.mean()) for plane in self._reader.planes(of)]
 
     def response(self, own: bool = False) -> Stated:
-        """Compute the relative standard deviation of the sensitivities, root mean square of the planes."""
+        """Compute the relative standard deviation of the sensitivities, root mean square over the planes."""
         level = np.subtract(self._planes(self._mean[0]), self._planes(self._mean[1]))
         parts = [[self._variance(which, plane, own) for plane in range(len(level))] for which in (0, 1)]
         square = [(b.value - d.value) / one**2 for b, d, one in zip(*parts, level, strict=True)]

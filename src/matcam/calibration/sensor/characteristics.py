@@ -28,7 +28,7 @@ class SensorCharacteristics(Summarised):
 
     Attributes:
         gain: system gain K, DN per e-.
-        read_noise: temporal noise of a dark pixel without rounding, e-; its upper limit if rounding hides it.
+        read_noise: temporal noise of a dark pixel without rounding, e-; an upper limit if `read_noise_hidden`.
         read_noise_hidden: whether rounding hides the read noise.
         black_level: mean dark code at the shortest exposure, DN.
         dark_current: increase of the dark signal with time, e-/s; NaN for fewer than three exposure times.
@@ -39,13 +39,13 @@ class SensorCharacteristics(Summarised):
         full_well: largest mean signal of an exposure beyond saturation, e-; without one, the saturation capacity.
         prnu: photo-response non-uniformity: relative standard deviation of the sensitivities of the pixels, including the
             variation of the illumination, no unit.
-        prnu_pixel: the same without the part that is common to rows and columns, no unit.
+        prnu_pixel: as `prnu`, but without the variation that the pixels of a row or a column have in common, no unit.
         dsnu: dark signal non-uniformity: standard deviation of the dark signals of the pixels, e-.
         dsnu_time: exposure time of the dark frames from which `dsnu` was determined, s.
         linearity_error: smallest and largest deviation from a straight line between 5 and 95 % of saturation, no unit.
         quantum_efficiency: electrons per photon, no unit; NaN if the number of photons is not specified.
         bits: bit depth of the codes; None for floats.
-        cfa: colours of the first 2 x 2 px; None for no mosaic.
+        cfa: colours of the first 2 x 2 px; None if there is no mosaic.
         prnu_map: sensitivity of each pixel relative to the mean of its colour, dark signal subtracted, (height, width).
         dsnu_map: dark signal of each pixel minus the mean of its colour, e-, (height, width).
         transfers: signal, variance and deviation from linearity of every exposure, for each plane of the mosaic.
@@ -112,8 +112,8 @@ class SensorCharacteristics(Summarised):
     def sensor(self, pitch: float) -> Sensor:
         """Build the sensor of a camera profile.
 
-        `picture`, `simulate` and `reconstruct` use it. Its PRNU is `prnu_pixel`, because the model has independent pixels.
-        Its DSNU is the part of `dsnu` that does not increase with time.
+        `picture`, `simulate` and `reconstruct` use this sensor. Its PRNU is `prnu_pixel`, because the model has independent
+        pixels. Its DSNU is the part of `dsnu` that does not increase with time.
 
         Args:
             pitch: pixel pitch, m.
@@ -160,7 +160,7 @@ class SensorCharacteristics(Summarised):
         """List signal, noise and deviation from linearity of every lit exposure.
 
         Returns:
-            Arrays by name; the planes of a mosaic are concatenated.
+            Arrays by name. The arrays of the planes of a mosaic are concatenated.
         """
         parts = []
         for number, plane in enumerate(self.transfers):
@@ -188,10 +188,10 @@ class SensorCharacteristics(Summarised):
         """Linearity of the sensor in one sentence."""
         used = sum(int(plane.used.sum()) for plane in self.transfers)
         low, high = (100 * error for error in self.linearity_error)
-        return f"{used} exposures give the gain; the signal departs from a straight line by {low:+.2f} to {high:+.2f} %"
+        return f"the gain was fitted to {used} exposures; the signal deviates by {low:+.2f} to {high:+.2f} % from linearity"
 
     def quantities(self) -> list[Quantity]:
-        """List the values that are determined: name with unit, value, standard deviation."""
+        """List the values that are determined, with their standard deviations."""
         rows = [
             ("gain, DN per e-", self.gain),
             ("read noise" + (" (upper limit)" if self.read_noise_hidden else "") + ", e-", self.read_noise),
@@ -202,7 +202,7 @@ class SensorCharacteristics(Summarised):
             ("PRNU, %", _percent(self.prnu)),
             ("PRNU of single pixels, %", _percent(self.prnu_pixel)),
             ("DSNU, e-", self.dsnu),
-            ("largest signal over noise", self.snr_max),
+            ("largest signal-to-noise ratio", self.snr_max),
             ("dynamic range", self.dynamic_range),
             ("quantum efficiency, %", _percent(self.quantum_efficiency)),
         ]

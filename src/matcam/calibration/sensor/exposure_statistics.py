@@ -27,7 +27,7 @@ class ExposureStatistics(NamedTuple):
         variance: temporal variance of a pixel, DN^2, (planes,).
         variance_error: relative standard deviation of `variance`, no unit.
         largest: largest code, DN.
-        at_largest: share of the pixels with the largest code, maximum over the planes, no unit.
+        at_largest: share of the pixels of a plane that have the largest code; maximum over the planes, no unit.
         pixels: number of pixels of a plane.
     """
 
@@ -48,7 +48,7 @@ class FrameReader:
         cfa: colours of the first 2 x 2 px; None to use those of the files.
 
     Attributes:
-        cfa: colours of the first 2 x 2 px; None for no mosaic.
+        cfa: colours of the first 2 x 2 px; None if there is no mosaic.
     """
 
     def __init__(self, cfa: str | None):
@@ -63,7 +63,7 @@ class FrameReader:
             if values.ndim == 3:
                 if not (values[..., :1] == values).all():
                     raise FileFormatError(
-                        f"{path}: is in full colour, processed from a mosaic: give raw or grey frames"
+                        f"{path}: is a full-colour image that was processed from a mosaic: give raw or grey frames"
                     )
                 values = values[..., 0]
             kind = (values.shape, str(values.dtype))
@@ -71,11 +71,16 @@ class FrameReader:
                 self._kind, self.cfa = kind, self.cfa or photograph.cfa
             elif kind != self._kind:
                 was, new = (f"{shape[1]} x {shape[0]} px of {dtype}" for shape, dtype in (self._kind, kind))
-                raise FileFormatError(f"{path}: has {new}; the frames before have {was}")
+                raise FileFormatError(
+                    f"{path}: has {new}, but the preceding frames have {was}: give frames of the same shape and data type"
+                )
             yield values
 
     def planes(self, frame: np.ndarray) -> list[np.ndarray]:
-        """Split a frame into the planes of its mosaic; without a mosaic, the frame itself is the only plane."""
+        """Split a frame into the planes of its mosaic.
+
+        Without a mosaic, the frame itself is the only plane.
+        """
         return [frame] if self.cfa is None else [frame[i::2, j::2] for i in (0, 1) for j in (0, 1)]
 
     def mean(self, exposure: ExposureSet) -> np.ndarray:
@@ -106,7 +111,7 @@ def measure_exposures(
     for number, exposure in enumerate(series.sets):
         if len(exposure.files) < 2:
             text = (
-                f"{exposure.files[0]}: is the only frame of its exposure, but the noise requires two; it was excluded"
+                f"{exposure.files[0]}: was excluded, because the noise requires two frames of an exposure: add a frame"
             )
             remarks.append(Remark("single-frame", text))
         else:
@@ -115,7 +120,7 @@ def measure_exposures(
     for lit, kind in ((True, "lit"), (False, "dark")):
         if not any(one.exposure.lit == lit for one in found):
             raise ArgumentError(
-                f"{series.source}: no {kind} exposure has two frames: give at least two of each exposure"
+                f"{series.source}: no {kind} exposure has two frames: give at least two frames of each exposure"
             )
     return found, remarks
 

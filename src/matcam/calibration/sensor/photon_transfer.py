@@ -1,9 +1,9 @@
-"""Gain, responsivity, saturation and linearity from means and variances of exposures (EMVA Standard 1288, release 4, 6 to 8).
+"""Gain, responsivity, saturation and linearity from means and variances of exposures (EMVA Standard 1288, release 4).
 
 The temporal variance of a pixel increases with its mean: s^2 - s_dark^2 = K (mean - dark), where K is the gain. The mean
-increases with the light: mean - dark = R light, where R is the responsivity. As the standard requires, both lines go
-through the origin, and are fitted by ordinary least squares up to 70 % of saturation. Exposures that are clipped, or that
-deviate from the line of the others, are excluded from both fits.
+increases with the light: mean - dark = R light, where R is the responsivity. As the standard requires (sections 6 to 8),
+both lines pass through the origin, and are fitted by ordinary least squares up to 70 % of saturation. Exposures that are
+clipped, or that deviate from the line of the others, are excluded from both fits.
 """
 
 from __future__ import annotations
@@ -25,20 +25,26 @@ _FITTED = 0.7
 _LINEAR = (0.05, 0.95)
 """Shares of saturation between which linearity is tested (EMVA 1288, 8.2.7)."""
 _CLIPPED = 1e-3
-"""Share of pixels at the largest code above which an exposure is clipped. Hot pixels are fewer."""
+"""Share of pixels at the largest code above which an exposure is considered clipped. Hot pixels are a smaller share."""
 _PILED = 0.05
-"""Share of the pixels of an exposure with the largest code of all above which this code is the clip level."""
+"""Share of pixels at the largest code of all exposures above which this code is the clip level."""
 _NOT_LINEAR = 0.03
-"""Relative deviation from the line of the other exposures above which an exposure is not used. Sensors stay below 1 %."""
+"""Relative deviation from the line of the other exposures above which an exposure is not used.
+
+The nonlinearity of sensors is below 1 %.
+"""
 _SIGNIFICANT = 5.0
-"""Number of standard deviations by which the variance must decrease beyond saturation."""
+"""Number of standard deviations by which the variance must decrease beyond saturation, so that noise is not mistaken for it."""
 _HALF = 0.5
 """Smallest share of the largest signal at which a sensor saturates.
 
-If the variance decreases from a smaller signal on, a tone curve has reduced the noise of bright frames.
+If the variance already decreases above a smaller signal, a tone curve has reduced the noise of bright frames.
 """
 _FEWEST = 3
-"""Smallest number of exposures below 70 % of saturation for a gain. With two, a contradiction is not detected."""
+"""Smallest number of exposures below 70 % of saturation for a gain.
+
+A straight line fits any two exposures, so that their nonlinearity is not detected.
+"""
 
 
 class Transfer(NamedTuple):
@@ -56,7 +62,7 @@ class Transfer(NamedTuple):
         linear: mask of the exposures that were not excluded as nonlinear, (n,).
         used: mask of the exposures to which gain and responsivity were fitted, (n,).
         departure: relative deviation from the line fitted between 5 and 95 % of saturation, no unit, (n,).
-        saturation: index of the exposure that saturates.
+        saturation: index of the exposure at saturation; the last one if no exposure saturates.
         saturated: whether the series contains an exposure beyond saturation.
         responsivity: responsivity, DN per unit of light.
     """
@@ -85,7 +91,7 @@ class Transfer(NamedTuple):
 
 
 def clip_level(lit: Sequence[ExposureStatistics]) -> float:
-    """Find the code at which pixels clip, DN; infinity if none clip."""
+    """Find the code at which pixels clip, DN; infinity if no pixel clips."""
     top = max(one.largest for one in lit)
     piled = max(one.at_largest for one in lit if one.largest == top)
     return top if piled > _PILED else math.inf
@@ -103,7 +109,7 @@ def measure_transfer(
 
     Args:
         lit: exposures of an evenly lit field.
-        dark: exposures of darkness.
+        dark: dark exposures.
         plane: index of the plane.
 
     Returns:
@@ -132,7 +138,7 @@ def measure_transfer(
     top = signal[saturation]
     if top < _HALF * signal.max():
         raise FitError(
-            f"{lit[0].exposure.files[0].parent}: the temporal variance decreases from {top:.0f} DN on, while the signal "
+            f"{lit[0].exposure.files[0].parent}: the temporal variance decreases above {top:.0f} DN, although the signal "
             f"increases to {signal.max():.0f} DN: a tone curve was applied to the frames; give raw frames"
         )
     inside = (signal >= _LINEAR[0] * top) & (signal <= _LINEAR[1] * top) & ~beyond & ~clipped
@@ -170,8 +176,8 @@ def measure_transfer(
 def fit_gain(planes: Sequence[Transfer]) -> Stated:
     """Fit the gain to the exposures of all planes, DN per electron.
 
-    The standard deviation follows from those of the variances, or from the scatter about the line if it is larger. Exposures
-    that share dark frames have a common error.
+    The standard deviation follows from the standard deviations of the variances, or from the scatter about the line if the
+    scatter is larger. Exposures that share dark frames have a common error.
     """
     x, y, std, dark, dark_std = (
         np.concatenate([of(plane)[plane.used] for plane in planes])
@@ -191,7 +197,7 @@ def fit_gain(planes: Sequence[Transfer]) -> Stated:
     shared = sum(float(x[dark == one].sum() * dark_std[dark == one].max()) ** 2 for one in np.unique(dark))
     if not value > 0:
         raise FitError(
-            "the variance does not increase with the light: the frames are not linear codes; give raw frames"
+            "the variance does not increase with the signal: the codes of the frames are not linear; give raw frames"
         )
     return Stated(value, math.sqrt(own + shared) / square)
 
@@ -236,9 +242,11 @@ def _remarks(
     names = [one.exposure.name for one in lit]
     if clipped.any():
         which = some_of([names[i] for i in np.flatnonzero(clipped)], 3)
-        found.append(Remark("clipped", f"{which}: beyond saturation or clipped; not used"))
+        found.append(Remark("clipped", f"{which}: beyond saturation or clipped, and therefore not used"))
     found += [
-        Remark("not-linear", f"{names[i]}: {departure[i]:+.1%} off the straight line of the others; not used")
+        Remark(
+            "not-linear", f"{names[i]}: not used; its signal is {departure[i]:+.1%} off the line of the other exposures"
+        )
         for i in np.flatnonzero(outside)
     ]
     return found

@@ -1,10 +1,10 @@
 """Dots of a grid: their search in a region, their assignment to a lattice, and the fit of every dot.
 
 A dot is modelled as disc x Gaussian x square pixel. Its size follows from the lattice. The pixel values are computed by
-quadrature over the disc. Gaussian and square are separable, so that each node of the disc is a product of two differences
-of normal distribution functions. Derivatives with respect to the position are those of the Gaussian, and the derivative
-with respect to the variance is half the sum of its second derivatives. All are computed from one table of derivatives
-along x and y.
+quadrature over the disc. Gaussian and square are separable, so that each node of the disc contributes a product of two
+differences of normal distribution functions. Derivatives with respect to the position are those of the Gaussian, and the
+derivative with respect to the variance is half the sum of its second derivatives. All are computed from one table of
+derivatives along x and y.
 """
 
 from __future__ import annotations
@@ -110,7 +110,7 @@ class DotLattice(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class DotFit:
-    """Fits of n dots, and their last derivatives.
+    """Fits of n dots, with the derivatives of the last step.
 
     Attributes:
         lattice: initial positions of the dots.
@@ -153,14 +153,18 @@ def fit_dots(values: FloatArray, lattice: DotLattice, size: float, half_width: f
     shape, pitch = size * lattice.shapes, lattice.pitch
     half_size = int(min(_LARGEST_HALF_SIZE, max(3, np.floor(pitch / 2 - 0.5))))
     if pitch < _CLOSEST:
-        raise FitError(f"the dots are {pitch:.1f} px apart: at least {_CLOSEST:g} are needed to separate them")
+        raise FitError(
+            f"the dots are {pitch:.1f} px apart, but must be at least {_CLOSEST:g} px apart: photograph the grid larger"
+        )
     columns, rows = (
         np.round(c).astype(int)[:, None] + np.arange(-half_size, half_size + 1) for c in (lattice.x, lattice.y)
     )
     whole = (np.minimum(columns[:, 0], rows[:, 0]) >= 0) & (columns[:, -1] < values.shape[1])
     whole &= rows[:, -1] < values.shape[0]
     if whole.sum() < FEWEST:
-        raise FitError(f"{whole.sum()} whole dots are too few: {FEWEST} are needed")
+        raise FitError(
+            f"only {whole.sum()} dots are entirely in the region, but {FEWEST} are needed: give a larger region"
+        )
     lattice, shape, columns, rows = lattice.subset(whole), shape[whole], columns[whole], rows[whole]
     value = values[rows[:, :, None], columns[:, None, :]]
     # Offsets of the pixels from the position of the dot in the lattice.
@@ -171,7 +175,7 @@ def fit_dots(values: FloatArray, lattice: DotLattice, size: float, half_width: f
     value = value.reshape(du.shape)
     known, ground = np.isfinite(value), np.nanmedian(value, axis=1)
     value = np.where(known, value, 0.0)
-    # In a mosaic, only a part of the pixels of a dot are known.
+    # In a mosaic, only some of the pixels of a dot are known.
     content = (known * (value - ground[:, None])).sum(1) / np.maximum(known.mean(1), 0.05)
     state = np.column_stack(
         [ground, 0 * ground, 0 * ground, content, lattice.x, lattice.y, np.full(len(ground), _START**2)]
@@ -237,12 +241,14 @@ def find_dots(values: FloatArray) -> tuple[FloatArray, FloatArray]:
     usual = np.median(flux)
     whole = (flux > _SIMILAR_FLUX[0] * usual) & (flux < _SIMILAR_FLUX[1] * usual)
     if whole.sum() < FEWEST:
-        raise FitError("region contains no grid of dots: its spots are not similar")
+        raise FitError(
+            "region contains no grid of dots: its spots differ too much in brightness; give a region of dots alone"
+        )
     return x[whole], y[whole]
 
 
 def square_lattice(x: FloatArray, y: FloatArray) -> DotLattice:
-    """Assign dots to a square lattice in perspective, with page positions in pitches. FitError if there is none."""
+    """Assign dots to a square lattice in perspective, with page positions in pitches. FitError if there is no lattice."""
     points = np.stack([x, y], axis=-1)
     tree = cKDTree(points)
     neighbour = tree.query(points, k=min(5, len(points)))[1]
@@ -275,7 +281,10 @@ def square_lattice(x: FloatArray, y: FloatArray) -> DotLattice:
     index = np.array(sorted(position))
     where_all = np.array([position[i] for i in index], dtype=float)
     if len(index) < FEWEST or len({tuple(w) for w in where_all}) != len(index):
-        raise FitError(f"the spots in the region do not form a square grid: {len(index)} of {len(points)} fit into one")
+        raise FitError(
+            f"the spots in the region do not form a square grid: {len(index)} of {len(points)} fit a lattice; "
+            "give a region of dots alone"
+        )
     return DotLattice(x[index], y[index], where_all[:, 0], where_all[:, 1])
 
 
@@ -322,8 +331,8 @@ def _axis(t: FloatArray, sigma: FloatArray, half_width: float, highest: int) -> 
 def _bow(lattice: DotLattice, ground: FloatArray, du: FloatArray, dv: FloatArray) -> FloatArray:
     """Estimate the deviation of the background of every dot from its tangent plane.
 
-    It is estimated from all dots jointly, as for vignetting. For a single dot, the curvature of the background could not be
-    separated from the wings of the blur.
+    The deviation, for example by vignetting, follows from the backgrounds of all dots. For a single dot, the curvature of the
+    background could not be separated from the wings of the blur.
     """
     scale = max(float(np.ptp(lattice.x)), float(np.ptp(lattice.y))) / 2
     x, y = (lattice.x - lattice.x.mean()) / scale, (lattice.y - lattice.y.mean()) / scale

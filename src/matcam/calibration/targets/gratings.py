@@ -28,7 +28,7 @@ from matcam.core.io import plain
 from matcam.files.photographs import Photograph
 
 _HIGHEST = 1.1
-"""Frequency above which harmonics are neglected, cycles/px."""
+"""Frequency above which harmonics are neglected, cycles/px. The MTF of a square pixel has its first zero at 1 cycle/px."""
 _USEFUL = 0.1
 """Standard deviation above which an MTF value is discarded."""
 _CLEAR = 6.0
@@ -36,7 +36,7 @@ _CLEAR = 6.0
 _LEFT = 0.05
 """Share of the variance in the residual above which the residual is tested for other structure."""
 _WHITE = 40.0
-"""Largest power in the spectrum of a residual, relative to its median. That of white noise is below 20."""
+"""Largest power in the spectrum of a residual, relative to its median. The ratio is below 20 for white noise."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,7 +158,7 @@ def grating_mtf(
         fit, orders, *wave = _fit_grating(picture.values, found, grating)
         return _grating_result(picture, fit, grating, orders, np.ones(len(orders)), *wave)
     if contrast is None:
-        raise ArgumentError("contrast of the print must be given: (bright - dark) / (bright + dark), linear")
+        raise ArgumentError("contrast of the print must be given: (bright - dark) / (bright + dark) of linear values")
     checks.within("contrast", contrast, 0, 1, open_low=True)
     checks.within("duty", duty, 0, 1, open_low=True, open_high=True)
     checks.choice("profile", profile, PROFILES)
@@ -203,7 +203,7 @@ def coltman(frequency: ArrayLike, contrast: ArrayLike) -> FloatArray:
     f, c = np.asarray(checks.number("frequency", frequency)), np.asarray(checks.number("contrast", contrast))
     if f.ndim != 1 or f.shape != c.shape or f.size < 2 or not (np.diff(f) > 0).all() or not f[0] > 0:
         raise ArgumentError(
-            f"frequency must be positive and ascending, with one finite contrast each, got {f.shape} and {c.shape}"
+            f"frequency must be positive and ascending, with a finite contrast for each, got shapes {f.shape} and {c.shape}"
         )
     from scipy.interpolate import PchipInterpolator
 
@@ -216,7 +216,6 @@ def coltman(frequency: ArrayLike, contrast: ArrayLike) -> FloatArray:
 
 
 def _moebius(k: int) -> int:
-    """Evaluate the Moebius function of k."""
     sign, p = 1, 2
     while k > 1:
         if k % p == 0:
@@ -242,10 +241,12 @@ def _expected_grating(
     corners = projection(checks.instance("grating", grating, Grating).corners)
     box = pixel_box(corners, shape, 0)
     if min(box[2:]) < SMALLEST:
-        raise FitError("the grating lies outside the image, or covers less than 16 x 16 px of it: photograph it larger")
+        raise FitError(
+            "the grating lies outside the image, or covers less than 16 x 16 px: photograph all of it, and larger"
+        )
     inside = _inside_polygon(corners - box[:2], (box[3], box[2]))
     if inside.sum() < 64:
-        raise FitError("the grating covers too few pixels of the image: photograph it larger")
+        raise FitError("the grating covers too few pixels of the image: photograph the chart larger")
     across = np.array([np.cos(grating.angle), np.sin(grating.angle)])
     along = np.array([-np.sin(grating.angle), np.cos(grating.angle)])
     u, v = (a.ravel() for a in np.meshgrid(*(np.linspace(-0.5, 0.5, 9) * side for side in grating.size)))
@@ -270,10 +271,11 @@ def _fit_grating(
         fit = fit_wave(pixels, found.phase, found.parameters, _constant, steps=4, rough=True)
     fit = fit and fit_wave(pixels, found.phase, fit.parameters, _constant, orders)
     if not fit:
-        raise FitError("the grating's pixels do not determine its contrast: too few of them in this image")
+        raise FitError("the pixels of the grating do not determine its contrast: photograph the grating larger")
     if not fit.signal > _CLEAR:
         raise FitError(
-            f"region contains no grating that can be measured: its wave has {fit.signal:.1f} standard deviations"
+            f"region contains no grating that can be measured: its wave exceeds the noise by only {fit.signal:.1f} standard "
+            "deviations; give a region with more contrast"
         )
     if other := _other_wave(pixels, fit, values.shape):
         raise FitError(f"region contains no grating that can be measured: {other}")
@@ -293,7 +295,7 @@ def _other_wave(pixels: WavePixels, fit: WaveFit, shape: tuple[int, ...]) -> str
     power = np.abs(np.fft.rfft2(image)) ** 2
     if power.max() < _WHITE * np.median(power):
         return ""
-    return f"one wave does not explain it, and leaves {left:.0%} of its variance"
+    return f"one wave leaves {left:.0%} of its variance unexplained; give a region of one grating"
 
 
 def _constant(frequency: FloatArray, direction: FloatArray) -> FloatArray:
@@ -316,7 +318,8 @@ def _grating_result(
     useful = np.flatnonzero(std / np.abs(size) < _USEFUL)
     if not useful.size:
         raise FitError(
-            f"the grating of {f:.3f} cycles/px does not determine the MTF: standard deviation {std[0] / abs(size[0]):.2g}"
+            f"the grating of {f:.3f} cycles/px does not determine the MTF: standard deviation {std[0] / abs(size[0]):.2g}; "
+            "give a coarser grating, or one with more contrast"
         )
     scale = (signs / size)[useful]
     samples = MTFSamples.of_region(

@@ -2,7 +2,7 @@
 
 Each dot is modelled as disc x Gaussian x square pixel (`dot_fit`). Its size in the image follows from the lattice of all
 dots. The deviation from this model that the dots of a zone have in common is described by second and fourth derivatives.
-It is included in the MTF of the zone, which is therefore not restricted to a Gaussian.
+This deviation is included in the MTF of the zone, which is therefore not restricted to a Gaussian.
 """
 
 from __future__ import annotations
@@ -35,16 +35,16 @@ _ZONE = 60
 _FIELD = 6
 """Number of terms of the variance over the field, a polynomial of second order."""
 _FREQUENCY = np.array([0.2, 0.2, 0.4, 0.4, 0.4])
-"""Frequencies of the reported MTF, cycles/px. There are as many as derivatives that the dots have in common."""
+"""Frequencies of the reported MTF, cycles/px. There is one for each derivative in `SHARED`."""
 _DIRECTION = np.radians([0.0, 90.0, 0.0, 90.0, 45.0])
 """Directions of the reported MTF, rad."""
 
 
 @dataclass(frozen=True, eq=False)
 class BlurField:
-    """Variance of a Gaussian lens over the field.
+    """Variance of the Gaussian blur of a lens over the field.
 
-    It is a polynomial of second order in the position.
+    The variance is a polynomial of second order in the position.
 
     Attributes:
         coefficients: (6,) coefficients of sigma^2 for 1, u, v, u^2, u v, v^2, px^2; u and v are distances from `middle`
@@ -88,7 +88,7 @@ class BlurField:
         return cls(found, covariance, middle, half)
 
     def sigma_at(self, x: ArrayLike, y: ArrayLike) -> tuple[FloatArray, FloatArray]:
-        """Evaluate sigma at positions in the image.
+        """Evaluate the lens width sigma at positions in the image.
 
         Args:
             x: columns, px.

@@ -21,17 +21,18 @@ KINDS = ("edge", "grating", "star", "dots")
 class MTFSamples:
     """MTF of a camera at n frequencies and one position.
 
-    It is the signed MTF of optics and pixel.
+    The MTF is signed, and includes optics and pixel.
 
     Attributes:
         kind: target: "edge", "grating", "star" or "dots".
-        position: (x, y) of the middle of the target in the image, px; pixel centres are whole numbers, row 0 is at the top.
+        position: (x, y) of the middle of the target in the image, px; pixel centres have integer coordinates, and row 0 is at
+            the top.
         frequency: (n,) positive frequencies, cycles/px of the full pixel grid, also for a plane of a mosaic.
         direction: (n,) angle from the rows of the image to the frequency vector, rad; x right, y down; defined modulo pi.
         mtf: (n,) MTF, no unit.
         covariance: (n, n) covariance of `mtf`; common errors (levels, contrast, position) cause off-diagonal entries.
         channel: "R", "G", "B", "Y" (luminance) or "grey". Default: "grey".
-        f_number: f-number of the image (no unit). Default: None, not known.
+        f_number: f-number of the image (no unit). Default: None, it is unknown.
         source: file and target, for messages and the provenance of a profile. Default: "".
 
     Raises:
@@ -62,13 +63,13 @@ class MTFSamples:
         for name in ("frequency", "direction", "mtf"):
             values = np.asarray(getattr(self, name), dtype=np.float64)
             if values.shape != (count,) or not np.isfinite(values).all() or not count:
-                raise ArgumentError(f"{name} must be {count or 'at least 1'} finite numbers, got shape {values.shape}")
+                raise ArgumentError(f"{name} must have {count or 'at least 1'} finite values, got shape {values.shape}")
             object.__setattr__(self, name, values)
         if (self.frequency <= 0).any():
             raise ArgumentError(f"frequency must be positive, got {self.frequency.min():g} cycles/px")
         covariance = np.asarray(self.covariance, dtype=np.float64)
         if covariance.shape != (count, count) or not np.isfinite(covariance).all():
-            raise ArgumentError(f"covariance must be ({count}, {count}) finite numbers, got shape {covariance.shape}")
+            raise ArgumentError(f"covariance must have ({count}, {count}) finite values, got shape {covariance.shape}")
         variance = np.diag(covariance)
         if (
             not (variance > 0).all()

@@ -30,7 +30,7 @@ from matcam.core.io import plain
 from matcam.files.photographs import Photograph
 
 _HIGHEST = 0.75
-"""Highest frequency of the fit, cycles/px. Above it, the MTF of cameras is too small."""
+"""Highest frequency of the fit, cycles/px. Above it, the MTF of cameras is too small to be measured."""
 _SOME = 20_000
 """Number of pixels for the first estimates of the phase."""
 _FIRST = 0.2
@@ -46,7 +46,7 @@ _DIRECTIONS = np.radians([0.0, 45.0, 90.0, 135.0])
 _EXTRAPOLATED = 0.35
 """Highest frequency that is used to extrapolate an unknown contrast to frequency 0, cycles/px."""
 _LEFT = 0.5
-"""Share of the variance at low frequencies above which a residual shows that the region contains no star."""
+"""Unexplained share of the variance at low frequencies above which the region is assumed to contain no star."""
 _CLEAR = 20.0
 """Smallest significance of the wave, standard deviations."""
 
@@ -124,7 +124,8 @@ def star_mtf(
 ) -> StarMTF:
     """Measure the MTF of lens and pixel with a sinusoidal Siemens star.
 
-    Centre, number of cycles and perspective are estimated. Nothing is resampled, and a mosaic is not demosaiced.
+    Centre, number of cycles and perspective are estimated. The pixels are not resampled, and a mosaic is
+    not demosaiced.
 
     Args:
         image: `LinearImage`, `Photograph`, or array as in `LinearImage.of`.
@@ -132,9 +133,10 @@ def star_mtf(
         star: description of the star from a chart, to be given with `projection` instead of `roi`. Default: None, the star
             is searched.
         projection: map from the page of the chart, mm, to the image, px: a `Registration`. Default: None.
-        cycles: number of cycles of the star (no unit); to be given if the count fails. Default: None, counted.
+        cycles: number of cycles of the star (no unit); to be given if the count fails. Default: None, the cycles are counted.
         contrast: (bright - dark) / (bright + dark) of the print, linear (no unit). Default: None, that of the description.
-            Without a description, the MTF is extrapolated to 1 at frequency 0, which ignores the loss by a wide halo.
+            Without a description, the MTF is extrapolated to 1 at frequency 0, which ignores the loss of contrast by a wide
+            halo.
         cfa: colours of the first 2 x 2 px of a mosaic, as in `LinearImage.of` (no unit). Default: None.
         channel: colour, as in `LinearImage.of` (no unit). Default: None.
         tone: tone curve, as in `LinearImage.of` (no unit). Default: "linear".
@@ -224,19 +226,24 @@ def _fit_star(values: FloatArray, found: FoundStar) -> tuple[WaveFit, tuple[floa
         edges = float(frequency[used].min()), float(frequency[used].max())
         fit = fit_wave(some, phase, parameters, partial(_basis, edges=edges), steps=4)
         if fit is None:
-            raise FitError("the star's pixels do not determine its MTF: it is too small in this image")
+            raise FitError("the pixels of the star do not determine its MTF: photograph the star larger")
         parameters = fit.parameters
         left = (some.value - fit.values).var() / some.value.var()
         # At low frequencies the blur is small, and the wave explains nearly all of the variance.
         if highest == _FIRST and left > _LEFT:
-            raise FitError(f"region contains no Siemens star: a star does not explain {left:.0%} of its variance")
+            raise FitError(
+                f"region contains no Siemens star: a star leaves {left:.0%} of its variance unexplained; "
+                "give a region of one star"
+            )
     if fit is None or not fit.signal > _CLEAR or np.hypot(*(parameters[:2] - found.parameters[:2])) > phase.outer / 4:
-        raise FitError("region contains no Siemens star that can be measured: too small, or too little contrast")
+        raise FitError(
+            "region contains no Siemens star that can be measured: photograph the star larger, or with more contrast"
+        )
     return fit, edges
 
 
 def _inner_rim(radius: FloatArray, value: FloatArray, found: FoundStar) -> float:
-    """Find the radius, px, within which the brightness is not that of the star."""
+    """Find the radius, px, within which the mean level of a ring differs from that of the star."""
     ring = np.round(radius).astype(int)
     count = np.maximum(np.bincount(ring), 1)
     mean = np.bincount(ring, value) / count
@@ -306,7 +313,8 @@ def _extrapolated_contrast(frequency: FloatArray, amplitude: FloatArray, covaria
     low = (frequency < _EXTRAPOLATED) & (amplitude > 5 * np.sqrt(np.diag(covariance)))
     if low.sum() < 3 * len(_DIRECTIONS) or frequency.min() > 0.15:
         raise FitError(
-            f"the star begins at {frequency.min():.2f} cycles/px, too fine to extrapolate its contrast to 0; give contrast"
+            f"the lowest frequency of the star is {frequency.min():.2f} cycles/px, too high to extrapolate its contrast to 0; "
+            "give contrast"
         )
     design = frequency[low, None] ** np.array([0, 2, 4])
     weight = np.linalg.inv(covariance[np.ix_(low, low)] / np.outer(amplitude[low], amplitude[low]))

@@ -30,7 +30,7 @@ class Targets:
     Attributes:
         samples: MTF of every target that could be measured.
         grids: blur over the field from every grid of dots.
-        problems: remarks on the targets that could not be measured, with the reason.
+        problems: remarks on the targets that could not be measured, with the reasons.
         registration: map from the page to the image.
         printed: printed levels of the chart, measured with its tone patches. Default: None, the patches are not visible.
 
@@ -142,7 +142,7 @@ def measure_targets(
                 grid = dot_grid(picture, dots=element, projection=registration, half_width=half_width)
                 found = [replace(one, source=name, f_number=f_number) for one in grid.samples]
                 grids.append(replace(grid, samples=tuple(found)))
-            else:  # squares and patches have edges and levels
+            else:  # squares are measured by `edge_mtf`, patches by `printed_levels`
                 continue
         except FitError as error:
             unmeasured.setdefault(kind, {})[number] = f"{name}: {error}"

@@ -1,10 +1,10 @@
-"""Fit of a printed wave to the pixels of an image: light x (1 + modulation), with an approximately known phase.
+"""Fit of a printed wave to the pixels of an image: illumination x (1 + modulation), with an approximately known phase.
 
 A pixel at (x, y) is modelled as  L(x, y) [1 + sum_k c_k b_k(f, a) cos(h_k Phi(x, y; p))].  L is a polynomial (uneven
-light). Phi is the phase with a few parameters p (position, perspective, distortion). f and a are the local frequency and
-direction of the phase, and b_k are smooth functions of them. The camera multiplies a wave of frequency f in direction a
-by its MTF (docs/model.md 2): c b / contrast is this MTF, with sign. Nothing is resampled or windowed, and pixels may be
-missing (mosaics). Aliased frequencies are identified correctly, because their phase is known.
+illumination). Phi is the phase with a few parameters p (position, perspective, distortion). f and a are the local
+frequency and direction of the phase, and b_k are smooth functions of them. The camera multiplies a wave of frequency f in
+direction a by its MTF (docs/model.md 2): c b / contrast is this MTF, including its sign. The pixels are not resampled or
+windowed, and may be missing (mosaics). Aliased frequencies are identified correctly, because their phase is known.
 
 The Gauss-Newton method is used with variances from the model (docs/model.md 8). Gain and read noise are estimated from the
 residuals.
@@ -27,7 +27,7 @@ _ROUNDING = 1e-13
 _STEP = 1e-3
 """Step of the numerical derivatives of the phase, px."""
 _DEGREE = 2
-"""Order of the polynomial that models the light."""
+"""Order of the polynomial that models the uneven illumination."""
 _WEIGHTED = 4
 """Number of steps that are made in any case, so that the weights follow from the noise."""
 _SETTLED, _ROUGH = 1e-4, 1e-2
@@ -57,7 +57,7 @@ class WavePixels(NamedTuple):
     """Set of n pixels of an image.
 
     Attributes:
-        value: (n,) linear light.
+        value: (n,) linear pixel values.
         x: (n,) x, px.
         y: (n,) y, px.
     """
@@ -91,7 +91,7 @@ class WaveFit:
 
     Attributes:
         coefficients: (orders * k,) coefficients of the modulation.
-        covariance: covariance of `coefficients`, with light and phase free.
+        covariance: covariance of `coefficients`, including the uncertainty of illumination and phase.
         parameters: (m,) parameters of the phase.
         parameters_std: (m,) standard deviations of `parameters`.
         gain: variance of a pixel divided by its value, without read noise.
@@ -155,7 +155,7 @@ def fit_wave(
         if not step:
             coefficients = np.zeros(columns.shape[1])
         level, wave = powers @ light, columns @ coefficients
-        # In the first two steps the phase is fixed, and only light and modulation are fitted.
+        # In the first two steps the phase is fixed, and only illumination and modulation are fitted.
         moving = step > 1
         design = [powers * (1 + wave)[:, None], level[:, None] * columns]
         if moving:
@@ -236,7 +236,7 @@ def noise_from_residuals(residual: np.ndarray, value: np.ndarray) -> tuple[float
 def _columns(
     phase: Phase, parameters: FloatArray, x: FloatArray, y: FloatArray, basis: Basis, orders: tuple[int, ...]
 ) -> tuple[FloatArray, FloatArray]:
-    """Evaluate the functions at the pixels (n, orders * k), and their derivatives with respect to the phase."""
+    """Evaluate the functions b_k cos(h_k Phi), (n, orders * k), and their derivatives with respect to the phase."""
     at, frequency, direction = local_wave(phase, parameters, x, y)
     bases = [basis(order * frequency, direction) for order in orders]
     columns = [own * np.cos(order * at)[:, None] for order, own in zip(orders, bases, strict=True)]

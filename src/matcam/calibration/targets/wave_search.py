@@ -52,8 +52,8 @@ _LONGEST = 2.0
 class StarPhase(NamedTuple):
     """Phase of a star at pixels.
 
-    Its 14 parameters are the centre (2), the phase at azimuth 0 (1), a linear map (2), and displacements across the rays of
-    second (4) and third (5) order, in rad at the outer radius.
+    Its 14 parameters are the centre (2), the phase at azimuth 0 (1), a linear map (2), and displacements of second (4)
+    and third (5) order across the rays, rad at the outer radius.
 
     Attributes:
         cycles: number of cycles.
@@ -69,7 +69,7 @@ class StarPhase(NamedTuple):
         return np.array([self.outer / self.cycles / 2] * 2 + [1.0] + [1 / self.cycles] * 2 + [1.0] * 9)
 
     def at(self, parameters: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
-        """Return the phase at px, rad."""
+        """Evaluate the phase at pixel positions, rad."""
         x0, y0, turn, e1, e2 = parameters[:5]
         u, v = (x - x0) / self.outer, (y - y0) / self.outer
         azimuth = np.arctan2((1 - e1) * v + e2 * u, (1 + e1) * u + e2 * v)
@@ -122,13 +122,14 @@ class FoundStar(NamedTuple):
 def find_star(values: FloatArray, cycles: int | None = None) -> FoundStar:
     """Find the star in a region.
 
-    `values`: (height, width), NaN for missing pixels. FitError if there is no star.
+    `values`: (height, width), NaN for missing pixels. `cycles`: number of cycles; None: the cycles are counted. FitError if
+    there is no star.
     """
     filled = smoothed(values)
     centre = _centre(filled)
     rings = _rings(filled, centre)
     if not rings:
-        raise FitError("region contains no Siemens star: no ring shows a regular wave")
+        raise FitError("region contains no Siemens star: no ring shows a regular wave; give a region of one star")
     votes: dict[int, float] = {}
     for ring in rings:
         votes[ring.cycles] = votes.get(ring.cycles, 0.0) + ring.share
@@ -137,7 +138,8 @@ def find_star(values: FloatArray, cycles: int | None = None) -> FoundStar:
     if len(agreeing) < 4 or winner < 8:
         raise FitError(
             f"region contains no Siemens star{f' of {cycles} cycles' if cycles else ''}: "
-            f"of {len(rings)} rings with a wave {len(agreeing)} agree on {winner} cycles"
+            f"of {len(rings)} rings with a wave, {len(agreeing)} have {winner} cycles; "
+            "at least 4 rings of at least 8 cycles are needed"
         )
     # Beyond the rim, the amplitude of the wave on a ring is small.
     strong = _KEPT * float(np.median([ring.amplitude for ring in agreeing[len(agreeing) // 2 :]]))
@@ -149,9 +151,10 @@ def find_star(values: FloatArray, cycles: int | None = None) -> FoundStar:
 
 
 class _Ring(NamedTuple):
-    """Ring with a wave.
+    """Ring around the centre of a star, with a wave.
 
-    `share`: share of the power of the ring. `amplitude`: relative to the mean of the ring. `phase`: (n,) phase at x, y, rad.
+    `share`: share of the wave in the power of the ring. `amplitude`: amplitude of the wave relative to the mean of the ring.
+    `phase`: (n,) phase at (x, y), rad.
     """
 
     radius: float
@@ -164,7 +167,7 @@ class _Ring(NamedTuple):
 
 
 def _centre(filled: FloatArray) -> tuple[float, float]:
-    """Find the point to which all gradients are perpendicular, px."""
+    """Find the centre of a star, px: the intersection of the lines perpendicular to the gradients."""
     gy, gx = np.gradient(filled)
     y, x = np.indices(filled.shape).astype(float)
     length = np.hypot(gx, gy)
@@ -178,16 +181,20 @@ def _centre(filled: FloatArray) -> tuple[float, float]:
         weight = strength.ravel() / (1 + ((found - at @ normals) / scale) ** 2) ** 2
         normal = (normals * weight) @ normals.T
         if np.linalg.det(normal) <= 1e-12 * np.trace(normal) ** 2:
-            raise FitError("region contains no Siemens star: its brightness changes in one direction only")
+            raise FitError(
+                "region contains no Siemens star: its brightness changes in one direction only; give a region of one star"
+            )
         at = np.linalg.solve(normal, normals @ (weight * found))
         scale = max(scale * 0.7, 3.0)
     if not (0 <= at[0] < filled.shape[1] and 0 <= at[1] < filled.shape[0]):
-        raise FitError("region contains no Siemens star: its rays do not meet inside it")
+        raise FitError(
+            "region contains no Siemens star: its rays do not meet inside the region; give a region of one star"
+        )
     return float(at[0]), float(at[1])
 
 
 def _rings(filled: FloatArray, centre: tuple[float, float]) -> list[_Ring]:
-    """Find the rings around a centre with a significant wave."""
+    """Find the rings around a centre that have a significant wave."""
     height, width = filled.shape
     most = min(centre[0], centre[1], width - 1 - centre[0], height - 1 - centre[1])
     found = []
@@ -235,7 +242,7 @@ class GratingPhase(NamedTuple):
         return np.array([(_UNIT / self.half_extent) ** (i + j) for i, j in plane_orders(self.order)])
 
     def at(self, parameters: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
-        """Return the phase at px, rad."""
+        """Evaluate the phase at pixel positions, rad."""
         return np.asarray(self._powers(x, y) @ parameters)
 
     def parameters_through(self, x: FloatArray, y: FloatArray, phase: FloatArray) -> FloatArray:
@@ -243,7 +250,7 @@ class GratingPhase(NamedTuple):
         return np.asarray(np.linalg.lstsq(self._powers(x, y), phase, rcond=None)[0], dtype=np.float64)
 
     def _powers(self, x: FloatArray, y: FloatArray) -> FloatArray:
-        """Evaluate the polynomials at pixel positions."""
+        """Evaluate the terms of the polynomial at pixel positions."""
         return plane_powers((x - self.middle[0]) / _UNIT, (y - self.middle[1]) / _UNIT, self.order)
 
 
@@ -291,13 +298,15 @@ def find_grating(values: FloatArray, near: tuple[float, float] | None = None) ->
     size = np.abs(envelope)
     label, count = ndimage.label(size > _ENVELOPE * np.quantile(size, 0.98))
     if not count:
-        raise FitError("region contains no grating: its brightness does not vary")
+        raise FitError("region contains no grating: its brightness does not vary; give a region of one grating")
     largest = 1 + int(np.argmax(ndimage.sum_labels(np.ones_like(size), label, np.arange(1, count + 1))))
     inside = ndimage.binary_erosion(
         ndimage.binary_fill_holes(label == largest), iterations=round(MARGIN), border_value=1
     )
     if inside.sum() < 256:
-        raise FitError("region contains no grating: no area of 16 x 16 px has a regular wave")
+        raise FitError(
+            "region contains no grating: no area of 16 x 16 px has a regular wave; give a region of one grating"
+        )
     start = float(np.angle(envelope[inside].mean()))
     phase = start + 2 * np.pi * (frequency[0] * x + frequency[1] * y)
     return FoundGrating.through(x[inside], y[inside], phase[inside], inside)
@@ -329,5 +338,5 @@ def _strongest(filled: FloatArray, near: tuple[float, float] | None) -> FloatArr
         power[np.minimum(*off) > max(_NEAR * float(np.hypot(*near)), 2 * _LONGEST / min(height, width))] = 0
     row, column = np.unravel_index(np.argmax(power), power.shape)
     if not power[row, column] > _CLEAR_IN_SPECTRUM * everywhere:
-        raise FitError("region contains no grating: no frequency stands out")
+        raise FitError("region contains no grating: no frequency exceeds the noise; give a region of one grating")
     return np.array([fx[0, column], fy[row, 0]])

@@ -14,28 +14,29 @@ from matcam.core.errors import ArgumentError
 if TYPE_CHECKING:
     from matcam.core.jax import jax
 
-_FARTHEST = 100.0  # px
+_FARTHEST = 100.0  # largest plausible shift of a channel, px
 
 
 class ColourOptics(VaryingOptics):
     """Separate blur and shift of each of three channels.
 
-    `picture` supports it: channel k of the image is that of lens k. A material of one channel gives three colours.
+    `picture` supports this lens: channel k of the image is recorded through lens k. A material with one channel gives
+    an image with three.
 
     Args:
         red: lens of the first channel.
-        green: lens of the second.
-        blue: lens of the third.
-        red_shift: shift of the image of the first channel relative to the optical axis, (right, up), px: lateral
-            colour, uniform over the image. Default: none.
-        green_shift: shift of the second channel. Default: none.
-        blue_shift: shift of the third channel. Default: none.
+        green: lens of the second channel.
+        blue: lens of the third channel.
+        red_shift: shift of the image of the first channel relative to the optical axis (lateral colour), (right, up),
+            px, uniform over the image. Default: (0, 0).
+        green_shift: shift of the second channel, px. Default: (0, 0).
+        blue_shift: shift of the third channel, px. Default: (0, 0).
 
     Raises:
-        ArgumentError: a lens is not Optics, or has colours itself; a shift is not a pair within 100 px.
+        ArgumentError: a lens is not Optics, or is a ColourOptics; a shift is not a pair within 100 px.
 
     Source:
-        None; lateral colour is Kingslake & Johnson, Lens Design Fundamentals, chapter 5.
+        Kingslake & Johnson, Lens Design Fundamentals, chapter 5 (lateral colour).
 
     Example:
         >>> lens = matcam.ColourOptics(*(matcam.DiffractionOptics(8.0, 1e-9 * nm, 5e-6) for nm in (620, 540, 460)))
@@ -97,16 +98,16 @@ class ColourOptics(VaryingOptics):
 
     @property
     def shifts(self) -> tuple[jax.Array, jax.Array, jax.Array]:
-        """Return the channels' shifts, each (right, up), px."""
+        """Return the shifts of the channels, each (right, up), px."""
         return self.red_shift, self.green_shift, self.blue_shift
 
     def band(self) -> float:
-        """Return the highest frequency that any colour passes, cycles/px."""
+        """Return the largest band of the three lenses, cycles/px."""
         return max(lens.band() for lens in self.lenses)
 
     def instead(self) -> str:
         """Describe an alternative, for a message."""
-        return "use Camera(optics.red, pixel), .green or .blue"
+        return "use Camera(optics.red, pixel), or optics.green or optics.blue"
 
     def __repr__(self) -> str:
         names = ("red_shift", "green_shift", "blue_shift")

@@ -1,11 +1,10 @@
-"""Gaussian optics, the lens of the paper with one parameter; and any lens as a signed sum of Gaussians.
+"""Gaussian optics, the one-parameter lens of the paper, and approximation of any lens by a signed sum of Gaussians.
 
-With mtf(f) = sum_j w_j exp(-2 pi^2 sigma_j^2 f^2) the kernels have closed forms. It is exact for Gaussians and for
-halos round them. A lens whose MTF ends at a cutoff is smoother in frequency than any finite sum of Gaussians can be:
-with sum |w_j| <= 50 no choice of widths approximates a perfect lens, through a full pixel of 4.73 um at 550 nm, better
-than 1.5e-4 / 6e-4 / 2.4e-3 at f/2.8 / 8 / 16 (tests/camera/test_gaussian_sum.py finds that limit by linear
-programming). The least-squares fit with 24 terms has errors of 8e-4 / 1.9e-3 / 5.2e-3. For higher accuracy, integrate
-over frequencies (`fourier`).
+With mtf(f) = sum_j w_j exp(-2 pi^2 sigma_j^2 f^2) the kernels have closed forms. The sum is exact for Gaussians, also
+with halos. For a lens whose MTF ends at a cutoff, the accuracy of a sum is limited: with sum |w_j| <= 50 no choice of
+widths approximates a perfect lens, through a full pixel of 4.73 um at 550 nm, better than 1.5e-4 / 6e-4 / 2.4e-3 at
+f/2.8 / 8 / 16 (tests/camera/test_gaussian_sum.py finds that limit by linear programming). The least-squares fit with
+24 terms has errors of 8e-4 / 1.9e-3 / 5.2e-3. For higher accuracy, integrate over frequencies (`optics.py`).
 """
 
 from __future__ import annotations
@@ -27,22 +26,23 @@ if TYPE_CHECKING:
 
     from matcam.core.jax import jax
 
-_BAND_TIMES_SIGMA = 1.4  # exp(-2 pi^2 1.4^2) = 2e-17
-_TRACED_BAND = 16.0
+_BAND_TIMES_SIGMA = 1.4  # the MTF at the end of the band is exp(-2 pi^2 1.4^2) = 2e-17
+_TRACED_BAND = 16.0  # assumed band of a traced lens, cycles/px
 
-# Found by trial on f/2.8 to f/16, in focus and with circles of 1 and 3 px: narrowest width * band, widest width in px
-# (it carries the 1/r^3 tail of an Airy pattern), and the ridge that keeps sum |w| below 50
+# Found by trial on f/2.8 to f/16, in focus and with circles of confusion of 1 and 3 px: narrowest width * band, widest
+# width in px (it represents the 1/r^3 tail of an Airy pattern), and the ridge that keeps sum |w| below 50
 _NARROWEST, _WIDEST, _RIDGE = 0.3, 100.0, 8e-4
 
-# Where the MTF is sampled, in units of the band; rows count as the square root of the frequency, because a plane has
-# more high frequencies than low ones
+# Frequencies at which the MTF is sampled, in units of the band. The weight of a row is the square root of the frequency,
+# because a plane has more high frequencies than low ones
 _GRID = np.concatenate([np.geomspace(3e-4, 0.03, 30), np.linspace(0.04, 1.5, 147), np.linspace(1.55, 8, 80)])
 _DIRECTIONS = 32
 _CHECKED = np.concatenate([np.geomspace(1e-5, 0.01, 200), np.linspace(0.01, 8, 1600)[1:]])
 
-# A grid about the centre corrects a sum of few Gaussians, each up to 1.75 times as wide as the one before. Its tail must be
-# right: frequencies below a fifth of the band count, the others little. Found by trial on f/2.8 to f/16, out of focus by up to
-# 0.3 waves: light within 7 to 50 periods of the band differs from the lens's by 4e-5 to 3e-4
+# A grid about the centre corrects a sum of few Gaussians, each up to 1.75 times as wide as the previous one. Only the tail
+# of the sum must be accurate, so frequencies above a fifth of the band have small weights. The values were found by trial on
+# f/2.8 to f/16, out of focus by up to 0.3 waves: the share of the light within 7 to 50 periods of the band differs from that
+# of the lens by 4e-5 to 3e-4
 _FEW, _FEW_NARROWEST = 13, 0.41
 _TAIL = 0.01 + 0.99 * np.exp(-((_GRID / 0.2) ** 2))
 
@@ -74,19 +74,19 @@ class GaussianOptics(Optics):
         self.sigma = checks.scalar("sigma", checks.positive("sigma", sigma, "px"))
 
     def psf(self, x: ArrayLike, y: ArrayLike) -> jax.Array:
-        """Return the Gaussian lsf(x) lsf(y), 1/px^2; optics only."""
+        """Return the Gaussian lsf(x) lsf(y), 1/px^2, without the pixel."""
         return self.lsf(x) * self.lsf(y)
 
     def lsf(self, x: ArrayLike) -> jax.Array:
-        """Return exp(-x^2 / (2 sigma^2)) / (sqrt(2 pi) sigma), 1/px; optics only."""
+        """Return the normal density with standard deviation sigma, 1/px, without the pixel."""
         return normal_density(checks.number("x", x), self.sigma)
 
     def mtf(self, f: ArrayLike) -> jax.Array:
-        """Return exp(-2 pi^2 sigma^2 f^2) at f cycles/px; optics only."""
+        """Return exp(-2 pi^2 sigma^2 f^2) at f cycles/px, without the pixel."""
         return xp.exp(-2 * xp.square(xp.pi * self.sigma * checks.number("f", f)))
 
     def band(self) -> float:
-        """Return the frequency at which the MTF falls to 2e-17, cycles/px."""
+        """Return the frequency at which the MTF decreases to 2e-17, cycles/px."""
         return _BAND_TIMES_SIGMA / float(self.sigma) if is_concrete(self.sigma) else _TRACED_BAND
 
     def rule_on(self, borders: np.ndarray) -> Rule:
@@ -104,11 +104,11 @@ class GaussianSum(Module):
     """Lens as a sum of Gaussians.
 
     Attributes:
-        weights: signed, of sum 1, shape (n,).
+        weights: signed weights, whose sum is 1, shape (n,).
         sigmas: standard deviations, px, shape (n,).
-        error: largest difference of its MTF from the lens's, over all frequencies.
-        total_error: `error` after a pixel of 100 % fill, in the direction with the largest transfer: the error of an
-            image. Errors of fitted components add up.
+        error: largest difference between the MTF of the sum and that of the lens, over all frequencies.
+        total_error: `error` of an image: after a pixel with a fill factor of 100 %, in the direction with the largest
+            transfer. Errors of fitted components add up.
     """
 
     weights: jax.Array
@@ -124,13 +124,13 @@ class GaussianSum(Module):
 def gaussian_sum(optics: Optics, terms: int = 24) -> GaussianSum:
     """Approximate a lens by Gaussians.
 
-    Gaussian components are kept; every other one becomes `terms` Gaussians. The result is differentiable in the
-    parameters of the lens: the weights solve a linear least-squares problem in its sampled MTF, the widths are fixed
-    multiples of 1 / band.
+    Gaussian components are kept; every other component is replaced by `terms` Gaussians. The result is differentiable
+    in the parameters of the lens: the weights solve a linear least-squares problem for its sampled MTF, and the widths
+    are fixed multiples of 1 / band.
 
     Args:
         optics: the lens.
-        terms: Gaussians per component, 8 to 64. Default: 24.
+        terms: number of Gaussians per component, 8 to 64. Default: 24.
 
     Raises:
         ArgumentError: `terms` is out of range, a measured MTF does not end at 0, or the lens is not isotropic.
@@ -140,7 +140,10 @@ def gaussian_sum(optics: Optics, terms: int = 24) -> GaussianSum:
 
 
 def round_gaussians(optics: Optics, terms: int = 24) -> GaussianSum:
-    """Approximate the mean of a lens over all directions by Gaussians; for an isotropic one see `gaussian_sum`."""
+    """Approximate the mean of a lens over all directions by Gaussians.
+
+    For an isotropic lens the result is that of `gaussian_sum`.
+    """
     if not 8 <= terms <= 64:
         raise ArgumentError(f"terms must lie in [8, 64], got {terms}")
     return _of_all_pieces(optics, lambda band: (_NARROWEST / band, terms, np.ones(_GRID.size)))
@@ -156,9 +159,10 @@ def finest_width(optics: Optics) -> float:
 
 
 def few_gaussians(optics: Optics) -> GaussianSum:
-    """Approximate the mean of a lens over all directions by few Gaussians, which are accurate only far from its centre.
+    """Approximate the mean of a lens over all directions by few Gaussians.
 
-    Their residual must be added (`forward/integral/kernel_residual.py`).
+    The sum is accurate only far from the centre of the PSF. Its residual must be added
+    (`forward/integral/kernel_residual.py`).
     """
     return _of_all_pieces(optics, lambda band: (_FEW_NARROWEST / band, _FEW, _TAIL))
 
@@ -209,7 +213,7 @@ def _mean_transfer(optics: Optics, frequency: jax.Array) -> jax.Array:
     """Compute the mean of a transfer function over all directions, which is real."""
     if optics.isotropic:
         return optics.mtf(frequency)
-    f, angle = frequency[:, None], np.pi * np.arange(_DIRECTIONS) / _DIRECTIONS  # the other half is its conjugate
+    f, angle = frequency[:, None], np.pi * np.arange(_DIRECTIONS) / _DIRECTIONS  # the other half is the conjugate
     return xp.mean(xp.real(optics.otf(f * np.cos(angle), f * np.sin(angle))), axis=1)
 
 

@@ -19,20 +19,20 @@ if TYPE_CHECKING:
 
     from matcam.core.jax import jax
 
-_TRACED_OCTAVES = 18  # resolves the spike of a halo of 1000 px with a band of 40 cycles/px
+_TRACED_OCTAVES = 18  # number for traced parameters: resolves the spike of a halo of 1000 px in a band of 40 cycles/px
 
 
 class HaloOptics(Optics):
     """Veiling glare: a share of the light in a wide Gaussian.
 
-    PSF = (1 - fraction) core + fraction halo. Highlights are 1e3 to 1e6 times brighter than their surroundings: a
-    fraction of 1e-3 looks like haze.
+    PSF = (1 - fraction) core + fraction halo. Highlights are 1e3 to 1e6 times brighter than their surroundings, so a
+    fraction of 1e-3 is visible as haze.
 
-    The core may itself have a halo, because stray light of several ranges is a sum of Gaussians. The outer halo's share
-    is then taken from the inner lens as a whole.
+    The core may itself have a halo, because stray light of several ranges is a sum of Gaussians. The fraction of the
+    outer halo then reduces the inner lens including its halo.
 
     Args:
-        core: the lens without its glare.
+        core: the lens without glare.
         fraction: share of the light in the halo, no unit, [0, 1).
         radius: standard deviation of the halo, px, positive.
 
@@ -67,22 +67,22 @@ class HaloOptics(Optics):
         return self.halo.sigma
 
     def psf(self, x: ArrayLike, y: ArrayLike) -> jax.Array:
-        """Return (1 - fraction) core + fraction halo, 1/px^2; optics only."""
+        """Return (1 - fraction) core + fraction halo, 1/px^2, without the pixel."""
         return (1 - self.fraction) * self.core.psf(x, y) + self.fraction * self.halo.psf(x, y)
 
     def lsf(self, x: ArrayLike) -> jax.Array:
-        """Return (1 - fraction) core + fraction halo, 1/px; optics only.
+        """Return (1 - fraction) core + fraction halo, 1/px, without the pixel.
 
         Raises:
-            ArgumentError: the core is not isotropic; `Camera.lsf` takes an angle.
+            ArgumentError: the core is not isotropic; use `Camera.lsf` with an angle.
         """
         core = checked_isotropic(self.core, "lsf without an angle")
         return (1 - self.fraction) * core.lsf(x) + self.fraction * self.halo.lsf(x)
 
     def mtf(self, f: ArrayLike) -> jax.Array:
-        """Return (1 - fraction) core + fraction halo; optics only.
+        """Return (1 - fraction) core + fraction halo, without the pixel.
 
-        The halo is a spike of standard deviation 1 / (2 pi radius) at frequency 0.
+        The MTF of the halo is a spike of standard deviation 1 / (2 pi radius) at frequency 0.
 
         Raises:
             ArgumentError: the core is not isotropic; use `otf`.
@@ -91,7 +91,7 @@ class HaloOptics(Optics):
         return (1 - self.fraction) * core.mtf(f) + self.fraction * self.halo.mtf(f)
 
     def otf(self, fx: ArrayLike, fy: ArrayLike) -> jax.Array:
-        """Return the transfer function in the plane; optics only."""
+        """Return the transfer function in the plane, without the pixel."""
         return (1 - self.fraction) * self.core.otf(fx, fy) + self.fraction * self.halo.otf(fx, fy)
 
     @property
@@ -111,16 +111,16 @@ class HaloOptics(Optics):
         return self.core.resolved_share() if self.halo.band() <= self.core.band() else 1.0
 
     def rule_on(self, borders: np.ndarray) -> Rule:
-        """Return the rule of the core on panels that halve towards 0.
+        """Return the rule of the core on panels graded towards 0.
 
-        They resolve the spike of the halo.
+        Their widths halve towards 0, so that they resolve the spike of the halo.
         """
         known = all(map(is_concrete, leaves_of(self)))
         octaves = 2 + max(0, int(np.log2(self.core.band() / self.halo.band()))) if known else _TRACED_OCTAVES
         rule = self.core.rule_on(np.union1d(borders, 2.0 ** -np.arange(octaves + 2)))
         if known and self.halo.band() <= self.core.band():
             return rule
-        # a halo narrower than its core extends beyond the band of the core; weights sum to the range of a rule
+        # the band of a halo that is narrower than its core exceeds that of the core; the weights of a rule sum to its range
         start, beyond = xp.sum(rule.weight), self.halo.rule_on(borders)
         end = xp.sum(beyond.weight)
         share = xp.maximum(end - start, 0) / end
@@ -130,7 +130,7 @@ class HaloOptics(Optics):
         )
 
     def components(self) -> tuple[tuple[jax.Array, Optics], ...]:
-        """Return the core's parts and the halo, with their weights."""
+        """Return the components of the core and the halo, with their weights."""
         core = tuple(((1 - self.fraction) * weight, part) for weight, part in self.core.components())
         return (*core, (self.fraction, self.halo))
 

@@ -18,19 +18,19 @@ if TYPE_CHECKING:
 
     from matcam.core.jax import jax
 
-_ZERO = 1e-9
+_ZERO = 1e-9  # largest modulus of the last sample, no unit, at which a curve ends at 0 to rounding
 _RESOLVED = 1e-4
 """MTF, no unit, below which a frequency does not affect the scale of the PSF: no measurement determines smaller values."""
 
 
 class MeasuredOptics(Optics):
-    """Isotropic blur by a measured MTF, without shift.
+    """Isotropic lens with a measured MTF, without shift.
 
     The MTF is a cubic spline through the samples.
 
-    Beyond the last sample the MTF is 0 if the curve ends at 0. Otherwise evaluation there is an error, and so is the
-    PSF, which requires all frequencies: append the frequency where the curve reaches 0. The diffraction cutoff pitch /
-    (wavelength f_number) is always such a point.
+    Beyond the last sample the MTF is 0 if the curve ends at 0. Otherwise it is unknown there, and an evaluation beyond
+    the last sample raises an error, as does the PSF, which requires all frequencies. In this case append the frequency
+    at which the curve reaches 0. The MTF is always 0 at the diffraction cutoff pitch / (wavelength f_number).
 
     Args:
         frequency: frequencies of the samples, cycles/px, increasing from 0, shape (n,), n >= 4.
@@ -41,7 +41,7 @@ class MeasuredOptics(Optics):
         ArgumentError: shapes do not match, frequencies do not increase from 0, or the curve is not an MTF.
 
     Source:
-        ISO 12233 measures such curves.
+        ISO 12233 (measurement of the curve).
 
     Example:
         >>> lens = matcam.MeasuredOptics([0.0, 0.25, 0.5, 1.0], [1.0, 0.7, 0.3, 0.0])
@@ -61,7 +61,7 @@ class MeasuredOptics(Optics):
         values = checks.number("mtf", mtf)
         if f.ndim != 1 or f.size < 4 or values.shape != f.shape:
             raise ArgumentError(
-                f"frequency and mtf must be two lists of one length of at least 4, got shapes {f.shape} and {values.shape}"
+                f"frequency and mtf must be lists of equal length, at least 4, got shapes {f.shape} and {values.shape}"
             )
         if f[0] != 0 or np.any(np.diff(f) <= 0):
             raise ArgumentError("frequency must start at 0 cycles/px and increase strictly")
@@ -85,7 +85,7 @@ class MeasuredOptics(Optics):
         self.resolved = float(f[resolved])
 
     def mtf(self, f: ArrayLike) -> jax.Array:
-        """Interpolate the MTF at f cycles/px; optics only.
+        """Interpolate the MTF at f cycles/px, without the pixel.
 
         Raises:
             ArgumentError: f lies beyond the last sample, and the curve does not end at 0.
@@ -94,29 +94,29 @@ class MeasuredOptics(Optics):
         last = self.frequency[-1]
         if is_concrete(at) and not self.ends_at_zero and at.size and float(xp.max(at)) > last:
             raise ArgumentError(
-                f"the measured MTF ends at {last:g} cycles/px with {float(self.values[-1]):g}, and is required at "
-                f"{float(xp.max(at)):g}: append samples up to where it reaches 0"
+                f"the measured MTF ends at {last:g} cycles/px with a value of {float(self.values[-1]):g}, but is required at "
+                f"{float(xp.max(at)):g}: append samples up to the frequency where it reaches 0"
             )
         return xp.where(at > last, 0.0, _spline(xp.asarray(self.frequency), self.values, at))
 
     def lsf(self, x: ArrayLike) -> jax.Array:
-        """Return the line spread function, 1/px, by quadrature; optics only."""
+        """Return the line spread function, 1/px, by quadrature, without the pixel."""
         return lsf_by_quadrature(self, x)
 
     def psf(self, x: ArrayLike, y: ArrayLike) -> jax.Array:
-        """Return the point spread function, 1/px^2, by quadrature; optics only."""
+        """Return the point spread function, 1/px^2, by quadrature, without the pixel."""
         return psf_by_quadrature(self, x, y)
 
     def band(self) -> float:
-        """Return the last sample's frequency, cycles/px.
+        """Return the frequency of the last sample, cycles/px.
 
         Raises:
             ArgumentError: the curve does not end at 0.
         """
         if not self.ends_at_zero:
             raise ArgumentError(
-                f"the measured MTF ends at {self.frequency[-1]:g} cycles/px with {float(self.values[-1]):g}: a point "
-                "spread function needs all frequencies; append samples up to where it reaches 0"
+                f"the measured MTF ends at {self.frequency[-1]:g} cycles/px with a value of {float(self.values[-1]):g}: a "
+                "point spread function needs all frequencies; append samples up to the frequency where the MTF reaches 0"
             )
         return self.frequency[-1]
 
@@ -125,9 +125,9 @@ class MeasuredOptics(Optics):
         return self.resolved / self.frequency[-1]
 
     def rule_on(self, borders: np.ndarray) -> Rule:
-        """Return panels between neighbouring samples.
+        """Return a quadrature on panels between neighbouring samples.
 
-        The third derivative is discontinuous at a sample.
+        The third derivative of the MTF is discontinuous at a sample.
         """
         return split_rule(self.band() * borders, np.asarray(self.frequency))
 
@@ -141,11 +141,10 @@ class MeasuredOptics(Optics):
 
 @compiled_by_jax
 def _spline(x: jax.Array, y: jax.Array, at: jax.Array) -> jax.Array:
-    """Return the cubic spline through (x, y), shape (n,), n >= 4, whose third derivative is continuous next to the
-    ends.
+    """Evaluate the cubic spline through (x, y), shape (n,), n >= 4, at positions `at`.
 
-    Its slopes solve a tridiagonal system (de Boor 1978, chapter IV, "not-a-knot"), so that memory is linear in n; the
-    solution is linear in y, and derivatives pass through it.
+    Its third derivative is continuous next to the ends ("not-a-knot", de Boor 1978, chapter IV). The slopes solve a
+    tridiagonal system, so that memory is linear in n. The solution is linear in y, and therefore differentiable.
     """
     width, rise = xp.diff(x), xp.diff(y) / xp.diff(x)
     first, last = x[2] - x[0], x[-1] - x[-3]

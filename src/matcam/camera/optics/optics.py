@@ -2,7 +2,7 @@
 
 A kernel without a closed form is the inverse Fourier transform of a band-limited transfer function, by Gauss-Legendre
 quadrature on panels. Kernels are real, so the positive half of the frequencies suffices; for isotropic lenses they are
-even, and cosines suffice. The error is that of 16 nodes to at most one period: below 1e-12 of the kernel's peak.
+even, and cosines suffice. With 16 nodes for at most one period, the error is below 1e-12 of the peak of the kernel.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ if TYPE_CHECKING:
 ORDER = 16
 """Number of nodes per panel: for at most one period per panel the error is below 1e-12 of the peak of the kernel."""
 
-_DEFAULT_REACH = 64.0  # px; assumed extent of traced positions
-_POINTS_AT_ONCE = 64
+_DEFAULT_REACH = 64.0  # assumed largest distance of traced positions, px
+_POINTS_AT_ONCE = 64  # number of positions that are evaluated at once, which limits memory
 
 
 Transfer = Callable[["jax.Array", "jax.Array"], "jax.Array"]
@@ -56,8 +56,9 @@ def piecewise_rule(edges: np.ndarray, order: int = ORDER) -> Rule:
 
 
 def split_rule(borders: np.ndarray, knots: np.ndarray) -> Rule:
-    """Build `piecewise_rule` on panels that are split at knots; a piece gets nodes in proportion to its share of the
-    panel.
+    """Build `piecewise_rule` on panels that are split at knots.
+
+    The number of nodes of a piece is proportional to its share of the panel.
     """
     edges = np.union1d(borders, knots)
     left, right, widths = edges[:-1], edges[1:], np.diff(edges)
@@ -68,19 +69,29 @@ def split_rule(borders: np.ndarray, knots: np.ndarray) -> Rule:
 
 
 def panels_for(reach: float, band: float) -> int:
-    """Return the number of panels over [0, band] cycles/px that resolve positions out to `reach` px."""
+    """Compute the number of panels over [0, band] that resolve a kernel.
+
+    reach: largest distance of a position, px. band: cycles/px.
+    """
     return 6 + int(np.ceil(reach * band))
 
 
 def reach_of(*positions: jax.Array) -> float:
-    """Return the largest distance (px) among positions, or a default for traced ones."""
+    """Return the largest distance of positions, px.
+
+    Traced positions have a default distance.
+    """
     if not all(is_concrete(p) for p in positions):
         return _DEFAULT_REACH
     return float(max((np.max(np.abs(p)) for p in positions if p.size), default=0.0))
 
 
 def line_kernel(rule: Rule, transfer: Transfer, x: jax.Array, angle: jax.Array) -> jax.Array:
-    """Integrate transfer(f, angle) exp(2 pi i f x) df: the kernel on a line. x px and angle rad broadcast."""
+    """Compute the kernel on a line, 1/px.
+
+    It is the integral of transfer(f, angle) exp(2 pi i f x) df. x: positions, px; broadcasts with angle. angle:
+    directions, rad.
+    """
     return _over_frequencies(_LINE, rule, transfer, x, angle)
 
 
@@ -90,11 +101,11 @@ def step_response(rule: Rule, transfer: Transfer, x: jax.Array, angle: jax.Array
 
 
 def plane_kernel(rule: Rule, transfer: Transfer, x: jax.Array, y: jax.Array, turns: int) -> jax.Array:
-    """Integrate a transfer(f, angle) that is even in fx and fy: the kernel in the plane.
+    """Compute an even kernel in the plane, 1/px^2.
 
-    The nodes are polar, with `turns` angles to a quarter turn.
+    transfer(f, angle) must be even in fx and fy. The nodes are polar, with `turns` angles in a quarter turn.
     """
-    # the trapezoidal rule on a full period is exact to rounding; over the quarter its two ends count half
+    # the trapezoidal rule on a full period is exact to rounding; over a quarter its two ends have half the weight
     angle = xp.linspace(0, xp.pi / 2, turns + 1)
     ends = np.ones(turns + 1)
     ends[[0, -1]] = 0.5
@@ -105,8 +116,11 @@ def plane_kernel(rule: Rule, transfer: Transfer, x: jax.Array, y: jax.Array, tur
 
 
 def directed_plane_kernel(rule: Rule, transfer: Transfer, x: jax.Array, y: jax.Array, turns: int) -> jax.Array:
-    """Integrate a transfer(f, angle) of any real kernel: the kernel in the plane, as `plane_kernel` for even ones."""
-    angle = xp.arange(2 * turns) * (xp.pi / 2 / turns)  # half a turn: the other half is its conjugate
+    """Compute any real kernel in the plane, 1/px^2.
+
+    transfer(f, angle) need not be even. The arguments are those of `plane_kernel`.
+    """
+    angle = xp.arange(2 * turns) * (xp.pi / 2 / turns)  # half a turn; the other half is its complex conjugate
     frequency = xp.asarray(rule.frequency)[:, None]
     amplitude = rule.weight[:, None] * frequency * (xp.pi / turns) * transfer(frequency, angle)
     waves = frequency * xp.cos(angle), frequency * xp.sin(angle)
@@ -114,9 +128,10 @@ def directed_plane_kernel(rule: Rule, transfer: Transfer, x: jax.Array, y: jax.A
 
 
 def turns_for(reach: float, band: float) -> int:
-    """Return the number of angles to a quarter turn that resolve positions out to `reach` px.
+    """Compute the number of angles per quarter turn that resolve a kernel.
 
-    By the Jacobi-Anger expansion the order must pass 2 pi f r.
+    reach: largest distance of a position, px. band: cycles/px. According to the Jacobi-Anger expansion, the order must
+    exceed 2 pi f r.
     """
     return 16 + int(np.ceil((2 * np.pi * band * reach) / 4 * 1.1))
 
@@ -142,8 +157,9 @@ def _over_frequencies(wave: Wave, rule: Rule, transfer: Transfer, x: jax.Array, 
 
 
 def _summed(wave: Wave, frequency: jax.Array, amplitude: jax.Array, x: jax.Array) -> jax.Array:
-    """Compute the sum over frequencies at positions x (n,); amplitude: of one direction, (frequencies,), or one per
-    position.
+    """Sum over frequencies at positions x, px, (n,).
+
+    amplitude: amplitude in one direction, (frequencies,), or in a direction for each position, (n, frequencies).
     """
     total = xp.sum(wave.even(frequency, x[:, None]) * amplitude.real, axis=-1)
     if not xp.iscomplexobj(amplitude):
@@ -186,12 +202,12 @@ def _at_each(function: Callable[..., jax.Array], *positions: jax.Array) -> jax.A
 class Optics(Module):
     """Lens without the pixel.
 
-    Most lenses blur isotropically and without shift, and one MTF of one frequency describes them. For others
-    `isotropic` is false, and the transfer function `otf` is complex. Positions are relative to the image of the point,
-    x to the right and y upwards.
+    Most lenses blur isotropically and without shift, so that an MTF, a function of one frequency, describes them. For
+    other lenses `isotropic` is false, and the transfer function `otf` is complex. Positions are relative to the image
+    of the point, x to the right and y upwards.
 
-    Three kernels are called PSF: the *optical* one (this type), the *pixel response* (`PixelResponse`) and their
-    combination, the *effective* one (`Camera`). They are different types so that none can be applied twice.
+    Three kernels are called PSF: the *optical* kernel (this type), the *pixel response* (`PixelResponse`) and their
+    combination, the *effective* kernel (`Camera`). They are different types so that no blur can be applied twice.
 
     Attributes:
         profile_fields: {name with its unit in a camera profile: attribute}, in the order of the constructor's
@@ -202,13 +218,13 @@ class Optics(Module):
 
     @abstractmethod
     def psf(self, x: ArrayLike, y: ArrayLike) -> jax.Array:
-        """Return the optical point spread function, 1/px^2; the pixel is not in it.
+        """Return the optical point spread function, 1/px^2, without the pixel.
 
-        It is the light on the sensor, per px^2, of a point of unit light, and integrates to 1. `Camera.psf` includes
+        It is the irradiance on the sensor of a point source of unit flux, and integrates to 1. `Camera.psf` includes
         the pixel.
 
         Args:
-            x: distance from the point's image along the rows, px; broadcasts with y.
+            x: distance from the image of the point along the rows, px; broadcasts with y.
             y: distance across the rows, px.
 
         Raises:
@@ -217,12 +233,12 @@ class Optics(Module):
 
     @abstractmethod
     def lsf(self, x: ArrayLike) -> jax.Array:
-        """Return the optical line spread function, 1/px; the pixel is not in it.
+        """Return the optical line spread function, 1/px, without the pixel.
 
-        It is the point spread function, integrated along a line; it integrates to 1.
+        It is the integral of the point spread function along a line, and integrates to 1.
 
         Args:
-            x: distance from the line's image, px, any shape.
+            x: distance from the image of the line, px, any shape.
 
         Raises:
             ArgumentError: x is not finite.
@@ -230,7 +246,7 @@ class Optics(Module):
 
     @abstractmethod
     def mtf(self, f: ArrayLike) -> jax.Array:
-        """Return the optical transfer function, signed; the pixel is not in it.
+        """Return the signed optical transfer function, without the pixel.
 
         Args:
             f: frequency, cycles/px, any shape; the value at 0 is 1.
@@ -245,9 +261,9 @@ class Optics(Module):
         return True
 
     def otf(self, fx: ArrayLike, fy: ArrayLike) -> jax.Array:
-        """Return the optical transfer function in the plane; optics only.
+        """Return the optical transfer function in the plane, without the pixel.
 
-        It is complex for anisotropic lenses, otherwise `mtf` of the length of the frequency.
+        It is complex for anisotropic lenses, and otherwise `mtf` at the modulus of the frequency.
 
         Args:
             fx: frequency along the rows, cycles/px; broadcasts with fy.
@@ -265,23 +281,26 @@ class Optics(Module):
     def resolved_share(self) -> float:
         """Return the share of the band that the lens resolves, no unit.
 
-        There, the MTF is above 1e-4. The share sets the scale of the PSF.
+        Above this share the MTF is below 1e-4. The share determines the scale of the PSF.
         """
         return 1.0
 
     @abstractmethod
     def rule_on(self, borders: np.ndarray) -> Rule:
-        """Return a quadrature over [0, band] on which this MTF is smooth.
+        """Return a quadrature over the band.
+
+        The MTF is smooth on each panel.
 
         Args:
-            borders: limits of its panels, shares of the band, increasing from 0 to 1. No panel of the rule is wider.
+            borders: limits of panels, shares of the band, increasing from 0 to 1. No panel of the quadrature is wider
+                than these.
         """
 
     @abstractmethod
     def components(self) -> tuple[tuple[jax.Array, Optics], ...]:
-        """Return (weight, lens) of the components of this lens.
+        """Return the weights and lenses of the components of this lens.
 
-        A lens of one component returns itself, with weight 1.
+        A lens with one component returns itself, with weight 1.
         """
 
     def frequency_rule(self, panels: int, grade: int = 1) -> Rule:
@@ -289,39 +308,39 @@ class Optics(Module):
 
         Args:
             panels: smallest number of panels.
-            grade: power of their density towards 0. Default: 1, all of one width.
+            grade: exponent of the panel limits; above 1 the panels are narrower towards 0. Default: 1, equal widths.
         """
         return self.rule_on(np.linspace(0, 1, panels + 1) ** grade)
 
 
 def checked_isotropic(optics: Optics, what: str) -> Optics:
-    """Check that a lens is a function of one frequency.
+    """Check that a lens is isotropic, achromatic and uniform.
 
     Args:
         optics: the lens.
         what: feature that requires an isotropic lens, for the message.
 
     Raises:
-        ArgumentError: its blur depends on direction, colour or position.
+        ArgumentError: the blur depends on direction, colour or position.
     """
     if optics.isotropic:
         return optics
     raise ArgumentError(
         f"{what} needs a lens with the same blur in all directions, colours and positions, not {type(optics).__name__}: "
-        "`picture` and tables of a sphere support it; elsewhere give the nearest such lens, as DefocusOptics or a "
-        "mean MTF in MeasuredOptics"
+        "only `picture` and tables of a sphere support it; otherwise approximate it by an isotropic lens, such as "
+        "DefocusOptics, or MeasuredOptics with the mean MTF"
     )
 
 
 def lsf_by_quadrature(optics: Optics, x: ArrayLike) -> jax.Array:
-    """Integrate the line spread function of a lens, 1/px, over its MTF."""
+    """Compute the line spread function of a lens, 1/px, by quadrature."""
     x = checks.number("x", x)
     rule = optics.frequency_rule(panels_for(reach_of(x), optics.band()))
     return line_kernel(rule, lambda f, _: optics.mtf(f), x, xp.zeros(()))
 
 
 def psf_by_quadrature(optics: Optics, x: ArrayLike, y: ArrayLike) -> jax.Array:
-    """Integrate the point spread function of a lens, 1/px^2, over its MTF."""
+    """Compute the point spread function of a lens, 1/px^2, by quadrature."""
     x, y = checks.broadcastable(x=x, y=y)
     reach, band = reach_of(xp.hypot(x, y)), optics.band()
     rule = optics.frequency_rule(panels_for(reach, band))

@@ -1,6 +1,6 @@
 """Lens limited by its pupil: diffraction at a circular aperture, in focus and out of focus.
 
-In focus it is the diffraction limit. Out of focus the pupil has a quadratic phase error.
+In focus the lens is diffraction-limited. Out of focus the pupil has a quadratic phase error.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ if TYPE_CHECKING:
 
     from matcam.core.jax import jax
 
-_TRACED_BAND = 8.0
-_WIDEST = 1000.0  # px
-_TRACED_CIRCLE = 256.0  # blur_diameter * cutoff that is resolved for traced parameters
-_FREQUENCIES_AT_ONCE = 1024
+_TRACED_BAND = 8.0  # assumed cutoff of a traced lens, cycles/px
+_WIDEST = 1000.0  # largest circle of confusion, px
+_TRACED_CIRCLE = 256.0  # largest blur_diameter * cutoff that is resolved for traced parameters
+_FREQUENCIES_AT_ONCE = 1024  # number of frequencies that are evaluated at once, which limits memory
 
 
 class DiffractionOptics(Optics):
@@ -35,7 +35,7 @@ class DiffractionOptics(Optics):
     Args:
         f_number: working f-number, no unit, positive.
         wavelength: wavelength of the light, m, 1e-9 to 1e-3 (550 nm is 550e-9).
-        pixel_pitch: distance of the sensor's pixels, m, 1e-8 to 1e-2 (5 um is 5e-6).
+        pixel_pitch: distance between neighbouring pixels, m, 1e-8 to 1e-2 (5 um is 5e-6).
 
     Raises:
         ArgumentError: a parameter is out of range, or not a single number.
@@ -74,24 +74,24 @@ class DiffractionOptics(Optics):
         return self.pixel_pitch / (self.wavelength * self.f_number)
 
     def psf(self, x: ArrayLike, y: ArrayLike) -> jax.Array:
-        """Return the Airy pattern, 1/px^2; optics only.
+        """Return the Airy pattern, 1/px^2, without the pixel.
 
-        (pi cutoff^2 / 4) [2 J1(v) / v]^2, v = pi cutoff r.
+        It is (pi cutoff^2 / 4) [2 J1(v) / v]^2, v = pi cutoff r.
         """
         r = plane_length(*checks.broadcastable(x=x, y=y))
         return xp.pi / 4 * self.cutoff**2 * jinc(xp.pi * self.cutoff * r, np.pi * reach_of(r) * self.band()) ** 2
 
     def lsf(self, x: ArrayLike) -> jax.Array:
-        """Return the line spread function, 1/px, by quadrature; optics only.
+        """Return the line spread function, 1/px, by quadrature, without the pixel.
 
-        It falls as 1/x^2.
+        It decreases as 1/x^2 at large distances.
         """
         return lsf_by_quadrature(self, x)
 
     def mtf(self, f: ArrayLike) -> jax.Array:
-        """Return the transfer function; optics only.
+        """Return the transfer function, without the pixel.
 
-        (2 / pi) [acos nu - nu sqrt(1 - nu^2)], nu = f / cutoff (Goodman 6-31); 0 beyond the cutoff.
+        It is (2 / pi) [acos nu - nu sqrt(1 - nu^2)], nu = f / cutoff (Goodman 6-31), and 0 beyond the cutoff.
         """
         nu = xp.abs(checks.number("f", f)) / self.cutoff
         inside = nu < 1
@@ -103,9 +103,9 @@ class DiffractionOptics(Optics):
         return float(self.cutoff) if is_concrete(self.cutoff) else _TRACED_BAND
 
     def rule_on(self, borders: np.ndarray) -> Rule:
-        """Return panels in t with f = cutoff t (2 - t).
+        """Return a quadrature on panels in t.
 
-        In t the MTF near the cutoff, (1 - nu)^(3/2), is a polynomial.
+        The frequency is f = cutoff t (2 - t). Near the cutoff the MTF varies as (1 - nu)^(3/2), which is a polynomial in t.
         """
         unit = piecewise_rule(1 - np.sqrt(1 - borders))
         t = unit.frequency
@@ -125,17 +125,18 @@ class DiffractionOptics(Optics):
 class DefocusOptics(Optics):
     """Lens with diffraction and defocus, without other aberrations.
 
-    A sensor dz m from the focus has a circle of confusion of blur_diameter = dz / (f_number pixel_pitch). The
-    wavefront's error at the pupil's edge is then W020 = dz / (8 f_number^2) = blur_diameter pixel_pitch / (8 f_number),
-    m.
+    A sensor at a distance dz, m, from the focus has a circle of confusion of blur_diameter = dz / (f_number
+    pixel_pitch), px. The wavefront error at the edge of the pupil is then W020 = dz / (8 f_number^2) = blur_diameter
+    pixel_pitch / (8 f_number), m.
 
     The MTF is signed: where it is negative, bright and dark are exchanged (spurious resolution).
 
     Args:
         f_number: working f-number, no unit, positive.
         wavelength: wavelength of the light, m, 1e-9 to 1e-3.
-        pixel_pitch: distance of the sensor's pixels, m, 1e-8 to 1e-2.
-        blur_diameter: diameter of the geometric circle of confusion, px, [0, 1000]; 0 is `DiffractionOptics`.
+        pixel_pitch: distance between neighbouring pixels, m, 1e-8 to 1e-2.
+        blur_diameter: diameter of the geometric circle of confusion, px, [0, 1000]; 0 is equivalent to
+            `DiffractionOptics`.
 
     Raises:
         ArgumentError: a parameter is out of range, or not a single number.
@@ -167,22 +168,22 @@ class DefocusOptics(Optics):
         )
 
     def psf(self, x: ArrayLike, y: ArrayLike) -> jax.Array:
-        """Return the point spread function, 1/px^2, by quadrature; optics only."""
+        """Return the point spread function, 1/px^2, by quadrature, without the pixel."""
         return psf_by_quadrature(self, x, y)
 
     def lsf(self, x: ArrayLike) -> jax.Array:
-        """Return the line spread function, 1/px, by quadrature; optics only."""
+        """Return the line spread function, 1/px, by quadrature, without the pixel."""
         return lsf_by_quadrature(self, x)
 
     def mtf(self, f: ArrayLike) -> jax.Array:
-        """Return the transfer function, signed; optics only.
+        """Return the signed transfer function, without the pixel.
 
-        (4 / pi) integral from nu to 1 of cos(pi c f (u - nu)) sqrt(1 - u^2) du, nu = f / cutoff, c = blur_diameter.
-        That is the pupil's autocorrelation: the product of the pupil with itself, shifted by 2 nu, retains of the
-        quadratic phase the linear term 8 pi W020 nu u / wavelength = pi c f u.
+        It is (4 / pi) times the integral from nu to 1 of cos(pi c f (u - nu)) sqrt(1 - u^2) du, nu = f / cutoff, c =
+        blur_diameter. This is the autocorrelation of the pupil: the phase of the product of the pupil with itself,
+        shifted by 2 nu, is the linear term 8 pi W020 nu u / wavelength = pi c f u.
 
-        It is NaN for traced parameters whose c * cutoff exceeds 256, because the size of the quadrature is fixed
-        before.
+        It is NaN for traced parameters whose c * cutoff exceeds 256, because the size of the quadrature is fixed in
+        advance.
         """
         frequency = xp.abs(checks.number("f", f))
         cutoff = self.focused.cutoff
@@ -198,9 +199,9 @@ class DefocusOptics(Optics):
         return self.focused.band()
 
     def rule_on(self, borders: np.ndarray) -> Rule:
-        """Return the focused lens's rule on finer panels.
+        """Return the rule of the focused lens on finer panels.
 
-        They resolve the circle's oscillations exp(i pi c f).
+        The panels resolve the oscillations exp(i pi c f) of the circle of confusion.
         """
         known = is_concrete(self.blur_diameter)
         circle = float(self.blur_diameter) * self.band() if known else _TRACED_CIRCLE

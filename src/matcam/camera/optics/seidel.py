@@ -22,28 +22,29 @@ if TYPE_CHECKING:
 class SeidelOptics(VaryingOptics):
     """Lens with aberrations that grow with the distance from the axis.
 
-    At h units from the axis coma is h times, astigmatism and field curvature are h^2 times their coefficients, and both
-    point away from the axis; spherical aberration and defocus are uniform. `at` is the lens at one position. `picture`
-    supports it: each surface element is blurred by the lens at its own position.
+    At a distance of h units from the axis, coma is h times its coefficient, and astigmatism and field curvature are h^2
+    times theirs. Coma and astigmatism point away from the axis. Spherical aberration and defocus are uniform. `at`
+    returns the lens at one position. `picture` supports this lens: each surface element is blurred by the lens at its
+    own position.
 
     Args:
         f_number: working f-number, no unit, positive.
         wavelength: wavelength of the light, m, 1e-9 to 1e-3.
-        pixel_pitch: distance of the sensor's pixels, m, 1e-8 to 1e-2.
-        unit: distance from the optical axis at which the coefficients apply, px, positive, such as half the image
-            diagonal.
+        pixel_pitch: distance between neighbouring pixels, m, 1e-8 to 1e-2.
+        unit: distance from the optical axis at which the coefficients apply, px, positive, such as half the diagonal of
+            the image.
         defocus: defocus on the axis, waves rms, as in `ZernikeOptics`. Default: 0.
-        astigmatism: astigmatism at `unit`; positive: along the line to the axis, waves rms. Default: 0.
-        coma: coma at `unit`; positive: the centroid is nearer to the axis than the sharpest part, waves rms.
+        astigmatism: astigmatism at `unit`, waves rms; positive along the line to the axis. Default: 0.
+        coma: coma at `unit`, waves rms; positive if the centroid is nearer to the axis than the sharpest part.
             Default: 0.
-        curvature: defocus at `unit` beyond that on the axis, waves rms. Default: 0.
+        curvature: difference between the defocus at `unit` and on the axis, waves rms. Default: 0.
         spherical: spherical aberration, waves rms. Default: 0.
 
     Raises:
         ArgumentError: a parameter is out of range or not finite, or coefficients look like metres.
 
     Source:
-        Born & Wolf, Principles of Optics, 5.3, in Zernike's terms (9.2).
+        Born & Wolf, Principles of Optics, 5.3, with Zernike terms (9.2).
 
     Example:
         >>> lens = matcam.SeidelOptics(8.0, 550e-9, 5e-6, unit=400.0, coma=0.2)
@@ -104,7 +105,7 @@ class SeidelOptics(VaryingOptics):
             y: position from the optical axis, upwards, px.
 
         Raises:
-            ArgumentError: the aberrations are too large there, or a position is not a finite number.
+            ArgumentError: the aberrations are too large at this position, or the position is not finite.
         """
         terms = checks.broadcastable(x=x, y=y)
         found = self.terms_at(*(checks.scalar(name, one) for name, one in zip("xy", terms, strict=True)))

@@ -1,4 +1,4 @@
-"""Lenses that consist of several: one per colour, or one per position of the field."""
+"""Lenses that consist of several lenses: one for each colour, or one for each position in the field."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ if TYPE_CHECKING:
 
 
 class VaryingOptics(Optics):
-    """Lens that consists of several, which are evaluated separately."""
+    """Lens that consists of several lenses, which are evaluated separately."""
 
     @property
     def isotropic(self) -> bool:
-        """Return False, because it is not one isotropic lens."""
+        """Return False, because the lens consists of several lenses."""
         return False
 
     @abstractmethod
@@ -34,49 +34,49 @@ class VaryingOptics(Optics):
         """Return representative single lenses by name."""
 
     def psf(self, x: ArrayLike, y: ArrayLike) -> jax.Array:
-        """Raise ArgumentError, because each component has another rule.
+        """Raise ArgumentError, because each lens has its own kernel.
 
         Args:
-            x: px.
-            y: px.
+            x: distance along the rows, px.
+            y: distance across the rows, px.
         """
         raise self._refused("psf")
 
     def lsf(self, x: ArrayLike) -> jax.Array:
-        """Raise ArgumentError, because each component has another rule.
+        """Raise ArgumentError, because each lens has its own kernel.
 
         Args:
-            x: px.
+            x: distance, px.
         """
         raise self._refused("lsf")
 
     def mtf(self, f: ArrayLike) -> jax.Array:
-        """Raise ArgumentError, because each component has another rule.
+        """Raise ArgumentError, because each lens has its own transfer function.
 
         Args:
-            f: cycles/px.
+            f: frequency, cycles/px.
         """
         raise self._refused("mtf")
 
     def otf(self, fx: ArrayLike, fy: ArrayLike) -> jax.Array:
-        """Raise ArgumentError, because each component has another rule.
+        """Raise ArgumentError, because each lens has its own transfer function.
 
         Args:
-            fx: cycles/px.
-            fy: cycles/px.
+            fx: frequency along the rows, cycles/px.
+            fy: frequency across the rows, cycles/px.
         """
         raise self._refused("otf")
 
     def rule_on(self, borders: np.ndarray) -> Rule:
-        """Raise ArgumentError, because each component has another rule.
+        """Raise ArgumentError, because each lens has its own quadrature.
 
         Args:
-            borders: shares of the band.
+            borders: limits of panels, shares of the band.
         """
         raise self._refused("a quadrature")
 
     def components(self) -> tuple[tuple[jax.Array, Optics], ...]:
-        """Raise ArgumentError, because it is not a sum of its lenses."""
+        """Raise ArgumentError, because the kernel is not a sum over the lenses."""
         raise self._refused("a kernel")
 
     def _refused(self, what: str) -> ArgumentError:

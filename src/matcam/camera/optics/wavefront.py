@@ -1,14 +1,14 @@
 """Image of a point through a pupil with a wavefront error: amplitude on the sensor, and transfer function.
 
-The error is a sum of Zernike terms, orthonormal on the unit disc (Noll 1976), so that a coefficient is the term's rms.
+The error is a sum of Zernike terms, orthonormal on the unit disc (Noll 1976), so that a coefficient is the rms of its term.
 The transfer function is the autocorrelation of exp(2 pi i W) over the overlap of two shifted discs (Goodman 6.3.3).
 Positions in the overlap are parameterised by two angles, in which integrand and borders are entire functions:
 
     nu = cos(end),  across the shift  v = sin(end s),  along it  u = (cos(end s) - nu) t,  s, t in [-1, 1].
 
-Gauss-Legendre quadrature therefore converges faster than any power. The transfer function is an entire function of
-`end` and of the direction, too, and may be interpolated across frequency 0 and the cutoff, where it has kinks as a
-function of frequency.
+Gauss-Legendre quadrature therefore converges faster than any power of the number of nodes. The transfer function is an
+entire function of `end` and of the direction, too, and may be interpolated across frequency 0 and the cutoff, where it
+has kinks as a function of frequency.
 """
 
 from __future__ import annotations
@@ -26,19 +26,22 @@ if TYPE_CHECKING:
 
 _LEAST, _PER_PHASE = 20, 1.3
 """Number of Gauss-Legendre nodes along an overlap: a minimum, and additional nodes per radian of phase."""
-_AT_ONCE = 128
-_NODES_AT_ONCE = 1 << 20
-_PHASES = (0, 1, 2, 4, 6, 8, 12, 16)  # rad
+_AT_ONCE = 128  # number of frequencies that are evaluated at once, which limits memory
+_NODES_AT_ONCE = 1 << 20  # number of positions times nodes that are evaluated at once, which limits memory
+_PHASES = (0, 1, 2, 4, 6, 8, 12, 16)  # bounds of the wavefront error for which quadratures are compiled, rad
 LARGEST_PHASE = _PHASES[-1]
-"""Largest error of a wavefront for which the quadratures are accurate, rad."""
+"""Largest wavefront error for which the quadratures are accurate, rad."""
 _POINTS = 8
 """Number of points per axis between which a table is interpolated."""
 _BEYOND = _POINTS // 2
-"""Steps by which a table extends beyond its ends."""
+"""Number of steps by which a table extends beyond its ends."""
 
 
 def wavefront(terms: AnyArray, x: jax.Array, y: jax.Array) -> jax.Array:
-    """Evaluate the wavefront error at positions of the pupil in its radii, waves; terms: (8,), waves rms."""
+    """Evaluate the wavefront error, waves.
+
+    terms: coefficients of the terms, (8,), waves rms. x, y: positions in the pupil, in radii of the pupil.
+    """
     square = x**2 + y**2
     defocus, astig, astig_45, coma_x, coma_y, trefoil, trefoil_y, spherical = terms
     return (
@@ -51,8 +54,9 @@ def wavefront(terms: AnyArray, x: jax.Array, y: jax.Array) -> jax.Array:
 
 
 def phase_of(terms: np.ndarray) -> int:
-    """Bound the wavefront error, rad, for the size of the quadratures; it is one of few values, because each requires a
-    compilation.
+    """Compute an upper bound of the wavefront error, rad.
+
+    It determines the size of the quadratures. It is one of few values, because each size requires a compilation.
     """
     defocus, *pairs, spherical = np.abs(terms)
     norms = np.hypot(pairs[::2], pairs[1::2]) * np.sqrt([6, 8, 8])
@@ -84,23 +88,28 @@ def amplitude(terms: jax.Array, x: jax.Array, y: jax.Array, sizes: tuple[int, in
 
 
 def pupil_sizes(phase: int, reach: float) -> tuple[int, int]:
-    """Return the nodes (along the radius, along the circumference) for an error of `phase` rad, to positions `reach`
-    half periods away.
+    """Compute the numbers of nodes along radius and circumference of the pupil.
+
+    phase: bound of the wavefront error, rad. reach: largest distance of a position, half periods of the cutoff.
     """
     turns = phase + 2 * np.pi * reach
     return 16 + int(0.7 * turns), 2 * (16 + int(1.2 * turns))
 
 
 def overlap_order(phase: int) -> int:
-    """Return the number of nodes that resolve an overlap for an error of `phase` rad."""
+    """Compute the number of nodes that resolve an overlap.
+
+    phase: bound of the wavefront error, rad.
+    """
     return _LEAST + int(_PER_PHASE * phase)
 
 
 @partial(compiled_by_jax, static=(3,))
 def overlap(terms: AnyArray, end: AnyArray, angle: AnyArray, order: int) -> jax.Array:
-    """Compute the transfer function at frequencies cos(end) of the cutoff, along `angle`, rad; arrays (n,), complex.
+    """Compute the complex transfer function, (n,).
 
-    Outside [0, pi/2] of `end` it is the entire continuation.
+    end: arccosine of the frequency divided by the cutoff, rad, (n,); outside [0, pi/2] the result is the entire
+    continuation. angle: direction of the frequency, rad, (n,). order: number of nodes.
     """
     node, weight = np.polynomial.legendre.leggauss(order)
     s, t = xp.asarray(node[:, None]), xp.asarray(node)
@@ -123,17 +132,17 @@ def overlap(terms: AnyArray, end: AnyArray, angle: AnyArray, order: int) -> jax.
 
 @partial(compiled_by_jax, static=(1,))
 def overlap_table(terms: jax.Array, phase: int) -> jax.Array:
-    """Tabulate `overlap` on a grid of `end` and angle, for `from_table`; (ends, angles), complex.
+    """Tabulate `overlap` for `from_table`, complex, (ends, angles).
 
-    It is integrated on few lines and directions, and interpolated between them by Chebyshev's polynomial and by
-    Fourier's series. The grid extends a few steps beyond its ends.
+    `overlap` is computed for few values of `end` and few angles, and interpolated by Chebyshev polynomials of `end` and
+    a Fourier series of the angle. The grid extends a few steps beyond its ends.
     """
     lines, half = 40 + 4 * phase, 20 + 8 * phase
     cheb = np.cos(np.pi * (np.arange(lines) + 0.5) / lines)
     ends, turns = np.pi / 4 * (1 + 1.1 * cheb), np.pi * np.arange(half) / half
     end, angle = (a.ravel() for a in np.meshgrid(ends, turns, indexing="ij"))
     values = overlap(terms, xp.asarray(end), xp.asarray(angle), overlap_order(phase)).reshape(lines, half)
-    values = xp.concatenate([values, xp.conj(values)], axis=1)  # of a real kernel
+    values = xp.concatenate([values, xp.conj(values)], axis=1)  # because the kernel is real
 
     fine, round_fine = _fineness(phase)
     at = (np.arange(-_BEYOND, fine + _BEYOND + 1) / fine * 2 - 1) / 1.1
@@ -149,13 +158,16 @@ def overlap_table(terms: jax.Array, phase: int) -> jax.Array:
 
 
 def _fineness(phase: int) -> tuple[int, int]:
-    """Return the numbers of steps of a table from 0 to pi/2 of `end`, and around."""
+    """Return the numbers of steps of a table: in `end` from 0 to pi/2, and in the angle over a full turn."""
     return 96 + 12 * phase, 128 + 48 * phase
 
 
 @partial(compiled_by_jax, static=(1,))
 def from_table(table: jax.Array, phase: int, end: jax.Array, angle: jax.Array) -> jax.Array:
-    """Interpolate the transfer function at end in [0, pi/2] and any angle, rad, (n,), in a table."""
+    """Interpolate the complex transfer function in a table, (n,).
+
+    end: arccosine of the frequency divided by the cutoff, rad, in [0, pi/2], (n,). angle: direction, rad, (n,).
+    """
     fine, round_fine = _fineness(phase)
     flat, width, steps = table.ravel(), table.shape[1], np.arange(_POINTS)
     row, column = (

@@ -33,33 +33,34 @@ if TYPE_CHECKING:
     from matcam.core.jax import AnyArray, jax
 
 _MOST_DIRECTLY = 4096
-"""Number of frequencies up to which each has its own quadrature; more are interpolated in a table."""
-_TRACED_PHASE = LARGEST_PHASE  # rad; assumed for traced coefficients
-_LEAST = 1e-5  # waves rms: smaller aberrations are invisible, and the value was probably in metres
-_MOST = 5.0  # waves rms
-_FARTHEST = 200.0  # half periods of the cutoff
+"""Largest number of frequencies that have a quadrature each; a larger number is interpolated in a table."""
+_TRACED_PHASE = LARGEST_PHASE  # assumed wavefront error of traced coefficients, rad
+_LEAST = 1e-5  # waves rms; smaller aberrations are invisible, and the value is probably in metres
+_MOST = 5.0  # largest plausible coefficient, waves rms
+_FARTHEST = 200.0  # largest distance at which the PSF is integrated, half periods of the cutoff
 
 
 class ZernikeOptics(Optics):
     """Lens with diffraction and low-order aberrations of a circular pupil.
 
-    Coefficients are the rms of their terms over the pupil, in waves of `wavelength`: terms of Noll's order and norm,
-    which is also that of OSA and ISO 24157. The image of a point is shifted by -2 f_number wavelength times the slope
-    of the wavefront. Piston and tilt are omitted, because they do not blur. Coma includes its balancing tilt: the
-    sharpest part of the image of a point stays at the point, and its centroid is at -4 sqrt(2) coma wavelength
-    f_number.
+    Coefficients are the rms of their terms over the pupil, in waves of `wavelength`. The terms are numbered and
+    normalised according to Noll; OSA and ISO 24157 use the same normalisation. The image of a point is shifted by -2
+    f_number wavelength times the slope of the wavefront. Piston and tilt are omitted, because they do not blur. Coma
+    includes its balancing tilt: the sharpest part of the image of a point stays at the point, and the centroid is at
+    -4 sqrt(2) coma wavelength f_number.
 
     Args:
         f_number: working f-number, no unit, positive.
         wavelength: wavelength of the light, m, 1e-9 to 1e-3.
-        pixel_pitch: distance of the sensor's pixels, m, 1e-8 to 1e-2.
-        defocus: sqrt(3) (2 rho^2 - 1), Noll's term 4, waves rms. Default: 0. A sensor dz m behind the focus has
-            dz / (16 sqrt(3) f_number^2) m of it.
-        astigmatism: (along x, along the diagonal), sqrt(6) rho^2 (cos 2t, sin 2t), terms 6 and 5, waves rms.
-            Default: none.
-        coma: (x, y), sqrt(8) (3 rho^3 - 2 rho) (cos t, sin t), terms 8 and 7, waves rms. Default: none.
-        trefoil: (x, y), sqrt(8) rho^3 (cos 3t, sin 3t), terms 10 and 9, waves rms. Default: none.
-        spherical: sqrt(5) (6 rho^4 - 6 rho^2 + 1), term 11, waves rms. Default: 0.
+        pixel_pitch: distance between neighbouring pixels, m, 1e-8 to 1e-2.
+        defocus: coefficient of sqrt(3) (2 rho^2 - 1), term 4, waves rms. Default: 0. A sensor at a distance dz, m,
+            behind the focus has a defocus of dz / (16 sqrt(3) f_number^2), m.
+        astigmatism: (along x, along the diagonal), coefficients of sqrt(6) rho^2 (cos 2t, sin 2t), terms 6 and 5, waves
+            rms. Default: (0, 0).
+        coma: (x, y), coefficients of sqrt(8) (3 rho^3 - 2 rho) (cos t, sin t), terms 8 and 7, waves rms.
+            Default: (0, 0).
+        trefoil: (x, y), coefficients of sqrt(8) rho^3 (cos 3t, sin 3t), terms 10 and 9, waves rms. Default: (0, 0).
+        spherical: coefficient of sqrt(5) (6 rho^4 - 6 rho^2 + 1), term 11, waves rms. Default: 0.
 
     Raises:
         ArgumentError: a parameter is out of range or not finite, coefficients look like metres, or the total wavefront
@@ -124,7 +125,7 @@ class ZernikeOptics(Optics):
 
     @property
     def terms(self) -> jax.Array:
-        """Coefficients in one row: defocus, astigmatism, coma, trefoil, spherical; (8,), waves rms."""
+        """Coefficients of defocus, astigmatism, coma, trefoil and spherical aberration, (8,), waves rms."""
         alone = self.defocus[None], self.spherical[None]
         return xp.concatenate([alone[0], self.astigmatism, self.coma, self.trefoil, alone[1]])
 
@@ -132,8 +133,8 @@ class ZernikeOptics(Optics):
         """Evaluate the wavefront error at a position of the pupil, waves.
 
         Args:
-            x: position, in radii of the pupil; broadcasts with y.
-            y: the same upwards.
+            x: position to the right, in radii of the pupil; broadcasts with y.
+            y: position upwards, in radii of the pupil.
 
         Raises:
             ArgumentError: a position is not finite.
@@ -141,13 +142,13 @@ class ZernikeOptics(Optics):
         return wavefront(self.terms, *xp.broadcast_arrays(*checks.broadcastable(x=x, y=y)))
 
     def psf(self, x: ArrayLike, y: ArrayLike) -> jax.Array:
-        """Return the point spread function, 1/px^2; optics only.
+        """Return the point spread function, 1/px^2, without the pixel.
 
-        (pi cutoff^2 / 4) |mean over the pupil of exp(2 pi i (W + cutoff p . x / 2))|^2: it is non-negative.
+        It is (pi cutoff^2 / 4) |mean over the pupil of exp(2 pi i (W + cutoff p . x / 2))|^2, which is non-negative.
 
         Args:
-            x: distance from the point's image to the right, up to 400 over the cutoff, px; broadcasts with y.
-            y: the same upwards.
+            x: distance from the image of the point to the right, at most 400 / cutoff, px; broadcasts with y.
+            y: distance upwards, at most 400 / cutoff, px.
 
         Raises:
             ArgumentError: a position is not finite, or too distant.
@@ -157,26 +158,26 @@ class ZernikeOptics(Optics):
         reach = reach_of(right, up) * self.band() / 2
         if reach > _FARTHEST:
             raise ArgumentError(
-                f"x and y must lie within {2 * _FARTHEST / self.band():.0f} px of the point, which is as far as it is "
-                f"integrated, got {reach_of(right, up):g} px"
+                f"x and y must lie within {2 * _FARTHEST / self.band():.0f} px of the point, the range of the "
+                f"quadrature, got {reach_of(right, up):g} px"
             )
         sizes = pupil_sizes(self._phase(), np.sqrt(2) * reach)
         wave = amplitude(self.terms, scale * right.ravel(), scale * up.ravel(), sizes)
         return (xp.pi * scale**2 * (wave.real**2 + wave.imag**2)).reshape(right.shape)
 
     def lsf(self, x: ArrayLike, angle: ArrayLike = 0.0) -> jax.Array:
-        """Return the line spread function, 1/px, by quadrature; optics only.
+        """Return the line spread function, 1/px, by quadrature, without the pixel.
 
         Args:
-            x: distance from the line's image, px; broadcasts with angle.
-            angle: direction of the line's normal, from +x towards +y, rad. Default: 0, a line along y.
+            x: distance from the image of the line, px; broadcasts with angle.
+            angle: direction of the normal of the line, from +x towards +y, rad. Default: 0, a line along y.
         """
         at, direction = checks.broadcastable(x=x, angle=angle)
         rule = self.frequency_rule(panels_for(reach_of(at), self.band()))
         return line_kernel(rule, self._along, at, direction)
 
     def mtf(self, f: ArrayLike, angle: ArrayLike = 0.0) -> jax.Array:
-        """Return the modulus of the transfer function; optics only.
+        """Return the modulus of the transfer function, without the pixel.
 
         Args:
             f: frequency, cycles/px; broadcasts with angle.
@@ -185,10 +186,11 @@ class ZernikeOptics(Optics):
         return xp.abs(self._along(*checks.broadcastable(f=f, angle=angle)))
 
     def otf(self, fx: ArrayLike, fy: ArrayLike) -> jax.Array:
-        """Return the transfer function in the plane, complex; optics only.
+        """Return the complex transfer function in the plane, without the pixel.
 
-        It is the integral of psf(x, y) exp(-2 pi i (fx x + fy y)): the autocorrelation of the pupil function, by
-        Gauss-Legendre over the overlap of two shifted discs. Its error is below 1e-8, or 1e-6 for many frequencies.
+        It is the integral of psf(x, y) exp(-2 pi i (fx x + fy y)), computed as the autocorrelation of the pupil function
+        by Gauss-Legendre quadrature over the overlap of two shifted discs. The error is below 1e-8, or below 1e-6 for
+        more than 4096 frequencies, which are interpolated.
         """
         right, up = xp.broadcast_arrays(*checks.broadcastable(fx=fx, fy=fy))
         nu = xp.hypot(right, up) / self.cutoff
@@ -209,7 +211,7 @@ class ZernikeOptics(Optics):
     def rule_on(self, borders: np.ndarray) -> Rule:
         """Return the rule of the perfect lens on finer panels.
 
-        They resolve the phase of the aberrations.
+        The panels resolve the phase of the aberrations.
         """
         return self.focused.rule_on(np.union1d(borders, np.linspace(0, 1, 2 + self._phase() // 3)))
 

@@ -16,12 +16,14 @@ T = TypeVar("T")
 
 
 def first_axis_map(function: Callable[..., Any], arrays: tuple[Any, ...], together: int) -> Any:
-    """Apply a function to pieces of arrays and join the results, so that intermediate results stay small.
+    """Apply a function to pieces of arrays, and join the results.
+
+    The pieces limit the size of intermediate results.
 
     Args:
         function: function of a piece of each array that returns an array of the same length along the first axis.
-        arrays: arrays whose first axes are of one length.
-        together: elements in a piece.
+        arrays: arrays whose first axes have the same length.
+        together: number of elements of a piece.
     """
     if has_jax(arrays):
         one = lambda piece: function(*(array[None] for array in piece))[0]  # noqa: E731
@@ -32,7 +34,10 @@ def first_axis_map(function: Callable[..., Any], arrays: tuple[Any, ...], togeth
 
 
 def repeated(count: int, step: Callable[[T], T], state: T) -> T:
-    """Apply a step to a tuple of arrays several times; if one is an array of JAX, all become such."""
+    """Apply a step to a tuple of arrays several times.
+
+    If one of the arrays is an array of JAX, the results are arrays of JAX.
+    """
     if has_jax(state):
         return import_module("jax").lax.fori_loop(0, count, lambda _, now: step(now), state)
     for _ in range(count):
@@ -41,8 +46,10 @@ def repeated(count: int, step: Callable[[T], T], state: T) -> T:
 
 
 def each(function: Callable[[Any], Any], array: Any) -> Any:
-    """Apply a function to the elements along the first axis of an array, and stack the results: an array, or a tuple of
-    them.
+    """Apply a function to each element along an array's first axis.
+
+    Returns:
+        Stacked results: an array, or a tuple of arrays.
     """
     if has_jax(array):
         return import_module("jax").vmap(function)(array)
@@ -53,15 +60,16 @@ def each(function: Callable[[Any], Any], array: Any) -> Any:
 
 
 def either(condition: Any, some: Callable[..., T], others: Callable[..., T], *args: Any) -> T:
-    """Call one of two functions, by a condition that may be traced."""
+    """Call one of two functions, by a condition, which may be traced."""
     if has_jax(condition):
         return import_module("jax").lax.cond(condition, some, others, *args)
     return some(*args) if condition else others(*args)
 
 
 def last_of(step: Callable[[Any, Any], tuple[Any, T]], state: Any, inputs: Any) -> T:
-    """Loop over inputs with a state, and return the result of the last step. step: function of state and input that
-    returns the new state and a result.
+    """Loop over inputs with a state, and return the last result.
+
+    step: function of state and input that returns the new state and a result.
     """
     if has_jax(state):
         jax = import_module("jax")
@@ -94,17 +102,16 @@ def tuple_map(function: Callable[..., Any], tree: T, *others: T) -> T:
 
 
 _STEP = 1e-3
-"""Relative step of differences of the fourth order: an error of 1e-12 for functions that are smooth on the scale of
-their argument.
+"""Relative step of differences of the fourth order. Their error is 1e-12 for functions that are smooth on the scale of
+the argument.
 """
 
 
 def jacobian(function: Callable[[Any], Any], at: Any) -> Any:
-    """Compute the derivatives of a function by the elements of a vector, on an additional last axis.
+    """Compute the derivatives of a function with respect to a vector.
 
-    The function returns an array or a tuple of arrays. The derivatives of each array are computed.
-
-    For arrays of NumPy they are finite differences.
+    The function returns an array or a tuple of arrays. The derivatives of each array have an additional last axis for
+    the elements of the vector. For arrays of NumPy they are finite differences.
     """
     if has_jax(at):
         return import_module("jax").jacfwd(function)(at)
@@ -116,7 +123,10 @@ def jacobian(function: Callable[[Any], Any], at: Any) -> Any:
 
 
 def slope_along(function: Callable[[Any], Any], at: Any, direction: Any) -> Any:
-    """Compute the derivative of a function along a direction, whose length is the scale on which it is smooth."""
+    """Compute the derivative of a function along a direction.
+
+    The length of the direction is the scale on which the function is smooth.
+    """
     if has_jax(at, direction):
         jax = import_module("jax")
         at, direction = (jax.numpy.asarray(a, dtype=float) for a in (at, direction))
@@ -132,7 +142,7 @@ def slope_along(function: Callable[[Any], Any], at: Any, direction: Any) -> Any:
 
 
 def compiled_by_jax(function: Callable[P, T], *, static: tuple[int, ...] = ()) -> Callable[P, T]:
-    """Compile a function for arrays of JAX; arrays of NumPy use it uncompiled.
+    """Compile a function for arrays of JAX, but not for NumPy.
 
     Args:
         function: a function of positional arguments.
@@ -153,11 +163,11 @@ def compiled_by_jax(function: Callable[P, T], *, static: tuple[int, ...] = ()) -
 
 
 def with_derivatives(function: Callable[P, T], *derivatives: Callable[..., Any]) -> Callable[P, T]:
-    """Give a function custom derivatives, one for each argument, as `jax.custom_jvp` takes them.
+    """Give a function custom derivatives, as `jax.custom_jvp` does.
 
     Args:
         function: a function of positional arguments.
-        derivatives: each takes the change of its argument, the result and all arguments.
+        derivatives: for each argument, a function of the change of this argument, the result and all arguments.
     """
     known: list[Any] = []
 

@@ -17,12 +17,15 @@ M = TypeVar("M", bound="Module")
 
 
 def static_field(**options: Any) -> Any:
-    """Return a field that is not an array: part of the kind of an object, as `equinox.field(static=True)`."""
+    """Declare a field that is not an array, as `equinox.field(static=True)` does.
+
+    Its value is part of the structure of the pytree.
+    """
     return dataclasses.field(metadata={"static": True}, **options)
 
 
 @dataclass_transform(eq_default=False, field_specifiers=(static_field,))
-class Module(ABC):  # noqa: B024  # its heirs have abstract methods
+class Module(ABC):  # noqa: B024  # subclasses have abstract methods
     """Base of immutable objects whose annotated attributes are arrays, other such objects, or static.
 
     A class without a constructor gets that of a dataclass. An attribute can be set once, in the constructor.
@@ -49,14 +52,14 @@ class Module(ABC):  # noqa: B024  # its heirs have abstract methods
             return NotImplemented
         return all(_equal(getattr(self, name), getattr(other, name)) for name in self.__dataclass_fields__)  # type: ignore[attr-defined]
 
-    __hash__ = None  # type: ignore[assignment]  # arrays have none
+    __hash__ = None  # type: ignore[assignment]  # arrays have no hash
 
     def __repr__(self) -> str:
         return constructor_call(self)
 
 
 def constructor_call(thing: Any) -> str:
-    """Write an object with the values of its fields, as a call of its constructor.
+    """Format an object as a call of its constructor.
 
     Args:
         thing: instance of a dataclass, such as a module.
@@ -70,13 +73,13 @@ def constructor_call(thing: Any) -> str:
 
 
 _MOST_SHOWN = 16
-"""Entries of an array that a `repr` writes out: four rows of four. A larger array is described by its shape and
-range.
+"""Largest number of entries of an array that a `repr` contains: four rows of four. A larger array is described by its
+shape and range.
 """
 
 
 def _in_words(value: Any) -> str:
-    """Write the value of a field: an array of a few entries in full, of many by its shape and range."""
+    """Format the value of a field: a small array in full, and a large array by its shape and range."""
     if not hasattr(value, "dtype"):
         return repr(value)
     if not is_concrete(value):
@@ -90,7 +93,7 @@ def _in_words(value: Any) -> str:
 
 
 def replaced(module: M, path: str, value: Any) -> M:
-    """Copy an object with one attribute replaced, without the checks of its constructor.
+    """Copy an object with one attribute replaced, without the constructor's checks.
 
     Args:
         module: the object.
@@ -122,7 +125,7 @@ def _equal(a: Any, b: Any) -> bool:
 
 
 def _names(cls: type) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return the names of the fields of a class: those of arrays, and static ones."""
+    """Return the names of the array fields and of the static fields of a class."""
     fields = dataclasses.fields(cls)
     static = tuple(field.name for field in fields if field.metadata.get("static"))
     return tuple(field.name for field in fields if field.name not in static), static

@@ -1,9 +1,9 @@
 """Namespaces for formulas on arrays of NumPy and of JAX.
 
-`xp` is the namespace of NumPy, in which each function is that of JAX if an argument is an array of JAX: inside
-`jax.grad` or `jax.jit`, or from the caller. A formula therefore requires JAX only for derivatives and compiled
-programs, and evaluation of a single number requires no import of JAX, which takes a second. `special` is the same for
-special functions.
+`xp` is the namespace of NumPy. Each of its functions calls the function of JAX instead if an argument is an array of
+JAX, as inside `jax.grad` and `jax.jit`, or if the caller passes one. A formula therefore requires JAX only for
+derivatives and compiled programs, and evaluation of a single number requires no import of JAX, which takes a second.
+`special` is the same for special functions.
 
 Annotations name `jax.Array` for both kinds.
 """
@@ -28,7 +28,7 @@ FloatArray = npt.NDArray[np.float64]
 
 
 def has_jax(*values: Any) -> bool:
-    """Check whether any value, or an element of a nested tuple or list, is an array of JAX."""
+    """Check whether any value is an array of JAX, or contains one."""
     jax = sys.modules.get("jax")
     return jax is not None and _any_of(getattr(jax, "Array", ()), values)
 
@@ -38,7 +38,7 @@ def _any_of(kind: Any, values: Any) -> bool:
 
 
 def is_concrete(value: object) -> bool:
-    """Check whether `value` has concrete numbers, rather than a tracer inside a JAX transformation."""
+    """Check whether `value` is concrete, and not traced by JAX."""
     jax: Any = sys.modules.get("jax")
     return not (hasattr(jax, "core") and isinstance(value, jax.core.Tracer))
 
@@ -55,7 +55,7 @@ _silent: ContextVar[bool] = ContextVar("silent", default=False)
 def without_warnings() -> Iterator[None]:
     """Let NumPy compute infinity and NaN without a warning, as JAX does.
 
-    Functions of `xp` do so by themselves, one by one, which costs more than a small array takes to compute.
+    Each function of `xp` also suppresses warnings, but for small arrays this takes longer than the computation.
     """
     token = _silent.set(True)
     try:
@@ -66,7 +66,7 @@ def without_warnings() -> Iterator[None]:
 
 
 class _Namespace:
-    """Functions of NumPy or SciPy, each of which is that of JAX if an argument is an array of JAX."""
+    """Functions of NumPy or SciPy, each of which calls that of JAX if an argument is an array of JAX."""
 
     def __init__(self, numpy_home: str, jax_home: str):
         self._homes = numpy_home, jax_home
@@ -101,12 +101,15 @@ fft: Any = _Namespace("numpy.fft", "jax.numpy.fft")
 # ------------------------------------------------------------------------------------------------------- when JAX comes
 
 _PREPARED = "matcam.core.jax"
-"""Module that prepares JAX by importing it."""
+"""Module whose import prepares JAX."""
 _awaiting: list[Callable[[Any], None]] = []
 
 
 def when_jax_is_there(action: Callable[[Any], None]) -> None:
-    """Run an action with the module of JAX, immediately if it is imported, otherwise after its import."""
+    """Run an action that requires JAX, when JAX is imported.
+
+    action: function of the module of JAX. It runs immediately if JAX is already imported.
+    """
     jax = sys.modules.get("jax")
     if hasattr(jax, "tree_util"):
         action(jax)
@@ -121,7 +124,7 @@ def jax_is_there(jax: Any) -> None:
 
 
 class _JaxWatcher(MetaPathFinder):
-    """Import hook that prepares JAX: objects that were created before its import must become pytrees, in float64."""
+    """Import hook that prepares JAX, so that it uses float64, and treats existing objects as pytrees."""
 
     def find_spec(self, fullname: str, path: Any = None, target: Any = None) -> ModuleSpec | None:
         """Find JAX once, with a loader that prepares it."""

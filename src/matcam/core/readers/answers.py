@@ -55,7 +55,7 @@ def _unpacked(value: Any, arrays: list[np.ndarray]) -> Any:
 
 
 def _layout(value: Any) -> list[tuple[np.dtype, tuple[int, ...]]]:
-    """List the types and shapes of the arrays that a packed answer announces, in their order."""
+    """List the types and shapes of the arrays of a packed answer, in order."""
     if "array" in value:
         return [(np.dtype(value["type"]), tuple(value["shape"]))]
     inside = value.get("dict", {}).values() if "dict" in value else value.get("list", [])
@@ -63,7 +63,10 @@ def _layout(value: Any) -> list[tuple[np.dtype, tuple[int, ...]]]:
 
 
 def read_answer(take: Callable[[int], bytearray], path: Path, memory: int) -> Any:
-    """Read the answer that `take` yields piece by piece."""
+    """Read an answer piece by piece.
+
+    take: function that returns a number of further bytes. memory: largest size of the arrays, bytes.
+    """
     (length,) = struct.unpack("<Q", take(8))
     if length > _LONGEST_ANSWER:
         raise FileFormatError(f"{path}: the file is damaged: its metadata take {length} bytes")

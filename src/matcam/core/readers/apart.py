@@ -47,7 +47,7 @@ _SPARE_MEMORY, _TIMES_THE_FILE = 512 << 20, 32
 """Memory for a file: 512 MiB, and 32 times its size. Parsers of text need up to 25 times, deflated images 10."""
 _SERVING = "matcam.core.readers.serving"
 _PATIENCE = 30.0
-"""Ratio of wall-clock time to processor time that is allowed, because the machine may be busy or the disk slow."""
+"""Largest allowed ratio of wall-clock time to processor time. The machine may be busy, or the disk slow."""
 
 
 class Limits(NamedTuple):
@@ -71,7 +71,10 @@ _limits: ContextVar[Limits | None] = ContextVar("limits", default=_NORMAL)
 
 @contextmanager
 def reading_limits(limits: Limits | None) -> Iterator[None]:
-    """Use other limits for files that are opened in the block; None trusts them: they are decoded in this process."""
+    """Use other limits for files that are opened in the block.
+
+    limits: the limits; None: the files are trusted, and are decoded in this process.
+    """
     token = _limits.set(limits)
     try:
         yield
@@ -108,7 +111,8 @@ def read_apart(
     libraries: modules that the decoder imports.
     small: size of a file, bytes, up to which the decoder is called in this process, for decoders whose cost is bounded
         by the size.
-    size: bytes for the limits. Default: None, the size of the file; required if `path` is a folder.
+    size: size of the content, bytes, from which the limits are computed. Default: None, the size of the file; required
+    if `path` is a folder.
 
     The answer may consist of None, truth values, numbers, text, lists, dicts with text keys, and NumPy arrays.
     FileFormatError names the file if it is missing, if it exceeds a limit, or if its decoder crashes or raises a
@@ -120,14 +124,14 @@ def read_apart(
         try:
             return decoded(module, name, path, options, what)
         except MemoryError:
-            raise FileFormatError(f"{path}: reading needs more memory than there is") from None
+            raise FileFormatError(f"{path}: reading needs more memory than is available") from None
     with reading(path, what):
         size = path.stat().st_size if size is None else size
         if small and size <= small:
             return called(module, name, path, options)
     seconds = _SECONDS + size / _BYTES_A_SECOND if limits.seconds is None else limits.seconds
     wall = _PATIENCE * seconds if limits.wall is None else limits.wall
-    # at most half: this process will contain the answer, too, and process it
+    # at most half, because this process also requires memory for the answer
     allowed = min(_SPARE_MEMORY + _TIMES_THE_FILE * size, available_memory() // 2)
     memory = allowed if limits.memory is None else limits.memory
     folder = path.anchor or str(Path.cwd())
@@ -155,7 +159,7 @@ def _answer_to(request: dict[str, Any], path: Path, memory: int, wall: float) ->
 class _EndedError(Exception):
     """The child ended before its answer was complete.
 
-    by: number of the signal that ended it; 0: normal exit; None: it or the fork server is gone or stopped.
+    by: number of the signal that ended the child; 0: normal exit; None: the child or the fork server is gone or stopped.
     """
 
     def __init__(self, by: int | None):
@@ -166,28 +170,28 @@ class _EndedError(Exception):
 _ATTEMPTS = 2
 """Number of attempts to read a file whose reader is ended from outside.
 
-A file that fills the memory of the machine ends both.
+A file that fills the memory of the machine ends both attempts.
 """
 _OUT_OF_TIME = getattr(signal, "SIGPROF", -1), getattr(signal, "SIGALRM", -1)
 _FROM_OUTSIDE = None, getattr(signal, "SIGKILL", -1), signal.SIGTERM
-"""Ends for which the file is not responsible: lack of memory, or a signal from a user."""
+"""Reasons for the end of a child that are not in the file: lack of memory, or a signal from a user."""
 
 
 def _reason(ended_by: int | None, seconds: float, wall: float, memory: int) -> str:
     if ended_by in _FROM_OUTSIDE:
-        return "not read: the process that reads it was ended from outside, twice: free memory and try again"
+        return "the reading process was ended from outside, twice: free memory and try again"
     if ended_by == _OUT_OF_TIME[0]:
-        return f"reading takes more than {seconds:.3g} s of processor time: damaged, or made to be slow"
+        return f"reading takes more than {seconds:.3g} s of processor time: the file is damaged, or made to be slow"
     if ended_by == _OUT_OF_TIME[1]:
-        return f"reading takes more than {wall:.3g} s: damaged, or on a disk that does not answer"
-    return f"damaged: its decoder crashed, or needs more than {memory / 2**20:.0f} MiB"
+        return f"reading takes more than {wall:.3g} s: the file is damaged, or on a disk that does not answer"
+    return f"the file is damaged: its decoder crashed, or needs more than {memory / 2**20:.0f} MiB"
 
 
 def _from_socket(
     nursery: subprocess.Popen[bytes], channel: socket.socket, status: socket.socket, deadline: float
 ) -> Callable[[int], bytearray]:
     def end() -> _EndedError:
-        """Determine the end of the child, which is known when the fork server has waited for it."""
+        """Read the reason for the end of the child from the fork server."""
         while not (ready := select.select([status], [], [], _A_MOMENT)[0]) and _is_running(nursery):
             pass
         said = status.recv(4) if ready else b""
@@ -237,7 +241,7 @@ def _from_process(request: dict[str, Any]) -> Callable[[int], bytearray]:
     return take
 
 
-# -- the nursery
+# -- the fork server
 # -------------------------------------------------------------------------------------------------------------
 
 _CAN_FORK = hasattr(os, "fork") and hasattr(socket, "send_fds")
@@ -259,14 +263,15 @@ def _is_running(process: subprocess.Popen[bytes]) -> bool:
 
 
 class _Nursery:
-    """Process that forks readers, and the socket to it."""
+    """Fork server, and the socket to it."""
 
     def __init__(self) -> None:
         self.forget()
 
     def forget(self) -> None:
-        """Reset in a fork of this process, which must not share the fork server, or the lock that another thread may
-        hold.
+        """Reset in a fork of this process.
+
+        The fork must not share the fork server, or a lock that another thread may hold.
         """
         self.lock = threading.Lock()
         self.process: subprocess.Popen[bytes] | None = None
@@ -294,7 +299,7 @@ class _Nursery:
         self.channel = self.process = None
 
     def stop(self) -> None:
-        """End it; the next file starts another."""
+        """End the fork server. The next file starts another one."""
         with self.lock:
             self._stop()
 
@@ -302,7 +307,7 @@ class _Nursery:
         """Pass on a request, with the sockets for its answer and its end."""
         text = json.dumps(request).encode()
         with self.lock:
-            for attempt in range(1, _ATTEMPTS + 1):  # it may have ended since the last file
+            for attempt in range(1, _ATTEMPTS + 1):  # the fork server may have ended since the last file
                 try:
                     process, channel = self._started()
                     socket.send_fds(channel, [struct.pack("<Q", len(text))], [one.fileno() for one in sockets])

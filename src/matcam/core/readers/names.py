@@ -12,33 +12,37 @@ from pathlib import Path, PurePosixPath
 from matcam.core.errors import FileFormatError
 
 _LONGEST = 200
-"""Largest number of characters of a name in a document: file systems allow 255 bytes for each of its parts."""
+"""Largest number of characters of a name in a document: file systems allow 255 bytes for each part of a path."""
 
 
 def is_there(path: Path) -> bool:
-    """Check whether there is a file or folder. A name that the system rejects, such as one that is too long, does not
-    exist.
+    """Check whether a file or folder exists.
+
+    A name that the system rejects, such as a name that is too long, does not exist.
     """
     return os.path.exists(path)  # noqa: PTH110  # Path.exists raises an error for such a name
 
 
 def is_file(path: Path) -> bool:
-    """Check whether there is a file, as `is_there` does."""
+    """Check whether a path is a file, as `is_there` does."""
     return os.path.isfile(path)  # noqa: PTH113
 
 
 def is_folder(path: Path) -> bool:
-    """Check whether there is a folder, as `is_there` does."""
+    """Check whether a path is a folder, as `is_there` does."""
     return os.path.isdir(path)  # noqa: PTH112
 
 
 def is_link(path: Path) -> bool:
-    """Check whether there is a link, as `is_there` does."""
+    """Check whether a path is a link, as `is_there` does."""
     return os.path.islink(path)  # noqa: PTH114
 
 
 def check_folder(path: Path, hint: str = "") -> None:
-    """Raise FileFormatError for a path that is not a folder; `hint` names the alternative."""
+    """Raise FileFormatError for a path that is not a folder.
+
+    hint: end of the message, with an alternative. Default: "".
+    """
     if is_there(path) and not is_folder(path):
         raise FileFormatError(f"{path}: is not a folder{hint}")
     try:
@@ -72,7 +76,7 @@ def check_within(path: Path, folder: Path) -> None:
     The author of a folder must not be able to select other files of the reader.
     """
     if is_link(path) and not (target := path.resolve()).is_relative_to(folder.resolve()):
-        raise FileFormatError(f"{path}: is a link out of its folder, to {target}: name that file itself")
+        raise FileFormatError(f"{path}: is a link out of its folder, to {target}: give the target instead")
 
 
 def listed_file(folder: Path, name: str, what: str) -> Path:
@@ -80,7 +84,7 @@ def listed_file(folder: Path, name: str, what: str) -> Path:
 
     Args:
         folder: folder of the document.
-        name: relative to the folder, parts divided by "/".
+        name: path relative to the folder, with parts separated by "/".
         what: name of the folder, such as "the capture's folder".
 
     Raises:
@@ -89,9 +93,9 @@ def listed_file(folder: Path, name: str, what: str) -> Path:
     pure = PurePosixPath(name)
     path = folder / name
     if not pure.parts or not name.isprintable() or len(name) > _LONGEST:
-        raise FileFormatError(f"{folder}: file {name[:40]!r} has a name that is not plain text")
+        raise FileFormatError(f"{folder}: file {name[:40]!r} has a name that is not plain text: rename it")
     if pure.is_absolute() or ".." in pure.parts or "\\" in name or re.match(r"[A-Za-z]:", name):
-        raise FileFormatError(f"{path}: leads out of {what}: give a name inside it")
+        raise FileFormatError(f"{path}: leads out of {what}: give a file inside that folder")
     if not path.resolve().is_relative_to(folder.resolve()):
         raise FileFormatError(f"{path}: is a link out of {what}: put the file itself there")
     return path

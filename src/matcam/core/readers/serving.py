@@ -23,8 +23,8 @@ from matcam.core.io import reading
 from matcam.core.readers.answers import packed, write_answer
 
 _THREAD_STACK, _FREE_THREADS = 8 << 20, 16
-"""Address space of one thread, and number of threads that the memory of a file includes: libraries start one per
-processor.
+"""Address space of a thread, bytes, and number of threads for which the memory of a file suffices. Libraries start one
+thread per processor.
 """
 
 
@@ -34,14 +34,17 @@ def called(module: str, name: str, path: Path, options: dict[str, Any]) -> Any:
 
 
 def decoded(module: str, name: str, path: Path, options: dict[str, Any], what: str) -> Any:
-    """Call a decoder that may raise anything on a damaged file: FileFormatError then names the file in one line."""
+    """Call a decoder, and convert its errors to FileFormatError.
+
+    A decoder may raise any error for a damaged file. The message names the file, on one line.
+    """
     with reading(path, what):
         try:
             return called(module, name, path, options)
         except (errors.MatcamError, MemoryError):
             raise
         except Exception as error:
-            if isinstance(error, OSError) and error.errno:  # the system's own, and not a library's
+            if isinstance(error, OSError) and error.errno:  # an error of the system, and not of a library
                 raise
             raise FileFormatError(f"{path}: damaged{what and ', or not '}{what}: {one_line(error)}") from None
 
@@ -51,7 +54,7 @@ def _serve(request: dict[str, Any], write: Callable[[Any], Any]) -> None:
     _limit(request["seconds"], request["wall"], request["memory"])
     arrays: list[np.ndarray] = []
     try:
-        os.chdir(request["folder"])  # the path as the caller gave it, for messages
+        os.chdir(request["folder"])  # messages contain the path as the caller gave it
         path = Path(request["path"])
         answer = decoded(request["module"], request["name"], path, request["options"], request["what"])
         message = {"answer": packed(answer, arrays)}
@@ -61,7 +64,7 @@ def _serve(request: dict[str, Any], write: Callable[[Any], Any]) -> None:
         text = f"{request['path']}: reading needs more than {request['memory'] / 2**20:.0f} MiB"
         message, arrays = {"error": "FileFormatError", "text": text}, []
     except Exception as error:
-        text = f"{request['path']}: damaged: {one_line(error)}"  # its answer cannot be packed
+        text = f"{request['path']}: damaged: {one_line(error)}"  # the answer cannot be packed
         message, arrays = {"error": "FileFormatError", "text": text}, []
     write_answer(write, message, arrays)
 
@@ -86,14 +89,17 @@ def _limit(seconds: float, wall: float, memory: int) -> None:
 
 
 def serve_standard_streams() -> None:
-    """Read one file: the request comes from standard input, the answer goes to standard output."""
+    """Read one file, with request and answer on the standard streams."""
     request = json.loads(sys.stdin.buffer.read())
     _serve(request, sys.stdout.buffer.write)
     sys.stdout.buffer.flush()
 
 
 def serve_by_forking(number: int) -> None:
-    """Fork a child for every request, and report the end of each child, until there are no more requests."""
+    """Fork a child for every request, and report its end.
+
+    The function returns if there are no more requests.
+    """
     signal.signal(signal.SIGCHLD, lambda *_: None)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     woken, waking = socket.socketpair()
@@ -138,7 +144,7 @@ def _report_ends(children: dict[int, socket.socket]) -> None:
         child, status = os.waitpid(-1, os.WNOHANG)
         if not child:
             return
-        with children.pop(child) as channel, contextlib.suppress(OSError):  # a reader that has gone requires no report
+        with children.pop(child) as channel, contextlib.suppress(OSError):  # a reader that has ended requires no report
             channel.sendall(struct.pack("<i", os.WTERMSIG(status) if os.WIFSIGNALED(status) else 0))
 
 

@@ -23,15 +23,15 @@ if TYPE_CHECKING:
     from pydantic import ValidationError
 
 SMALL_TEXT = 64 << 10
-"""Size of a text that is parsed in the process of the caller, bytes.
+"""Largest size of a text that is parsed in the process of the caller, bytes.
 
-Its values, at most one for every two bytes, take 20 ms and 4 MiB.
+The values of such a text, at most one for every two bytes, take 20 ms and 4 MiB.
 """
 _LARGEST_JSON = 16 << 20  # bytes; a measured curve of 100,000 samples takes 4 MiB
 _MOST_VALUES = 250_000
 """Largest number of values in a JSON document: a measured curve of 100,000 samples has 200,000.
 
-A schema may check each in 5 us.
+A schema may take 5 us to check each value.
 """
 _LARGEST_LINES = 4 << 20  # bytes; 65,536 lines of three numbers take 3 MiB
 _MOST_LINES = 100_000
@@ -41,9 +41,10 @@ _LONGEST_LINE = 1000
 
 
 def read_json(path: str | Path, what: str) -> Any:
-    """Read a JSON document; `what` is the expected content, such as "a camera profile".
+    """Read a JSON document.
 
-    FileFormatError that names the file if it is not JSON, or has more than 16 MiB or 250,000 values.
+    what: expected content, such as "a camera profile". FileFormatError names the file if it is not JSON, or has more
+    than 16 MiB or 250,000 values.
     """
     path = Path(path)
     content = read_apart(f"{__name__}:decode_json", path, what, small=SMALL_TEXT, title=what)
@@ -51,9 +52,10 @@ def read_json(path: str | Path, what: str) -> Any:
 
 
 def read_toml(path: str | Path, what: str) -> dict[str, Any]:
-    """Read settings in TOML; `what` is the expected content, such as "a rig".
+    """Read settings in TOML.
 
-    FileFormatError that names the file if it is not TOML, has more than 64 KiB, or lines of more than 1000 characters.
+    what: expected content, such as "a rig". FileFormatError names the file if it is not TOML, has more than 64 KiB, or
+    lines of more than 1000 characters.
     """
     import tomllib
 
@@ -67,9 +69,10 @@ def read_toml(path: str | Path, what: str) -> dict[str, Any]:
 
 
 def read_lines(path: str | Path, what: str) -> list[str]:
-    """Read a text as lines, without their ends; `what` is the expected content. Bytes that are not text are replaced.
+    """Read the lines of a text, without line ends.
 
-    FileFormatError that names the file if it has more than 4 MiB, 100,000 lines, or 1000 characters in a line.
+    what: expected content. Bytes that are not text are replaced. FileFormatError names the file if it has more than 4
+    MiB, 100,000 lines, or 1000 characters in a line.
     """
     content = read_apart(f"{__name__}:decode_lines", Path(path), what, small=SMALL_TEXT, title=what)
     text = content.tobytes().decode("utf-8-sig", "replace")
@@ -94,16 +97,16 @@ def decode_json(path: Path, *, title: str) -> np.ndarray:
 
 
 def decode_lines(path: Path, *, title: str) -> np.ndarray:
-    """Read the bytes of a text whose lines are within their limits."""
+    """Read the bytes of a text, and check the limits of lines."""
     return np.frombuffer(_checked_text(path, title, _LARGEST_LINES), np.uint8)
 
 
 def _bytes_of(path: Path, what: str, largest: int) -> bytes:
     size = path.stat().st_size
     if size > largest:
-        raise FileFormatError(f"{path}: {size} bytes is too large for {what}")
+        raise FileFormatError(f"{path}: {size} bytes are too many for {what}")
     with path.open("rb") as file:
-        return file.read(size)  # it may have grown since
+        return file.read(size)  # the file may have grown since then
 
 
 def _checked_text(path: Path, what: str, largest: int) -> bytes:
@@ -118,7 +121,9 @@ def _checked_text(path: Path, what: str, largest: int) -> bytes:
 
 
 def checked_version(document: Any, where: str | Path, what: str, form: str, versions: Collection[int]) -> int:
-    """Return the version of a document of matcam: {"format": form, "version": one of `versions`, ...}.
+    """Return the version of a document of matcam.
+
+    The document has the form {"format": form, "version": one of `versions`, ...}.
 
     FileFormatError names its location `where`, the expected content `what`, and the field.
     """
@@ -134,9 +139,9 @@ def checked_version(document: Any, where: str | Path, what: str, form: str, vers
 
 
 def first_problem(error: ValidationError, unnamed: Collection[str] = ()) -> str:
-    """Format the first error of a schema, in one line that names the field.
+    """Format the first error of a schema on one line.
 
-    unnamed: parts of the path of the field that are not names of fields.
+    The line names the field. unnamed: parts of the path of the field that are not names of fields.
     """
     first = error.errors()[0]
     field = ".".join(str(part) for part in first["loc"] if part not in unnamed)

@@ -34,12 +34,14 @@ _COORDINATES = {
 
 
 def named(data: D, texts: Mapping[str, str] | None = None) -> D:
-    """Give variables and coordinates their attributes `long_name` and `units`, which xarray's plots and NetCDF use.
+    """Give variables and coordinates the attributes `long_name` and `units`.
+
+    Plots of xarray, and NetCDF, use these attributes.
 
     Args:
         data: a new result. Its attributes are set in place; an existing `long_name` or `units` is kept.
-        texts: name in words and unit of each variable and coordinate, "BRDF [1/sr]". Without a unit it is "1", a pure
-            number, as in the CF conventions. Default: None, only the coordinates that results share are named.
+        texts: name in words and unit of each variable and coordinate, "BRDF [1/sr]". Without a unit, `units` is
+            "1", as in the CF conventions. Default: None, only the coordinates that results share are named.
 
     Returns:
         `data`.
@@ -102,7 +104,7 @@ class DatasetAccessor(Summarised):
         found = [kind.name for kind in _KINDS if kind.variables <= names]
         if not found:
             raise ArgumentError(
-                "a summary is for the results of fresnel, correct, limits and predict: this is none of them"
+                "a summary needs a result of fresnel, correct, limits or predict, but this Dataset is of another kind"
             )
         return found[0]
 

@@ -21,18 +21,20 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 _MOST_ROWS = 12
-"""Quantities of one section that are shown. A measured MTF has hundreds of parameters, which are too many to read."""
+"""Largest number of quantities of a section that are shown. A measured MTF has hundreds of parameters, which are too
+many to read.
+"""
 _LEAST_CORRELATION = 0.1
 """Smallest correlation that is listed, as in lmfit: a smaller one changes a standard deviation by less than 1 %."""
 _WIDTH = 100
-"""Characters of a line of text, as in the reports of lmfit and statsmodels."""
+"""Number of characters of a line of text, as in the reports of lmfit and statsmodels."""
 
 _FIGURES: Registry[Any] = Registry({"draw": "matcam.figures.artists:draw"})
 """Function that draws results. It is imported with the first figure, so that no layer below depends on figures."""
 
 
 class Quantity(NamedTuple):
-    """A named value of a result.
+    """Named value of a result.
 
     Attributes:
         name: name of the quantity.
@@ -48,7 +50,10 @@ class Quantity(NamedTuple):
 
     @property
     def text(self) -> str:
-        """Format value, standard deviation and unit, with as many digits as the standard deviation determines."""
+        """Format value, standard deviation and unit.
+
+        The standard deviation determines the number of digits.
+        """
         if isinstance(self.value, str):
             return self.value
         unit = f" {self.unit}" if self.unit else ""
@@ -69,7 +74,9 @@ class Quantity(NamedTuple):
 
 
 def with_std(value: float, std: float) -> str:
-    """Write a value and its standard deviation with two significant digits of the latter.
+    """Format a value and its standard deviation.
+
+    The standard deviation has two significant digits.
 
     Args:
         value: the value.
@@ -143,18 +150,18 @@ def parameters(values: Mapping[str, Any], std: Mapping[str, Any]) -> list[Quanti
     """List parameters with their standard deviations.
 
     Args:
-        values: value of each by its name, which has the unit.
-        std: standard deviation of each by the same name; NaN or missing: none is given.
+        values: value of each parameter by its name, which includes the unit.
+        std: standard deviation of each parameter by the same name; NaN or missing: unknown.
     """
     return [Quantity(name, float(value), float(std.get(name, math.nan))) for name, value in values.items()]
 
 
 def correlations(names: Iterable[str], covariance: np.ndarray) -> list[Quantity]:
-    """List the correlations of parameters from 0.1 on, the largest first.
+    """List the correlations of at least 0.1, the largest first.
 
     Args:
         names: names of the parameters.
-        covariance: their covariance, (parameters, parameters).
+        covariance: covariance of the parameters, (parameters, parameters).
 
     Example:
         >>> [one.name for one in correlations(["a", "b", "c"], np.array([[4.0, 1.0, 0], [1.0, 1.0, 0], [0, 0, 1]]))]
@@ -180,7 +187,7 @@ class Summarised:
 
         Returns:
             Sections with quantities, their standard deviations and units; the correlations of fitted parameters;
-            remarks. A notebook shows the same as a table if a cell ends with the result.
+            remarks. A notebook shows the same content as a table if a cell ends with the result.
         """
         return self._summary().text
 

@@ -49,7 +49,7 @@ class Beckmann(SlopeNDF, MixtureNDF):
     def smith_lambda(self, cos: jax.Array) -> jax.Array:
         """Return Smith's Lambda in closed form.
 
-        [exp(-nu^2) / (nu sqrt pi) - erfc(nu)] / 2, nu = cot theta / alpha.
+        It is [exp(-nu^2) / (nu sqrt pi) - erfc(nu)] / 2, nu = cot theta / alpha.
 
         Source:
             Smith (1967); Heitz (2014).
@@ -57,7 +57,7 @@ class Beckmann(SlopeNDF, MixtureNDF):
         return beckmann_lambda(cot_of(cos) / self.alpha)
 
     def mixture(self) -> tuple[jax.Array, jax.Array]:
-        """Return one Gaussian, in the slope."""
+        """Return the weight and width of one Gaussian in the slope."""
         return xp.ones(1), self.alpha[None] / xp.sqrt(2)
 
     @property
@@ -69,15 +69,17 @@ class Beckmann(SlopeNDF, MixtureNDF):
 class AnisotropicBeckmann(StretchedSlopes):
     """Anisotropic Beckmann distribution with two roughnesses.
 
+    Brushed and turned metals have such slopes.
+
     Args:
         alpha_along: roughness along the first tangent, a slope, no unit, (0, 1].
-        alpha_across: roughness across it, a slope, no unit, (0, 1].
+        alpha_across: roughness across the first tangent, a slope, no unit, (0, 1].
 
     Raises:
         ArgumentError: a roughness is out of range, or not a single number.
 
     Source:
-        Heitz (2014). Brushed and turned metal has such slopes.
+        Heitz (2014).
 
     Example:
         >>> brushed = matcam.material.AnisotropicBeckmann(0.05, 0.3)

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
     from matcam.core.jax import jax
 
-_SMOOTHEST = 1e-60  # roughness: far below that of any surface, with finite powers
+_SMOOTHEST = 1e-60  # smallest roughness: far below that of any surface, but its powers are positive numbers
 _FLAT = 1e-30  # squared sine below which a direction is the normal itself
 
 
@@ -35,11 +35,11 @@ class SlopeDistribution(Module):
 
     @abstractmethod
     def density(self, along: jax.Array, across: jax.Array) -> jax.Array:
-        """Return P22, the density of slopes; it integrates to 1 over their plane.
+        """Return P22, the density of slopes; its integral over slopes is 1.
 
         Args:
-            along: slope along the surface's first tangent, no unit.
-            across: slope across it, no unit.
+            along: slope along the first tangent of the surface, no unit.
+            across: slope across the first tangent, no unit.
         """
 
     @abstractmethod
@@ -57,7 +57,7 @@ class SlopeDistribution(Module):
 
     @property
     def elongation(self) -> float:
-        """Return the length of P22 over its width, no unit."""
+        """Return the ratio of length to width of P22, no unit."""
         return 1.0
 
 
@@ -66,7 +66,7 @@ class NDF(SlopeDistribution):
 
     Attributes:
         family: name of the family, as in `FAMILIES`.
-        largest: upper limit of the roughness, the constructor's first argument.
+        largest: upper limit of the roughness, which is the first argument of the constructor.
     """
 
     family: ClassVar[str]
@@ -121,13 +121,13 @@ class NDF(SlopeDistribution):
         """Return Smith's Lambda.
 
         Args:
-            cos: cosine of the direction's angle to the normal, above 0.
+            cos: cosine of the angle of the direction to the normal, above 0.
         """
 
     @property
     @abstractmethod
     def roughness(self) -> jax.Array:
-        """First parameter, the scale of the facets' slopes."""
+        """First parameter, the scale of the slopes of the facets."""
 
     def g1(self, theta: ArrayLike) -> jax.Array:
         """Return Smith's masking: the share of visible facets.
@@ -141,11 +141,14 @@ class NDF(SlopeDistribution):
         return 1 / (1 + self.smith_lambda(xp.cos(checks.within("theta", theta, 0, np.pi / 2, "rad"))))
 
     def density(self, along: jax.Array, across: jax.Array) -> jax.Array:
-        """Return P22, the same in every direction."""
+        """Return P22, which is the same in every direction."""
         return self.slope_density(along**2 + across**2)
 
     def lambdas(self, shading: Shading) -> tuple[jax.Array, jax.Array]:
-        """Return Smith's Lambda of light and view, each of its angle alone."""
+        """Return Smith's Lambda of light and view.
+
+        Each depends only on the angle of its direction to the normal.
+        """
         return self.smith_lambda(shading.cos_i), self.smith_lambda(shading.cos_o)
 
     @property
@@ -167,11 +170,11 @@ class SlopeNDF(NDF):
         return xp.tan(theta_h)
 
     def shape(self, r: jax.Array) -> jax.Array:
-        """Return the density of slopes over that at slope 0."""
+        """Return the density of slopes divided by that at slope 0."""
         return self.slope_density(r**2) / self.slope_density(xp.zeros(()))
 
     def flattening(self, theta_h: jax.Array) -> jax.Array:
-        """Return cos^-4 theta_h, from slopes to solid angle."""
+        """Return cos^-4 theta_h, which converts slopes to solid angle."""
         return xp.cos(theta_h) ** -4
 
 
@@ -200,7 +203,7 @@ class MixtureNDF(NDF):
 class StretchedSlopes(SlopeDistribution):
     """Isotropic distribution of slopes, stretched by alpha_along and alpha_across.
 
-    Smith's masking of a stretched surface is that of the isotropic one at the roughness projected on the direction,
+    Smith's masking of a stretched surface is that of an isotropic surface with the roughness projected on the direction,
     alpha^2 = alpha_along^2 cos^2 phi + alpha_across^2 sin^2 phi (Heitz 2014).
     """
 
@@ -251,13 +254,16 @@ class StretchedSlopes(SlopeDistribution):
 
     @property
     def elongation(self) -> float:
-        """Return the larger over the smaller roughness, no unit."""
+        """Return the ratio of the larger to the smaller roughness, no unit."""
         along, across = (checks.outside_jit(a, "the roughnesses") for a in (self.alpha_along, self.alpha_across))
         return max(along / across, across / along)
 
 
 def checked_roughness(name: str, value: ArrayLike, largest: float = 1.0, unit: str = "") -> jax.Array:
-    """Check that a roughness lies in (0, largest] and its square is finite and positive; ArgumentError otherwise."""
+    """Check that a roughness lies in (0, largest].
+
+    Its square must be positive, too. Otherwise an ArgumentError is raised.
+    """
     checks.within(name, value, 0, largest, unit, open_low=True)
     return checks.scalar(name, checks.within(name, value, _SMOOTHEST, largest, unit))
 

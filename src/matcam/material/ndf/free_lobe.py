@@ -1,8 +1,8 @@
 """Lobes of a family with spline modifications: a smooth factor of the lobe, and a free masking.
 
 A spline-modified lobe can fit data of any family. A free masking is any smooth function of the angle instead of
-Smith's: Bagher, Snyder & Nowrouzezahrai (2016) explain measured materials by such "free shadowing", from which the loss
-by a camera at grazing angles must be distinguished.
+Smith's masking: Bagher, Snyder & Nowrouzezahrai (2016) explain measured materials by such "free shadowing". A camera
+causes a similar loss at grazing angles, which must be distinguished from masking.
 """
 
 from __future__ import annotations
@@ -22,8 +22,9 @@ SHADOWS = 8
 """Number of parameters of a free masking."""
 STIFFER = 10.0
 """Factor of the stiffness of a spline at slopes where the data hardly determine the shape."""
-_STEEP = 0.9  # slope above which this holds
-_FINEST, _LAST = 0.0015, 26.4  # slopes at which the knots become even in the logarithm, and at which they end
+_STEEP = 0.9  # slope above which the stiffness is multiplied by `STIFFER`
+# slope above which the knots are evenly spaced in the logarithm, and slope of the last knot
+_FINEST, _LAST = 0.0015, 26.4
 _END = float(np.arcsinh(_LAST / _FINEST))
 _NODES = np.polynomial.legendre.leggauss(160)
 
@@ -31,10 +32,10 @@ _NODES = np.polynomial.legendre.leggauss(160)
 class SplineNDF(SlopeNDF):
     """Lobe multiplied by a smooth factor of the slope.
 
-    P22 of the base times exp(sum_k c_k B_k), normalised again. B_k are cubic B-splines, evenly spaced in
-    asinh(slope / 0.0015); the first has slope 0 at the peak, and all are constant beyond a slope of 26 (88 degrees).
-    The range is so large because steep facets mask others: with splines up to 45 degrees only, the masking would be
-    that of the family.
+    P22 is that of the base times exp(sum_k c_k B_k), normalised again. B_k are cubic B-splines, evenly spaced in
+    asinh(slope / 0.0015); the first has derivative 0 at the peak, and all are constant beyond a slope of 26 (88
+    degrees). This range includes the steep facets that mask others: with splines up to 45 degrees only, the masking
+    would be that of the family.
 
     Attributes:
         base: the lobe that is modified.
@@ -86,7 +87,7 @@ def spline_basis(slope2: jax.Array) -> jax.Array:
 
 
 def spline_sums(slope2: jax.Array, weights: jax.Array, axes: int = 1) -> jax.Array:
-    """Compute sum weights B_k over the last `axes` axes, (KNOTS, ...)."""
+    """Sum weights times B_k over the last `axes` axes, (KNOTS, ...)."""
     return cubic_sums(_knot_at(slope2), weights, KNOTS, axes)
 
 
@@ -98,16 +99,16 @@ def spline_at(coefficients: jax.Array, slope2: jax.Array) -> jax.Array:
 
 def _knot_at(slope2: jax.Array) -> jax.Array:
     """Compute the position of squared slopes among the knots, counted from 0."""
-    small = slope2 < 1e-24  # the root's derivative at 0
+    small = slope2 < 1e-24  # the derivative of the root is infinite at 0
     slope = jnp.where(small, 0.0, jnp.sqrt(jnp.where(small, 1.0, slope2)))
     return jnp.minimum(jnp.arcsinh(slope / _FINEST) / _END, 1.0) * (KNOTS - 1)
 
 
 def spline_smoothness() -> np.ndarray:
-    """Build the smoothness penalty of the coefficients, (rows, KNOTS): `smoothness`, stiffer beyond 45 degrees.
+    """Build the smoothness penalty of the coefficients, (rows, KNOTS).
 
-    Only few cells, in the outermost pixels of the sphere, depend on such steep facets. The tail continues there as a
-    power law of any exponent.
+    It is `smoothness`, and stiffer for facets steeper than about 45 degrees. Only few cells, in the outermost pixels of
+    the sphere, depend on such facets. There, the tail of the lobe continues as a power law of any exponent.
     """
     rows = smoothness(KNOTS)
     steep = slope_of_knot(np.arange(1.0, KNOTS - 1)) > _STEEP
@@ -124,21 +125,28 @@ def slope_of_knot(position: np.ndarray) -> np.ndarray:
 def _spline_slopes(
     values: tuple[jax.Array, jax.Array], changes: tuple[jax.Array, jax.Array]
 ) -> tuple[jax.Array, jax.Array]:
-    """Differentiate by the chain rule: the functions and their derivatives are evaluated once, not for every direction."""
+    """Differentiate by the chain rule.
+
+    The functions and their derivatives are evaluated once, not for every direction of differentiation.
+    """
     coefficients, slope2 = values
     value, by_slope2 = jax.jvp(lambda at: cubic_spline(coefficients, _knot_at(at)), (slope2,), (jnp.ones_like(slope2),))
     return value, combined(changes[0], spline_basis(slope2)) + by_slope2 * changes[1]
 
 
 def shadow_basis(cos: ArrayLike) -> jax.Array:
-    """Evaluate the functions B_k of a free masking at cosines to the normal, (SHADOWS, ...)."""
+    """Evaluate the functions B_k of a free masking, (SHADOWS, ...).
+
+    cos: cosines of the angles of the directions to the normal.
+    """
     return cubic_basis((1 - jnp.clip(cos, 0.0, 1.0)) * (SHADOWS - 1), SHADOWS)
 
 
 class ShadowedNDF(NDF):
-    """Lobe with a free masking, for "smith-separable": ln G1 = -sum_k shadows_k B_k(1 - cos theta).
+    """Lobe with a free masking, for the masking model "smith-separable".
 
-    G1 may exceed 1: because the strength of each slice is free, only the shape of G1 matters.
+    ln G1 = -sum_k shadows_k B_k(1 - cos theta). G1 may exceed 1: only the shape of G1 matters, because the strength of
+    each slice is a free parameter.
 
     Attributes:
         base: the lobe, whose D is kept.

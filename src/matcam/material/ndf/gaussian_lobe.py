@@ -16,11 +16,11 @@ if TYPE_CHECKING:
 
     from matcam.core.jax import jax
 
-_SMALL = 1e-6  # squared slope below which the angle is a series, because the derivative of the root is infinite at 0
+_SMALL = 1e-6  # squared slope below which a series gives the angle, because the derivative of the root is infinite at 0
 
 
 class GaussianNDF(MixtureNDF):
-    """Gaussian in the angle of the normal, the lobe of the paper.
+    """Gaussian in the angle of facet normals, the lobe of the paper.
 
     D is proportional to exp(-theta_h^2 / (2 width^2)), normalised by quadrature of D cos over the hemisphere.
 
@@ -82,7 +82,7 @@ class GaussianNDF(MixtureNDF):
         return xp.ones_like(theta_h)
 
     def mixture(self) -> tuple[jax.Array, jax.Array]:
-        """Return one Gaussian in the angle."""
+        """Return the weight and width of one Gaussian in the angle."""
         return xp.ones(1), self.width[None]
 
     def smith_lambda(self, cos: jax.Array) -> jax.Array:

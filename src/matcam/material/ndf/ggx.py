@@ -15,13 +15,14 @@ if TYPE_CHECKING:
 
     from matcam.core.jax import jax
 
-_MIXTURE_NODES = 56
+_MIXTURE_NODES = 56  # number of Gaussians, whose sum has an error of 2e-11 of the peak
 
 
 class GGX(SlopeNDF, MixtureNDF):
     """GGX (Trowbridge-Reitz) distribution, with long tails.
 
-    D = alpha^2 / (pi (cos^2 theta_h (alpha^2 - 1) + 1)^2), 1/sr: slopes of density alpha^2 / (pi (alpha^2 + slope^2)^2).
+    D = alpha^2 / (pi (cos^2 theta_h (alpha^2 - 1) + 1)^2), 1/sr. The density of slopes is alpha^2 / (pi (alpha^2 +
+    slope^2)^2).
 
     Args:
         alpha: roughness, a slope, no unit, (0, 1].
@@ -53,17 +54,15 @@ class GGX(SlopeNDF, MixtureNDF):
     def smith_lambda(self, cos: jax.Array) -> jax.Array:
         """Return Smith's Lambda in closed form.
 
-        (sqrt(1 + alpha^2 tan^2 theta) - 1) / 2 (Walter et al. 2007, (34)).
+        It is (sqrt(1 + alpha^2 tan^2 theta) - 1) / 2 (Walter et al. 2007, (34)).
         """
         return ggx_lambda(cot_of(cos) / self.alpha)
 
     def mixture(self) -> tuple[jax.Array, jax.Array]:
         """Return the Gaussians whose sum is the lobe.
 
-        The error is 2e-11 of the peak.
-
-        (1 + r^2)^-2 = integral of t exp(-t) exp(-t r^2) dt, by the trapezoid rule in ln t, out to r = 1e3 alpha
-        (docs/model.md 4).
+        They follow from (1 + r^2)^-2 = integral of t exp(-t) exp(-t r^2) dt by the trapezoid rule in ln t (docs/model.md
+        4). The error is 2e-11 of the peak up to r = 1e3 alpha.
         """
         log_t = np.linspace(-14.0, 3.9, _MIXTURE_NODES)
         t = np.exp(log_t)
@@ -79,15 +78,17 @@ class GGX(SlopeNDF, MixtureNDF):
 class AnisotropicGGX(StretchedSlopes):
     """Anisotropic GGX distribution with two roughnesses.
 
+    Brushed and turned metals have such slopes.
+
     Args:
         alpha_along: roughness along the first tangent, a slope, no unit, (0, 1].
-        alpha_across: roughness across it, a slope, no unit, (0, 1].
+        alpha_across: roughness across the first tangent, a slope, no unit, (0, 1].
 
     Raises:
         ArgumentError: a roughness is out of range, or not a single number.
 
     Source:
-        Heitz (2014). Brushed and turned metal has such slopes.
+        Heitz (2014).
 
     Example:
         >>> brushed = matcam.material.AnisotropicGGX(0.05, 0.3)
@@ -105,6 +106,9 @@ class AnisotropicGGX(StretchedSlopes):
 
 
 def ggx_lambda(nu: jax.Array) -> jax.Array:
-    """Evaluate Lambda of GGX at nu = cot theta / alpha: t / (2 (1 + sqrt(1 + t))), t = nu^-2, without cancellation."""
+    """Evaluate Lambda of GGX at nu = cot theta / alpha.
+
+    It is t / (2 (1 + sqrt(1 + t))), t = nu^-2, a form without cancellation.
+    """
     t = nu**-2
     return t / (2 * (1 + xp.sqrt(1 + t)))

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 _NORM_NODES = np.polynomial.legendre.leggauss(96)
 _MIXTURE_NODES = 96
 _LOWEST = -13.0  # ln of the finest difference of exponents that the mixture resolves
-_FADED = 40.0  # exp(-40) is negligible
+_FADED = 40.0  # exponent at which the integrand is negligible, exp(-40)
 
 
 class EPD(SlopeNDF):
@@ -75,13 +75,14 @@ class SGD(SlopeNDF, MixtureNDF):
     """Shifted gamma distribution of slopes.
 
     D = K exp(-x) / (pi x^p cos^4 theta_h), 1/sr, with x = alpha + tan^2 theta_h / alpha and
-    K = 1 / (alpha Gamma(1 - p, alpha)); Gamma is the upper incomplete one.
+    K = 1 / (alpha Gamma(1 - p, alpha)); Gamma is the upper incomplete gamma function.
 
     The published BRDF has a factor pi where a microfacet BRDF has 4: at equal F, the printed formula is larger than a
     `Microfacet` by `published_over_ours`. The authors also fit their own masking and Fresnel term.
 
     Args:
-        alpha: no unit, (0, 1]. The core of the lobe is about alpha wide, as a slope, and its flanks sqrt(alpha).
+        alpha: roughness, a slope, no unit, (0, 1]. The width of the core of the lobe is about alpha, and that of its
+            flanks sqrt(alpha).
         power: p, no unit, (0, 2]. Larger values make the core sharper relative to its flanks.
 
     Raises:
@@ -116,9 +117,10 @@ class SGD(SlopeNDF, MixtureNDF):
 
     @property
     def _integral(self) -> jax.Array:
-        """Integrate e^(alpha - x) (x / alpha)^-p dx / alpha over x > alpha, over v = ln(x / alpha).
+        """Integrate e^(alpha - x) (x / alpha)^-p dx / alpha over x > alpha.
 
-        This is Gamma(1 - p, alpha) without its powers of alpha, which overflow.
+        The variable of integration is v = ln(x / alpha). The integral is Gamma(1 - p, alpha) without its powers of
+        alpha, which overflow.
         """
         nodes, weights = _NORM_NODES
         reach = xp.log1p(_FADED / self.alpha)
@@ -128,10 +130,9 @@ class SGD(SlopeNDF, MixtureNDF):
     def mixture(self) -> tuple[jax.Array, jax.Array]:
         """Return the Gaussians whose sum is the lobe.
 
-        The error is 1e-10 of the peak.
-
-        x^-p exp(-x) = integral over u > 1 of (u - 1)^(p - 1) exp(-u x) du / Gamma(p), by the trapezoid rule in ln(u -
-        1). All u below the first node are one Gaussian at their mean. The error holds for alpha >= 1e-6.
+        They follow from x^-p exp(-x) = integral over u > 1 of (u - 1)^(p - 1) exp(-u x) du / Gamma(p) by the trapezoid
+        rule in ln(u - 1). One Gaussian, at the mean u, represents the range below the first node. The error is 1e-10 of
+        the peak for alpha >= 1e-6.
         """
         highest = xp.log(_FADED / self.alpha)
         step = (highest - _LOWEST) / (_MIXTURE_NODES - 2)

@@ -13,14 +13,14 @@ if TYPE_CHECKING:
 
 
 class StudentLobe(SlopeNDF):
-    """Student's t distribution of slopes in two dimensions (Ribardiere et al. 2017, STD).
+    """Student's t distribution of two-dimensional slopes (Ribardiere et al. 2017, STD).
 
-    P22 = (g - 1) / (pi g beta^2) (1 + slope^2 / (g beta^2))^-g. g = 2 is GGX of alpha^2 = 2 beta^2, and for large g it
-    approaches Beckmann of roughness beta. In this form beta and g are hardly correlated.
+    P22 = (g - 1) / (pi g beta^2) (1 + slope^2 / (g beta^2))^-g. For g = 2 it is GGX with alpha^2 = 2 beta^2, and for
+    large g it approaches Beckmann with roughness beta. In this form beta and g are hardly correlated.
 
     Attributes:
         beta: roughness, a slope, shape ().
-        excess: g - 1, above 0, no unit, shape (): half the power with which P22 falls, less 1.
+        excess: g - 1, above 0, no unit, shape (). In the tail, P22 decreases as slope^(-2 g).
     """
 
     beta: jax.Array

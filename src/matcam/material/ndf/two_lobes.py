@@ -1,4 +1,4 @@
-"""Mixture of two lobes, such as a coat over a base or facets of two finishes. Each is between GGX and Beckmann."""
+"""Mixture of two lobes, such as a coat over a base or facets of two finishes. Each lobe is between GGX and Beckmann."""
 
 from __future__ import annotations
 
@@ -14,17 +14,18 @@ if TYPE_CHECKING:
 
 
 class TwoLobes(SlopeNDF):
-    """Mixture of two lobes, each a mixture of GGX and Beckmann of one roughness.
+    """Mixture of two lobes, each a mixture of GGX and Beckmann.
 
-    P22 and Smith's Lambda are linear in the shares, and both have closed forms. Fitting the share
-    of Beckmann, which determines the tails of each lobe, replaces the choice of a family.
+    Both components of a lobe have the same roughness. P22 and Smith's Lambda are linear in the shares, and both have
+    closed forms. Fitting the share of Beckmann, which determines the tails of each lobe, replaces the choice of a
+    family.
 
     Attributes:
-        alpha: roughness of one lobe, a slope, shape ().
-        other_alpha: roughness of the other, a slope, shape ().
-        other_share: share of the facets of the other lobe, [0, 1].
-        beckmann: share of Beckmann in the first, [0, 1]; the remainder is GGX.
-        other_beckmann: share of Beckmann in the other, [0, 1].
+        alpha: roughness of the first lobe, a slope, shape ().
+        other_alpha: roughness of the other lobe, a slope, shape ().
+        other_share: share of the facets in the other lobe, [0, 1].
+        beckmann: share of Beckmann in the first lobe, [0, 1]; the remainder is GGX.
+        other_beckmann: share of Beckmann in the other lobe, [0, 1].
     """
 
     alpha: jax.Array

@@ -15,23 +15,24 @@ from matcam.reconstruction.sphere_fit import SphereFit
 from matcam.reconstruction.sphere_scene import Known
 
 _SHAPE = (45, 24, 30, 12)
-"""Cells along theta_h, phi_h, theta_d, phi_d."""
+"""Number of cells along theta_h, phi_h, theta_d and phi_d."""
 
 
 def anisotropic_table(fit: SphereFit, curves: Sequence[ReflectanceCurve], units: Sequence[Known]) -> xr.Dataset:
     """Tabulate a joint fit of a lobe with two roughnesses.
 
-    phi_h is measured from the x axis of the material. The BRDF is invariant under a turn by 180 degrees about the
-    normal, and under exchange of light and view (phi_d + 180 degrees), so half of each azimuth is tabulated.
+    phi_h is measured from the x axis of the material. The BRDF is invariant under a rotation by 180 degrees
+    about the normal, and under exchange of light and view (phi_d + 180 degrees). Therefore each azimuth is tabulated over
+    180 degrees only.
 
     Args:
         fit: lobe, strengths and diffuse parts.
         curves: F of each channel, in the unit of the fit.
-        units: unit of each channel, value per radiance under unit irradiance: divisor of strengths that gives F, with
-            relative standard deviation; NaN: F is relative.
+        units: unit of each channel: value per radiance under unit irradiance, with its relative standard deviation.
+            Strengths divided by the unit are F. If the standard deviation is NaN, F is relative.
 
     Returns:
-        Dataset with `brdf` and `brdf_std` (1/sr), `supported`, over (theta_h, phi_h, theta_d, phi_d, channel).
+        Dataset with `brdf`, `brdf_std` (1/sr) and `supported` over (theta_h, phi_h, theta_d, phi_d, channel).
     """
     n_h, n_p, n_d, n_q = _SHAPE
     theta_h, phi_h = ((np.arange(n_h) + 0.5) / n_h) ** 2 * np.pi / 2, (np.arange(n_p) + 0.5) / n_p * np.pi
@@ -60,6 +61,9 @@ def anisotropic_table(fit: SphereFit, curves: Sequence[ReflectanceCurve], units:
             "phi_d": phi_d,
             "channel": list(fit.channels),
         },
-        attrs={"phi_h": "from the material's x axis about the normal", "period": "phi_h and phi_d repeat after pi"},
+        attrs={
+            "phi_h": "measured about the normal, from the material's x axis",
+            "period": "phi_h and phi_d have period pi",
+        },
     )
     return named(table)

@@ -33,7 +33,7 @@ from matcam.reconstruction.stated.stated_rig import (
 )
 
 _ROW_STD = 0.05
-"""Standard deviation of the row that the camera faces, as a share of the height of a frame."""
+"""Default standard deviation of the row that the camera faces, as a share of the height of a frame."""
 _SHIFT = 0.3
 """Standard deviation of the motion of the axis between images, px."""
 _STATED_STD = 0.05
@@ -60,14 +60,15 @@ def captured_cylinder(
     """Merge the frames of a capture, and find the outline of the cylinder.
 
     Args:
-        capture: capture of a cylinder, as from `read_capture`.
-        progress: function of the name of a step, and the numbers of finished and of all parts. Default: None.
-        workers: number of lamp positions that are read at a time. Default: 1.
+        capture: capture of a cylinder, as returned by `read_capture`.
+        progress: function that is called with the name of a step, the number of finished parts and the number of all parts.
+            Default: None.
+        workers: number of lamp positions that are read at the same time. Default: 1.
         kept: stored results from which an interrupted run resumes. Default: None, no results.
 
     Raises:
-        ArgumentError: the capture does not give the directions of the lamps.
-        FitError: there is no outline, or fewer than three lamp positions can be used.
+        ArgumentError: the capture has neither frames of the outline nor a specified outline.
+        FitError: the outline cannot be measured, or fewer than three lamp positions can be used.
     """
     remarks: list[Remark] = list(capture.problems)
     camera, lens = captured_lens(capture, remarks)
@@ -81,7 +82,10 @@ def captured_cylinder(
     lost = tuple(name for name, one in directions.items() if not np.all(np.isfinite(one)))
     if lost:
         remarks.append(
-            Remark("no-direction", f"{', '.join(lost)}: {LIST_NEEDS}; left out"),
+            Remark(
+                "no-direction",
+                f"{', '.join(lost)}: left out of the fit, because the direction is unknown; {LIST_NEEDS}",
+            ),
         )
     merged, radiometry = merge(capture, capture.region, progress, workers=workers, kept=kept)
     merged = under_one_light(merged, capture)
@@ -89,7 +93,7 @@ def captured_cylinder(
     pictures = [one for one in merged if one.name not in lost]
     if len(pictures) < FEWEST:
         raise FitError(
-            f"{capture.folder}: {len(pictures)} lamp positions can be used; {LIST_NEEDS}, for at least {FEWEST}"
+            f"{capture.folder}: only {len(pictures)} lamp positions can be used, but {FEWEST} are needed: {LIST_NEEDS}"
         )
     size = frame_size(capture)
     assert size is not None  # frames were merged
@@ -125,7 +129,7 @@ def captured_cylinder(
     return CapturedCylinder(found, strips, outline)
 
 
-LIST_NEEDS = "angle_deg and azimuth_deg of frames.csv must give the direction of the lamp"
+LIST_NEEDS = "angle_deg and azimuth_deg of frames.csv must specify the direction of the lamp"
 
 
 def _strips(capture: Capture, height: int, first: int) -> tuple[Strip, ...]:
@@ -139,7 +143,7 @@ def _strips(capture: Capture, height: int, first: int) -> tuple[Strip, ...]:
 
 
 def _outline(capture: Capture, sigma: float, remarks: list[Remark]) -> StraightOutline:
-    """Measure the outline in front of a bright field; without such frames, use the specified outline.
+    """Measure the outline in front of a bright field, or return the specified outline if no such frame can be used.
 
     Args:
         capture: capture of a cylinder.
@@ -156,8 +160,8 @@ def _outline(capture: Capture, sigma: float, remarks: list[Remark]) -> StraightO
             remarks.append(Remark("outline-left-out", f"{error}; the specified outline was used"))
     if radius is None or axis is None:
         raise ArgumentError(
-            f"{capture.folder}: give a frame of the cylinder in front of a bright field, in outline/, or set "
-            "sample.outline_radius_px and sample.axis_column_px"
+            f"{capture.folder}: the outline of the cylinder is unknown: give a frame of the cylinder in front of a bright "
+            "field, in outline/, or set sample.outline_radius_px and sample.axis_column_px"
         )
     std = (max(axis.std, 1e-3), max(radius.std, 1e-3)) if axis.std or radius.std else (_STATED_STD,) * 2
     return StraightOutline(axis.value, radius.value, np.diag(np.square(std)))

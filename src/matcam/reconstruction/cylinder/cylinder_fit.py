@@ -1,4 +1,4 @@
-"""Joint fit of images of the strips of a cylinder, with likelihood, prior and solver as for a sphere."""
+"""Joint fit of images of the strips of a cylinder, with the likelihood, prior and solver of a sphere."""
 
 from __future__ import annotations
 
@@ -39,14 +39,14 @@ def fit_cylinder(
 ) -> SphereFit:
     """Fit lobe, strengths, lens, outline, lamps and distances to all images of a cylinder.
 
-    The parameters are those of a sphere: the centre of an image is the column of the axis, and the row in the plane of
-    lamp and camera.
+    The parameters are those of a sphere. The centre in an image has the column of the axis, and the row to which the
+    directions of lamp and camera refer.
 
     Args:
         pictures: merged images, one per lamp position.
-        scene: prior knowledge of the rig; its radius is half the width of the outline.
+        scene: prior knowledge of the rig; `scene.radius` is half the width of the outline.
         family: family of the lobe. Default: "ggx".
-        strips: strips of material, with their turns.
+        strips: strips of material, with the orientation of each.
         stretched: True for a lobe with two roughnesses, "ggx" only. Default: False.
         **more: further arguments of `fit_sphere`.
     """
@@ -75,7 +75,10 @@ def _cylinder_problem(
     strips: Sequence[Strip],
     profiles: dict[str, Any],
 ) -> JointProblem:
-    """Choose the columns of every strip about the highlights at p, with the lamps of `known` as base."""
+    """Build the problem of the columns about the highlights at the parameters p.
+
+    The base directions of the lamps are those of `known`. The other arguments are those of `joint_problem`.
+    """
     width = float(np.exp(p[0]))
     alphas = (width, float(np.exp(p[1])) if kind.stretched else width)
     _, radius, camera, lamp = p[layout.scene]

@@ -29,7 +29,7 @@ class ProfileModel(eqx.Module):
         kind: family, masking and splines of the lobe.
         channels: number of colours; all have the same record at unit strength.
         blur: kernel of the camera, with a lens that is a sum of Gaussians.
-        positions: positions on the source disc as turns of the lamp, rad, (points, 2).
+        positions: positions on the source disc, as rotations of the direction to the lamp, rad, (points, 2).
         weights: weights of these positions, (points,); their sum is 1.
         turns: angle of each strip's material, rad, (strips,).
         rows: rows of each strip at which the model is evaluated, px, (strips, rule).
@@ -48,13 +48,13 @@ class ProfileModel(eqx.Module):
     def window(
         self, p: np.ndarray, frame: LampFrame, window: ProfileWindow, *, slopes: bool
     ) -> tuple[Recorded, Recorded | None]:
-        """Compute the records of the windows, (channels x strips, WINDOW), and the derivatives, with a trailing (size,)."""
+        """Compute the records of the windows, (channels x strips, WINDOW), and their derivatives, with a last axis (size,)."""
         return _compiled("_window_slopes" if slopes else "_window_value")(self, p, frame, window)
 
     def pixels(
         self, p: np.ndarray, frame: LampFrame, column: np.ndarray, row: np.ndarray, *, slopes: bool
     ) -> tuple[Recorded, Recorded | None]:
-        """Compute the records of single columns, (columns,), and the derivatives; row: index of the strip of each."""
+        """Compute the records of single columns, (columns,), and their derivatives. row: index of the strip of each column."""
         name = "_columns_slopes" if slopes else "_columns_value"
         return _compiled(name)(self, p, frame, column, row.astype(int))
 
@@ -112,7 +112,7 @@ class ProfileModel(eqx.Module):
     def _mean_over_rows(
         self, p: jax.Array, frame: LampFrame, out: jax.Array, depth: jax.Array, turn: jax.Array, rows: jax.Array
     ) -> tuple[jax.Array, jax.Array]:
-        """Average the radiance of both parts at positions of the outline over the rows of a strip. rows: (..., rule)."""
+        """Average the radiance of lobe and diffuse part over the rows of a strip. rows: rows of the strip, px, (..., rule)."""
         parts = self._radiance(p, frame, out[..., None], depth[..., None], turn[..., None], rows)
         lobe, lambert = (jnp.sum(part * self.row_weights, axis=-1) for part in parts)
         return lobe, lambert
@@ -120,7 +120,7 @@ class ProfileModel(eqx.Module):
     def _radiance(
         self, p: jax.Array, frame: LampFrame, out: jax.Array, depth: jax.Array, turn: jax.Array, row: jax.Array
     ) -> tuple[jax.Array, jax.Array]:
-        """Average the radiance of both parts at positions of the outline over the source disc."""
+        """Average the radiance of lobe and diffuse part at positions of the outline over the source disc."""
         slopes = self.kind.slopes(p[: self.kind.size])
         normal, point, camera, lamp, (a, b) = self._surface(p, out, depth, row)
         tangent = jnp.cos(turn) * normal[2], jnp.sin(turn), -jnp.cos(turn) * normal[0]
@@ -143,7 +143,11 @@ class ProfileModel(eqx.Module):
         return jax.lax.scan(add, start, (jnp.asarray(self.positions), jnp.asarray(self.weights)))[0]
 
     def _surface(self, p: jax.Array, out: jax.Array, depth: jax.Array, row: jax.Array) -> tuple[Any, ...]:
-        """Compute normal, point, both nearnesses and the turn of the lamp where a line of sight meets the cylinder."""
+        """Compute the normal and the point where a line of sight meets the cylinder.
+
+        Returns:
+            Normal, point, inverse distances of camera and lamp (1/radii), and rotation of the lamp (rad).
+        """
         n = self.kind.size
         radius, camera, lamp = (p[n + SCENE.index(name)] for name in ("radius", "camera", "lamp"))
         centre_row, a, b = p[1 - len(OWN) :]
@@ -152,7 +156,10 @@ class ProfileModel(eqx.Module):
         return (x, jnp.zeros(()), z), (x, height, z), camera, lamp, (a, b)
 
     def _theta_d(self, p: jax.Array, frame: LampFrame, out: jax.Array, row: jax.Array) -> jax.Array:
-        """Compute theta_d where the line of sight through the centre of a column meets or approaches the cylinder."""
+        """Compute theta_d on the line of sight through the centre of a column.
+
+        Outside the outline, the nearest position inside the outline is used.
+        """
         out = jnp.clip(out, -0.9999, 0.9999)
         _, point, camera, lamp, (a, b) = self._surface(p, out, jnp.sqrt(1 - out**2), row)
         light, view, _ = light_and_view(point, tuple(turned_lamp(frame, a, b)), camera, lamp)
@@ -171,5 +178,5 @@ def _with_slopes(function: Callable[[jax.Array], Recorded], p: jax.Array) -> tup
 
 @cache
 def _compiled(method: str) -> Callable[..., tuple[Recorded, Recorded | None]]:
-    """Compile a method of `ProfileModel` once for all scenes of one shape."""
+    """Compile a method of `ProfileModel` once for all scenes with arrays of the same shapes."""
     return jit_plainly(getattr(ProfileModel, method), runs="many")

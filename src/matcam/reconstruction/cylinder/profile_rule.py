@@ -15,7 +15,7 @@ from matcam.reconstruction.observed_pixels import ObservedPixels
 from matcam.reconstruction.picture_rule import WINDOW, graded_nodes
 
 _MOST = 2048
-"""Largest number of fitted columns outside the windows, of all strips and colours."""
+"""Largest number of fitted columns outside the windows, summed over all strips and colours."""
 _LIMB = 3.0  # px from the outline within which the rule of a single column does not resolve the border
 _OUTSIDE = 1.5  # px beyond the outline up to which a window is read: the background is not modelled
 _LIT = 0.1  # smallest cosine to the lamp: near the terminator the rule of a column is inaccurate
@@ -29,7 +29,7 @@ class ProfileWindow(NamedTuple):
 
     Attributes:
         u: nodes, rad, (strips, nodes).
-        weight: weights of the nodes in p = sin u, (strips, nodes).
+        weight: weights of the nodes for integration over p = sin u, (strips, nodes).
         column: columns that are read, px, (strips, WINDOW).
     """
 
@@ -39,11 +39,11 @@ class ProfileWindow(NamedTuple):
 
 
 class CylinderPosition(NamedTuple):
-    """Position of a cylinder in an image, and its lamp.
+    """Position of a cylinder in an image, and positions of camera and lamp.
 
     Attributes:
         axis: column of the axis of the cylinder, px.
-        row: row in the plane of lamp and camera, px.
+        row: row of the centre, to which the directions of camera and lamp refer, px.
         radius: half the width of the outline, px.
         camera: inverse of the camera's distance, 1/radii.
         lamp: inverse of the lamp's distance, 1/radii.
@@ -58,7 +58,7 @@ class CylinderPosition(NamedTuple):
     towards: np.ndarray
 
     def height(self, row: float, normal_z: float) -> float:
-        """Compute the height of a point of the surface above the row of the angles of the lamp, in radii."""
+        """Compute the height of a point of the surface above the centre, in radii."""
         stretch = self.radius * np.sqrt(1 - self.camera**2)
         return (self.row - row) / stretch * (1 - self.camera * normal_z)
 
@@ -66,7 +66,7 @@ class CylinderPosition(NamedTuple):
         """Find the position p in (-1, 1) at which the lobe of a strip has its largest density.
 
         Args:
-            strip: row and turn of the material.
+            strip: rows of the strip, and orientation of its material.
             alphas: roughness along the material's x axis and across it.
         """
         cos, sin = np.cos(strip.turn), np.sin(strip.turn)
@@ -94,7 +94,7 @@ def chosen_columns(
     plateau: float = 0.0,
     keep: ObservedPixels | None = None,
 ) -> ObservedPixels:
-    """Choose the columns of the profiles of an image that are fitted, each as a pixel.
+    """Choose the columns of an image for the fit, each as a pixel.
 
     Args:
         profiles: profiles of all strips and colours.
@@ -102,7 +102,7 @@ def chosen_columns(
         position: position of the cylinder.
         alphas: roughness along the material's x axis and across it.
         plateau: half the lamp's angular radius, rad. Default: 0.
-        keep: earlier choice, whose columns are kept if the highlight has not moved. Default: None.
+        keep: earlier choice, whose columns are kept if the highlight has moved by at most one column. Default: None.
 
     Returns:
         Columns of the windows by colour, strip and position, then the other columns; `row` is the index of the strip.
@@ -124,7 +124,7 @@ def chosen_columns(
         return array[:, strip_index, near].reshape(-1)
 
     used = of_window(profiles.used) & np.tile((inside & ~outside).ravel(), count)
-    # the others: pixels of one colour of a mosaic are in every second column
+    # the other columns: in a mosaic, the pixels of one colour are in every second column
     anywhere: np.ndarray = np.any(profiles.used, axis=1, keepdims=True)
     candidates = np.flatnonzero(np.broadcast_to(anywhere, profiles.used.shape))
     step = int(np.ceil(candidates.size / _MOST))

@@ -1,7 +1,7 @@
 """Strips of material around a cylinder, one above the other, and their profiles.
 
 The light is nearly constant along the cylinder. The rows of a strip are therefore averaged, separately for each colour,
-to a profile across the cylinder.
+to give a profile across the cylinder.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from matcam.acquisition.merged_picture import MergedPicture
 from matcam.core.errors import FitError
 
 MARGIN = 4
-"""Number of rows at either end of a strip that are left out, because the lens mixes adjacent strips."""
+"""Number of rows that are excluded at each end of a strip, because the lens mixes adjacent strips."""
 _FEWEST = 4
 
 
@@ -25,7 +25,8 @@ class Strip(NamedTuple):
     Attributes:
         first: first row, px.
         last: last row, px.
-        turn: angle of the material's x axis from the direction around the cylinder (to the right), towards up, rad.
+        turn: angle from the direction around the cylinder (to the right) to the x axis of the material, positive upwards,
+            rad.
     """
 
     first: int
@@ -43,9 +44,9 @@ class StripProfiles(NamedTuple):
 
     Attributes:
         column: positions in the frame, px, (columns,).
-        values: mean over the rows of the strip; a lower bound if a pixel is clipped. 0 where not used.
-        std: standard deviation of the noise of the values; 1 where not used.
-        clipped: True where any of the pixels is clipped.
+        values: mean over the rows of the strip; a lower bound if a pixel is clipped; 0 where `used` is False.
+        std: standard deviation of the noise of the values; 1 where `used` is False.
+        clipped: True where at least one of the averaged pixels is clipped.
         used: True where the strip has a pixel of the colour.
     """
 
@@ -57,10 +58,10 @@ class StripProfiles(NamedTuple):
 
 
 def strip_profiles(picture: MergedPicture, strips: Sequence[Strip]) -> StripProfiles:
-    """Average the rows of every strip.
+    """Average the rows of every strip of an image.
 
     Args:
-        picture: values and their noise.
+        picture: merged image with its noise.
         strips: strips of the cylinder.
 
     Returns:
@@ -76,8 +77,8 @@ def strip_profiles(picture: MergedPicture, strips: Sequence[Strip]) -> StripProf
         first, last = (row - picture.origin[0] for row in strip.read)
         if first < 0 or last >= picture.values.shape[0] or last - first + 1 < _FEWEST:
             raise FitError(
-                f"strip {s + 1} of rows {strip.first} to {strip.last}: needs at least {_FEWEST + 2 * MARGIN} rows inside "
-                "the region of the frames"
+                f"strip {s + 1} of rows {strip.first} to {strip.last} must have at least {_FEWEST + 2 * MARGIN} rows, inside "
+                "the region of the frames: correct sample.strip_rows_px"
             )
         rows = slice(first, last + 1)
         light, noise = picture.values[rows].astype(float), picture.std[rows].astype(float)

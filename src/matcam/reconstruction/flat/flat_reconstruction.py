@@ -1,4 +1,4 @@
-"""Maps of a flat textured sample from photographs, with their errors and the texture that the camera lost."""
+"""Maps of a flat textured sample from photographs, with errors that include the texture that the camera does not resolve."""
 
 from __future__ import annotations
 
@@ -34,8 +34,8 @@ from matcam.reconstruction.stated.stated_rig import captured_lens, without_field
 MAPS = ("diffuse", "specular")
 _FEWEST = 3
 _THETA_D = np.radians(10.0)
-"""Range of theta_d above which a remark reports that F may vary over the stack."""
-_LOOSE = 0.05  # standard deviation of ln alpha above which it is remarked
+"""Range of theta_d above which a remark reports that F may vary between the images, rad."""
+_LOOSE = 0.05  # standard deviation of ln alpha above which a remark is added
 _MISFIT = 1.3
 
 
@@ -44,16 +44,17 @@ class FlatReconstruction(Summarised):
     """Maps of a flat sample, with their accuracy.
 
     Attributes:
-        maps: Dataset over y and x (px of the sample seen head-on): `diffuse`, `specular` and their `_std`, relative;
-            over frequency_y and frequency_x (cycles/px): `diffuse_error`, the variance of each frequency,
-            `diffuse_resolved`, the share of its prior variance that the images remove, and the same for `specular`.
-        parameters: value and standard deviation of `alpha` and of the mean of both maps.
+        maps: Dataset. `diffuse`, `specular` and their standard deviations `_std` are relative, over y and x (px of the
+            sample seen head-on). `diffuse_error` is the variance at each frequency, and `diffuse_resolved` the share of
+            the prior variance that the images remove, over frequency_y and frequency_x (cycles/px). The variables for
+            `specular` have corresponding names.
+        parameters: value and standard deviation of `alpha` and of the mean of each map.
         cutoffs: map -> frequencies along the rows and across them up to which the map is resolved, cycles/px.
         mm_per_px: size of a texel, mm; None: unknown.
         family: family of the lobe.
         names: names of the images that were used.
-        gains: light of each image, and its standard deviation, (pictures, 2).
-        misfit: mean squared residual of the coarse frequencies, in standard deviations of the noise.
+        gains: relative irradiance in each image, and standard deviation of its logarithm, (pictures, 2).
+        misfit: mean squared residual of the coarse frequencies, relative to the variance of the noise.
         left_out: lamp positions that could not be used.
         remarks: remarks on the result.
         budgets: uncertainty budgets of `parameters`.
@@ -91,7 +92,7 @@ class FlatReconstruction(Summarised):
         """
         known = {one.name: one for one in self.budgets}
         if name not in known:
-            raise ArgumentError(f"the reconstruction has no result {name!r}; it has {', '.join(known)}")
+            raise ArgumentError(f"the reconstruction has no result {name!r}: give one of {', '.join(known)}")
         return known[name]
 
     def uncertainty_budgets(self) -> list[UncertaintyBudget]:
@@ -110,14 +111,14 @@ class FlatReconstruction(Summarised):
         resolved = "; ".join(f"{name} up to {self._resolution(name)}" for name in MAPS)
         return (
             f"{len(self.names)} images give a {self.family} lobe of roughness {alpha:.4g} +- {std:.1g} and two maps. "
-            f"Resolved: {resolved}. Finer texture is lost; the errors of the maps include it."
+            f"The maps are resolved in these bands: {resolved}. Their errors include the finer texture, which is lost."
         )
 
     def _summary(self) -> Summary:
         cutoffs = [
             Quantity(f"{name}, {along}", value, unit="cycles/px")
             for name, pair in self.cutoffs.items()
-            for along, value in zip(("along the rows", "across them"), pair, strict=True)
+            for along, value in zip(("along the rows", "across the rows"), pair, strict=True)
         ]
         return Summary(
             f"Maps of a flat sample, reconstructed from {len(self.names)} photographs",
@@ -125,7 +126,7 @@ class FlatReconstruction(Summarised):
             {
                 "Parameters": [Quantity(name, *pair) for name, pair in self.parameters.items()],
                 "Highest resolved frequency": cutoffs,
-                "Fit statistics": [Quantity("mean squared residual over the noise", self.misfit)],
+                "Fit statistics": [Quantity("mean squared residual over the variance of the noise", self.misfit)],
             },
             self.remarks,
         )
@@ -177,15 +178,16 @@ def reconstruct_flat(
     """Reconstruct diffuse albedo and specular strength of every texel of a flat sample.
 
     Args:
-        capture: capture of a flat sample, as from `read_capture`.
-        ndf: family of the lobe, with roughness as its only parameter. Default: "auto", "ggx".
+        capture: capture of a flat sample, as returned by `read_capture`.
+        ndf: family of the lobe, with roughness as its only parameter. Default: "auto", which is "ggx".
         masking: masking G of the lobe. Default: "smith".
-        progress: function of the name of a step, and the numbers of finished and of all parts. Default: None.
-        workers: number of images that are read at a time. Default: 1.
+        progress: function that is called with the name of a step, the number of finished parts and the number of all parts.
+            Default: None.
+        workers: number of images that are read at the same time. Default: 1.
         kept: stored results from which an interrupted run resumes. Default: None, no results.
 
     Raises:
-        ArgumentError: the family has a power, or a tilt is missing.
+        ArgumentError: the family has a second parameter, or the number of tilts is wrong.
         FitError: fewer than three images can be used, or they have a colour mosaic.
     """
     family = "ggx" if ndf == AUTO else ndf
@@ -202,7 +204,8 @@ def reconstruct_flat(
             break
     if len(reader.channels) > 1:
         raise FitError(
-            f"{capture.folder}: a flat sample needs grey images, got a mosaic: each colour shows a quarter of the texels"
+            f"{capture.folder}: a flat sample needs grey images, got a mosaic, in which each colour shows only some of the "
+            "texels: use a monochrome camera"
         )
     merged, radiometry = merge(capture, capture.region, progress, workers=workers, kept=kept)
     merged = under_one_light(merged, capture)
@@ -211,7 +214,7 @@ def reconstruct_flat(
     for one in merged:
         towards = capture.lamps[one.name].direction
         if not np.all(np.isfinite(towards)):
-            lost.append(f"{one.name} has no angle_deg and azimuth_deg")
+            lost.append(f"{one.name} has no direction of the lamp (angle_deg and azimuth_deg of frames.csv)")
         elif not usable(one):
             lost.append(f"{one.name} has {one.clipped.mean():.1%} of its pixels clipped in every exposure")
         else:
@@ -221,7 +224,7 @@ def reconstruct_flat(
                 one = replace(one, values=one.values / output.value, std=one.std / output.value)
                 std = output.std / output.value
             pictures.append(FlatPicture(one, tilts[one.name], towards, std))
-    remarks.extend(Remark("picture-left-out", f"{text}; left out") for text in lost)
+    remarks.extend(Remark("picture-left-out", f"{text}, so the image was left out") for text in lost)
     if len(pictures) < _FEWEST:
         raise FitError(
             f"{capture.folder}: only {len(pictures)} images of the flat sample can be used, but {_FEWEST} are needed"
@@ -254,7 +257,7 @@ def reconstructed_flat(
         lens_std: relative standard deviation of the lens width. Default: 0, exact.
         mm_per_px: size of a texel and its standard deviation, mm. Default: None, unknown.
         left_out: names of images that could not be used. Default: ().
-        remarks: remarks of the steps before. Default: ().
+        remarks: remarks of the preceding steps. Default: ().
     """
     shares = LobeShares(
         family, masking, np.array([one.tilt for one in pictures]), np.array([one.towards for one in pictures])
@@ -262,7 +265,7 @@ def reconstructed_flat(
     dark = [one.picture.name for one, lit in zip(pictures, shares.lit, strict=True) if not lit]
     if dark:
         raise FitError(
-            f"{', '.join(dark)}: lamp or camera is behind the sample at the given angles: correct frames.csv"
+            f"{', '.join(dark)}: lamp or camera is behind the sample at the given angles: correct frames.csv or sample.tilt_deg"
         )
     stack = flat_stack(pictures, camera)
     fitted = fit_roughness(stack, shares, np.array([one.gain_std for one in pictures]))
@@ -290,7 +293,7 @@ def reconstructed_flat(
 
 
 def _budgets(fitted: FlatRoughness, mean: MeanMaps, alpha: float, unit: float) -> tuple[UncertaintyBudget, ...]:
-    """Build the budgets of the roughness and of the mean of both maps. unit: value to which both maps are relative."""
+    """Build the budgets of the roughness and of the mean of each map. unit: value to which both maps are relative."""
     stated = [Statement("gains of the images, as specified", fitted.stated)]
     readings = Readings("images: texture of coarse frequencies", "A", fitted.freedom)
     by_alpha = np.zeros(len(fitted.covariance))
@@ -319,14 +322,16 @@ def _remarks(fitted: FlatRoughness, shares: LobeShares) -> list[Remark]:
         found.append(
             Remark(
                 "theta-d-varies",
-                f"theta_d varies from {low:.0f}° to {high:.0f}°; F of the lobe is assumed to be constant",
+                f"theta_d varies from {low:.0f}° to {high:.0f}°, but F is assumed to be constant: keep the angle between "
+                "lamp and camera constant",
             )
         )
     if fitted.misfit > _MISFIT:
         found.append(
             Remark(
                 "misfit",
-                f"residuals are {np.sqrt(fitted.misfit):.1f} times the noise: two maps and one roughness do not explain them",
+                f"two maps and one roughness do not explain the images: the residuals are {np.sqrt(fitted.misfit):.1f} times "
+                "the noise; check the given angles, and that the sample is flat",
             )
         )
     return found
@@ -339,13 +344,13 @@ def _maps(
     unit: float,
     mm_per_px: tuple[float, float] | None,
 ) -> xr.Dataset:
-    """Build the maps without their borders, and the resolved share of each frequency."""
+    """Build the maps without their borders, with their errors and the resolved share of each frequency."""
     height, width = stack.taper.shape
     inner = slice(MARGIN, height - MARGIN), slice(MARGIN, width - MARGIN)
     root = np.sqrt((stack.taper**2).sum())
     x, y = (np.arange(n) - (n - 1) / 2 for n in (width, height))
     variables: dict[str, Any] = {}
-    names = {"x": "to the right, on the sample seen head-on [px]", "y": "upwards [px]"}
+    names = {"x": "position to the right on the sample seen head-on [px]", "y": "position upwards [px]"}
     for i, name in enumerate(MAPS):
         field = means[i] + np.fft.ifft2(posterior.estimate[i]).real * root
         variance = posterior.variance[i] + posterior.by_lens[i]
@@ -358,7 +363,7 @@ def _maps(
         names |= {
             name: f"{name} part, relative",
             f"{name}_std": f"standard deviation of {name} about its mean, including lost texture",
-            f"{name}_error": f"variance of {name} at each frequency; their mean is the variance of a texel",
+            f"{name}_error": f"variance of {name} at each frequency; the mean over all frequencies is the variance of a texel",
             f"{name}_resolved": "share of the prior variance that the images remove",
         }
     along, across = (np.fft.fftshift(one.ravel()) for one in stack.frequency)
@@ -383,13 +388,13 @@ def _maps(
 
 
 def _tilts(capture: Capture) -> dict[str, float]:
-    """Return the specified tilt of each lamp position, rad."""
+    """Return the specified tilt of the sample at each lamp position, rad."""
     stated = capture.settings["sample"]["tilt_deg"] or [0.0]
     names = list(capture.lamps)
     if len(stated) not in (1, len(names)):
         raise ArgumentError(
-            f"{capture.folder}: sample.tilt_deg has {len(stated)} angles for {len(names)} lamp positions: give one, or one "
-            "for each in the order of frames.csv"
+            f"{capture.folder}: sample.tilt_deg has {len(stated)} angles for {len(names)} lamp positions: give one "
+            "angle, or one for each lamp position in the order of frames.csv"
         )
     stated = stated * len(names) if len(stated) == 1 else stated
     return {name: float(np.radians(one)) for name, one in zip(names, stated, strict=True)}

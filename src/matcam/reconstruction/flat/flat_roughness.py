@@ -1,7 +1,7 @@
-"""Common roughness of all texels of a flat sample, and the light of each image, from the coarse frequencies of the texture.
+"""Common roughness of all texels of a flat sample, and gain of each image, from coarse frequencies of the texture.
 
-An image is a mixture of both maps with shares that depend on roughness and light. The roughness minimises the residual
-of these mixtures, with both maps solved for at every frequency.
+The gain of an image is its relative irradiance. An image is a linear combination of both maps, with weights that depend on
+roughness and gain. The roughness minimises the residual of these combinations, with both maps solved for at every frequency.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from matcam.reconstruction.flat.flat_stack import FlatStack
 _COARSE = 0.15  # cycles/px
 _WIDTHS = np.geomspace(0.01, 0.9, 46)
 _EXACT = 1e-4
-"""Smallest relative error of the mean of an image."""
+"""Smallest relative error that is assumed for the mean of an image, no unit."""
 
 
 class FlatRoughness(NamedTuple):
@@ -30,12 +30,12 @@ class FlatRoughness(NamedTuple):
 
     Attributes:
         log_alpha: ln of the roughness of the lobe.
-        gains: ln of the light of each image, (pictures,).
+        gains: ln of the gain of each image, (pictures,).
         covariance: covariance of log_alpha and gains, (1 + pictures, 1 + pictures).
-        weights: light of the diffuse and specular part of each image for a map of 1, gains included, (pictures, 2).
+        weights: radiance of the diffuse and specular part in each image for maps of 1, times the gain, (pictures, 2).
         weights_slope: derivatives of `weights` with respect to log_alpha and gains, (pictures, 2, 1 + pictures).
-        misfit: mean squared residual, in standard deviations of the noise.
-        stated: prior information on the gains, as `covariance`.
+        misfit: mean squared residual, relative to the variance of the noise.
+        stated: prior information matrix of the gains, with the axes of `covariance`.
         freedom: degrees of freedom, no unit.
     """
 
@@ -55,7 +55,7 @@ class LobeShares:
     Args:
         family: family of the lobe, with roughness as its only parameter.
         masking: masking G of the lobe.
-        tilts: tilts of the sample, its normal towards +x, rad, (pictures,).
+        tilts: tilts of the sample, rad, (pictures,); positive if the normal tilts towards +x.
         towards: directions to the lamps, (pictures, 3).
     """
 
@@ -84,8 +84,8 @@ def fit_roughness(stack: FlatStack, shares: LobeShares, gain_std: np.ndarray) ->
 
     Args:
         stack: images on the texels.
-        shares: shares of diffuse and specular part in each image.
-        gain_std: standard deviation of ln of the light of each image, (pictures,).
+        shares: radiance of the lobe and of a white surface in each image.
+        gain_std: standard deviation of ln of the gain of each image, (pictures,).
     """
     coarse = (stack.radius < _COARSE) & (stack.radius > 0)
     root = np.sqrt(stack.noise[:, coarse])
@@ -114,7 +114,7 @@ def fit_roughness(stack: FlatStack, shares: LobeShares, gain_std: np.ndarray) ->
     slopes = np.zeros((count, 2, 1 + count))
     slopes[:, 1, 0] = np.exp(p[1:]) * slope
     slopes[np.arange(count), :, 1 + np.arange(count)] = weights(p)
-    freedom = coarse.sum() * max(count - 2, 1)  # each wave and its mirror image in a complex spectrum
+    freedom = coarse.sum() * max(count - 2, 1)  # a frequency and its mirror image are complex conjugates
     stated = np.diag(np.concatenate([[0.0], 1 / prior**2]))
     misfit = float(2 * found.cost / freedom)
     return FlatRoughness(float(p[0]), p[1:], covariance, weights(p), slopes, misfit, stated, int(freedom))
@@ -126,7 +126,7 @@ class MeanMaps(NamedTuple):
     Attributes:
         value: means, (2,).
         by_noise: covariance for exact roughness and gains, (2, 2).
-        by_shared: derivatives with respect to roughness and gains, (2, 1 + pictures).
+        by_shared: derivatives of the means with respect to log_alpha and gains, (2, 1 + pictures).
     """
 
     value: np.ndarray
@@ -135,7 +135,7 @@ class MeanMaps(NamedTuple):
 
 
 def mean_maps(stack: FlatStack, fitted: FlatRoughness) -> MeanMaps:
-    """Compute the mean of both maps with its errors."""
+    """Compute the mean of each map, with its errors."""
     std = np.hypot(stack.mean_std, _EXACT * np.abs(stack.mean))
     loadings = fitted.weights / std[:, None]
     inverse = np.linalg.pinv(loadings.T @ loadings)
@@ -147,7 +147,7 @@ def mean_maps(stack: FlatStack, fitted: FlatRoughness) -> MeanMaps:
 
 
 def _left_behind(data: np.ndarray, transfer: np.ndarray, loadings: np.ndarray) -> np.ndarray:
-    """Compute the residual of whitened data after the best two maps at each frequency, (pictures, frequencies)."""
+    """Compute the residual of whitened data for the best pair of maps at each frequency, (pictures, frequencies)."""
     scale = np.abs(loadings).max(axis=0)
     unit = loadings / scale
     share = transfer**2

@@ -2,7 +2,7 @@
 
 The grid is that of the sample seen head-on, with one texel per pixel. A tilt about the vertical axis of the image makes
 the image narrower by the cosine of the tilt. Every image is interpolated onto the grid by a windowed sinc, which
-preserves the content of the pixels.
+preserves frequencies up to nearly the Nyquist limit.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from matcam.core.jax import jnp
 TAPER = 16
 """Width of the border, texels, over which an image is faded out before its transform."""
 MARGIN = 24
-"""Width of the border, texels, that is not reported."""
+"""Width of the border that is omitted from the maps, texels."""
 _REACH = 16  # half width of the sinc, px
 _BAND = 0.44  # cycles/px on the sensor, up to which the windowed sinc is transparent
 _STEP = 1e-3
@@ -35,9 +35,9 @@ class FlatPicture(NamedTuple):
 
     Attributes:
         picture: merged image, grey.
-        tilt: tilt of the sample about the image's vertical axis, its normal towards +x, rad.
+        tilt: tilt of the sample about the vertical axis of the image, rad; positive if the normal tilts towards +x.
         towards: direction to the lamp, x right, y up, z to the camera, (3,).
-        gain_std: standard deviation of ln of the light of the image.
+        gain_std: standard deviation of ln of the relative irradiance in the image.
     """
 
     picture: MergedPicture
@@ -47,16 +47,16 @@ class FlatPicture(NamedTuple):
 
 
 class FlatStack(NamedTuple):
-    """Transforms of images over the grid of texels.
+    """Fourier transforms of images on the grid of texels.
 
     Attributes:
         mean: mean of each image, (pictures,).
         mean_std: standard deviation of the mean, (pictures,).
-        spectrum: transform of each image less its mean, per root of the area, (pictures, rows, columns).
-        transfer: transfer function of the camera at each texel frequency; 0 beyond the sensor's band, same shape.
+        spectrum: transform of each image less its mean, divided by the root of the area, (pictures, rows, columns).
+        transfer: transfer function of the camera at each frequency, 0 beyond the band of the sensor; same shape.
         lens_slope: derivative of ln transfer with respect to ln of the lens width, same shape.
         noise: power of the noise in `spectrum`, same shape.
-        frequency: frequencies along the rows and across them, cycles/px, broadcasting to (rows, columns).
+        frequency: frequencies along the rows and across them, cycles/px, which broadcast to (rows, columns).
         tilts: tilts of the sample, rad, (pictures,).
         camera: camera of the transfer function.
         taper: weight of each texel, (rows, columns).
@@ -75,7 +75,7 @@ class FlatStack(NamedTuple):
 
     @property
     def radius(self) -> np.ndarray:
-        """Size of each frequency, cycles/px (rows, columns)."""
+        """Magnitude of each frequency, cycles/px, (rows, columns)."""
         return np.hypot(*self.frequency)
 
     def sensor_transfer(self, k: int, along: np.ndarray, across: np.ndarray) -> np.ndarray:
@@ -84,7 +84,7 @@ class FlatStack(NamedTuple):
 
 
 def usable(picture: MergedPicture) -> bool:
-    """Check whether an image has few clipped pixels, because they have no value to transform."""
+    """Check whether the share of clipped pixels of an image is small enough for a Fourier transform."""
     return bool(picture.clipped.mean() <= _CLIPPED)
 
 
@@ -92,7 +92,7 @@ def flat_stack(pictures: Sequence[FlatPicture], camera: Camera) -> FlatStack:
     """Resample the images of a flat sample onto its texels.
 
     Args:
-        pictures: images of one shape.
+        pictures: images of the same shape.
         camera: lens and pixel.
 
     Returns:
@@ -105,7 +105,7 @@ def flat_stack(pictures: Sequence[FlatPicture], camera: Camera) -> FlatStack:
     height, width = pictures[0].picture.values.shape
     if min(height, width) < 4 * MARGIN:
         raise FitError(
-            f"images of {height} x {width} px are too small: a flat sample needs {4 * MARGIN} px in each direction"
+            f"images of {height} x {width} px are too small: a flat sample needs at least {4 * MARGIN} px in each direction"
         )
     taper = _taper(height)[:, None] * _taper(width)
     area = (taper**2).sum()

@@ -1,7 +1,7 @@
-"""Diffuse albedo and specular strength of a flat sample, frequency by frequency of its texture.
+"""Diffuse albedo and specular strength of a flat sample, estimated separately at each frequency of the texture.
 
-At each frequency the images are linear in both: spectrum_k = transfer_k (white_k diffuse + lobe_k specular) + noise.
-With the power of each map as prior, the posterior is the Wiener estimate. Frequencies that the camera does not transmit
+At each frequency the images are linear in both maps: spectrum_k = transfer_k (white_k diffuse + lobe_k specular) + noise.
+With the power of each map as prior, the posterior mean is the Wiener estimate. Frequencies that the camera does not transmit
 have the variance of the prior.
 """
 
@@ -15,7 +15,7 @@ import numpy as np
 from matcam.reconstruction.flat.flat_stack import FlatStack
 
 RESOLVED = 0.5
-"""Share of the prior variance of a frequency that the images must remove for it to be resolved."""
+"""Smallest share of the prior variance that the images remove at a resolved frequency."""
 _BINS = np.geomspace(0.02, 0.35, 13)
 _CLEAR = 3.0  # standard deviations by which the power of a bin must exceed its noise
 _STEEPEST, _FLATTEST = -5.0, 0.0
@@ -23,7 +23,7 @@ _NOTHING = 1e-12
 
 
 class PowerLaw(NamedTuple):
-    """Power of a texture: level times (frequency / 0.1)^slope, per texel frequency.
+    """Power of a texture: level * (frequency / 0.1)^slope, with the frequency in cycles/px.
 
     Attributes:
         level: level at 0.1 cycles/px.
@@ -39,7 +39,7 @@ class PowerLaw(NamedTuple):
 
 
 class TexturePosterior(NamedTuple):
-    """Transforms of both maps with their errors, over the frequencies of the grid; first axis: diffuse, specular.
+    """Fourier transforms of both maps and their variances. The maps on the first axis are diffuse and specular.
 
     Attributes:
         estimate: posterior mean, (2, rows, columns).
@@ -57,15 +57,15 @@ class TexturePosterior(NamedTuple):
 
     @property
     def resolved(self) -> np.ndarray:
-        """Share of the prior variance that the images remove, (2, rows, columns): 1, known; 0, lost."""
+        """Share of the prior variance that the images remove, (2, rows, columns); 1: known, 0: lost."""
         return 1 - self.variance / np.maximum(self.prior, 1e-300)
 
     def cutoff(self, frequency: tuple[np.ndarray, np.ndarray], which: int) -> tuple[float, float]:
         """Find the frequencies along the rows and across them up to which a map is resolved, cycles/px.
 
         Args:
-            frequency: frequency of the grid, along and across.
-            which: 0, diffuse; 1, specular.
+            frequency: frequencies of the grid along the rows and across them, cycles/px.
+            which: index of the map; 0: diffuse, 1: specular.
         """
         resolved = self.resolved[which]
         along = _first_lost(np.abs(frequency[0][0]), resolved[0])
@@ -73,11 +73,11 @@ class TexturePosterior(NamedTuple):
 
 
 def texture_posterior(stack: FlatStack, weights: np.ndarray, lens_std: float = 0.0) -> TexturePosterior:
-    """Compute the posterior of both maps, with their power estimated from frequencies above the noise.
+    """Compute the posterior of both maps, with prior powers that are fitted to the frequencies above the noise.
 
     Args:
         stack: images on the texels.
-        weights: light of the diffuse and specular part of each image for a map of 1, (pictures, 2).
+        weights: radiance of the diffuse and specular part in each image for maps of 1, (pictures, 2).
         lens_std: relative standard deviation of the lens width. Default: 0, exact.
     """
     scale = np.abs(weights).max(axis=0)
@@ -111,7 +111,7 @@ def _normal(stack: FlatStack, loadings: np.ndarray, noise: np.ndarray) -> tuple[
 
 
 def _inverse(information: np.ndarray, prior: np.ndarray) -> np.ndarray:
-    """Invert 2 x 2 matrices with the information of the prior on their diagonal; very large where both vanish."""
+    """Invert 2 x 2 information matrices plus a diagonal prior. Where both vanish, the inverse is large, but finite."""
     a, b = information[0, 0] + prior[0], information[1, 1] + prior[1]
     c = information[0, 1]
     floor = 1e-12 * max(float(a.max()), float(b.max()), 1e-300)
@@ -121,7 +121,7 @@ def _inverse(information: np.ndarray, prior: np.ndarray) -> np.ndarray:
 
 
 def _power_law(estimate: np.ndarray, variance: np.ndarray, radius: np.ndarray) -> PowerLaw:
-    """Fit a power law to the power above the noise, ring by ring."""
+    """Fit a power law to the mean power, less the noise, in rings of frequencies."""
     rings = []
     for low, high in pairwise(_BINS):
         ring = (radius >= low) & (radius < high)
@@ -143,7 +143,7 @@ def _power_law(estimate: np.ndarray, variance: np.ndarray, radius: np.ndarray) -
 
 
 def _folded(stack: FlatStack, loadings: np.ndarray, laws: tuple[PowerLaw, ...]) -> np.ndarray:
-    """Compute the aliased power from beyond the Nyquist limit of the sensor at each frequency of each image."""
+    """Compute the power that aliasing from beyond the Nyquist limit of the sensor adds, at each frequency of each image."""
     along, across = stack.frequency
     folded = np.zeros(stack.noise.shape)
     for k, tilt in enumerate(stack.tilts):

@@ -1,7 +1,7 @@
 """Joint fit of all images of a sample: lobe, reflectance, lens, lamps and distances in one likelihood (docs/model.md 10).
 
-A clipped pixel is a lower bound. Residuals beyond the noise are modelled as a share of the light, so that errors of any
-kind widen the uncertainty. Images are processed in parallel, and summed in order.
+The value of a clipped pixel is a lower bound. Residuals that exceed the noise are modelled as a share of the light, so that
+any error of the model increases the uncertainty. Images are processed in parallel, and their results are added in order.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _SETTLED = 1e-3  # of a standard deviation
 _SLIGHT, _LOOK_BACK = 10.0, 3
 """Factor of the threshold below which a step is small, and number of steps without progress after which the iteration ends."""
 _NO_CHANGE, _ALL_LOST = 1e-12, 1e-6
-"""Relative change of information that is neglected, and smallest share of information that remains."""
+"""Relative change of information below which it is neglected, and smallest share of information that remains."""
 _MOST_AT_ONCE = 8  # images at a time; the derivatives of one take up to 12 MB
 
 
@@ -39,14 +39,14 @@ class JointSolution(NamedTuple):
     Attributes:
         problem: problem that was solved.
         p: fitted parameters.
-        covariance: covariance of the parameters, including unexplained residuals and unstated distortion.
-        fitted: covariance of the parameters without unstated distortion, for weights.
+        covariance: covariance of the parameters, including unexplained residuals and an unspecified distortion.
+        fitted: covariance of the parameters without an unspecified distortion, for weights.
         cost: minus twice the logarithm of likelihood and prior, up to a constant.
         left: unexplained light.
         theta_d: angle to which the strengths of each image apply, rad, (pictures,).
         theta_d_slope: derivatives of these angles, (pictures, parameters).
-        chi2: mean squared residual of each image, in standard deviations of photon and read noise, (pictures,).
-        left_out: number of pixels beyond 6 standard deviations in each image, (pictures,).
+        chi2: mean squared residual of each image, relative to the variance of photon and read noise, (pictures,).
+        left_out: number of pixels with a residual above 6 standard deviations in each image, (pictures,).
     """
 
     problem: JointProblem
@@ -74,8 +74,9 @@ class JointSolution(NamedTuple):
         return self._informed(self.fitted, -information)
 
     def _informed(self, covariance: np.ndarray, change: np.ndarray) -> np.ndarray:
-        """Update a covariance for a change of information by Woodbury's identity, because two inversions would lose
-        small parts.
+        """Update a covariance for a change of information by Woodbury's identity.
+
+        Two matrix inversions would lose small contributions.
         """
         judged = np.flatnonzero(self.problem.judged)
         inner = np.ix_(judged, judged)
@@ -94,7 +95,7 @@ class JointSolution(NamedTuple):
 
 
 class Likelihood:
-    """Likelihood of pixels, with a share of the model as noise.
+    """Likelihood of pixels, with additional noise that is proportional to the model.
 
     Args:
         left: unexplained light.
@@ -191,7 +192,7 @@ def solve(problem: JointProblem, start: np.ndarray, left: UnexplainedLight, enou
             break
     if not np.all(np.isfinite(p)):
         raise FitError(
-            "the fit of the images produced non-finite parameters: check that they show the highlights of the sample"
+            "the fit of the images produced non-finite parameters: check that the images show the highlights of the sample"
         )
     return p
 
@@ -210,7 +211,7 @@ def _damped_step(
 
 
 def summed_up(problem: JointProblem, p: np.ndarray, left: UnexplainedLight) -> JointSolution:
-    """Build the solution at parameters: covariance, angles and chi squared of each image."""
+    """Build the solution at given parameters: their covariance, and theta_d and chi squared of each image."""
     judge = Likelihood(left)
     layout = problem.layout
     moving = replace(problem, changes=problem.unstated) if problem.unstated else problem
@@ -244,7 +245,7 @@ def summed_up(problem: JointProblem, p: np.ndarray, left: UnexplainedLight) -> J
 
 
 def _of_the_unstated(problem: JointProblem, normal: np.ndarray, covariance: np.ndarray) -> np.ndarray:
-    """Compute the contribution of an unstated distortion to the covariance of a fit without it.
+    """Compute the contribution of an unspecified distortion to the covariance of a fit that ignores distortion.
 
     This is the "consider" covariance of Schmidt (1966).
     """
@@ -297,7 +298,7 @@ def cost_at(
 
     Args:
         problem: problem to fit.
-        judge: likelihood of its pixels.
+        judge: likelihood of the pixels.
         p: parameters, (size,).
         levels: reference level of the noise in each image. Default: None, the model.
     """

@@ -4,7 +4,7 @@ The model of pixel i of channel c in image k is
 
     exp(g_k) [F_kc (1 + slope (theta_i - theta_k)) lobe_i + diffuse_c lambert_i]
 
-with a strength F_kc that is free in every image, and a gain g_k with a prior.
+with a strength F_kc that is free in every image, and a prior for g_k, the logarithm of the gain.
 """
 
 from __future__ import annotations
@@ -21,7 +21,9 @@ from matcam.reconstruction.rig.field_change import FIELD, STEP, FieldChange
 
 
 class JointLayout(NamedTuple):
-    """Order of all parameters: lobe, scene, diffuse, field, then own parameters, gain and strengths of each image.
+    """Order of all parameters: those that all images share, then own parameters, gain and strengths of each image.
+
+    The shared parameters are lobe, scene, diffuse parts, lens field, sample radius and diffuse shape.
 
     Attributes:
         lobe: number of the lobe's parameters.
@@ -37,12 +39,12 @@ class JointLayout(NamedTuple):
 
     @property
     def shared(self) -> int:
-        """Number of parameters of all images."""
+        """Number of parameters that all images share."""
         return self.sample_radius + 1 + self.shape
 
     @property
     def each(self) -> int:
-        """Number of parameters of one image."""
+        """Number of parameters that each image has of its own."""
         return len(OWN) + 1 + self.channels
 
     @property
@@ -52,7 +54,7 @@ class JointLayout(NamedTuple):
 
     @property
     def scene(self) -> slice:
-        """Indices of lens, radius and nearnesses."""
+        """Indices of lens, radius and inverse distances."""
         return slice(self.lobe, self.lobe + len(SCENE))
 
     @property
@@ -67,7 +69,7 @@ class JointLayout(NamedTuple):
 
     @property
     def sample_radius(self) -> int:
-        """Index of ln of the radius of the sample over the specified radius, to which distances in mm are relative."""
+        """Index of ln of the sample radius relative to its specified value, which scales distances specified in mm."""
         return self.field.stop
 
     @property
@@ -81,7 +83,7 @@ class JointLayout(NamedTuple):
         return slice(first, first + len(OWN))
 
     def gain(self, k: int) -> int:
-        """Index of the gain of an image."""
+        """Index of ln of the gain of an image."""
         return self.own(k).stop
 
     def strengths(self, k: int) -> slice:
@@ -117,16 +119,17 @@ class JointProblem:
         model: model of the pixels.
         layout: order of the parameters.
         pixels: chosen pixels of each image.
-        frames: base direction of each image's lamp.
+        frames: base direction of the lamp of each image.
         prior_rows: linear combinations of the parameters with a prior of standard deviation 1, (rows, size).
         prior_values: prior means of these combinations, (rows,).
         prior_sources: source of each row: "lens", "outline", "lamp", "gain", ...
         low: smallest value of each parameter.
         high: largest value of each parameter.
         slope: d ln F / d theta_d of each image and channel, 1/rad, (pictures, channels).
-        fixed: parameters that are constant, (size,).
+        fixed: mask of the parameters that are constant, (size,).
         changes: effect of a change of the lens field on each image; empty if the field is exact.
-        unstated: effect of an unstated distortion on each image. It is not fitted, but included in the covariance.
+        unstated: effect of an unspecified distortion on each image. The distortion is not fitted, but is included in the
+            covariance.
     """
 
     model: PixelModel
@@ -145,7 +148,7 @@ class JointProblem:
 
     @property
     def judged(self) -> np.ndarray:
-        """Mask of the parameters with an error: fitted ones, and an unstated distortion."""
+        """Mask of the uncertain parameters: those that are fitted, and an unspecified distortion."""
         judged = ~self.fixed
         judged[self.layout.field.start] |= len(self.unstated) > 0
         return judged
@@ -156,7 +159,7 @@ class JointProblem:
         return rows.T @ rows
 
     def recorded(self, p: np.ndarray, k: int, *, slopes: bool) -> tuple[Recorded, Recorded | None]:
-        """Compute the record of the chosen pixels of image k at unit strengths, window first, with derivatives."""
+        """Compute the record of the pixels of image k at unit strengths, and its derivatives. The window is first."""
         at, pixels, frame = p[self.layout.of_picture(k)], self.pixels[k], self.frames[k]
         window, column, row = pixels.window, pixels.column, pixels.row
         beside = at
@@ -218,7 +221,7 @@ class JointProblem:
                 + (strength * slope * recorded.lobe)[near] * (by_k1.theta_d - angle[of_k1])
                 + diffuse[near] * by_k1.lambert
             )
-            # a shift of a pixel is an opposite shift of the sphere
+            # a shift of a pixel has the effect of an opposite shift of the sphere
             far, centre = slice(near.stop, None), layout.own(k).start + np.arange(2)
             away = self.changes[k].positions_slopes(change).T
             jacobian[far, of_k1] = -(jacobian[far][:, centre] * away).sum(axis=1)
@@ -236,7 +239,7 @@ class PictureFit(NamedTuple):
         value: model of the pixels, (pixels,).
         jacobian: derivatives of the model, (pixels, parameters); None: not requested.
         theta_d: angle to which the strengths apply, rad.
-        theta_d_slope: derivatives of that angle, (parameters,).
+        theta_d_slope: derivatives of `theta_d`, (parameters,).
     """
 
     value: np.ndarray

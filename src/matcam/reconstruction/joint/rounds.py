@@ -1,4 +1,4 @@
-"""Rounds of one joint fit: progress with the remaining time, and the end if another round does not improve the fit."""
+"""Rounds of one joint fit: reports of progress, and termination if a round does not improve the fit."""
 
 from __future__ import annotations
 
@@ -7,13 +7,14 @@ import time
 from collections.abc import Callable
 
 _STUCK = 0.1
-"""Unexplained share up to which an increase does not end the rounds, because new windows contain other pixels."""
+"""Unexplained share of the light below which an increase does not end the rounds, because new windows contain other pixels."""
 _RISE = 1.05
-"""Increase of the share, relative to its minimum, above which a round has not improved the fit."""
+"""Ratio of the share to its previous minimum above which a round has not improved the fit."""
 
 _NOTHING, _FALL = 0.5, 0.95
-"""Unexplained share above which a round must lower it, and the required ratio to the minimum; otherwise the model is
-useless.
+"""Unexplained share above which each round must reduce the share, and largest ratio to the previous minimum.
+
+If the ratio is larger, the model does not describe the images.
 """
 
 
@@ -32,7 +33,7 @@ class Rounds:
         self._started = time.monotonic()
 
     def begin(self) -> None:
-        """Announce a round; after the first, with an upper bound of the remaining time."""
+        """Report the start of a round. From the second round, the report includes an upper bound of the remaining time."""
         done = len(self.shares)
         line = f"round {done + 1} of at most {self.most}, {self.pictures} images"
         if done:
@@ -41,12 +42,12 @@ class Rounds:
         self.say(line)
 
     def end(self, share: float) -> None:
-        """Record the unexplained share after a round."""
+        """Store the unexplained share after a round."""
         self.shares.append(share)
 
     @property
     def stuck(self) -> bool:
-        """Check whether the last round did not improve the fit and the unexplained share is large."""
+        """True if the last round did not improve the fit, although the unexplained share is large."""
         *before, share = self.shares
         least = min(before, default=math.inf)
         return share > max(_STUCK, _RISE * least) or share > max(_NOTHING, _FALL * least)

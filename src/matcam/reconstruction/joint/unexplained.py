@@ -1,7 +1,7 @@
-"""Residuals of images beyond the noise: their share of the light, and their correlation between neighbouring pixels.
+"""Residuals of images that exceed the noise: their size relative to the light, and their correlation between pixels.
 
-A wrong lobe, dirt or a second reflection cause residuals of one sign over many pixels. If such pixels were treated as
-independent, they would bias well determined quantities, and errors would be too small.
+A wrong lobe, dirt or a second reflection causes residuals of one sign over many pixels. If such pixels were treated as
+independent, they would bias well determined quantities, and the estimated errors would be too small.
 """
 
 from __future__ import annotations
@@ -23,15 +23,16 @@ _LOOKED_AT = 12
 """Number of images in which the correlation is estimated."""
 _ALIKE_IN_VALUE = 15  # pixels
 _LEAST = 0.05
-"""Smallest share of the variance of a residual that is used as divisor."""
+"""Smallest unexplained share of the variance of residuals by which correlations are divided, no unit."""
 
 
 class UnexplainedLight(NamedTuple):
-    """Unexplained share of the light and its correlation.
+    """Unexplained share of the light, and its correlation between pixels.
 
     Attributes:
-        share: noise as a share of the model that, with photon and read noise, explains the residuals of bright pixels.
-        correlated: number of pixels with fully correlated unexplained residuals. Default: 1, uncorrelated.
+        share: standard deviation of the additional noise that explains the residuals of bright pixels, as a share of the
+            model.
+        correlated: number of pixels whose unexplained residuals are treated as fully correlated. Default: 1, uncorrelated.
     """
 
     share: float
@@ -39,12 +40,12 @@ class UnexplainedLight(NamedTuple):
 
     @property
     def noise(self) -> float:
-        """Independent noise per pixel, as a share of the model, with the same weight as these correlated residuals."""
+        """Independent noise of each pixel that has the same effect as the correlated residuals, as a share of the model."""
         return float(self.share * np.sqrt(self.correlated))
 
 
 def unexplained_share(problem: JointProblem, p: np.ndarray) -> float:
-    """Compute the unexplained share of the light at some parameters.
+    """Compute the unexplained share of the light at given parameters.
 
     It is estimated from squared residuals truncated at `_CUT` standard deviations, so that dust on few pixels has no
     effect.
@@ -96,7 +97,7 @@ class _Bright(NamedTuple):
 def _expected_noise(value: np.ndarray, std: np.ndarray) -> np.ndarray:
     """Estimate the noise of pixels as a smooth function of their values.
 
-    The noise estimate of a single pixel increases with its value, so it would favour pixels below the model.
+    The noise estimate of a single pixel increases with its value, so pixels below the model would have too much weight.
     """
     order = np.argsort(value)
     gain = uniform_filter1d(std[order] ** 2 / value[order], _ALIKE_IN_VALUE, mode="nearest")

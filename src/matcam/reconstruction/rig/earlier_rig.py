@@ -1,7 +1,8 @@
 """Rig of an earlier reconstruction as a prior: lens, distances, lamps and distortion.
 
 Distances are in radii of the sphere, and are scaled for a sphere of another size. The outline is always that of the
-sample. All parameters have one covariance, because errors of direction and distance of a lamp are correlated.
+present sample. All parameters have a common covariance matrix, because the errors of the direction and the distance of a
+lamp are correlated.
 """
 
 from __future__ import annotations
@@ -20,14 +21,14 @@ _LEAST = 1e-12  # variance below which a parameter was not fitted
 
 
 class KnownRig(NamedTuple):
-    """Prior knowledge of the rig of some images.
+    """Prior knowledge of the rig of a set of images.
 
     Attributes:
-        values: ln of the lens width over that of the profile, nearness of camera and of lamp, changes of k1 and of the
-            growth of the blur, (5,).
-        lamps: index of the lamp of each image among the directions; -1: unknown, (pictures,).
-        directions: unit vectors, (lamps, 3).
-        covariance: covariance of values, and of two turns of each lamp, rad.
+        values: ln of the lens width relative to the profile, inverse distances of camera and lamp (1/radii), changes of
+            k1 and of the growth of the blur, (5,).
+        lamps: index of the lamp of each image in `directions`, (pictures,); -1: unknown.
+        directions: unit vectors to the lamps, (lamps, 3).
+        covariance: covariance of `values` and of the two rotations of each lamp, rad.
     """
 
     values: np.ndarray
@@ -42,21 +43,22 @@ class KnownRig(NamedTuple):
 
     @property
     def lamp_std(self) -> np.ndarray:
-        """Compute the standard deviation of each lamp's direction along a tangent, rad, (lamps,)."""
+        """Standard deviation of each lamp's direction along a tangent, rad, (lamps,)."""
         variance = np.diag(self.covariance)[len(SCENE_NAMES) :].reshape(-1, 2)
         return np.sqrt(variance.mean(axis=1))
 
     def prior(
         self, size: int, positions: Sequence[int], own: Sequence[int], frames: Sequence[LampFrame]
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Build rows and values of the prior: linear combinations of the parameters and their means, with unit
-        variance.
+        """Build the rows and values of the prior: linear combinations of the parameters, and their means.
+
+        The variance of each combination is 1.
 
         Args:
             size: number of all parameters.
             positions: indices of the five values among the parameters.
-            own: index of the first of the two turns of the lamp of each image.
-            frames: frames of the images' lamps.
+            own: index of the first of the two rotations of the lamp of each image.
+            frames: base direction of the lamp of each image, with its tangents.
         """
         chosen, rows, values = [], [], []
         for index in np.flatnonzero(self.knows).tolist():
@@ -93,14 +95,15 @@ def known_rig(
     """Match an earlier reconstruction to the rig of these images.
 
     Args:
-        rig: as from `read_rig`.
+        rig: earlier rig, as returned by `read_rig`.
         names: names of the lamp positions.
         frame: width and height of the frames, px; None: unknown.
         sample_radius: radius of the sphere, mm; None: unknown.
-        sigma: standard deviation of the lens by the profile, px; None: not Gaussian. The earlier lens is then ignored.
+        sigma: standard deviation of the lens according to the profile, px. None: the lens is not Gaussian, and the earlier
+            lens is ignored.
 
     Raises:
-        ArgumentError: the frames are of another size, or no lamp position has a name of the rig.
+        ArgumentError: the frames have another size, or the rig contains no lamp position of these images.
     """
     if rig.frame is not None and frame is not None and rig.frame != frame:
         raise ArgumentError(
@@ -110,13 +113,15 @@ def known_rig(
     unknown = [name for name in names if name not in rig.lamps]
     if len(unknown) == len(names):
         raise ArgumentError(
-            f"{rig.file}: has none of the lamp positions {', '.join(names[:4])}: it has {', '.join(rig.lamps[:4])}; "
+            f"{rig.file}: has none of the lamp positions {', '.join(names[:4])}, but it has {', '.join(rig.lamps[:4])}: "
             "give the same names to the same positions"
         )
     remarks = []
     if unknown:
         remarks.append(
-            Remark("rig-lamp-unknown", f"{', '.join(unknown)}: not in {rig.file}; their values in frames.csv are used")
+            Remark(
+                "rig-lamp-unknown", f"{', '.join(unknown)}: not in {rig.file}, so the directions of frames.csv are used"
+            )
         )
     ratio = 1.0
     if rig.sample_radius is not None and sample_radius is not None:
@@ -125,7 +130,8 @@ def known_rig(
         remarks.append(
             Remark(
                 "rig-radius-not-stated",
-                f"{rig.file}: the radii of both spheres are not specified: they are assumed to be equal",
+                f"{rig.file}: both spheres are assumed to have the same radius, because at least one radius is unknown: "
+                "specify sample.radius_mm in both captures",
             )
         )
     covariance = rig.covariance.copy()
@@ -152,11 +158,11 @@ def rig_covariance(
 
     Args:
         covariance: covariance of all parameters of a joint fit.
-        scene: indices of lens, radius and nearnesses.
+        scene: indices of lens, radius and inverse distances.
         field: indices of the changes of the lens field.
-        own: index of the first of the two turns of the lamp of each image.
-        frames: frames of these turns.
-        lamps: fitted directions, (pictures, 3), the origin of the turns in the document.
+        own: index of the first of the two rotations of the lamp of each image.
+        frames: base directions and tangents of these rotations.
+        lamps: fitted directions, (pictures, 3), which are the base directions of the rotations in the document.
     """
     size = len(SCENE_NAMES) + 2 * len(lamps)
     pick = np.zeros((size, len(covariance)))

@@ -1,7 +1,8 @@
 """Effect of a change of distortion, or of blur over the field, on one image.
 
-About a highlight the lens is an affine map, which depends on k1: nodes are fixed on the sphere, and their images move.
-The undistorted positions of scattered pixels change. The effect on the outline is part of the prior of the outline.
+Near a highlight the lens is approximated by an affine map, which depends on k1. Nodes are fixed on the sphere, so their
+image positions change. Scattered pixels are fixed in the image, so their undistorted positions change. The effect on the
+outline is part of the prior of the outline.
 """
 
 from __future__ import annotations
@@ -21,10 +22,10 @@ STEP = 1e-4
 
 
 class FieldChange(NamedTuple):
-    """Change of k1 and of the growth of the blur, (2,), in the pixels of one image.
+    """Effect of a change of k1 and of the growth of the blur, (2,), on the pixels of one image.
 
     Attributes:
-        field: field of the lens, without changes.
+        field: field of the lens, without the change.
         highlight: column and row of the highlight, px, without distortion.
         seen: columns and rows of the scattered pixels in the image, px, (2, pixels).
     """
@@ -34,7 +35,7 @@ class FieldChange(NamedTuple):
     seen: np.ndarray
 
     def window(self, window: Window, change: np.ndarray) -> Window:
-        """Compute the nodes of a window after the changes."""
+        """Compute the nodes of a window after the change."""
         return through_lens(window, changed_field(self.field, change), self.highlight)
 
     def positions(self, change: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -52,7 +53,7 @@ class FieldChange(NamedTuple):
 
 
 def changed_field(field: LensField, change: np.ndarray) -> LensField:
-    """Return a field with changed k1 and growth, within its valid range."""
+    """Add changes to k1 and to the growth of a field, (2,), and limit both to their valid range."""
     k1, growth = (
         Coefficient(float(np.clip(one.value + by, -0.3, 0.3)), one.std)
         for one, by in zip((field.k1, field.growth), change, strict=True)
@@ -61,7 +62,7 @@ def changed_field(field: LensField, change: np.ndarray) -> LensField:
 
 
 def found_field(field: LensField, change: np.ndarray, std: np.ndarray) -> LensField:
-    """Return a field with the fitted changes, (2,), and their standard deviations, (2,)."""
+    """Build the fitted field from the changes of k1 and of the growth, (2,), and their standard deviations, (2,)."""
     found = changed_field(field, change)
     k1, growth = (Coefficient(one.value, float(by)) for one, by in zip((found.k1, found.growth), std, strict=True))
     return replace(found, k1=k1, growth=growth)

@@ -1,7 +1,7 @@
-"""JSON document of `matcam reconstruct`: its schema, and reading of a rig from it.
+"""JSON document of `matcam reconstruct`: its schema, and the reader of its rig.
 
 docs/reconstruct.md describes its fields; `json_schema()` is the published schema (docs/reconstruction-v1.schema.json).
-The parameters of the rig (lens, distances, lamps) are read as an `EarlierRig` with one covariance.
+The parameters of the rig (lens, distances, lamps) are read as an `EarlierRig` with a common covariance matrix.
 """
 
 from __future__ import annotations
@@ -125,8 +125,8 @@ class EarlierRig(NamedTuple):
         field: field of the lens; None: uniform.
         lamps: names of the lamp positions.
         directions: unit vectors to the lamps, (lamps, 3).
-        covariance: covariance of ln of the lens's width, both nearnesses, k1, the blur's growth, and two turns of each
-            lamp, rad.
+        covariance: covariance of ln of the lens width, both inverse distances, k1, the growth of the blur, and two
+            rotations of each lamp, rad.
     """
 
     file: str
@@ -146,7 +146,7 @@ def json_schema() -> dict[str, Any]:
 
 
 def check_document(document: Any, where: str | Path) -> None:
-    """Check a document against the schema; raise FileFormatError that names its first wrong field."""
+    """Check a document against the schema. FileFormatError names the first wrong field."""
     _checked(document, where)
 
 
@@ -167,14 +167,14 @@ def read_rig(path: str | Path) -> EarlierRig:
     except ValueError:
         covariance = np.zeros(0)
     if covariance.shape != (size, size) or len(geometry.covariance.names) != size:
-        raise FileFormatError(f"{path}: field geometry.covariance: must have {size} parameters, 5 and 2 per lamp")
+        raise FileFormatError(f"{path}: field geometry.covariance: must have {size} parameters: 5, and 2 for each lamp")
     if not np.allclose(covariance, covariance.T, rtol=1e-6, atol=1e-12) or np.diag(covariance).min() < 0:
         raise FileFormatError(f"{path}: field geometry.covariance: must be symmetric with variances >= 0")
     directions = np.array([lamp.direction for lamp in geometry.lamps], dtype=float).reshape(-1, 3)
     if not np.allclose(np.linalg.norm(directions, axis=1), 1, atol=1e-3):
-        raise FileFormatError(f"{path}: field geometry.lamps: directions must be of length 1")
+        raise FileFormatError(f"{path}: field geometry.lamps: directions must have length 1")
     if len(set(names)) != len(names):
-        raise FileFormatError(f"{path}: field geometry.lamps: a name occurs twice")
+        raise FileFormatError(f"{path}: field geometry.lamps: two lamps have the same name")
     try:
         field = None if geometry.field is None else field_from(geometry.field)
     except ArgumentError as error:

@@ -39,7 +39,7 @@ from matcam.reconstruction.stated.undistorted import undistorted_sphere
 Progress = Callable[[str, int, int], None]
 
 _SHIFT = 0.3
-"""Assumed motion of the sphere between images, px, if the limb does not determine it."""
+"""Assumed standard deviation of the position of the sphere between images, px, if the limb does not determine it."""
 INCOMPLETE = (
     "bad-flat",
     "bad-frame",
@@ -66,12 +66,12 @@ class CapturedScene(NamedTuple):
         pictures: merged images that can be fitted.
         scene: prior knowledge of the scene.
         lamps: directions to the lamps as the start of the fit, mostly from the highlights, (pictures, 3).
-        radiometry: meaning of the codes.
-        outline: the sphere's outline; None: another sample.
+        radiometry: radiometric calibration of the codes.
+        outline: outline of the sphere; None: the sample is not a sphere.
         left_out: names of the lamp positions that cannot be used.
         remarks: remarks on the capture.
-        units: unit of each channel, value of the images per radiance under unit irradiance, with relative standard
-            deviation; None: no reference of known reflectance.
+        units: unit of each channel: value of the images per radiance under unit irradiance, with its relative standard
+            deviation. Default: None, the capture has no reference of known reflectance.
         frame: width and height of the frames, px; None: unknown. Default: None.
         sample_radius: radius of the sphere, mm. Default: None, unknown.
     """
@@ -99,10 +99,11 @@ def captured_scene(
     """Merge the frames of a capture, and find outline, highlights and lamps.
 
     Args:
-        capture: as from `read_capture`.
-        progress: function of the name of a step, and the numbers of finished and of all parts. Default: None.
+        capture: capture, as returned by `read_capture`.
+        progress: function that is called with the name of a step, the number of finished parts and the number of all parts.
+            Default: None.
         earlier: rig of an earlier reconstruction. Default: None.
-        workers: number of lamp positions that are read at a time. Default: 1.
+        workers: number of lamp positions that are read at the same time. Default: 1.
         kept: stored results from which an interrupted run resumes. Default: None, no results.
 
     Raises:
@@ -147,7 +148,7 @@ def captured_scene(
             outline = find_outline(stacked(pictures), sighting=sighting)
         except FitError as error:
             tried = [one.text for one in remarks if one.code == "outline-left-out"]
-            advice = "give a frame of the sphere before a bright field, in outline/, or set outline.mask or outline.centre_px"
+            advice = "photograph the sphere in front of a bright field, in outline/, or set outline.mask or outline.centre_px"
             raise FitError(f"{'; '.join([*tried, str(error)])}; {advice}") from error
         outline, shifts = find_shifts(pictures, outline, shift_std=_SHIFT, same_radius=False)
         centres = np.array([[outline.column + s.column, outline.row + s.row] for s in shifts])
@@ -161,8 +162,8 @@ def captured_scene(
     left_out = tuple(one.name for k, one in enumerate(pictures) if k not in seen)
     if len(seen) < FEWEST:
         raise FitError(
-            f"{capture.folder}: {len(seen)} of {len(pictures)} images show a highlight on the sphere; "
-            f"at least {FEWEST} are needed"
+            f"{capture.folder}: only {len(seen)} of {len(pictures)} images show a highlight on the sphere, "
+            f"but {FEWEST} are needed"
         )
     mirrored = [lamp_from_highlight(one, ball, far) for one in highlights if one is not None]
     lamps, covariances = map(np.array, zip(*mirrored, strict=True))

@@ -1,4 +1,4 @@
-"""Light of each lamp position: from a table, a reference in the image, or the specified stability of the lamp."""
+"""Relative irradiance of each lamp position, from a table, a reference in the image, or the specified stability of the lamp."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from matcam.files.capture import Capture, Region, Stated
 from matcam.reconstruction.sphere_scene import Known
 
 _SEEN = float(np.radians(0.5))
-"""Standard deviation of the direction of a lamp from the highlights that suffices for its light on a patch, rad."""
+"""Largest assumed standard deviation of the direction of a lamp, rad, because the highlights determine the direction better."""
 
 
 def under_one_light(pictures: Sequence[MergedPicture], capture: Capture) -> list[MergedPicture]:
-    """Divide the images by the light of their lamps from a table, if given, relative to its mean."""
+    """Divide the images by the intensities of their lamps, relative to the mean, if the capture has a table of intensities."""
     if capture.settings["lamp"]["intensity"] != "table":
         return list(pictures)
     stated = {one.name: np.array(capture.lamps[one.name].intensity) for one in pictures}
@@ -31,8 +31,8 @@ def under_one_light(pictures: Sequence[MergedPicture], capture: Capture) -> list
         light = stated[one.name] / mean
         if len(light) not in (1, len(one.channels)):
             raise FitError(
-                f"{capture.folder}: lamp {one.name} has {len(light)} intensities and its images {len(one.channels)} "
-                "colours: give one intensity, or one per colour"
+                f"{capture.folder}: lamp {one.name} has {len(light)} intensities, but its images have "
+                f"{len(one.channels)} colours: give one intensity, or one per colour"
             )
         share = np.broadcast_to(light, len(one.channels))[one.channel]
         found.append(replace(one, values=one.values / share, std=one.std / share))
@@ -48,7 +48,7 @@ def gains_of(
     nearness: Known,
     remarks: list[Remark],
 ) -> PatchLight:
-    """Determine the light of each image and the unit of values from the reference.
+    """Determine the relative irradiance of each image, and the unit of values, from the reference.
 
     Without a reference, the specified stability of the lamp is used.
     """
@@ -68,10 +68,10 @@ def gains_of(
             between=radiometry.reference_between,
         )
         if found is None:
-            text = "the diffuse reference is dark, clipped or lit at grazing in every image: F is relative"
+            text = "the diffuse reference is dark, clipped or lit at grazing incidence in every image: F is relative"
             remarks.append(Remark("no-reference", text))
         elif found.units is None:
-            text = "reference.reflectance is not given: F is relative"
+            text = "F is relative, because the reflectance of the reference is unknown: specify reference.reflectance"
             remarks.append(Remark("no-reflectance", text))
         return found or stated
     output = [radiometry.lamp_output.get(name) for name in names]
@@ -80,7 +80,7 @@ def gains_of(
         return stated
     if radiometry.reference_between >= drift:
         text = f"the light changes by {radiometry.reference_between:.1%} between images of reference and sample: "
-        remarks.append(Remark("reference-unsteady", f"{text}the value of lamp.gain_std was kept"))
+        remarks.append(Remark("reference-unsteady", f"{text}the reference was not used, and lamp.gain_std was kept"))
         return stated
     gain = np.array([one.value if good and one is not None else 1.0 for one, good in zip(output, known, strict=True)])
     std = np.array(

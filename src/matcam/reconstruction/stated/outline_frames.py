@@ -42,9 +42,10 @@ def about_disc(capture: Capture) -> Region | None:
 def found_outline(
     capture: Capture, sighting: Sighting, sigma: float, frame: tuple[int, int] | None, remarks: list[Remark]
 ) -> tuple[Outline | None, Region | None]:
-    """Determine the outline of a capture, and the region of the frames about it; None: only the lit limb is visible.
+    """Determine the outline of a capture, and the region of the frames about it.
 
-    The order of preference is: a specified circle, a mask, outline frames. A remark reports unusable inputs.
+    The order of preference is: a specified circle, a mask, outline frames. Remarks report unusable inputs. The outline is
+    None if all of these are missing or unusable. The region is None for whole frames.
 
     Args:
         capture: the capture, as read by `read_capture`.
@@ -70,7 +71,7 @@ def found_outline(
         try:
             outline = source()
         except MatcamError as error:
-            remarks.append(Remark("outline-left-out", f"{error}; the outline was found without these frames"))
+            remarks.append(Remark("outline-left-out", f"{error}; the outline was found without this input"))
             continue
         return outline, capture.region or (None if frame is None else about_outline(outline, frame[::-1]))
     return None, capture.region
@@ -93,7 +94,7 @@ def backlit_outline(
     # photon noise in codes, from the smoothest neighbourhoods: differences of pixels of one colour
     step = 1 if reader.cfa is None else 2
     difference = mean[step:] - mean[:-step]
-    # at least the percentile itself: a field of one code has no pixel above its percentile
+    # >=, because a field of one code has no pixel above its percentile
     bright = mean >= np.percentile(mean, 60)
     pairs = bright[step:] & bright[:-step]
     noise = 1.4826 * float(np.median(np.abs(difference[pairs]))) / np.sqrt(2) if pairs.any() else 0.0
@@ -124,9 +125,9 @@ def backlit_outline(
 def mean_outline_frame(
     reader: MosaicReader, capture: Capture, region: Region | None, remarks: list[Remark]
 ) -> tuple[np.ndarray, bool]:
-    """Average the frames in front of a bright field, less dark, and check whether the field is clipped.
+    """Average the frames in front of a bright field, less the dark level, and check whether the field is clipped.
 
-    A remark reports unusable frames.
+    Remarks report unusable frames.
     """
     total: np.ndarray | None = None
     count, clipped = 0, False
@@ -146,7 +147,7 @@ def mean_outline_frame(
         count += 1
         clipped |= field_is_clipped(codes, reader.saturation)
     if total is None:
-        raise FitError(f"{capture.folder / 'outline'}: none of its frames can be read")
+        raise FitError(f"{capture.folder / 'outline'}: its frames cannot be read: give at least one readable frame")
     return np.asarray(total / count), clipped
 
 

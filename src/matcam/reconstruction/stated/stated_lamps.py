@@ -15,7 +15,8 @@ from matcam.reconstruction.stated.stated_rig import FEWEST
 _FAR_OFF = float(np.radians(10.0))
 """Angle between highlights and a lamp table above which the table is not used as a start, rad."""
 _ALONE = 3.0
-"""Ratio to the typical angle between highlights and table above which a poorly known highlight is rejected."""
+"""Ratio of the angle between a highlight and the table to its typical value above which a poorly known highlight is rejected.
+"""
 _UNKNOWN = float(np.radians(20.0))
 """Default standard deviation of the direction of a lamp, rad."""
 
@@ -23,7 +24,7 @@ _UNKNOWN = float(np.radians(20.0))
 def stated_lamps(
     capture: Capture, names: Sequence[str], lamps: np.ndarray, remarks: list[Remark]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Choose the specified directions, or those of the highlights, with their standard deviations, rad."""
+    """Choose the specified direction of each lamp, otherwise that of its highlight, with standard deviations, rad."""
     stated, stds = lamps.copy(), np.full(len(names), _UNKNOWN)
     for k, name in enumerate(names):
         direction = capture.lamps[name].direction
@@ -45,7 +46,7 @@ def stated_lamps(
 
 
 def first_lamps(lamps: np.ndarray, covariances: np.ndarray, stated: np.ndarray, stds: np.ndarray) -> np.ndarray:
-    """Choose the directions from which a fit starts: highlights, or the table for a single contradicting highlight.
+    """Choose the directions from which a fit starts: those of the highlights, or of the table if one highlight contradicts it.
 
     Near the limb a highlight narrower than a pixel hardly determines its lamp. A fit whose window does not contain the
     highlight does not converge to it.
@@ -76,4 +77,6 @@ def _table_mistake(lamps: np.ndarray, stated: np.ndarray, stds: np.ndarray, know
     if usual < _FAR_OFF:
         return None  # the joint fit determines whether the table, the outline or a distance is wrong
     stds[known] = np.maximum(stds[known], 1.5 * usual)
-    return Remark(said.code, f"{said.text}; its standard deviation is enlarged to {np.degrees(1.5 * usual):.2g}°")
+    return Remark(
+        said.code, f"{said.text}; the standard deviation of the table is enlarged to {np.degrees(1.5 * usual):.2g}°"
+    )

@@ -26,7 +26,7 @@ that a wrong length can be detected.
 def captured_lens(capture: Capture, remarks: list[Remark]) -> tuple[Camera, float]:
     """Return the camera of a capture and the relative standard deviation of its lens.
 
-    Without a profile, or if it is unreadable or of another camera, both are a guess, with a remark.
+    Both are a guess, with a remark, if the profile is missing, unreadable or of another camera.
     """
     value, std = GUESSED_LENS
     try:
@@ -52,10 +52,12 @@ def frame_size(capture: Capture) -> tuple[int, int] | None:
 
 
 def without_field(camera: Camera, sample: str, remarks: list[Remark]) -> Camera:
-    """Return the camera with a uniform lens, for a sample that does not support a field, with a remark."""
+    """Remove distortion and blur over the field from a camera, with a remark, for a sample that does not support them."""
     if camera.field is None:
         return camera
-    text = f"distortion and blur over the field of the profile are ignored for a {sample}: keep it in the middle"
+    text = (
+        f"distortion and blur over the field of the profile are ignored for a {sample}: keep the sample in the middle"
+    )
     remarks.append(Remark("field-not-used", text))
     return camera.with_field(None)
 
@@ -67,7 +69,7 @@ def known_radius(capture: Capture) -> Known | None:
 
 
 def with_radius(nearness: Known, radius: Known | None) -> Known:
-    """Add the standard deviation of the radius of the sample to that of a nearness."""
+    """Add the standard deviation of the radius of the sample to that of an inverse distance."""
     share = 0.0 if radius is None else radius.std / radius.value
     return Known(nearness.value, float(np.hypot(nearness.std, share * nearness.value)))
 
@@ -80,7 +82,10 @@ def known_nearness(capture: Capture, of: str, remarks: list[Remark]) -> Known:
     stated, radius = capture.settings["distances"][f"{of}_mm"], capture.radius_mm
     if stated is None or radius is None:
         remarks.append(
-            Remark(f"{of}-distance-not-stated", f"the {of} distance is not given: 25 radii or more are assumed")
+            Remark(
+                f"{of}-distance-not-stated",
+                f"the {of} distance in radii is unknown, so 25 or more are assumed: specify distance and sample radius",
+            )
         )
         return _GUESSED_NEARNESS
     distance, std = stated

@@ -27,7 +27,7 @@ def undistorted_sphere(
         if one is not None:
             column, row = map(float, field.true_position(one.column, one.row))
             normal = true.normals(row, column)
-            # on the limb itself rounding may move it off the sphere
+            # rounding may move a highlight on the limb off the sphere
             one = replace(one, row=row, column=column, normal=normal if np.isfinite(normal).all() else one.normal)
         moved.append(one)
     return true, centres, moved
