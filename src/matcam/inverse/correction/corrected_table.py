@@ -8,12 +8,13 @@ import numpy as np
 import xarray as xr
 
 from matcam.camera.sensor import PixelNoise
-from matcam.core.grid import Sampling, sampling_of
+from matcam.core.grid import Sampling, merl_grid, sampling_of
 from matcam.core.results.labelled import named
 from matcam.inverse.correction.correction_limits import PEAK, ROWS, EnergyLimit, LobeRatio, above_noise, energy_limit
 from matcam.inverse.correction.farthest_glare import FarthestGlare
 from matcam.inverse.correction.other_body import other_body
 from matcam.inverse.correction.response_lattice import seen_cells
+from matcam.inverse.fit.base_lobe import Base
 from matcam.inverse.fit.material_fit import MaterialFit
 from matcam.inverse.normalised_fresnel import GAIN
 from matcam.numerics.fit_budget import VariancePart
@@ -59,7 +60,8 @@ def corrected_table(
     adds to each entry.
     """
     data, sampling = brdf.values, sampling_of(brdf)
-    body, body_std = np.maximum(found.diffuse, 0) / np.pi, found.diffuse_std / np.pi
+    lambert = np.maximum(found.diffuse, 0) / np.pi
+    angles = _angles(sampling)
     peak = np.nanmax(np.where(np.isfinite(data), data, 0), axis=(0, 2))
     ratio_of_lobes = above_noise(ratio_of_lobes, _noise_floor(found, noise, peak, sampling))
     seen = seen_cells(sampling)
@@ -68,13 +70,16 @@ def corrected_table(
     bodies = other_body(sampling)
     parts: list[VariancePart] = []
     for rows in ROWS:
+        body, body_std = found.body(angles[0][rows], *angles[1:])
         above, factor = data[rows] - body, ratio[rows, ..., None]
         corrected[rows] = body + above * factor
         variance = (above * factor * ratio_of_lobes.std[rows, ..., None]) ** 2
         added = (
             VariancePart("glare", "B", (scattered.of(rows) ** 2 + (glare * data[rows]) ** 2) * factor**2),
-            VariancePart("Lambertian part", "A", body_std**2 * (factor - 1) ** 2, degrees=max(found.freedom, 1)),
-            VariancePart("shape of the body", "B", (body * bodies[rows, ..., None]) ** 2 * (factor - 1) ** 2),
+            VariancePart(
+                "light from below the lobe", "A", body_std**2 * (factor - 1) ** 2, degrees=max(found.freedom, 1)
+            ),
+            VariancePart("shape of the body", "B", (lambert * bodies[rows, ..., None]) ** 2 * (factor - 1) ** 2),
         )
         for part in added:
             variance += part.variance
@@ -111,6 +116,7 @@ def corrected_table(
             supported[rows] = known & (camera < SUPPORTED * corrected[rows])
             correction_std[rows] = np.where(recorded > 0, camera / recorded, np.nan)
         total[rows] = np.hypot(camera, noise_std[rows])
+    base = {} if found.base is None else {"base": list(found.base.reflectance), "base_alpha": found.base.roughness}
     first = brdf.dims[:3]
     table = xr.Dataset(
         {
@@ -127,9 +133,15 @@ def corrected_table(
             "response": (first, np.exp(-ratio_of_lobes.log), TABLE_ATTRIBUTES["response"]),
         },
         coords=brdf.coords,
-        attrs={"body": body.tolist()},
+        attrs={"body": lambert.tolist(), **base},
     )
     return named(table), limit, tuple(parts)
+
+
+def _angles(sampling: Sampling) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return theta_h, theta_d and phi_d of a whole table, rad, in shapes that broadcast to (90, 90, 180)."""
+    grid = merl_grid(sampling)
+    return grid.theta_h[:, None, None], grid.theta_d[:, None], grid.phi_d
 
 
 def _noise_floor(found: MaterialFit, noise: PixelNoise, peak: np.ndarray, sampling: Sampling) -> np.ndarray:
@@ -137,7 +149,8 @@ def _noise_floor(found: MaterialFit, noise: PixelNoise, peak: np.ndarray, sampli
 
     peak: (90, channels), largest value of each slice, 1/sr.
     """
-    lobe = np.maximum(peak - np.maximum(found.diffuse, 0) / np.pi, _LEAST_CONTRAST * peak)
+    body, _ = found.body(np.zeros(1), merl_grid(sampling).theta_d, np.full(1, np.pi / 2))
+    lobe = np.maximum(peak - body, _LEAST_CONTRAST * peak)
     share = np.divide(peak, lobe, out=np.ones_like(peak), where=peak > 0).max(axis=1)
     return max(noise.floor, OPERATOR_ACCURACY) * share
 
@@ -154,6 +167,9 @@ def recorded_table(table: xr.Dataset) -> xr.DataArray:
         The recorded table, 1/sr, NaN where it was missing.
     """
     body = np.asarray(table.attrs.get("body", 0.0))
+    if "base" in table.attrs:
+        base = Base(table.attrs["base_alpha"], tuple(np.atleast_1d(table.attrs["base"])))
+        body = body + base.brdf(*_angles(sampling_of(table["brdf"])))
     changed = np.isfinite(table["brdf_std"].values)
     response = np.where(changed, table["response"].values[..., None], 1.0)
     return table["brdf"].copy(data=body + (table["brdf"].values - body) * response)

@@ -400,7 +400,8 @@ def correct(
         pixels of the sphere, which are not corrected.
         `supported`: whether the correction is known to 5 % of brdf. `response`: recorded / true lobe, over the
         first three dims. Attributes: `withheld`, 1 where rig and data contradict each other, when the response is 1 and no
-        entry is supported; `body`, the value of the Lambertian part in each channel, 1/sr.
+        entry is supported; `body`, the value of the Lambertian part in each channel, 1/sr; for a coated material `base` and
+        `base_alpha`, the reflectance of its base in each channel and its roughness.
 
     Raises:
         ArgumentError: an argument is wrong, or the rig is not one that a fit can follow.

@@ -4,8 +4,8 @@
 fitted to the same cells with F free in every slice and a Lambertian part:
 
 - a lobe of each family through the camera, with the uncertainty of the lens (width and shape) as its prior;
-- where the best of them leaves more than pixel noise: Student's t with a free tail exponent, two lobes, and a
-  spline-modified lobe;
+- where the best of them leaves more than pixel noise: Student's t with a free tail exponent, two lobes, a lobe of each
+  family over a rough base, and a spline-modified lobe;
 - the best lobe as a perfect camera would have recorded it, and, where the list does not explain the data, a lobe of each
   channel with any smooth masking.
 
@@ -209,6 +209,7 @@ def explain(setup: FitSetup, located: LocatedRig, ndf: str) -> Explanation:
     weighing = _weighing(ranked, noise)
     if not any(weighing.complete(one.fit) for one in ranked):
         ranked += [_solved(few.with_(ndf=family)) for family in ((STUDENT, TWO_LOBES) if ndf == AUTO else ())]
+        ranked += [_solved(few.with_(ndf=family, base=True)) for family in families]
         ranked.append(
             _with_spline(_closest([one for one in ranked if one.setup.ndf in _SMOOTH_CORES] or ranked, noise))
         )
@@ -291,7 +292,7 @@ def _without_camera(best: Member, rig: Rig) -> Member:
     """Fit the same lobe as a perfect camera would have recorded it, in the same cells."""
     own = best.setup
     setup = FitSetup(
-        own.tables, None, own.ndf, fresnel="free", diffuse=True, masking=own.masking, noise=own.noise,
+        own.tables, None, own.ndf, fresnel="free", diffuse=True, base=own.base, masking=own.masking, noise=own.noise,
         slice_step=own.slice_step, view=sample_view(rig), pixels=grid_of(rig), workspace=own.workspace,
     )  # fmt: skip
     plain = _solved(setup)

@@ -53,6 +53,8 @@ FRESNEL_LATTICE: dict[str, list[tuple[float, ...]]] = {
 }
 """Coordinates of each model that are compared before a fit."""
 _FRESNEL_BOUNDS = {"n": (-5.0, 4.0), "k": (-7.0, 4.0), "f0": (1e-4, 1.0), "eta": (-6.0, 3.0)}
+BASE_WIDTH = "base_alpha"
+"""Name of the roughness of a base."""
 
 
 class LobeKind(NamedTuple):
@@ -137,7 +139,7 @@ def _fields_of(family: str) -> tuple[str, ...]:
 
 
 class Layout(NamedTuple):
-    """Order of the vector of a fit: lobes, then the rig, then Fresnel term and diffuse part of each unit.
+    """Order of the vector of a fit: lobes, the rig, the roughness of a base, then Fresnel term and body of each unit.
 
     Attributes:
         kind: meaning of the parameters of each lobe.
@@ -145,6 +147,7 @@ class Layout(NamedTuple):
         diffuse: True if each unit has a Lambertian part.
         lobe_of: index of the lobe of each unit (a channel of a table).
         axes: number of fitted parameters of the rig.
+        base: True if the material has a rough base under the lobe (`base_lobe.py`), with a reflectance of each unit.
     """
 
     kind: LobeKind
@@ -152,6 +155,7 @@ class Layout(NamedTuple):
     diffuse: bool
     lobe_of: tuple[int, ...]
     axes: int
+    base: bool = False
 
     @property
     def lobes(self) -> int:
@@ -171,12 +175,13 @@ class Layout(NamedTuple):
     @property
     def unit_names(self) -> tuple[str, ...]:
         """Name the parameters of a unit."""
-        return (*_FRESNEL_NAMES[self.fresnel], *(["diffuse"] if self.diffuse else []))
+        body = ["diffuse"] * self.diffuse + ["base"] * self.base
+        return (*_FRESNEL_NAMES[self.fresnel], *body)
 
     @property
     def size(self) -> int:
         """Count all parameters."""
-        return self.rig.stop + self.units * len(self.unit_names)
+        return self.base_width.stop + self.units * len(self.unit_names)
 
     def lobe(self, index: int) -> slice:
         """Return the indices of a lobe in the vector."""
@@ -188,16 +193,27 @@ class Layout(NamedTuple):
         first = self.lobes * self.kind.size
         return slice(first, first + self.axes)
 
+    @property
+    def base_width(self) -> slice:
+        """Return the index of the logarithm of the roughness of a base; empty without a base."""
+        return slice(self.rig.stop, self.rig.stop + self.base)
+
     def unit(self, index: int) -> slice:
         """Return the indices of a unit in the vector."""
         size = len(self.unit_names)
-        first = self.rig.stop + index * size
+        first = self.base_width.stop + index * size
         return slice(first, first + size)
+
+    def of_units(self, name: str) -> list[int]:
+        """Return the index of a parameter of each unit in the vector; empty if the units do not have it."""
+        if name not in self.unit_names:
+            return []
+        return [self.unit(u).start + self.unit_names.index(name) for u in range(self.units)]
 
     def unit_bounds(self) -> list[tuple[float, float]]:
         """Bound the coordinates of one unit."""
         bounds = [_FRESNEL_BOUNDS[name] for name in _FRESNEL_NAMES[self.fresnel]]
-        return bounds + ([(0.0, 1.0)] if self.diffuse else [])
+        return bounds + [(0.0, 1.0)] * (self.diffuse + self.base)
 
 
 def reflectance_at(model: FresnelModel, coordinates: jax.Array) -> Reflectance:
@@ -211,7 +227,7 @@ def reflectance_at(model: FresnelModel, coordinates: jax.Array) -> Reflectance:
 
 def readable_value(name: str, coordinate: float) -> tuple[float, float]:
     """Convert a coordinate to the reported parameter, and compute its derivative with respect to the coordinate."""
-    if name in ("f0", "diffuse"):
+    if name in ("f0", "diffuse", "base"):
         return coordinate, 1.0
     value = float(np.exp(coordinate))
     return (1 + value, value) if name == "eta" else (value, value)

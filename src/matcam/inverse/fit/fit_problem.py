@@ -1,8 +1,8 @@
 """Least-squares problem of a fit: model and residuals with their derivatives (docs/model.md 8).
 
-The model of a cell of unit u (a channel of a table) in slice s is  F_u(theta_d) A(cell; lobe, rig) + diffuse_u / pi.  A
-strength F that is free in every slice is solved for exactly (variable projection, Golub & Pereyra 1973; derivatives by Kaufman
-1975).
+The model of a cell of unit u (a channel of a table) in slice s is  F_u(theta_d) A(cell; lobe, rig) + B_u.  The body B_u is
+diffuse_u / pi, and in some fits light of a rough base, which no camera blurs. A strength F that is free in every slice is
+solved for exactly (variable projection, Golub & Pereyra 1973; derivatives by Kaufman 1975).
 
 For a near rig A is the record of D G at F = 1 plus the slope of ln F times the moment of the record
 (`lobe_operator.py`). The slope is that of the Fresnel model, or of a smooth curve through free strengths
@@ -21,6 +21,7 @@ import numpy as np
 from matcam.camera.sensor import PixelNoise
 from matcam.core.jax import jax, jnp, placed
 from matcam.core.programs import kept_program
+from matcam.inverse.fit.base_lobe import NARROWEST_PX, base_and_slope
 from matcam.inverse.fit.fit_data import FitData, Whitening, whitening
 from matcam.inverse.fit.fit_parameters import FresnelModel, Layout, reflectance_at
 from matcam.inverse.fit.lobe_slopes import RecordAndSlopes, record_and_slopes
@@ -86,6 +87,18 @@ class Prior(NamedTuple):
     def rig_information(self) -> np.ndarray:
         """Return the information matrix of the coordinates of the rig; almost 0 for free parameters."""
         return self.root.T @ self.root if self.root.any() else np.eye(len(self.axes)) * 1e-6
+
+
+class Body(NamedTuple):
+    """Light from below the lobe. Shapes: u units, s slices, n cells, p parameters.
+
+    Attributes:
+        value: (u, s, n) or (u, 1, 1), 1/sr.
+        derivative: (p, u, s, n), with respect to all parameters.
+    """
+
+    value: np.ndarray
+    derivative: np.ndarray
 
 
 class FitModel(NamedTuple):
@@ -160,6 +173,7 @@ class FitProblem:
         layout = self.layout
         bounds = layout.kind.bounds(self.radius) * layout.lobes
         bounds += [(axis.low, axis.high) for axis in self.prior.axes]
+        bounds += [(float(np.log(NARROWEST_PX / self.radius)), 0.0)] * layout.base
         low, high = np.array(bounds + layout.unit_bounds() * layout.units).T
         return low, high
 
@@ -167,18 +181,35 @@ class FitProblem:
         """Return data - model, (u, s, n); 0 where unused."""
         return np.where(self.data.used, self.data.values - model.value, 0.0)
 
-    def diffuse(self, p: np.ndarray) -> np.ndarray:
-        """Return the albedo of each unit's Lambertian part, (u,)."""
-        layout = self.layout
-        return np.array([p[layout.unit(u)][-1] if layout.diffuse else 0.0 for u in range(layout.units)])
+    def of_units(self, name: str, p: np.ndarray) -> np.ndarray:
+        """Return a parameter of each unit, (u,): "diffuse", the albedo of its Lambertian part, or "base"; 0 without one."""
+        indices = self.layout.of_units(name)
+        return p[indices] if indices else np.zeros(self.layout.units)
+
+    def body(self, p: np.ndarray) -> Body:
+        """Evaluate the light from below the lobe in the chosen cells."""
+        layout, cells = self.layout, self.cells
+        value = self.of_units("diffuse", p)[:, None, None] / np.pi
+        derivative = np.zeros((layout.size, layout.units, *cells.theta_h.shape))
+        for u, position in enumerate(layout.of_units("diffuse")):
+            derivative[position, u] = 1 / np.pi
+        if layout.base:
+            of_base, slope = base_and_slope(p[layout.base_width][0], cells.theta_h, cells.theta_d[:, None], cells.phi_d)
+            reflectance = self.of_units("base", p)[:, None, None]
+            value = value + reflectance * of_base
+            derivative[layout.base_width.start] = reflectance * slope
+            for u, position in enumerate(layout.of_units("base")):
+                derivative[position, u] = of_base
+        return Body(value, derivative)
 
     def model(self, p: np.ndarray, weight: np.ndarray) -> FitModel:
         """Evaluate the model at parameters. weight: (u, s, n), 1 / V, for the solution of free strengths."""
         layout = self.layout
         orders = [self._records_and_slopes(index, p) for index in range(layout.lobes)]
         records = [np.stack([orders[index][n].record for index in layout.lobe_of]) for n in range(len(orders[0]))]
-        model, by_fresnel = self._strengths(p, weight, records)
-        derivative = np.zeros((layout.size, *model.value.shape))
+        body = self.body(p)
+        model, by_fresnel = self._strengths(p, weight, records, body.value)
+        derivative = body.derivative
         for u, index in enumerate(layout.lobe_of):
             by_lobe = _combined([one.slopes for one in orders[index]], model.log_slope[u])
             slope = model.strength[u][None, :, None] * by_lobe
@@ -186,8 +217,6 @@ class FitProblem:
             derivative[layout.rig, u] = slope[layout.kind.size :]
             position = layout.unit(u)
             derivative[position.start : position.start + layout.fresnel_size, u] = by_fresnel[u]
-            if layout.diffuse:
-                derivative[position.stop - 1, u] = 1 / np.pi
         return model._replace(derivative=derivative)
 
     def start_model(self, record: np.ndarray, weight: np.ndarray) -> FitModel:
@@ -198,15 +227,18 @@ class FitProblem:
         record: record of the common lobe of all units, (s, n).
         """
         p = np.zeros(self.layout.size)
-        return self._strengths(p, weight, [np.broadcast_to(record, (self.layout.units, *record.shape))])[0]
+        records = [np.broadcast_to(record, (self.layout.units, *record.shape))]
+        return self._strengths(p, weight, records, np.zeros((self.layout.units, 1, 1)))[0]
 
-    def _strengths(self, p: np.ndarray, weight: np.ndarray, records: list[np.ndarray]) -> tuple[FitModel, np.ndarray]:
+    def _strengths(
+        self, p: np.ndarray, weight: np.ndarray, records: list[np.ndarray], body: np.ndarray
+    ) -> tuple[FitModel, np.ndarray]:
         """Evaluate the model, and its derivatives with respect to Fresnel terms, (u, parameters, s, n).
 
-        records: records of each unit's lobe at F = 1, (u, s, n), and in a near rig their moments.
+        records: records of each unit's lobe at F = 1, (u, s, n), and in a near rig their moments. body: light from below the
+            lobe, 1/sr, which broadcasts to the records.
         """
         layout, (units, slices, cells) = self.layout, records[0].shape
-        body = self.diffuse(p)[:, None, None] / np.pi
         log_slope = np.zeros((units, slices))
         if layout.fresnel == "free":
             lobe = records[0]

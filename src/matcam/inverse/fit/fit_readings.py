@@ -10,7 +10,8 @@ from matcam.camera.camera import Camera
 from matcam.camera.parameters import Uncertainty
 from matcam.core.jax import jax, jnp, placed
 from matcam.core.remark import Remark
-from matcam.inverse.fit.fit_parameters import LobeKind, readable_value, reflectance_at
+from matcam.inverse.fit.base_lobe import base_and_slope
+from matcam.inverse.fit.fit_parameters import BASE_WIDTH, LobeKind, readable_value, reflectance_at
 from matcam.inverse.fit.fit_problem import FitProblem
 from matcam.inverse.fit.lobe_readings import half_maximum_angle, lobe_readings
 from matcam.inverse.fit.search import Solution
@@ -73,7 +74,7 @@ class LinearisedFit(NamedTuple):
         coordinates: coordinates of the first lobe and the rig.
         residual: (u, s, n), data - model; 0 where unused.
         by_coordinates: (lobe and rig, u, s, n), derivatives of the model with respect to the coordinates.
-        by_units: (unit parameters, u, s, n), derivatives with respect to the parameters of the units.
+        by_units: (unit parameters, u, s, n), derivatives with respect to the parameters of base and units.
         rig_information: (axes, axes), prior information on the rig.
     """
 
@@ -168,6 +169,29 @@ def _strength_errors(solution: Solution) -> tuple[np.ndarray, np.ndarray]:
     slope = (weighted * model.derivative).sum(-1) / power
     seen = data.used.any(-1)
     return np.where(seen, model.strength_std, 0.0), np.where(seen, slope, 0.0)
+
+
+def body_at(
+    solution: Solution, theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Compute the light from below the lobe, 1/sr, and its standard deviation, (angles, units)."""
+    layout, p = solution.problem.layout, solution.p
+    angles = np.broadcast_arrays(theta_h, theta_d, phi_d)
+    value, variance = np.zeros((2, *angles[0].shape, layout.units))
+    parts = {"diffuse": np.full(angles[0].shape, 1 / np.pi)} if layout.diffuse else {}
+    by_width = np.zeros(angles[0].shape)
+    if layout.base:
+        parts["base"], by_width = base_and_slope(p[layout.base_width][0], *angles)
+    for u in range(layout.units):
+        indices = [layout.of_units(name)[u] for name in parts]
+        amounts = np.maximum(p[indices], 0.0)
+        columns = list(parts.values())
+        value[..., u] = sum((amount * column for amount, column in zip(amounts, columns, strict=True)), 0.0)
+        if layout.base:
+            indices, columns = [*indices, layout.base_width.start], [*columns, amounts[-1] * by_width]
+        covariance = solution.covariance[np.ix_(indices, indices)]
+        variance[..., u] = np.einsum("k...,kl,l...->...", columns, covariance, columns)
+    return value, np.sqrt(np.maximum(variance, 0.0))
 
 
 class LobeVerdict(NamedTuple):
@@ -284,6 +308,11 @@ def named_parameters(solution: Solution) -> NamedParameters:
         names.append(axis.name)
         values.append(axis.value(solution.p[position]))
         slopes.append(one_each[position] * axis.slope(solution.p[position], std))
+    if layout.base:
+        value, slope = readable_value(BASE_WIDTH, float(solution.p[layout.base_width][0]))
+        names.append(BASE_WIDTH)
+        values.append(value)
+        slopes.append(one_each[layout.base_width.start] * slope)
     for unit, unit_name in enumerate(unit_names):
         for position, name in enumerate(layout.unit_names, layout.unit(unit).start):
             value, slope = readable_value(name, float(solution.p[position]))
@@ -304,7 +333,7 @@ def _material(solution: Solution, units: list[int], strength: np.ndarray) -> Mic
     problem, layout = solution.problem, solution.problem.layout
     diffuse: Any = 0.0
     if layout.diffuse:
-        diffuse = np.clip(problem.diffuse(solution.p)[units], 0, 1)
+        diffuse = np.clip(problem.of_units("diffuse", solution.p)[units], 0, 1)
     rows = [solution.p[layout.unit(u)] for u in units]
     term: Reflectance
     if layout.fresnel == "free":

@@ -81,6 +81,7 @@ class FitSetup:
         ndf: family of the lobe. Default: "ggx".
         fresnel: model of F. Default: "conductor".
         diffuse: True to add a Lambertian part. Default: False.
+        base: True to add a rough base under the lobe (`base_lobe.py`). Default: False.
         per_channel: True for one lobe per channel. Default: False.
         masking: masking G of the lobe. Default: "smith".
         camera_parameters: treatment of the parameters of the rig: "fixed", "prior" or "free". Default: None, "prior",
@@ -121,6 +122,7 @@ class FitSetup:
     ndf: str = "ggx"
     fresnel: FresnelModel = "conductor"
     diffuse: bool = False
+    base: bool = False
     per_channel: bool = False
     masking: Masking = "smith"
     camera_parameters: CameraParameters | None = None
@@ -150,7 +152,7 @@ class FitSetup:
         checks.choice("masking", self.masking, MASKINGS)
         checks.whole_number("slice_step", self.slice_step, 1, 30)
         checks.scalar("spline", checks.within("spline", self.spline, 0, 10))
-        for name in ("diffuse", "per_channel", "nearby", "lens_shape", "free_masking"):
+        for name in ("diffuse", "base", "per_channel", "nearby", "lens_shape", "free_masking"):
             checks.flag(name, getattr(self, name))
         checks.instance("workspace", default_workspace() if self.workspace is None else self.workspace, Workspace)
         if self.noise is not None:
@@ -242,7 +244,9 @@ class FitSetup:
         for unit, lobe in enumerate(layout.lobe_of):
             vector[layout.lobe(lobe)][:size] = p[before.lobe(before.lobe_of[unit])][:size]
         vector[layout.rig] = p[before.rig] @ axis_selection(problem.prior.axes, self.prior.axes)
-        vector[layout.rig.stop :] = p[before.rig.stop :]
+        vector[layout.base_width] = p[before.base_width]
+        for name in layout.unit_names:
+            vector[layout.of_units(name)] = p[before.of_units(name)]
         return vector
 
     def rule(self) -> tuple[ChosenCells, LobeOperator]:
@@ -288,7 +292,7 @@ class FitSetup:
         channels = [table.sizes["channel"] for table in self.tables]
         lobes = range(sum(channels)) if self.per_channel else np.repeat(np.arange(len(channels)), channels)
         kind = LobeKind(self.ndf, self.masking, KNOTS if self.spline else 0, SHADOWS if self.free_masking else 0)
-        return Layout(kind, self.fresnel, self.diffuse, tuple(int(n) for n in lobes), len(self.prior.axes))
+        return Layout(kind, self.fresnel, self.diffuse, tuple(map(int, lobes)), len(self.prior.axes), self.base)
 
     @cached_property
     def prior(self) -> Prior:

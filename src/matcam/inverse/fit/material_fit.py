@@ -15,12 +15,14 @@ from matcam.core.jax import jnp, placed
 from matcam.core.remark import Remark
 from matcam.core.results.labelled import named
 from matcam.core.results.summary import Quantity, Summarised, Summary, correlations, parameters
+from matcam.inverse.fit.base_lobe import Base
 from matcam.inverse.fit.fit_data import cell_variance, standardised_residual
 from matcam.inverse.fit.fit_parameters import reflectance_at
 from matcam.inverse.fit.fit_readings import (
     FitCoordinates,
     LinearisedFit,
     Strengths,
+    body_at,
     fit_coordinates,
     fit_remarks,
     fitted_camera,
@@ -120,13 +122,37 @@ class MaterialFit(Summarised):
 
         Shape (channels,), no unit; 0 where the fit has none.
         """
-        return self._solution.problem.diffuse(self._solution.p)
+        return self._solution.problem.of_units("diffuse", self._solution.p)
 
     @property
     def diffuse_std(self) -> np.ndarray:
         """Return the standard deviation of `diffuse`, (channels,), no unit."""
-        layout, variance = self._solution.problem.layout, np.diag(self._solution.covariance)
-        return np.array([np.sqrt(variance[layout.unit(u)][-1]) if layout.diffuse else 0.0 for u in range(layout.units)])
+        return np.sqrt(self._solution.problem.of_units("diffuse", np.diag(self._solution.covariance)))
+
+    @property
+    def base(self) -> Base | None:
+        """Return the rough base under the lobe, or None."""
+        solution = self._solution
+        layout = solution.problem.layout
+        if not layout.base:
+            return None
+        reflectance = solution.problem.of_units("base", solution.p)
+        return Base(float(np.exp(solution.p[layout.base_width][0])), tuple(np.maximum(reflectance, 0.0).tolist()))
+
+    def body(self, theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the light from below the lobe, and its standard deviation.
+
+        It is the Lambertian part, and light of a base if the fit has one.
+
+        Args:
+            theta_h: angles between normal and half vector, rad; the angles broadcast.
+            theta_d: difference angles, rad.
+            phi_d: azimuths of the difference vector, rad.
+
+        Returns:
+            (value, standard deviation), 1/sr, in the shape of the angles and (channels,).
+        """
+        return body_at(self._solution, theta_h, theta_d, phi_d)
 
     @property
     def has_spline(self) -> bool:

@@ -37,6 +37,10 @@ _LONGEST, _STEADY = 0.8, 0.3
 """Limits for extrapolation of a round: share of the last step that remains, and change of its direction."""
 _SETTLED = 0.02
 """Change of the parameters, in standard deviations, below which the weights have converged."""
+_BASE_WIDTH, _BASE = np.log(0.15), 0.1
+"""Start of a base: the geometric mean of the roughnesses of flakes and satin paint, 0.05 to 0.5, and a dark paint. A base
+without reflectance would have no gradient with respect to its roughness.
+"""
 _STEEP = np.radians(80.0)
 """theta_d above which strengths hardly constrain the start of a Fresnel term."""
 
@@ -160,7 +164,7 @@ class Search:
         """Return the lobes of a lattice that fit better than their neighbours, the two best first."""
         layout, problem = self.problem.layout, self.problem
         kind = layout.kind._replace(spline_size=0, shadows=0)
-        free = problem.with_layout(layout._replace(kind=kind, fresnel="free", diffuse=False))
+        free = problem.with_layout(layout._replace(kind=kind, fresnel="free", diffuse=False, base=False))
         lattice = _lattice(kind.family)
         count = lattice.shape[-1]
         lobes = np.clip(lattice.reshape(-1, count), self.low[:count], self.high[:count])
@@ -181,6 +185,8 @@ class Search:
         p = np.zeros(layout.size)
         for index in range(layout.lobes):
             p[layout.lobe(index)][: lobe.size] = lobe
+        p[layout.base_width] = _BASE_WIDTH
+        p[layout.of_units("base")] = _BASE
         if layout.fresnel != "free":
             for u, strength in enumerate(free.strength):
                 weight = np.where(
