@@ -10,6 +10,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.ndimage import uniform_filter1d
 
 from matcam.acquisition.merged_picture import MergedPicture
 from matcam.camera.lens_field import LensField
@@ -21,6 +22,10 @@ _STRATA = 24
 _LIMB = 3.0  # px from the outline within which the rule of a single pixel does not resolve the border
 _OUTSIDE = 1.5  # px beyond the outline up to which pixels of the window are read: the background is not modelled
 _BESIDE = 9.0  # px from the highlight within which the limb is read, too
+_SIMILAR_LEVELS = 15
+"""Number of pixels of similar level over which the ratio of variance and level is averaged: their noise of 1 % to 30 % then
+changes the average by at most 8 %.
+"""
 _LIT = 0.1  # smallest cosine to the lamp: near the terminator the rule of a pixel is inaccurate
 
 
@@ -50,6 +55,24 @@ class ObservedPixels(NamedTuple):
     used: np.ndarray
     seen: np.ndarray
     positions: np.ndarray
+
+    def noise_at(self, level: np.ndarray) -> np.ndarray:
+        """Compute the standard deviation of the noise of pixels whose expected values are known, (pixels,).
+
+        `std` partly follows from the value of each pixel, so it is too small where noise lowered this value, and as a
+        weight would bias a fit towards low values. The ratio of variance and level is averaged over pixels of similar
+        level instead.
+
+        Args:
+            level: expected values, (pixels,).
+        """
+        lit = np.flatnonzero(self.used & ~self.clipped & (level > self.std))
+        order = lit[np.argsort(level[lit])]
+        expected = self.std.copy()
+        if lit.size >= _SIMILAR_LEVELS:
+            gain = uniform_filter1d(self.std[order] ** 2 / level[order], _SIMILAR_LEVELS, mode="nearest")
+            expected[order] = np.sqrt(gain * level[order])
+        return expected
 
 
 class HighlightPosition(NamedTuple):

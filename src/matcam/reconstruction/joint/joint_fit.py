@@ -114,9 +114,10 @@ class Likelihood:
         Args:
             pixels: observed pixels.
             value: the model, (pixels,).
-            level: reference level of the unexplained noise, (pixels,). Default: None, `value`.
+            level: expected values from which the noise follows, (pixels,). Default: None, `value`.
         """
-        std = np.hypot(pixels.std, self.share * np.abs(value if level is None else level))
+        level = value if level is None else level
+        std = np.hypot(pixels.noise_at(level), self.share * np.abs(level))
         z = (value - pixels.values) / std
         by_value = 1 / std
         bound = np.clip(z, -_CLIPPED_OUT, _CLIPPED_OUT)
@@ -139,7 +140,7 @@ class Likelihood:
 
     def surprise(self, pixels: ObservedPixels, value: np.ndarray) -> float:
         """Compute minus twice the log likelihood per pixel, up to a constant, to compare lobes."""
-        std = np.hypot(pixels.std, self.share * np.abs(value))
+        std = np.hypot(pixels.noise_at(value), self.share * np.abs(value))
         measured = pixels.used & ~pixels.clipped
         return (self.cost(pixels, value) + 2 * float(np.log(std[measured]).sum())) / max(int(pixels.used.sum()), 1)
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.ndimage import uniform_filter1d
 from scipy.spatial.distance import pdist
 
 from matcam.reconstruction.joint.joint_problem import JointProblem
@@ -21,7 +20,6 @@ _BRIGHT = 10.0
 _FEWEST = 50
 _LOOKED_AT = 12
 """Number of images in which the correlation is estimated."""
-_ALIKE_IN_VALUE = 15  # pixels
 _LEAST = 0.05
 """Smallest unexplained share of the variance of residuals by which correlations are divided, no unit."""
 
@@ -89,21 +87,9 @@ class _Bright(NamedTuple):
         fit, pixels = problem.picture(p, k, slopes=False), problem.pixels[k]
         lit = np.flatnonzero(pixels.used & ~pixels.clipped & (fit.value > pixels.std))
         value, residual = fit.value[lit], (pixels.values - fit.value)[lit]
-        std = _expected_noise(value, pixels.std[lit])
+        std = pixels.noise_at(fit.value)[lit]
         bright = value > _BRIGHT * std
         return cls(value[bright], residual[bright], std[bright], pixels.positions[:, lit[bright]])
-
-
-def _expected_noise(value: np.ndarray, std: np.ndarray) -> np.ndarray:
-    """Estimate the noise of pixels as a smooth function of their values.
-
-    The noise estimate of a single pixel increases with its value, so pixels below the model would have too much weight.
-    """
-    order = np.argsort(value)
-    gain = uniform_filter1d(std[order] ** 2 / value[order], _ALIKE_IN_VALUE, mode="nearest")
-    expected = np.empty_like(value)
-    expected[order] = np.sqrt(gain * value[order])
-    return expected
 
 
 def _bright_pixels(problem: JointProblem, p: np.ndarray) -> list[_Bright]:
