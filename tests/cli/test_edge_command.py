@@ -179,3 +179,49 @@ def test_budget(edge, photograph, tmp_path):
     assert "optics.sigma_px" in {one["result"] for one in others}
     failed = edge(photograph, *ROI, "--budget", "budget.txt", "-o", "b.png", code=2)
     assert "must end in .json or .csv" in failed.stderr
+
+
+def focus_series(folder, positions=(-0.8, -0.4, 0.0, 0.4, 0.8)):
+    """Photographs of an edge at focus positions; the best focus is 0.1."""
+    for n, z in enumerate(positions):
+        frame = oracle.photographs(oracle.gaussian(np.hypot(0.5, 0.5 * (z - 0.1))), 100, 1, n)[0]
+        tifffile.imwrite(folder / f"F{n}.tif", frame.astype(np.uint16))
+    return [folder / f"F{n}.tif" for n in range(len(positions))]
+
+
+def test_a_through_focus_series(edge, tmp_path):
+    pictures = focus_series(tmp_path)
+    given = ("--focus=-0.8,-0.4,0,0.4,0.8", "--table", "series.csv", "-o", "focus.png")
+    text = edge(*pictures, *given).stdout
+    assert "best focus" in text
+    assert "figure: focus.png" in text
+    assert (tmp_path / "focus.png").read_bytes().startswith(b"\x89PNG")
+    assert (
+        (tmp_path / "focus.csv")
+        .read_text()
+        .startswith("region,channel,focus_position,mtf50,mtf50_std\nwhole,grey,-0.8,")
+    )
+    assert (tmp_path / "series.csv").read_text().startswith("file,focus_position,region,")
+    document = json.loads(edge(*pictures, *given, "--force", "--json").stdout)
+    (found,) = document["best_focus"]
+    assert abs(found["position"] - 0.1) < 4 * found["position_std"] < 0.1
+    assert (found["region"], found["channel"]) == ("whole", "grey")
+    assert document["files"] == ["series.csv", "focus.png", "focus.csv"]
+
+
+def test_a_series_without_a_best_focus_says_so(edge, tmp_path):
+    done = edge(*focus_series(tmp_path, (1.0, 1.2, 1.4, 1.6)), "--focus", "1,1.2,1.4,1.6")
+    assert "no best focus of whole grey: no maximum of MTF50 lies between the positions 1 and 1.6" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        (("--focus", "1,2"), "--focus must have a finite position for each of the 4 photographs"),
+        (("--focus", "a,b,c,d"), "--focus must be numbers separated by commas"),
+        (("--focus", "1,2,3,4", "--method", "iso12233"), "--focus needs --method likelihood"),
+        (("-o", "a.png"), "-o needs one region of one image"),
+    ],
+)
+def test_wrong_focus_positions(edge, tmp_path, given, words):
+    assert words in edge(*[tmp_path / f"F{n}.tif" for n in range(4)], *given, code=2).stderr

@@ -7,9 +7,11 @@ from .edge.free_curve import EdgeSamples
 from .edge.parametric_result import ParametricEdge, ParametricStack
 from .readings.edge_numbers import EdgeNumber, level_frequency, mtf_at, rise_distance
 from .readings.iso12233 import ISOEdge, iso12233_sfr
+from .readings.through_focus import BestFocus, best_focus
 from .sensor.characteristics import SensorCharacteristics
 
 __all__ = [
+    "BestFocus",
     "Calibration",
     "CameraFit",
     "EdgeMTF",
@@ -23,6 +25,7 @@ __all__ = [
     "ParametricEdge",
     "ParametricStack",
     "SensorCharacteristics",
+    "best_focus",
     "iso12233_sfr",
     "level_frequency",
     "mtf_at",

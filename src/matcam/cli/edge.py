@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal
 import typer
 
 from matcam.cli import show
+from matcam.cli.edge_series import SeriesFiles, focus_positions, run_series
 from matcam.cli.options import AsJson, Budget, EdgeLens, Force, Mosaic
 
 _DOUBTS = {"asymmetric", "compressed", "crushed", "demosaiced", "denoised", "filtered", "sharpened", "tone-curve"}
@@ -98,6 +99,15 @@ def command(
             "--table", metavar="FILE", help="CSV file to write: a row for each photograph, region and channel."
         ),
     ] = None,
+    focus: Annotated[
+        str | None,
+        typer.Option(
+            "--focus",
+            metavar="POSITIONS",
+            help="Focus position of each photograph, separated by commas, in any unit: find the best focus, at which MTF50 is "
+            "largest. -o then draws MTF50 over the position.",
+        ),
+    ] = None,
     budget: Budget = None,
     output: Annotated[
         Path | None,
@@ -121,8 +131,9 @@ def command(
     from matcam.numerics.budget import check_budget
 
     several = len(pictures) > 1 or rois is not None or channel == "all" or table is not None
+    positions = None if focus is None else focus_positions(focus, len(pictures), method)
     for option, given in (("-o", output), ("--sfr", sfr), ("--budget", budget)):
-        if given and (several or (method == "iso12233" and option != "--sfr")):
+        if given and not (positions and option == "-o") and (several or (method == "iso12233" and option != "--sfr")):
             one = "one region of one image" if several else "--method likelihood"
             raise ArgumentError(f"{option} needs {one}: omit this option")
     if roi is not None and rois is not None:
@@ -166,8 +177,9 @@ def command(
         return dict(document)
 
     if several:
-        return _series(
-            pictures, rois, roi, channel, cfa, table, force, json, lambda *given: document_of(measure(*given))
+        written = SeriesFiles(table, output, force)
+        return run_series(
+            pictures, rois, roi, channel, cfa, positions, written, json, lambda *given: document_of(measure(*given))
         )
     picture = pictures[0]
     with show.working(f"{picture}: measuring the edge"):
@@ -193,54 +205,6 @@ def command(
         if not json:
             show.say(f"figure: {output}")
     return 0
-
-
-def _series(
-    pictures: list[Path],
-    rois: Path | None,
-    roi: tuple[int, int, int, int] | None,
-    channel: str | None,
-    cfa: str | None,
-    table: Path | None,
-    force: bool,
-    json: bool,
-    measure: Any,
-) -> int:
-    """Measure many edges, and show or write a row for each. Return the exit code: 1 if some could not be measured."""
-    from functools import partial
-
-    from matcam.calibration.readings.edge_series import measure_series, read_regions, series_columns
-    from matcam.core.errors import FitError
-    from matcam.core.io import plain, write_columns
-    from matcam.files.photographs import open_photograph
-
-    regions = read_regions(rois) if rois else {"whole" if roi is None else ",".join(map(str, roi)): roi}
-    photographs = [(str(path), partial(open_photograph, path)) for path in pictures]
-    with show.working(f"measuring {len(pictures)} images"):
-        rows = measure_series(photographs, regions, channel, cfa, measure)
-    failed = [row for row in rows if row.problem]
-    if len(failed) == len(rows):
-        first = failed[0]
-        raise FitError(
-            f"none of the {len(rows)} edges can be measured; the first problem is: {first.file}: {first.problem}"
-        )
-    if table:
-        write_columns(table, series_columns(rows), force=force)
-    if json:
-        edges = [
-            {"file": r.file, "region": r.region, "channel": r.channel, **r.found, "problem": r.problem} for r in rows
-        ]
-        show.as_json({"edges": plain(edges), "files": [str(table)] if table else []})
-    else:
-        names = ["mtf50_cycles_per_px", "mtf50_std", "mtf10_cycles_per_px", "rise_10_90_px"]
-        cells = [[f"{r.found[name]:.4f}" if name in r.found else "" for name in names] for r in rows]
-        head = ["file", "region", "channel", "MTF50", "±", "MTF10, cycles/px", "rise 10-90 %, px"]
-        show.table(head, [[r.file, r.region, r.channel, *of] for r, of in zip(rows, cells, strict=True)])
-        if table:
-            show.say(f"table: {table}")
-    for row in failed:
-        show.remark(f"left out: {row.file} {row.region} {row.channel}: {row.problem}".replace("  ", " "))
-    return int(bool(failed))
 
 
 def _readings(result: Any, frequencies: tuple[float, ...]) -> dict[str, Any]:

@@ -9,7 +9,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from matcam.core.errors import FileFormatError, MatcamError
+from matcam.calibration.readings.through_focus import BestFocus, best_focus
+from matcam.core.errors import FileFormatError, FitError, MatcamError
 from matcam.core.readers.texts import read_lines
 from matcam.files.photographs import Photograph
 
@@ -99,6 +100,29 @@ def series_columns(rows: Sequence[SeriesEdge]) -> dict[str, Sequence[Any]]:
     table["remarks"] = ["; ".join(row.found.get("remarks", ())) for row in rows]
     table["problem"] = [row.problem for row in rows]
     return table
+
+
+def focus_of_series(
+    rows: Sequence[SeriesEdge], positions: dict[str, float]
+) -> dict[tuple[str, str], BestFocus | FitError]:
+    """Find the best focus of each region and channel.
+
+    Args:
+        rows: result of `measure_series`.
+        positions: focus position of each photograph by name, any unit.
+
+    Returns:
+        The best focus, or the reason why there is none, by region and channel.
+    """
+    found: dict[tuple[str, str], BestFocus | FitError] = {}
+    for key in dict.fromkeys((row.region, row.channel) for row in rows if row.found):
+        mine = [row for row in rows if (row.region, row.channel) == key and row.found]
+        values = ([row.found[name] for row in mine] for name in ("mtf50_cycles_per_px", "mtf50_std"))
+        try:
+            found[key] = best_focus([positions[row.file] for row in mine], *values)
+        except FitError as error:
+            found[key] = error
+    return found
 
 
 def read_regions(path: Path) -> dict[str, Region | None]:

@@ -1,0 +1,128 @@
+"""Best focus of a series of photographs of one edge at several focus positions.
+
+Defocus adds a blur whose standard deviation is proportional to the distance z - z0 from the best focus. Variances of blurs
+add, and MTF50 is inversely proportional to the width of a blur, so MTF50^-2 is a parabola in z. It is fitted by weighted least
+squares.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from matcam.core import checks
+from matcam.core.errors import ArgumentError, FitError
+
+_FEWEST = 4
+"""Smallest number of positions: one more than the parameters of a parabola, so that the scatter shows."""
+_NEAR = 0.5
+"""Smallest MTF50, as a share of the largest, of a fitted position: farther out defocus is not like a Gaussian blur."""
+_CURVED = 3.0
+"""Smallest curvature of the parabola, in standard deviations, of a series that shows a best focus."""
+
+
+class BestFocus(NamedTuple):
+    """Best focus of a series.
+
+    Attributes:
+        position: focus position, in the unit of the positions of the series.
+        position_std: its standard deviation.
+        mtf50: MTF50 at this position, cycles/px.
+        mtf50_std: its standard deviation, cycles/px.
+        curvature: increase of MTF50^-2 per squared distance from the best focus, (px/cycle)^2 per squared unit of position.
+
+    Example:
+        >>> matcam.calibration.BestFocus(0.1, 0.01, 0.4, 0.002, 60.0).position
+        0.1
+    """
+
+    position: float
+    position_std: float
+    mtf50: float
+    mtf50_std: float
+    curvature: float
+
+    def mtf50_at(self, position: ArrayLike) -> np.ndarray:
+        """Evaluate MTF50 of the fitted parabola.
+
+        Args:
+            position: focus positions, any shape.
+
+        Returns:
+            MTF50, cycles/px, of the same shape.
+
+        Example:
+            >>> focus = matcam.calibration.BestFocus(0.0, 0.01, 0.5, 0.002, 4.0)
+            >>> float(focus.mtf50_at(1.0).round(3))
+            0.354
+        """
+        z = np.asarray(checks.number("position", position)) - self.position
+        return np.asarray((self.mtf50**-2 + self.curvature * z**2) ** -0.5)
+
+
+def best_focus(position: ArrayLike, mtf50: ArrayLike, mtf50_std: ArrayLike) -> BestFocus:
+    """Find the best focus of a series.
+
+    Positions where MTF50 is less than half the largest are not used. If the values scatter more than their standard deviations,
+    the uncertainties are increased by the same factor.
+
+    Args:
+        position: focus positions, (n,), any unit.
+        mtf50: MTF50 at these positions, (n,), cycles/px.
+        mtf50_std: standard deviations of `mtf50`, (n,), cycles/px.
+
+    Returns:
+        The best focus and MTF50 there, with standard deviations.
+
+    Raises:
+        ArgumentError: the arguments differ in length, or a value is not positive.
+        FitError: fewer than four different positions are near the focus, or MTF50 has no maximum between the positions.
+
+    Example:
+        >>> z = np.array([-1.0, -0.5, 0.0, 0.5, 1.0])
+        >>> focus = matcam.calibration.best_focus(z, (4 + 9 * (z - 0.2) ** 2) ** -0.5, np.full(5, 0.002))
+        >>> round(focus.position, 6), round(focus.mtf50, 6)
+        (0.2, 0.5)
+    """
+    z, m, std = (np.asarray(checks.number(*pair), dtype=float) for pair in
+                 (("position", position), ("mtf50", mtf50), ("mtf50_std", mtf50_std)))  # fmt: skip
+    if z.ndim != 1 or not z.shape == m.shape == std.shape:
+        raise ArgumentError(
+            f"position, mtf50 and mtf50_std must be lists of equal length, got shapes {z.shape}, {m.shape} and {std.shape}"
+        )
+    for name, values in (("mtf50", m), ("mtf50_std", std)):
+        checks.positive(name, values, "cycles/px")
+    near = m >= _NEAR * np.max(m, initial=0.0)
+    if np.unique(z[near]).size < _FEWEST:
+        raise FitError(
+            f"the best focus needs {_FEWEST} positions where MTF50 is at least half its largest value, but there are "
+            f"{np.unique(z[near]).size}: add positions"
+        )
+    low, high = float(z[near].min()), float(z[near].max())
+    middle, half = (low + high) / 2, (high - low) / 2
+    columns = np.vander((z[near] - middle) / half, 3, increasing=True)
+    root = m[near] ** 3 / (2 * std[near])  # 1 / standard deviation of MTF50^-2
+    rows = columns * root[:, None]
+    covariance = np.linalg.inv(rows.T @ rows)
+    value = covariance @ rows.T @ (root * m[near] ** -2)
+    residual = root * m[near] ** -2 - rows @ value
+    covariance *= max(1.0, float(residual @ residual) / (len(rows) - 3))
+    level, slope, bend = value
+    at = -slope / (2 * bend)
+    lowest = level + slope * at + bend * at**2
+    if bend < _CURVED * np.sqrt(covariance[2, 2]) or abs(at) > 1 or lowest <= 0:
+        raise FitError(
+            f"no maximum of MTF50 lies between the positions {low:g} and {high:g}: add positions on both sides of the focus"
+        )
+    by_position = np.array([0.0, -1 / (2 * bend), slope / (2 * bend**2)])
+    by_level = np.array([1.0, at, at**2])
+    best = float(lowest**-0.5)
+    return BestFocus(
+        position=float(middle + half * at),
+        position_std=float(half * np.sqrt(by_position @ covariance @ by_position)),
+        mtf50=best,
+        mtf50_std=float(best**3 / 2 * np.sqrt(by_level @ covariance @ by_level)),
+        curvature=float(bend / half**2),
+    )
